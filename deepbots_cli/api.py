@@ -175,7 +175,7 @@ def make(
     """The Gymnasium environment of a scenario.
 
     Args:
-        engine: `pybullet`, or an engine that another package registers.
+        engine: `pybullet`, `mujoco`, or an engine that another package registers.
         render_mode: None, or `rgb_array`.
 
     Raises:

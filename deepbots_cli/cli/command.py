@@ -107,7 +107,9 @@ Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Seed = Annotated[int, typer.Option("--seed", metavar="N", parser=whole(0, MAX_SEED), help="Root seed of all random numbers.")]
 Engine = Annotated[
     str,
-    typer.Option("--engine", metavar="NAME", callback=known_engine, help="Physics engine: pybullet, or an engine of an installed package."),
+    typer.Option(
+        "--engine", metavar="NAME", callback=known_engine, help="Physics engine: pybullet, mujoco, or an engine of an installed package."
+    ),
 ]
 
 

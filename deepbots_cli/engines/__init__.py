@@ -1,8 +1,9 @@
 """Physics engines behind the port.
 
 pybullet/      the only package that imports PyBullet: contacts, sight, any tree of joints
+mujoco/        the only package that imports MuJoCo: the same, and exact snapshots
 kinematics.py  inverse kinematics of chains of joints
-objects.py     objects and walls as robots of one link; bodies by name
+objects.py     objects and walls as robots of one link; bodies by name, and pooled ones in one of several forms
 
 An engine is imported when it is first used. Other packages add theirs as an entry point of the group
 `deepbots.engines`: a name, and the `module:attribute` of an `EngineFactory`.
@@ -25,9 +26,10 @@ if TYPE_CHECKING:
 
 ENGINES = {
     "pybullet": "deepbots_cli.engines.pybullet.engine:PyBulletEngine",
+    "mujoco": "deepbots_cli.engines.mujoco.engine:MuJoCoEngine",
 }
 GROUP = "deepbots.engines"
-_OF_EXTRA_SIM = ("pybullet", "numpy", "trimesh", "yourdfpy")
+_OF_EXTRA_SIM = ("pybullet", "mujoco", "numpy", "trimesh", "yourdfpy")
 
 
 def names() -> tuple[str, ...]:

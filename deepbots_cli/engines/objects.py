@@ -1,14 +1,22 @@
-"""Objects and walls as robots of one link, which engines load like robots; bodies by name."""
+"""Objects and walls as robots of one link, which engines load like robots; bodies by name, and pooled ones in one of several forms."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import TypeVar
+from typing import Generic, ParamSpec, Protocol, TypeVar
 
+from deepbots_cli import frames
 from deepbots_cli.errors import EngineError
+from deepbots_cli.frames import IDENTITY_FRAME, Frame
 from deepbots_cli.program.world import ARENA_WALLS, WALL_COLOUR, Arena, ObjectBody
 from deepbots_cli.robots import inertia
+from deepbots_cli.robots.edits import with_link
 from deepbots_cli.robots.model import Box, Friction, Geometry, Inertial, Link, Pose, RobotModel
+
+# Of links that state no colour, in turn.
+PALETTE = ((0.84, 0.44, 0.24, 1.0), (0.27, 0.45, 0.66, 1.0), (0.30, 0.32, 0.36, 1.0), (0.86, 0.70, 0.32, 1.0), (0.42, 0.60, 0.46, 1.0))
+ROOT_MASS_FRACTION = 1e-6  # the mass of a root that has none, of what is held to it; its inertia as of a mass 1 m away
 
 
 def moves(body: ObjectBody) -> bool:
@@ -58,7 +66,58 @@ def walls(arena: Arena) -> tuple[ObjectBody, ...]:
     )
 
 
+# Robots
+
+
+def held_by(model: RobotModel, first: str) -> dict[str, Frame]:
+    """The links that fixed joints hold to `first`, itself included, and where they are in its frame."""
+    members = {first: IDENTITY_FRAME}
+    waiting = [first]
+    while waiting:
+        parent = waiting.pop()
+        for joint in model.joints:
+            if joint.parent == parent and joint.type == "fixed":
+                members[joint.child] = frames.compose(members[parent], frames.frame(joint.origin))
+                waiting.append(joint.child)
+    return members
+
+
+def with_explicit_masses(name: str, model: RobotModel, fixed_base: bool) -> RobotModel:
+    """The model with a mass on each link: 0 where the file states none, for which a loader would invent 1 kg.
+
+    Raises:
+        EngineError: A joint or a free base moves nothing that has mass, or a joint is of a kind that is not supported.
+    """
+    carried = inertia.carried(model)
+    for joint in model.joints:
+        if joint.type in ("floating", "planar"):
+            raise EngineError(f"the engine has no {joint.type} joints such as '{joint.name}' of '{name}'")
+        if joint.moves and carried[joint.child] <= 0.0:
+            raise EngineError(f"joint '{joint.name}' of '{name}' moves nothing that has mass; give link '{joint.child}' an inertial")
+    root = model.link(model.root).inertial
+    if not fixed_base and (root is None or root.mass <= 0.0):
+        model = _with_heavy_root(name, model)
+    return replace(model, links=tuple(replace(link, inertial=link.inertial or Inertial(0.0)) for link in model.links))
+
+
+def _with_heavy_root(name: str, model: RobotModel) -> RobotModel:
+    """The model whose root is a mere frame, as `base_footprint` is, with a trace of what fixed joints hold to it.
+
+    The engine would take a free root without mass for one that is bolted to the world.
+    """
+    links = [model.link(link).inertial for link in held_by(model, model.root)]
+    mass = sum(known.mass for known in links if known)
+    if mass <= 0.0:
+        raise EngineError(f"root link '{model.root}' of '{name}' has no mass; give it an inertial or fix the base")
+    trace = ROOT_MASS_FRACTION * mass
+    return with_link(model, replace(model.link(model.root), inertial=Inertial(trace, ixx=trace, iyy=trace, izz=trace)))
+
+
+# Bodies by name
+
 Found = TypeVar("Found")
+Given = ParamSpec("Given")
+Told = TypeVar("Told")
 
 
 def find(table: dict[str, Found], name: str, lacking: str) -> Found:
@@ -67,3 +126,57 @@ def find(table: dict[str, Found], name: str, lacking: str) -> Found:
         return table[name]
     except KeyError:
         raise EngineError(f"{lacking} '{name}'; there are {', '.join(table)}") from None
+
+
+class Form(Protocol):
+    """A body as an engine holds it."""
+
+    def suspend(self) -> None:
+        """Be absent: touched and seen by nothing."""
+
+    def wake(self) -> None:
+        """Be present."""
+
+
+Body = TypeVar("Body", bound=Form)
+
+
+class Pool(Generic[Body]):
+    """The forms of one name. A body that is not pooled has one form and is always present."""
+
+    def __init__(self, name: str, forms: Sequence[tuple[str, Body]], pooled: bool) -> None:
+        self.name = name
+        self.pooled = pooled
+        self.present = not pooled
+        self.chosen = forms[0][1]
+        self._forms = dict(forms)
+
+    def __iter__(self) -> Iterator[Body]:
+        return iter(self._forms.values())
+
+    def choose(self, form: str) -> None:
+        self.chosen = find(self._forms, form, f"'{self.name}' has no variant")
+
+    def leave(self) -> None:
+        """Be absent, in the first form."""
+        if self.pooled:
+            self.present, self.chosen = False, next(iter(self))
+            for body in self:
+                body.suspend()
+
+    def enter(self) -> Body:
+        """Be present, in the chosen form."""
+        self.present = True
+        self.chosen.wake()
+        return self.chosen
+
+    def bound(self, bind: Callable[[Body], Callable[Given, Told]]) -> Callable[Given, Told]:
+        """What `bind` makes of the present form; a body of one form pays nothing for there being others."""
+        if len(self._forms) == 1:
+            return bind(self.chosen)
+        table = {id(body): bind(body) for body in self}
+
+        def of_chosen(*given: Given.args, **named: Given.kwargs) -> Told:
+            return table[id(self.chosen)](*given, **named)
+
+        return of_chosen

@@ -51,7 +51,7 @@ Status = Literal["running", "finished", "interrupted", "failed"]
 M = TypeVar("M", bound=BaseModel)
 
 _LIMIT = 4_000_000
-_DISTRIBUTIONS = ("gymnasium", "numpy", "pybullet", "stable-baselines3", "torch")
+_DISTRIBUTIONS = ("gymnasium", "mujoco", "numpy", "pybullet", "stable-baselines3", "torch")
 _FILES = (NAME, RESOLVED, "monitor.csv", ".lock")
 _FOLDERS = (FOLDER, "tensorboard", "models", "evaluations", "checkpoints")
 

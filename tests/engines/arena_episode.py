@@ -1,4 +1,4 @@
-"""An episode in contact, as bytes; run as a program, in a process of its own, with a pickled world on stdin."""
+"""An episode in contact, as bytes; run as a program, in a process of its own, with the name of an engine and a pickled world on stdin."""
 
 from __future__ import annotations
 
@@ -39,5 +39,5 @@ def trajectory(engine: Engine, world: WorldModel, seed: int, ticks: int) -> byte
 
 
 if __name__ == "__main__":
-    world, seed, ticks = pickle.load(sys.stdin.buffer)
-    sys.stdout.buffer.write(trajectory(create("pybullet", world), world, seed, ticks))
+    engine, world, seed, ticks = pickle.load(sys.stdin.buffer)
+    sys.stdout.buffer.write(trajectory(create(engine, world), world, seed, ticks))

@@ -8,7 +8,7 @@ from math import cos, pi, sin
 
 import pytest
 
-from deepbots_cli.engines import create
+from deepbots_cli.engines import ENGINES, create
 from deepbots_cli.port import Engine
 from deepbots_cli.program.world import Arena, Ground, ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots.model import Box, Cylinder, Friction, Geometry, Inertial, Joint, Limit, Link, Pose, RobotModel, Sphere
@@ -101,6 +101,12 @@ class Worlds:
         down = (9.81 * sin(angle), 0.0, -9.81 * cos(angle))
         crate = ObjectBody("crate", Box((0.2, 0.2, 0.1)), Pose((0, 0, 0.05)), 1.0, friction=friction)
         return WorldModel(0.02, 4, down, Ground(1.0), objects=(crate,))
+
+
+@pytest.fixture(params=sorted(ENGINES))
+def engine_name(request: pytest.FixtureRequest) -> str:
+    """Every engine of the table: what the port promises is tested on each."""
+    return request.param
 
 
 @pytest.fixture(scope="session")

@@ -23,9 +23,9 @@ def robot(bare: bool) -> RobotModel:
     return RobotModel("robot", (frame, hull), (HELD,), "frame")
 
 
-def tumble(model: RobotModel) -> list[float]:
+def tumble(engine_name: str, model: RobotModel) -> list[float]:
     world = WorldModel(0.01, 40, robots=(RobotBody("robot", model),))
-    with closing(engines.create("pybullet", world)) as engine:
+    with closing(engines.create(engine_name, world)) as engine:
         read, found = engine.pose("robot"), []
         engine.place("robot", (0.0, 0.0, 0.5), IDENTITY_ROTATION, (1.0, 0.0, 2.0), (1.0, 2.0, 3.0))
         for _ in range(40):
@@ -34,11 +34,13 @@ def tumble(model: RobotModel) -> list[float]:
         return found
 
 
-def test_a_root_without_mass_moves_with_what_is_fixed_to_it() -> None:
-    assert tumble(robot(bare=True)) == pytest.approx(tumble(robot(bare=False)), abs=3e-4)  # of first order in the physics step
+def test_a_root_without_mass_moves_with_what_is_fixed_to_it(engine_name: str) -> None:
+    assert tumble(engine_name, robot(bare=True)) == pytest.approx(
+        tumble(engine_name, robot(bare=False)), abs=3e-4
+    )  # of first order in the physics step
 
 
-def test_a_free_robot_without_any_mass_is_refused() -> None:
+def test_a_free_robot_without_any_mass_is_refused(engine_name: str) -> None:
     massless = RobotModel("robot", (Link("frame"), Link("hull")), (HELD,), "frame")
     with pytest.raises(EngineError, match="has no mass"):
-        engines.create("pybullet", WorldModel(0.01, 1, robots=(RobotBody("robot", massless),)))
+        engines.create(engine_name, WorldModel(0.01, 1, robots=(RobotBody("robot", massless),)))

@@ -43,8 +43,8 @@ def rays() -> tuple[np.ndarray, np.ndarray]:
     return left[None, :], up[:, None]
 
 
-def test_a_camera_tells_distances_bodies_and_colours_pixel_by_pixel(build):
-    engine = build("pybullet", world(wall(2.0)))
+def test_a_camera_tells_distances_bodies_and_colours_pixel_by_pixel(engine_name, build):
+    engine = build(engine_name, world(wall(2.0)))
     look = engine.camera(("scout", None), frames.IDENTITY_FRAME, WIDE, HIGH, FOV)
     sight = look()
     assert (sight.colours.shape, sight.colours.dtype) == ((HIGH, WIDE, 3), np.uint8)
@@ -64,8 +64,8 @@ def test_a_camera_tells_distances_bodies_and_colours_pixel_by_pixel(build):
     assert sight.colours[floor].std() > 1.0  # tiles, by which motion is seen
 
 
-def test_a_camera_looks_along_its_mount_on_a_link_that_turns(build):
-    engine = build("pybullet", world(wall(2.0)))
+def test_a_camera_looks_along_its_mount_on_a_link_that_turns(engine_name, build):
+    engine = build(engine_name, world(wall(2.0)))
     mount = ((0.0, 0.0, 0.0), quaternion(0.0, 0.0, -1.2))
     look = engine.camera(("scout", "head"), mount, WIDE, HIGH, FOV)
     engine.place("scout", (0.0, 0.0, 0.5), frames.IDENTITY_ROTATION)
@@ -78,8 +78,8 @@ def test_a_camera_looks_along_its_mount_on_a_link_that_turns(build):
     assert PIXEL * (columns.mean() + 0.5 - WIDE / 2) == pytest.approx((tan(0.2 + 0.245) + tan(0.2 - 0.245)) / 2, abs=0.05)
 
 
-def test_up_in_a_picture_is_up_in_the_mount(build):
-    engine = build("pybullet", world(ObjectBody("ball", Sphere(0.1), Pose((2, 0, 1.4)), colour=GREEN)))
+def test_up_in_a_picture_is_up_in_the_mount(engine_name, build):
+    engine = build(engine_name, world(ObjectBody("ball", Sphere(0.1), Pose((2, 0, 1.4)), colour=GREEN)))
     for roll, row, column in ((0.0, -1, None), (pi, 1, None), (pi / 2, None, -1)):
         sight = engine.camera(("scout", None), ((0, 0, 0), quaternion(roll, 0.0, 0.0)), WIDE, HIGH, FOV)()
         rows, columns = np.where(sight.bodies == sight.names.index("ball"))
@@ -87,9 +87,9 @@ def test_up_in_a_picture_is_up_in_the_mount(build):
         assert column is None or abs(columns.mean() - WIDE / 2 - column * 18) < 3
 
 
-def test_what_is_painted_gets_another_colour_and_what_is_absent_is_not_seen(build):
+def test_what_is_painted_gets_another_colour_and_what_is_absent_is_not_seen(engine_name, build):
     ghost = ObjectBody("mark", Box((0.2, 1.0, 1.0)), colour=GREEN, solid=False, pooled=True)
-    engine = build("pybullet", world(ghost))
+    engine = build(engine_name, world(ghost))
     look = engine.camera(("scout", None), frames.IDENTITY_FRAME, 40, 40, FOV)
     assert "mark" not in {look().names[place] for place in np.unique(look().bodies) if place >= 0}
     engine.place("mark", (2.1, 0, 1), frames.IDENTITY_ROTATION)
@@ -105,8 +105,8 @@ def test_what_is_painted_gets_another_colour_and_what_is_absent_is_not_seen(buil
     assert look().bodies[middle] == -1
 
 
-def test_looking_changes_nothing(build):
-    seen, unseen = build("pybullet", world(wall(2.0))), build("pybullet", world(wall(2.0)))
+def test_looking_changes_nothing(engine_name, build):
+    seen, unseen = build(engine_name, world(wall(2.0))), build(engine_name, world(wall(2.0)))
     look = seen.camera(("scout", "head"), frames.IDENTITY_FRAME, 16, 16, FOV)
     for engine in (seen, unseen):
         engine.set_joint("scout", "neck", 0.1, 2.0)
@@ -118,11 +118,11 @@ def test_looking_changes_nothing(build):
     assert (look().colours == look().colours).all()
 
 
-def test_lines_are_seen_painted_on_a_floor_of_its_own_colour(build):
+def test_lines_are_seen_painted_on_a_floor_of_its_own_colour(engine_name, build):
     """From 1 m above, looking straight down: a square of 1 m with a stroke of 0.1 m, closed, and a speck beside it."""
     square = Line("track", ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)), True, 0.1, colour=RED)
     speck = Line("speck", ((0.0, 0.0), (0.0, 0.0)), False, 0.2, colour=(0, 0, 0, 1))
-    engine = build("pybullet", replace(world(), ground=Ground(colour=GREEN), lines=(square, speck)))
+    engine = build(engine_name, replace(world(), ground=Ground(colour=GREEN), lines=(square, speck)))
     look = engine.camera(("scout", "head"), ((0.0, 0.0, -0.5), quaternion(0.0, pi / 2, 0.0)), HIGH, HIGH, 2.4)
     engine.place("scout", (0.0, 0.0, 1.0), frames.IDENTITY_ROTATION)
     engine.set_parameter("colour", ("scout", ""), 0, 0, 1, 1)
@@ -139,8 +139,8 @@ def test_lines_are_seen_painted_on_a_floor_of_its_own_colour(build):
     assert (sight.colours[beside].argmax(axis=-1) == 1).all()
 
 
-def test_the_floor_gets_another_colour_until_the_next_reset(build):
-    engine = build("pybullet", replace(world(), light=0.8))
+def test_the_floor_gets_another_colour_until_the_next_reset(engine_name, build):
+    engine = build(engine_name, replace(world(), light=0.8))
     view = View((1.0, 1.0, 1.5), (0.0, 0.0, 0.5), 60, 40)
     look = engine.camera(("scout", None), frames.IDENTITY_FRAME, WIDE, HIGH, FOV)
     usual, seen = engine.render(view), look().colours
@@ -153,9 +153,9 @@ def test_the_floor_gets_another_colour_until_the_next_reset(build):
     assert (look().colours == seen).all()
 
 
-def test_a_side_in_the_plane_of_the_eye_does_not_hold_up_the_picture(build):
+def test_a_side_in_the_plane_of_the_eye_does_not_hold_up_the_picture(engine_name, build):
     """The pixels of its corners lie beyond all integers, through which the renderer once went one by one."""
     plank = ObjectBody("plank", Box((0.2, 1.0, 0.1)), Pose((0.1 + 1e-8, 0, 1.3)), fixed=True)
-    engine = build("pybullet", world(plank, wall(2.0)))
+    engine = build(engine_name, world(plank, wall(2.0)))
     look = engine.camera(("scout", None), frames.IDENTITY_FRAME, WIDE, HIGH, FOV)
     assert "wall" in {look().names[number] for number in np.unique(look().bodies)}

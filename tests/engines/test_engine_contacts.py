@@ -21,8 +21,8 @@ def ball(name: str, at: tuple[float, float, float], mass: float = 0.2, radius: f
     return ObjectBody(name, Sphere(radius), Pose(at), mass)
 
 
-def test_a_ball_touches_the_ground_from_its_landing_on(build):
-    engine = build("pybullet", things(ball("ball", (0, 0, 0.2))))
+def test_a_ball_touches_the_ground_from_its_landing_on(engine_name, build):
+    engine = build(engine_name, things(ball("ball", (0, 0, 0.2))))
     on_ground, anything, but_ground = (
         engine.contact(("ball", None), [("ground", None)]),
         engine.contact(("ball", None)),
@@ -41,11 +41,11 @@ def test_a_ball_touches_the_ground_from_its_landing_on(build):
     assert not on_ground()
 
 
-def test_a_contact_in_a_single_engine_step_counts_for_the_whole_tick(build):
+def test_a_contact_in_a_single_engine_step_counts_for_the_whole_tick(engine_name, build):
     """A ball that bounces off a wall within a tick touches nothing when the tick ends."""
     wall = ObjectBody("wall", Box((0.1, 1, 1)), Pose((0.35, 0, 0.5)), **STAYS)
     world = replace(things(ball("ball", (0, 0, 0.5)), wall, gravity=(0, 0, 0)), timestep=0.1, substeps=50)
-    engine = build("pybullet", world)
+    engine = build(engine_name, world)
     engine.set_parameter("restitution", ("wall", ""), 1.0)
     engine.set_parameter("restitution", ("ball", ""), 1.0)
     touched, force = engine.contact(("wall", None), [("ball", None)]), engine.contact_force(("wall", None))
@@ -58,11 +58,11 @@ def test_a_contact_in_a_single_engine_step_counts_for_the_whole_tick(build):
     assert not touched()
 
 
-def test_what_is_touched_late_in_a_tick_counts_beside_what_was_touched_all_along(build):
+def test_what_is_touched_late_in_a_tick_counts_beside_what_was_touched_all_along(engine_name, build):
     """Once the crate is known to stand on the ground, the ball that falls on it is still looked for."""
     crate = ObjectBody("crate", Box((0.2, 0.2, 0.1)), Pose((0, 0, 0.05)), 3.0)
     world = replace(things(crate, ball("ball", (0, 0, 0.4))), timestep=0.05, substeps=50)
-    engine = build("pybullet", world)
+    engine = build(engine_name, world)
     on_ground, hit = engine.contact(("crate", None), [("ground", None)]), engine.contact(("crate", None), ground=False)
     told = []
     for _ in range(6):
@@ -73,8 +73,8 @@ def test_what_is_touched_late_in_a_tick_counts_beside_what_was_touched_all_along
     assert all(stands for stands, _ in told[1:])
 
 
-def test_links_of_a_robot_tell_their_contacts_apart(worlds, build):
-    engine = build("pybullet", worlds.arena())
+def test_links_of_a_robot_tell_their_contacts_apart(engine_name, worlds, build):
+    engine = build(engine_name, worlds.arena())
     wheels = [engine.contact(("robot", f"wheel_{i}"), [("ground", None)]) for i in range(4)]
     body, pole = engine.contact(("robot", "body")), engine.contact(("robot", "pole"))
     crate, all_but_ground = (
@@ -92,9 +92,9 @@ def test_links_of_a_robot_tell_their_contacts_apart(worlds, build):
     assert body()
 
 
-def test_the_force_on_the_ground_is_the_weight_of_what_stands_on_it(build):
+def test_the_force_on_the_ground_is_the_weight_of_what_stands_on_it(engine_name, build):
     heavy = ObjectBody("crate", Box((0.2, 0.2, 0.1)), Pose((0, 0, 0.05)), 3.0)
-    engine = build("pybullet", things(heavy, ball("ball", (0, 0, 0.15), 0.5)))
+    engine = build(engine_name, things(heavy, ball("ball", (0, 0, 0.15), 0.5)))
     forces = {name: engine.contact_force((name, None)) for name in ("ground", "crate", "ball")}
     assert {name: read() for name, read in forces.items()} == dict.fromkeys(forces, 0.0)
     for _ in range(100):
@@ -103,8 +103,8 @@ def test_the_force_on_the_ground_is_the_weight_of_what_stands_on_it(build):
     assert {name: read() for name, read in forces.items()} == pytest.approx(expected, rel=0.01)
 
 
-def test_watching_contacts_changes_nothing(worlds, build):
-    seen, unseen = build("pybullet", worlds.arena()), build("pybullet", worlds.arena())
+def test_watching_contacts_changes_nothing(engine_name, worlds, build):
+    seen, unseen = build(engine_name, worlds.arena()), build(engine_name, worlds.arena())
     for name in ("robot", "ball"):
         seen.contact((name, None))
         seen.clearance((name, None), ("crate", None))
@@ -127,26 +127,26 @@ SOLIDS = {
 @pytest.mark.parametrize("one", SOLIDS)
 @pytest.mark.parametrize("other", SOLIDS)
 @pytest.mark.parametrize("apart", [0.003, 0.5, 30.0])
-def test_the_gap_between_two_solids_along_x_is_what_is_left_between_them(one, other, apart, build):
+def test_the_gap_between_two_solids_along_x_is_what_is_left_between_them(engine_name, one, other, apart, build):
     (shape, half), (other_shape, other_half) = SOLIDS[one], SOLIDS[other]
     place = Pose((half + other_half + apart, 0, 1))
     world = things(ObjectBody("one", shape, Pose((0, 0, 1)), **STAYS), ObjectBody("other", other_shape, place, **STAYS))
-    engine = build("pybullet", world)
+    engine = build(engine_name, world)
     assert engine.clearance(("one", None), ("other", None))() == pytest.approx(apart, abs=1e-6)
 
 
-def test_gaps_to_the_ground_to_corners_and_to_what_overlaps(build):
+def test_gaps_to_the_ground_to_corners_and_to_what_overlaps(engine_name, build):
     turned = ObjectBody("turned", Box((0.2, 0.2, 0.2)), Pose((1, 0, 1), (0, 0, pi / 4)), **STAYS)
-    engine = build("pybullet", things(ball("ball", (0, 0, 1)), turned, ball("inside", (0.05, 0, 1))))
+    engine = build(engine_name, things(ball("ball", (0, 0, 1)), turned, ball("inside", (0.05, 0, 1))))
     assert engine.clearance(("ball", None), ("ground", None))() == pytest.approx(0.95, abs=1e-6)
     # a corner is rounded by the library's margin of 1 mm: 0.4 mm too far
     assert engine.clearance(("ball", None), ("turned", None))() == pytest.approx(1 - 0.05 - 0.1 * sqrt(2), abs=5e-4)
     assert engine.clearance(("ball", None), ("inside", None))() == 0.0
 
 
-def test_the_gap_of_a_moving_link_follows_it(worlds, build):
+def test_the_gap_of_a_moving_link_follows_it(engine_name, worlds, build):
     world = worlds.arena()
-    engine = build("pybullet", world)
+    engine = build(engine_name, world)
     gap, pose = engine.clearance(("robot", "wheel_0"), ("front wall", None)), engine.pose("robot", "wheel_0")
     engine.velocity_motor("robot", [f"wheel_{i}" for i in range(4)], [10.0] * 4)([5.0] * 4)
     engine.place("ball", (0, 0.4, 0.05), (0, 0, 0, 1))
@@ -156,18 +156,18 @@ def test_the_gap_of_a_moving_link_follows_it(worlds, build):
     assert pose()[0][0] > 0.1
 
 
-def test_a_gap_to_nothing_is_infinite(build):
+def test_a_gap_to_nothing_is_infinite(engine_name, build):
     ghost = ObjectBody("ghost", Sphere(0.1), Pose((1, 0, 1)), solid=False)
-    engine = build("pybullet", things(ball("ball", (0, 0, 1)), ghost))
+    engine = build(engine_name, things(ball("ball", (0, 0, 1)), ghost))
     assert engine.clearance(("ball", None), ("ghost", None))() == inf
 
 
 # What lies within something else
 
 
-def test_bodies_within_each_other_are_told_with_their_depth_deepest_first(build):
+def test_bodies_within_each_other_are_told_with_their_depth_deepest_first(engine_name, build):
     post = ObjectBody("post", Sphere(0.05), Pose((0, 0, 0.05)), **STAYS)
-    engine = build("pybullet", things(ball("near", (0.08, 0, 0.055)), ball("sunk", (1, 0, 0.03)), ball("clear", (2, 0, 0.06)), post))
+    engine = build(engine_name, things(ball("near", (0.08, 0, 0.055)), ball("sunk", (1, 0, 0.03)), ball("clear", (2, 0, 0.06)), post))
     first, second = engine.overlaps()
     depths = {frozenset((found.one[0], found.other[0])): found.depth for found in (first, second)}
     assert depths[frozenset(("near", "post"))] == pytest.approx(0.1 - sqrt(0.08**2 + 0.005**2), abs=1e-3)
@@ -175,13 +175,13 @@ def test_bodies_within_each_other_are_told_with_their_depth_deepest_first(build)
     assert first.depth >= second.depth
 
 
-def test_what_never_moves_overlaps_with_nothing_that_does_not_either(build):
+def test_what_never_moves_overlaps_with_nothing_that_does_not_either(engine_name, build):
     one, other = (ObjectBody(name, Sphere(0.05), Pose((0, 0, 0.02)), **STAYS) for name in ("one", "other"))
-    assert list(build("pybullet", things(one, other)).overlaps()) == []
+    assert list(build(engine_name, things(one, other)).overlaps()) == []
 
 
-def test_links_of_a_robot_that_overlap_are_named(build, worlds):
-    engine = build("pybullet", worlds.arena())
+def test_links_of_a_robot_that_overlap_are_named(engine_name, build, worlds):
+    engine = build(engine_name, worlds.arena())
     engine.place("robot", (0, 0, 0.02), (0, 0, 0, 1))
     (found,) = engine.overlaps()
     assert found.depth == pytest.approx(0.02, abs=1.5e-3)
@@ -189,7 +189,7 @@ def test_links_of_a_robot_that_overlap_are_named(build, worlds):
     assert any((part[1] or "").startswith("wheel_") for part in (found.one, found.other))
 
 
-def test_looking_for_overlaps_leaves_no_trace_beyond_a_reset(build):
+def test_looking_for_overlaps_leaves_no_trace_beyond_a_reset(engine_name, build):
     world = things(ball("ball", (0, 0, 0.2)))
 
     def fall(engine) -> list[object]:
@@ -197,6 +197,6 @@ def test_looking_for_overlaps_leaves_no_trace_beyond_a_reset(build):
         engine.step(40)
         return [engine.pose("ball")(), engine.velocity("ball")()]
 
-    fresh, looked_at = build("pybullet", world), build("pybullet", world)
+    fresh, looked_at = build(engine_name, world), build(engine_name, world)
     looked_at.overlaps()
     assert fall(looked_at) == fall(fresh)

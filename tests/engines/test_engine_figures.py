@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from deepbots_cli import frames
-from deepbots_cli.engines import ENGINES
 from deepbots_cli.engines.pybullet.parameters import Parameters
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import quaternion
@@ -20,7 +19,6 @@ from deepbots_cli.program.world import Ground, ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots.model import Box, Geometry, Inertial, Joint, Link, Pose, RobotModel, Sphere
 from deepbots_cli.scenario.world import World
 
-BOTH = pytest.mark.parametrize("engine_name", sorted(ENGINES))
 TURNED = quaternion(0.4, -0.3, 1.1)
 
 
@@ -28,7 +26,6 @@ def weightless(world: WorldModel) -> WorldModel:
     return replace(world, gravity=(0.0, 0.0, 0.0))
 
 
-@BOTH
 def test_a_body_that_is_placed_with_a_velocity_moves_so_at_its_origin(engine_name, worlds, build):
     engine = build(engine_name, weightless(worlds.crooked(timestep=0.001, substeps=1)))
     engine.place("robot", (0.1, 0.2, 0.3), TURNED, (0.5, -1.0, 2.0), (0.3, 0.2, -0.7))
@@ -39,7 +36,6 @@ def test_a_body_that_is_placed_with_a_velocity_moves_so_at_its_origin(engine_nam
     assert engine.pose("robot")()[0] == pytest.approx((0.1005, 0.199, 0.302), abs=1e-5)
 
 
-@BOTH
 def test_what_is_called_before_engine_steps_is_called_in_each_and_in_order(engine_name, worlds, build):
     engine = build(engine_name, worlds.ball())
     read, seen = engine.pose("ball"), []
@@ -51,7 +47,6 @@ def test_what_is_called_before_engine_steps_is_called_in_each_and_in_order(engin
     assert heights[0] == heights[1] > heights[2] == heights[3] > read()[0][2]
 
 
-@BOTH
 def test_a_target_that_is_set_before_an_engine_step_acts_in_it(engine_name, worlds, build):
     engine = build(engine_name, worlds.rail(timestep=0.01, substeps=2))
     engine.set_joint("robot", "hinge", pi / 2, 0.0)
@@ -62,7 +57,6 @@ def test_a_target_that_is_set_before_an_engine_step_acts_in_it(engine_name, worl
     assert engine.joint_states("robot", ["slide"])()[0][1] == pytest.approx(10.0 / 1.1 * 0.005, rel=0.01)
 
 
-@BOTH
 def test_a_motor_that_is_bound_again_replaces_the_earlier(engine_name, worlds, build):
     engine = build(engine_name, worlds.rail(timestep=0.01, substeps=1))
     engine.set_joint("robot", "hinge", pi / 2, 0.0)
@@ -72,7 +66,6 @@ def test_a_motor_that_is_bound_again_replaces_the_earlier(engine_name, worlds, b
     assert engine.joint_torques("robot", ["slide"])()[0] == pytest.approx(4.0)
 
 
-@BOTH
 def test_the_torque_of_a_spring_is_limited_and_damped(engine_name, worlds, build):
     engine = build(engine_name, worlds.rail(timestep=0.001, substeps=1))
     aim, torque = engine.position_motor("robot", ["slide"], [5.0], [20.0], [3.0]), engine.joint_torques("robot", ["slide"])
@@ -84,7 +77,6 @@ def test_the_torque_of_a_spring_is_limited_and_damped(engine_name, worlds, build
         assert torque()[0] == pytest.approx(expected, rel=0.01)
 
 
-@BOTH
 def test_a_new_mass_moves_the_cart_as_newton_says_until_the_next_reset(engine_name, worlds, build):
     engine = build(engine_name, worlds.rail(timestep=0.01, substeps=1))
     push, read = engine.torque_motor("robot", ["slide"], [10.0]), engine.joint_states("robot", ["slide"])
@@ -98,7 +90,6 @@ def test_a_new_mass_moves_the_cart_as_newton_says_until_the_next_reset(engine_na
         assert read()[0][1] == pytest.approx(2.0 / ((mass or 1.0) + 0.1) * 0.01, rel=0.01)
 
 
-@BOTH
 def test_a_new_mass_scales_the_inertia_along(engine_name, worlds, build):
     """A pendulum's acceleration does not depend on its mass, if its inertia follows; with a made-up inertia it would."""
     engine = build(engine_name, worlds.rail(timestep=0.001, substeps=1))
@@ -114,7 +105,6 @@ def test_a_new_mass_scales_the_inertia_along(engine_name, worlds, build):
     assert rates[0] == pytest.approx(1.5 * 9.81 * 0.29552 * 0.001, rel=1e-3)
 
 
-@BOTH
 def test_another_gravity_is_felt_until_the_next_reset(engine_name, worlds, build):
     engine = build(engine_name, worlds.ball())
     for gravity, expected in (((1.0, 0.0, -2.0), (0.02, 0.0, -0.04)), (None, (0.0, 0.0, -0.1962))):
@@ -125,7 +115,6 @@ def test_another_gravity_is_felt_until_the_next_reset(engine_name, worlds, build
         assert engine.velocity("ball")()[0] == pytest.approx(expected, rel=1e-9)
 
 
-@BOTH
 def test_damping_of_a_joint_takes_speed_exponentially_until_the_next_reset(engine_name, worlds, build):
     engine = build(engine_name, weightless(worlds.rail(timestep=0.01, substeps=10)))
     read = engine.joint_states("robot", ["slide"])
@@ -140,8 +129,8 @@ def test_damping_of_a_joint_takes_speed_exponentially_until_the_next_reset(engin
         assert read()[0][1] == pytest.approx(exp(-damping / 1.1 * 0.2), rel=0.01)
 
 
-def test_friction_of_a_joint_slows_until_the_next_reset(worlds, build):
-    engine = build("pybullet", weightless(worlds.rail(timestep=0.01, substeps=4)))
+def test_friction_of_a_joint_slows_until_the_next_reset(engine_name, worlds, build):
+    engine = build(engine_name, weightless(worlds.rail(timestep=0.01, substeps=4)))
     for friction in (0.0, 2.2, 0.0):
         engine.reset()
         if friction:
@@ -154,8 +143,8 @@ def test_friction_of_a_joint_slows_until_the_next_reset(worlds, build):
 
 
 @pytest.mark.parametrize("angle", [10, 25])
-def test_a_crate_slides_once_the_slope_is_steeper_than_its_friction(angle, worlds, build):
-    engine = build("pybullet", worlds.slope(radians(angle), 1.0))
+def test_a_crate_slides_once_the_slope_is_steeper_than_its_friction(engine_name, angle, worlds, build):
+    engine = build(engine_name, worlds.slope(radians(angle), 1.0))
     for factor, slides in ((0.97, True), (1.03, False), (None, False)):
         engine.reset()
         if factor:
@@ -165,8 +154,8 @@ def test_a_crate_slides_once_the_slope_is_steeper_than_its_friction(angle, world
         assert (engine.velocity("crate")()[0][0] > 0.05) is slides
 
 
-def test_the_ground_is_a_body_whose_friction_may_vary(worlds, build):
-    engine = build("pybullet", worlds.slope(radians(20), 1.0))
+def test_the_ground_is_a_body_whose_friction_may_vary(engine_name, worlds, build):
+    engine = build(engine_name, worlds.slope(radians(20), 1.0))
     for lateral, slides in ((0.1, True), (None, False)):
         engine.reset()
         if lateral:
@@ -186,9 +175,9 @@ def bounce(engine, height: float) -> float:
     return fastest / sqrt(2 * 9.81 * (height - 0.05))
 
 
-def test_a_ball_bounces_as_its_restitution_says(build):
+def test_a_ball_bounces_as_its_restitution_says(engine_name, build):
     ball = ObjectBody("ball", Sphere(0.05), mass=0.1, restitution=0.8)
-    engine = build("pybullet", WorldModel(0.001, 1, ground=Ground(1.0, 1.0), objects=(ball,)))
+    engine = build(engine_name, WorldModel(0.001, 1, ground=Ground(1.0, 1.0), objects=(ball,)))
     for height in (0.3, 0.31, 0.32, 0.33, 0.35, 0.4):
         engine.reset()
         assert bounce(engine, height) == pytest.approx(0.8, rel=0.02)
@@ -198,20 +187,20 @@ def test_a_ball_bounces_as_its_restitution_says(build):
     assert bounce(engine, 0.3) == pytest.approx(0.8, rel=0.02)
 
 
-def test_where_something_bounces_other_things_still_come_to_rest_on_the_ground(build):
+def test_where_something_bounces_other_things_still_come_to_rest_on_the_ground(engine_name, build):
     things = (
         ObjectBody("ball", Sphere(0.05), Pose((1, 0, 0.3)), mass=0.1, restitution=0.8),
         ObjectBody("crate", Box((0.2, 0.2, 0.2)), Pose((0, 0, 0.35)), 2.0),
     )
-    engine = build("pybullet", WorldModel(0.02, 5, ground=Ground(1.0, 1.0), objects=things))
+    engine = build(engine_name, WorldModel(0.02, 5, ground=Ground(1.0, 1.0), objects=things))
     for _ in range(100):
         engine.step(5)
     assert engine.pose("crate")()[0] == pytest.approx((0, 0, 0.1), abs=2e-3)
 
 
 @pytest.mark.parametrize("frame", ["world", "link"])
-def test_a_push_acts_at_the_origin_of_a_body_for_one_engine_step(frame, worlds, build):
-    engine = build("pybullet", weightless(worlds.crooked(timestep=0.001, substeps=1)))
+def test_a_push_acts_at_the_origin_of_a_body_for_one_engine_step(engine_name, frame, worlds, build):
+    engine = build(engine_name, weightless(worlds.crooked(timestep=0.001, substeps=1)))
     engine.place("robot", (0.1, 0.2, 0.3), TURNED)
     inertial = worlds.crooked().robots[0].model.links[0].inertial
     force, torque = (0.7, -0.2, 0.4), (0.002, 0.001, -0.003)
@@ -233,8 +222,8 @@ def test_a_push_acts_at_the_origin_of_a_body_for_one_engine_step(frame, worlds, 
 
 
 @pytest.mark.parametrize("frame", ["world", "link"])
-def test_a_push_on_a_link_turns_its_joint(frame, worlds, build):
-    engine = build("pybullet", worlds.rotor(timestep=0.001, substeps=1))
+def test_a_push_on_a_link_turns_its_joint(engine_name, frame, worlds, build):
+    engine = build(engine_name, worlds.rotor(timestep=0.001, substeps=1))
     engine.set_joint("robot", "hinge", 0.6, 0.0)
     engine.step(1)
     engine.pusher(("robot", "arm"), frame)((3.0, 2.0, 0.0), (0.0, 0.0, 0.4))
@@ -242,7 +231,7 @@ def test_a_push_on_a_link_turns_its_joint(frame, worlds, build):
     assert engine.joint_states("robot", ["hinge"])()[0][1] == pytest.approx(0.4 / (0.02 + 2.0 * 0.1) * 0.001, rel=1e-3)
 
 
-def test_colours_and_light_change_a_picture_until_the_next_reset(build):
+def test_colours_and_light_change_a_picture_until_the_next_reset(engine_name, build):
     model = RobotModel(
         "lamp",
         (
@@ -254,7 +243,7 @@ def test_colours_and_light_change_a_picture_until_the_next_reset(build):
         (Joint("hinge", "revolute", "lamp", "arm"),),
         root="lamp",
     )
-    engine = build("pybullet", WorldModel(0.02, 1, robots=(RobotBody("robot", model, fixed_base=True, pose=Pose((0, 0, 0.5))),)))
+    engine = build(engine_name, WorldModel(0.02, 1, robots=(RobotBody("robot", model, fixed_base=True, pose=Pose((0, 0, 0.5))),)))
     view = View((1.0, 0.4, 1.2), (0.0, 0.0, 0.5), 60, 40)
     usual = engine.render(view)
     engine.set_parameter("colour", ("robot", ""), 1.0, 1.0, 0.0, 1.0)
@@ -269,14 +258,13 @@ def test_colours_and_light_change_a_picture_until_the_next_reset(build):
     assert (engine.render(view) == usual).all()
 
 
-def test_the_mass_of_a_fixed_base_means_nothing_and_sets_nothing_loose(worlds, build):
-    engine = build("pybullet", worlds.rail())
+def test_the_mass_of_a_fixed_base_means_nothing_and_sets_nothing_loose(engine_name, worlds, build):
+    engine = build(engine_name, worlds.rail())
     engine.set_parameter("mass", ("robot", ""), 3.0)
     engine.step(4)
     assert engine.pose("robot")()[0] == (0, 0, 1)
 
 
-@BOTH
 def test_a_link_without_mass_gets_none(engine_name, worlds, build):
     with pytest.raises(EngineError, match="mass"):
         build(engine_name, worlds.rail()).set_parameter("mass", ("robot", "tip"), 3.0)
@@ -304,7 +292,6 @@ def test_what_the_exact_engine_cannot_do_names_the_engine_that_can(worlds, build
     assert engine.velocity("robot")() == (STILL, STILL)
 
 
-@BOTH
 def test_a_rod_swings_with_the_period_of_the_closed_form(engine_name, worlds, build):
     engine = build(engine_name, worlds.rail(timestep=0.002, substeps=1))
     engine.set_parameter("mass", ("robot", "cart"), 1e6)

@@ -67,10 +67,10 @@ def test_a_joint_that_does_not_move_the_link_is_refused_by_name():
 
 
 @pytest.mark.parametrize("with_attitude", [False, True])
-def test_an_arm_of_seven_joints_goes_where_it_is_sent_from_where_it_stands(with_attitude, build):
+def test_an_arm_of_seven_joints_goes_where_it_is_sent_from_where_it_stands(engine_name, with_attitude, build):
     names = [f"j{i}" for i in range(7)]
     place = Pose((0.3, -0.2, 0.4), (0.1, 0.2, 0.3))
-    engine = build("pybullet", WorldModel(0.01, 1, ground=None, robots=(RobotBody("arm", arm(), True, place),)))
+    engine = build(engine_name, WorldModel(0.01, 1, ground=None, robots=(RobotBody("arm", arm(), True, place),)))
     pose, solve = engine.pose("arm", "tool"), engine.inverse_kinematics(("arm", "tool"), names)
     rng, reached = random.Random(4), 0
     for _ in range(40):

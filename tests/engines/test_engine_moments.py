@@ -34,8 +34,8 @@ CHANGES = {
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_a_reading_is_that_of_a_world_that_nobody_has_read_before(change, worlds, build):
-    read_before, read_never = build("pybullet", worlds.arena()), build("pybullet", worlds.arena())
+def test_a_reading_is_that_of_a_world_that_nobody_has_read_before(engine_name, change, worlds, build):
+    read_before, read_never = build(engine_name, worlds.arena()), build(engine_name, worlds.arena())
     often = readers(read_before)
     for engine in (read_before, read_never):
         engine.place("robot", (0.0, 0.0, 0.3), TURNED)
@@ -48,8 +48,8 @@ def test_a_reading_is_that_of_a_world_that_nobody_has_read_before(change, worlds
     assert now != earlier
 
 
-def test_what_looks_before_every_engine_step_sees_a_new_pose_each_time(worlds, build):
-    engine = build("pybullet", worlds.crooked())
+def test_what_looks_before_every_engine_step_sees_a_new_pose_each_time(engine_name, worlds, build):
+    engine = build(engine_name, worlds.crooked())
     pose, heights = engine.pose("robot"), []
     engine.before_substep(lambda: heights.append(pose()[0][2]))
     engine.step(10)

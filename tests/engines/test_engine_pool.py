@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 import struct
 from dataclasses import replace
-from math import inf
+from math import dist, inf
 
 import pytest
 
@@ -14,7 +14,7 @@ from deepbots_cli.port import View
 from deepbots_cli.program.world import ObjectBody, Variant, WorldModel
 from deepbots_cli.robots.model import Box, Pose, Sphere
 
-UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+IDENTITY_ROTATION = (0.0, 0.0, 0.0, 1.0)
 ROUND, SQUARE, PILLAR = (
     Variant("round", Sphere(0.05), 0.3, (1, 0, 0, 1)),
     Variant("square", Box((0.1, 0.1, 0.1)), 0.2, (0, 1, 0, 1)),
@@ -32,9 +32,9 @@ def arena(worlds, things: tuple[ObjectBody, ...]) -> WorldModel:
     return replace(world, objects=(*world.objects, *things))
 
 
-def test_an_absent_body_is_touched_and_seen_by_nothing_until_it_is_placed(build):
+def test_an_absent_body_is_touched_and_seen_by_nothing_until_it_is_placed(engine_name, build):
     world = WorldModel(0.02, 4, objects=(ObjectBody("ball", Sphere(0.1), Pose((0, 0, 0.1)), 1.0), *pooled(2)))
-    engine = build("pybullet", world)
+    engine = build(engine_name, world)
     view = View((2.0, 0.0, 1.0), (0.0, 0.0, 0.0), 60, 40)
     gap, touches = engine.clearance(("ball", None), ("thing#1", None)), engine.contact(("thing#1", None))
     usual = engine.render(view)
@@ -42,9 +42,9 @@ def test_an_absent_body_is_touched_and_seen_by_nothing_until_it_is_placed(build)
         engine.step(4)
     assert gap() == inf
     assert not touches()
-    assert (engine.render(view) == usual).all()
-    engine.place("thing#1", (0.5, 0, 0.05), UPRIGHT)
-    assert gap() == pytest.approx((0.5**2 + 0.05**2) ** 0.5 - 0.15, abs=1e-6)
+    assert engine.render(view) == pytest.approx(usual, abs=3)  # the ball may have settled
+    engine.place("thing#1", (0.5, 0, 0.05), IDENTITY_ROTATION)
+    assert gap() == pytest.approx(dist((0.5, 0, 0.05), engine.pose("ball")()[0]) - 0.15, abs=1e-6)
     engine.step(4)
     assert touches()
     assert (engine.render(view) != usual).any()
@@ -54,13 +54,13 @@ def test_an_absent_body_is_touched_and_seen_by_nothing_until_it_is_placed(build)
     assert (engine.render(view) == usual).all()
 
 
-def test_a_placed_body_falls_and_rolls_like_any_other(build):
+def test_a_placed_body_falls_and_rolls_like_any_other(engine_name, build):
     plain = ObjectBody("ball", Sphere(0.05), Pose((0, 0, 1)), 0.3)
-    engine = build("pybullet", WorldModel(0.02, 4, objects=(plain, *pooled(1))))
+    engine = build(engine_name, WorldModel(0.02, 4, objects=(plain, *pooled(1))))
     for _ in range(3):
         engine.reset()
-        engine.place("ball", (0, 0, 1), UPRIGHT, (0.2, 0, 0), (0, 3, 0))
-        engine.place("thing#1", (0, 2, 1), UPRIGHT, (0.2, 0, 0), (0, 3, 0))
+        engine.place("ball", (0, 0, 1), IDENTITY_ROTATION, (0.2, 0, 0), (0, 3, 0))
+        engine.place("thing#1", (0, 2, 1), IDENTITY_ROTATION, (0.2, 0, 0), (0, 3, 0))
         for _ in range(60):
             engine.step(4)
         (x, y, z), (x1, y1, z1) = engine.pose("ball")()[0], engine.pose("thing#1")()[0]
@@ -68,9 +68,9 @@ def test_a_placed_body_falls_and_rolls_like_any_other(build):
         assert engine.velocity("thing#1")()[1] == pytest.approx(engine.velocity("ball")()[1], abs=1e-9)
 
 
-def test_readers_follow_the_form_that_was_chosen(build):
+def test_readers_follow_the_form_that_was_chosen(engine_name, build):
     world = WorldModel(0.02, 4, objects=(ObjectBody("ball", Sphere(0.1), Pose((0, 0, 0.1)), 1.0), *pooled(1, ROUND, SQUARE, PILLAR)))
-    engine = build("pybullet", world)
+    engine = build(engine_name, world)
     pose, gap = engine.pose("thing#1"), engine.clearance(("ball", None), ("thing#1", None))
     apart = (1 + 0.8**2) ** 0.5 - 0.15
     inside = {"pillar": (0.95**2 + 0.6**2) ** 0.5 - 0.1, "square": (0.95**2 + 0.75**2) ** 0.5 - 0.1, "round": apart, None: apart}
@@ -78,7 +78,7 @@ def test_readers_follow_the_form_that_was_chosen(build):
         engine.reset()
         if form:
             engine.choose("thing#1", form)
-        engine.place("thing#1", (1.0, 0, 0.9), UPRIGHT)
+        engine.place("thing#1", (1.0, 0, 0.9), IDENTITY_ROTATION)
         assert gap() == pytest.approx(inside[form], abs=1e-3)
         for _ in range(100):
             engine.step(4)
@@ -88,14 +88,14 @@ def test_readers_follow_the_form_that_was_chosen(build):
         engine.choose("thing#1", "oval")
 
 
-def test_the_mass_of_an_absent_body_is_kept_for_its_entrance(build):
-    engine = build("pybullet", WorldModel(0.01, 1, gravity=(0, 0, 0), ground=None, objects=pooled(1)))
+def test_the_mass_of_an_absent_body_is_kept_for_its_entrance(engine_name, build):
+    engine = build(engine_name, WorldModel(0.01, 1, gravity=(0, 0, 0), ground=None, objects=pooled(1)))
     push = engine.pusher(("thing#1", None))
     for mass in (None, 1.5, None):
         engine.reset()
         if mass:
             engine.set_parameter("mass", ("thing#1", ""), mass)
-        engine.place("thing#1", (0, 0, 0), UPRIGHT)
+        engine.place("thing#1", (0, 0, 0), IDENTITY_ROTATION)
         push((3.0, 0, 0), (0, 0, 0.01))
         engine.step(1)
         linear, angular = engine.velocity("thing#1")()
@@ -114,7 +114,7 @@ def brawl(engine, seed: int, ticks: int) -> bytes:
         if rng.random() < 0.5 and form != "pillar":
             engine.set_parameter("mass", (name, ""), rng.uniform(0.05, 1.0))
             engine.set_parameter("lateral_friction", (name, ""), rng.uniform(0.2, 1.0))
-        engine.place(name, (rng.uniform(-0.4, 0.4), rng.uniform(-0.4, 0.4), 0.05), UPRIGHT)
+        engine.place(name, (rng.uniform(-0.4, 0.4), rng.uniform(-0.4, 0.4), 0.05), IDENTITY_ROTATION)
     readers = [engine.pose(name) for name in ("robot", "ball", "crate", *present)] + [engine.velocity("robot")]
     drive, touched, gap = (
         engine.velocity_motor("robot", WHEELS, [10.0] * 4),
@@ -134,10 +134,10 @@ def brawl(engine, seed: int, ticks: int) -> bytes:
     return struct.pack(f"{len(figures)}d", *figures)
 
 
-def test_an_episode_among_pooled_bodies_equals_one_in_a_fresh_world_whatever_came_before(worlds, build):
+def test_an_episode_among_pooled_bodies_equals_one_in_a_fresh_world_whatever_came_before(engine_name, worlds, build):
     world = arena(worlds, pooled(5, ROUND, SQUARE, PILLAR))
-    fresh = {seed: brawl(build("pybullet", world), seed, 60) for seed in (3, 4, 5)}
-    engine = build("pybullet", world)
+    fresh = {seed: brawl(build(engine_name, world), seed, 60) for seed in (3, 4, 5)}
+    engine = build(engine_name, world)
     for ticks in (0, 1, 2, 3, 5, 8, 13, 21, 34, 55, 89, 144):
         engine.reset()
         brawl(engine, 1000 + ticks, ticks)

@@ -36,8 +36,8 @@ def world(*objects: ObjectBody, robots: int = 1, fixed: bool = True) -> WorldMod
 
 
 @pytest.mark.parametrize(("link", "height"), [(None, 1.0), ("head", 1.5)])
-def test_rays_meet_the_ground_where_geometry_says(link, height, build):
-    engine = build("pybullet", world())
+def test_rays_meet_the_ground_where_geometry_says(engine_name, link, height, build):
+    engine = build(engine_name, world())
     pitches = [radians(angle) for angle in (5, 20, 45, 89)]
     read = engine.rays(("scout", link), [towards(2.0, pitch) for pitch in pitches], 30.0)
     assert read() == pytest.approx([height / sin(pitch) for pitch in pitches], abs=1e-6)
@@ -46,8 +46,8 @@ def test_rays_meet_the_ground_where_geometry_says(link, height, build):
 
 
 @pytest.mark.parametrize("link", [None, "head"])
-def test_rays_turn_and_move_with_their_link(link, build):
-    engine = build("pybullet", world(ObjectBody("wall", Box((0.2, 40, 40)), Pose((5.1, 0, 1)), fixed=True), fixed=False))
+def test_rays_turn_and_move_with_their_link(engine_name, link, build):
+    engine = build(engine_name, world(ObjectBody("wall", Box((0.2, 40, 40)), Pose((5.1, 0, 1)), fixed=True), fixed=False))
     engine.place("scout", (1.0, 0.5, 2.0), quaternion(0.0, 0.0, 0.3))
     turned = 0.3
     if link:
@@ -67,19 +67,19 @@ ROUND = {
 
 @pytest.mark.parametrize("kind", ROUND)
 @pytest.mark.parametrize("reach", [3.0, 100.0])
-def test_rays_meet_round_bodies_where_geometry_says(kind, reach, build):
+def test_rays_meet_round_bodies_where_geometry_says(engine_name, kind, reach, build):
     shape, place = ROUND[kind]
-    engine = build("pybullet", world(ObjectBody("thing", shape, place, fixed=True)))
+    engine = build(engine_name, world(ObjectBody("thing", shape, place, fixed=True)))
     yaws = [asin(0.5 / 3) * share for share in (-1.01, -0.99, -0.6, 0.0, 0.3, 0.999)]
     read = engine.rays(("scout", None), [towards(yaw) for yaw in yaws], reach)
     expected = [3 * cos(yaw) - sqrt(max(0.25 - (3 * sin(yaw)) ** 2, 0.0)) if abs(3 * sin(yaw)) < 0.5 else reach for yaw in yaws]
     assert read() == pytest.approx(expected, abs=1e-6)
 
 
-def test_the_ends_of_a_capsule_are_round_and_those_of_a_cylinder_flat(build):
+def test_the_ends_of_a_capsule_are_round_and_those_of_a_cylinder_flat(engine_name, build):
     lying = (0.0, pi / 2, 0.0)
     engine = build(
-        "pybullet",
+        engine_name,
         world(
             ObjectBody("capsule", Capsule(0.5, 1.0), Pose((3, 0, 1), lying), fixed=True),
             ObjectBody("cylinder", Cylinder(0.5, 1.0), Pose((-3, 0, 1), lying), fixed=True),
@@ -91,13 +91,13 @@ def test_the_ends_of_a_capsule_are_round_and_those_of_a_cylinder_flat(build):
     assert read() == pytest.approx([*ball, *(2.5 / cos(yaw) for yaw in yaws)], abs=1e-6)
 
 
-def test_a_ray_into_a_turned_box_is_met_at_its_face(build):
+def test_a_ray_into_a_turned_box_is_met_at_its_face(engine_name, build):
     sides = []
     for axis, sign in product(range(3), (-1, 1)):
         size, at = [9.0] * 3, [0.0] * 3
         size[axis], at[axis] = 0.5, sign * 4.25
         sides.append(ObjectBody(f"side_{axis}_{sign}", Box(tuple(size)), Pose(tuple(at)), fixed=True))
-    engine = build("pybullet", WorldModel(0.02, 1, (0, 0, 0), None, robots=(RobotBody("scout", scout()),), objects=tuple(sides)))
+    engine = build(engine_name, WorldModel(0.02, 1, (0, 0, 0), None, robots=(RobotBody("scout", scout()),), objects=tuple(sides)))
     read, rng = engine.rays(("scout", None), [towards(0.0)], 20.0), random.Random(1)
     for _ in range(300):
         at = tuple(rng.uniform(-0.5, 0.5) for _ in range(3))
@@ -108,15 +108,15 @@ def test_a_ray_into_a_turned_box_is_met_at_its_face(build):
         assert read()[0] == pytest.approx(met, abs=1e-6)
 
 
-def test_robots_see_each_other_but_not_themselves(build):
-    engine = build("pybullet", world(robots=2))
+def test_robots_see_each_other_but_not_themselves(engine_name, build):
+    engine = build(engine_name, world(robots=2))
     ahead = engine.rays(("scout", None), [towards(0.0)], 10.0), engine.rays(("other", None), [towards(pi)], 10.0)
     assert [read() for read in ahead] == [pytest.approx([3.8], abs=1e-6)] * 2
     assert engine.rays(("scout", "head"), [towards(0.0, pi / 2)], 10.0)() == pytest.approx([1.5], abs=1e-6)
 
 
-def test_rays_do_not_see_marks_and_change_no_collisions(worlds, build):
-    seeing, blind = build("pybullet", worlds.arena()), build("pybullet", worlds.arena())
+def test_rays_do_not_see_marks_and_change_no_collisions(engine_name, worlds, build):
+    seeing, blind = build(engine_name, worlds.arena()), build(engine_name, worlds.arena())
     read = seeing.rays(("robot", None), [towards(pi / 2), towards(0.0, 0.0, (0.0, 0.0, 0.02))], 3.0)
     assert read() == pytest.approx([0.5, 0.3 - sqrt(0.05**2 - 0.02**2 - 0.01**2)], abs=1e-6)  # the ball is in front, the mark beside
     for engine in (seeing, blind):
@@ -129,9 +129,9 @@ def test_rays_do_not_see_marks_and_change_no_collisions(worlds, build):
     assert seeing.pose("robot")()[0][0] > 0.1
 
 
-def test_rays_see_what_was_placed_before_any_step_and_what_moved_since(build):
+def test_rays_see_what_was_placed_before_any_step_and_what_moved_since(engine_name, build):
     engine = build(
-        "pybullet", world(ObjectBody("ball", Sphere(0.1), Pose((2, 0, 1)), 1.0), ObjectBody("far", Sphere(0.1), mass=1.0, pooled=True))
+        engine_name, world(ObjectBody("ball", Sphere(0.1), Pose((2, 0, 1)), 1.0), ObjectBody("far", Sphere(0.1), mass=1.0, pooled=True))
     )
     read = engine.rays(("scout", None), [towards(0.0), towards(pi / 2)], 10.0)
     assert read() == pytest.approx([1.9, 10.0], abs=1e-6)
@@ -145,11 +145,11 @@ def test_rays_see_what_was_placed_before_any_step_and_what_moved_since(build):
     assert read() == pytest.approx([1.9, 10.0], abs=1e-6)
 
 
-def test_rays_see_a_robot_that_drives_where_it_is(worlds, build):
+def test_rays_see_a_robot_that_drives_where_it_is(engine_name, worlds, build):
     """Links of robots are seen where they are, not where they were an engine step ago."""
     arena = worlds.arena(timestep=0.04, substeps=2)
     watcher = RobotBody("scout", scout(), True, Pose((-2, 0, 0.04)))
-    engine = build("pybullet", WorldModel(0.04, 2, robots=(*arena.robots, watcher)))
+    engine = build(engine_name, WorldModel(0.04, 2, robots=(*arena.robots, watcher)))
     read, pose = engine.rays(("scout", None), [towards(0.0, 0.0, (0.0, 0.05, 0.0))], 5.0), engine.pose("robot", "wheel_2")
     engine.velocity_motor("robot", [f"wheel_{i}" for i in range(4)], [10.0] * 4)([10.0] * 4)
     for _ in range(30):

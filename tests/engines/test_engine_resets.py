@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import importlib.util
+import pickle
 import random
+import runpy
 import struct
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -15,8 +19,28 @@ from deepbots_cli.program.world import ObjectBody, Pit, RobotBody, Terrain, Worl
 from deepbots_cli.robots import reader
 from deepbots_cli.robots.model import Box, Pose, RobotModel, Sphere
 
+EPISODE = Path(__file__).with_name("arena_episode.py")
+trajectory = runpy.run_path(str(EPISODE))["trajectory"]
 LEGS = [f"{leg}_{part}_joint" for leg in ("FR", "FL", "RR", "RL") for part in ("hip", "upper", "lower")]
 STAND = [0.0, 0.9, -1.8] * 4
+
+
+def in_fresh_process(engine: str, world: WorldModel, seed: int, ticks: int) -> bytes:
+    given = pickle.dumps((engine, world, seed, ticks))
+    return subprocess.run([sys.executable, str(EPISODE)], input=given, capture_output=True, check=True).stdout
+
+
+@pytest.mark.parametrize("carts", [1, 3])
+def test_an_episode_after_a_reset_equals_one_in_a_fresh_process_whatever_came_before(engine_name, carts, worlds, build):
+    world = worlds.arena(carts=carts)
+    fresh = in_fresh_process(engine_name, world, seed=5, ticks=100)
+    engine = build(engine_name, world)
+    assert trajectory(engine, world, seed=5, ticks=100) == fresh
+    for ticks in (0, 1, 2, 3, 5, 8, 13, 21, 34, 55, 89, 144, 233):
+        engine.reset()
+        trajectory(engine, world, seed=ticks, ticks=ticks)
+        engine.reset()
+        assert trajectory(engine, world, seed=5, ticks=100) == fresh
 
 
 @pytest.fixture(scope="session")
@@ -65,15 +89,43 @@ def walk(engine: Engine, seed: int, ticks: int) -> bytes:
     return struct.pack(f"{len(figures)}d", *figures)
 
 
-def test_a_dog_on_springs_walks_anew_after_every_reset_whatever_came_before(dog, build):
-    fresh = {seed: walk(build("pybullet", yard(dog)), seed, 50) for seed in (3, 4)}
-    engine = build("pybullet", yard(dog))
+def test_a_dog_on_springs_walks_anew_after_every_reset_whatever_came_before(engine_name, dog, build):
+    fresh = {seed: walk(build(engine_name, yard(dog)), seed, 50) for seed in (3, 4)}
+    engine = build(engine_name, yard(dog))
     for ticks in (0, 1, 2, 3, 5, 8, 13, 21, 34, 55, 89):
         engine.reset()
         walk(engine, 1000 + ticks, ticks)
         for seed, expected in fresh.items():
             engine.reset()
             assert walk(engine, seed, 50) == expected, (ticks, seed)
+
+
+def test_a_restored_walk_goes_on_to_the_bit_with_contacts_and_drawn_values(engine_name, dog, build):
+    """Masses, frictions, springs, contacts and what they told are all part of a snapshot."""
+    engine = build(engine_name, yard(dog))
+    if "snapshot" not in engine.capabilities:
+        pytest.skip("it has no snapshots")
+    walk(engine, seed=4, ticks=30)
+    readers = [engine.pose("dog"), engine.velocity("dog", "FR_toe"), engine.pose("crate"), engine.joint_torques("dog", LEGS)]
+    readers += [engine.contact(("dog", f"{leg}_toe")) for leg in ("FR", "FL", "RR", "RL")] + [engine.contact_force(("ground", None))]
+
+    def follow() -> list[object]:
+        seen = [read() for read in readers]
+        for _ in range(20):
+            engine.step(10)
+            seen += [read() for read in readers]
+        return seen
+
+    engine.step(10)  # from here on the readers above have looked
+    kept = engine.snapshot()
+    expected = follow()
+    for seed in (7, 8):
+        engine.restore(kept)
+        assert follow() == expected
+        engine.reset()
+        walk(engine, seed, ticks=9)
+    engine.restore(kept)
+    assert follow() == expected
 
 
 @pytest.fixture(scope="session")
@@ -102,11 +154,11 @@ def roll(engine: Engine, seed: int, ticks: int) -> bytes:
 JOINTS = ["pitch", "yaw"]
 
 
-def test_a_ball_rolls_in_a_pit_anew_after_every_reset_whatever_came_before(roller, build):
+def test_a_ball_rolls_in_a_pit_anew_after_every_reset_whatever_came_before(engine_name, roller, build):
     rock = ObjectBody("rock", Sphere(0.1), Pose((0.6, 0.0, 0.6)), 0.5)
     world = WorldModel(0.032, 8, robots=(RobotBody("roller", roller),), objects=(rock,), terrain=Terrain(Pit(3.2, 4.0, 0.15)))
-    fresh = {seed: roll(build("pybullet", world), seed, 60) for seed in (3, 4)}
-    engine = build("pybullet", world)
+    fresh = {seed: roll(build(engine_name, world), seed, 60) for seed in (3, 4)}
+    engine = build(engine_name, world)
     for ticks in (0, 1, 2, 3, 5, 8, 13, 21, 34, 55, 89):
         engine.reset()
         roll(engine, 1000 + ticks, ticks)
@@ -115,8 +167,8 @@ def test_a_ball_rolls_in_a_pit_anew_after_every_reset_whatever_came_before(rolle
             assert roll(engine, seed, 60) == expected, (ticks, seed)
 
 
-def test_a_dog_stands_on_springs_and_their_torques_carry_it(dog, build):
-    engine = build("pybullet", yard(dog))
+def test_a_dog_stands_on_springs_and_their_torques_carry_it(engine_name, dog, build):
+    engine = build(engine_name, yard(dog))
     for joint, angle in zip(LEGS, STAND, strict=True):
         engine.set_joint("dog", joint, angle, 0.0)
     engine.position_motor("dog", LEGS, [33.5] * 12, [100.0] * 12, [2.0] * 12)(STAND)

@@ -25,23 +25,6 @@ EPISODE = Path(__file__).with_name("arena_episode.py")
 trajectory = runpy.run_path(str(EPISODE))["trajectory"]
 
 
-def in_fresh_process(world: WorldModel, seed: int, ticks: int) -> bytes:
-    return subprocess.run([sys.executable, str(EPISODE)], input=pickle.dumps((world, seed, ticks)), capture_output=True, check=True).stdout
-
-
-@pytest.mark.parametrize("carts", [1, 3])
-def test_an_episode_after_a_reset_equals_one_in_a_fresh_process_whatever_came_before(carts, worlds, build):
-    world = worlds.arena(carts=carts)
-    fresh = in_fresh_process(world, seed=5, ticks=100)
-    engine = build("pybullet", world)
-    assert trajectory(engine, world, seed=5, ticks=100) == fresh
-    for ticks in (0, 1, 2, 3, 5, 8, 13, 21, 34, 55, 89, 144, 233):
-        engine.reset()
-        trajectory(engine, world, seed=ticks, ticks=ticks)
-        engine.reset()
-        assert trajectory(engine, world, seed=5, ticks=100) == fresh
-
-
 def test_a_library_prints_nothing_and_leaves_stdout_to_the_program(worlds):
     script = "import pickle, sys; from deepbots_cli.engines import create; create('pybullet', pickle.load(sys.stdin.buffer)); print('done')"
     done = subprocess.run([sys.executable, "-c", script], input=pickle.dumps(worlds.arena()), capture_output=True, check=True)

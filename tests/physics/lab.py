@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,8 @@ truncation: {{max_steps: 1_000_000}}
 reset: {{{reset}}}
 disturbances: {{{disturbances}}}
 """
+ENGINE = ContextVar("engine", default="pybullet")
+"""The engine of all trials."""
 BYSTANDER = (
     "bystander: {urdf: cartpole_rail, base: fixed, pose: {x: 50 m, z: 50 m},"
     " actuators: {motor: {type: torque_motor, joint: slider}}, apply: {motor: push * 0 N}}"
@@ -95,5 +98,5 @@ def trial(
         (folder / "pyproject.toml").touch()
         for file, content in {"trial.yaml": text, **(files or {})}.items():
             (folder / file).write_text(content, encoding="utf-8")
-        with closing(api.make(folder / "trial.yaml", engine="pybullet")) as environment:
+        with closing(api.make(folder / "trial.yaml", engine=ENGINE.get())) as environment:
             yield Trial(environment, timestep)

@@ -11,7 +11,7 @@ import numpy as np
 from deepbots_cli import api
 from tests.benchmarks.report import Row
 from tests.physics import robots
-from tests.physics.lab import off, trial
+from tests.physics.lab import ENGINE, off, trial
 
 G = 9.81
 FLOATING = "ground: {}, gravity: 0 0 0 m/s^2"
@@ -166,7 +166,7 @@ def hover() -> Iterator[Row]:
         f"parameters.hover={weight / 4!r} N",
         "robots.drone.actuators.rotors={type: thrust, links: [prop_*], range: 0 .. 0.15 N}",
     )
-    environment = api.make(str(scenario), sets=sets)
+    environment = api.make(str(scenario), sets=sets, engine=ENGINE.get())
     try:
         environment.reset(seed=0)
         for _ in range(100):

@@ -26,7 +26,7 @@ State = Literal["ok", "missing", "broken"]
 
 _PACKAGES = {
     "base": ("jinja2", "pydantic", "pyyaml", "rich", "typer"),
-    "sim": ("gymnasium", "msgspec", "numpy", "pybullet"),
+    "sim": ("gymnasium", "msgspec", "mujoco", "numpy", "pybullet"),
     "train": ("imageio", "imageio-ffmpeg", "stable-baselines3", "tensorboard", "torch"),
     "editor": ("pygls",),
 }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,7 +14,7 @@ import typer
 from deepbots_cli import api, learning
 from deepbots_cli.canonical import task_digest
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Json, Sets, fraction, whole
+from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Json, Sets, fraction, known_engine, whole
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import table
 from deepbots_cli.compiler.inputs import RESOLVED
@@ -52,6 +53,9 @@ def command(
         str | None,
         typer.Option("--case", metavar="NAME", help="Evaluate in this case only; by default in the scenario and in all its cases."),
     ] = None,
+    engine: Annotated[
+        str | None, typer.Option("--engine", metavar="NAME", callback=known_engine, help="Physics engine; by default that of the training.")
+    ] = None,
     require_solved: Annotated[bool, typer.Option("--require-solved", help="Exit with 1 unless the task is solved.")] = False,
     min_success: Annotated[
         float | None,
@@ -75,13 +79,14 @@ def command(
     when a 95 % confidence sequence (beta-binomial mixture; for returns, an anytime-valid t-test) excludes the required value.
 
     --set overrides values of the scenario of the run, or of the scenario that --scenario names. The observation, action and messages of
-    this scenario must be equal to those of the training; its world may differ.
+    this scenario must be equal to those of the training; its world may differ. --engine runs the episodes in another engine.
 
     \b
       deepbots eval runs/cartpole-0-1
       deepbots eval runs/cartpole-0-1 --video cartpole.mp4
       deepbots eval runs/cartpole-0-1 --scenario longer_pole.yaml --episodes 20
       deepbots eval runs/cartpole-0-1 --set fall_angle=10deg
+      deepbots eval runs/cartpole-0-1 --engine mujoco
       deepbots eval runs/find_ball_random-0-1 --case many
       deepbots eval runs/cartpole-0-1 --require-solved --json
       deepbots eval runs/find_ball-0-1 --min-success 90%
@@ -102,6 +107,7 @@ def command(
         "model": "last" if last else "best",
         "scenario": compiled,
         "allow_code": allow_code,
+        "build": None if engine is None else partial(api.build, engine=engine, allow_code=allow_code),
     }
     with terminal.passing("loading the policy ..."):
         evaluate, evaluate_cases = learning.evaluate, learning.evaluate_cases  # which imports torch

@@ -10,7 +10,7 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import inspection, terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Json, Sets, Stage, with_case_or_stage
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Engine, Json, Sets, Stage, with_case_or_stage
 from deepbots_cli.cli.sources import is_robot, opened, opened_robot
 from deepbots_cli.cli.tables import pairs, table
 from deepbots_cli.diagnostics import Source, Span
@@ -51,6 +51,7 @@ def command(
         Path | None,
         typer.Option("--picture", metavar="PNG", help="Also render the world at the start of an episode to this file, which is replaced."),
     ] = None,
+    engine: Engine = "pybullet",
     as_json: Json = False,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
@@ -74,7 +75,7 @@ def command(
     if picture is not None:
         _check(picture)
     if is_robot(scenario):
-        _inspect_robot(scenario, picture, as_json)
+        _inspect_robot(scenario, picture, engine, as_json)
         return
     side = opened(scenario, sets or (), allow_paths or (), allow_code=allow_code)
     terminal.mention(side.findings, scenario)
@@ -84,7 +85,7 @@ def command(
         root = under(root, ("evaluation", "cases", case))
     elif stage is not None:
         root = under(root, ("curriculum", [known.name for known in side.program.curriculum].index(stage)))
-    tables = {**inspection.of_scenario(program, root, side.run), **_start(program, picture, allow_code=allow_code)}
+    tables = {**inspection.of_scenario(program, root, side.run), **_start(program, picture, engine, allow_code=allow_code)}
     if as_json:
         terminal.show_json(tables)
     else:
@@ -93,13 +94,14 @@ def command(
         terminal.note(f"wrote a picture of the world to {picture}")
 
 
-def _start(program: Program, picture: Path | None, *, allow_code: bool) -> inspection.Tables:
+def _start(program: Program, picture: Path | None, engine: str, *, allow_code: bool) -> inspection.Tables:
     """The poses of end links at the start of an episode, if the simulator is installed; renders the world if `picture` is given."""
     links = inspection.end_links(program)
     if picture is None and not links:
         return {}
     try:
-        with closing(api.make(program, render_mode="rgb_array" if picture else None, allow_code=allow_code)) as environment:
+        mode = "rgb_array" if picture else None
+        with closing(api.make(program, engine=engine, render_mode=mode, allow_code=allow_code)) as environment:
             environment.reset(seed=0)
             if picture is not None:
                 _draw(environment.render(), picture)
@@ -115,11 +117,11 @@ def _start(program: Program, picture: Path | None, *, allow_code: bool) -> inspe
     return {}
 
 
-def _inspect_robot(reference: str, picture: Path | None, as_json: bool) -> None:
+def _inspect_robot(reference: str, picture: Path | None, engine: str, as_json: bool) -> None:
     robot, findings = opened_robot(reference)
     tables = inspection.of_robot(robot, findings)
     if picture is not None:
-        _draw(_rendered(robot.model), picture)
+        _draw(_rendered(robot.model, engine), picture)
     if as_json:
         terminal.show_json(tables)
     else:
@@ -130,7 +132,7 @@ def _inspect_robot(reference: str, picture: Path | None, as_json: bool) -> None:
         terminal.note(f"wrote a picture of the robot to {picture}")
 
 
-def _rendered(model: RobotModel) -> Image:
+def _rendered(model: RobotModel, engine: str) -> Image:
     """The robot on a floor, its joints at 0."""
     from deepbots_cli import engines
     from deepbots_cli.runtime.view import around
@@ -139,8 +141,8 @@ def _rendered(model: RobotModel) -> Image:
     world = WorldModel(0.01, 1, robots=(RobotBody("robot", model, fixed_base=True, pose=pose),))
     low, high = bounds(model)
     view = around([(add(low, pose.xyz), add(high, pose.xyz))])
-    with closing(engines.create("pybullet", world)) as engine:
-        return engine.render(view)
+    with closing(engines.create(engine, world)) as opened_engine:
+        return opened_engine.render(view)
 
 
 def _check(picture: Path) -> None:

@@ -1,13 +1,12 @@
-"""Bodies in PyBullet: links and joints by name, frames of links and of their inertia, and pooled bodies in one of several forms."""
+"""Bodies in PyBullet: links and joints by name, frames of links and of their inertia."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ParamSpec, TypeVar
+from typing import TYPE_CHECKING
 
 from deepbots_cli import frames
-from deepbots_cli.engines.objects import find
+from deepbots_cli.engines.objects import held_by
 from deepbots_cli.engines.pybullet import BASE
 from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.frames import IDENTITY_FRAME, Frame
@@ -16,9 +15,6 @@ from deepbots_cli.port import STILL
 if TYPE_CHECKING:
     from deepbots_cli.frames import Quaternion, Triple
     from deepbots_cli.robots.model import Link, RobotModel
-
-Given = ParamSpec("Given")
-Told = TypeVar("Told")
 
 
 @dataclass(frozen=True)
@@ -112,57 +108,3 @@ class Body:
         """The pose of the root link, from that of the inertia."""
         turned = orientation if self._parallel else frames.multiply(orientation, self._back)
         return frames.subtract(position, frames.rotate(turned, self.centre)), turned
-
-
-class Pool:
-    """The forms of one name. A body that is not pooled has one form and is always present."""
-
-    def __init__(self, name: str, forms: Sequence[tuple[str, Body]], pooled: bool) -> None:
-        self.name = name
-        self.pooled = pooled
-        self.present = not pooled
-        self.chosen = forms[0][1]
-        self._forms = dict(forms)
-
-    def __iter__(self) -> Iterator[Body]:
-        return iter(self._forms.values())
-
-    def choose(self, form: str) -> None:
-        self.chosen = find(self._forms, form, f"'{self.name}' has no variant")
-
-    def leave(self) -> None:
-        """Be absent, in the first form."""
-        if self.pooled:
-            self.present, self.chosen = False, next(iter(self))
-            for body in self:
-                body.suspend()
-
-    def enter(self) -> Body:
-        """Be present, in the chosen form."""
-        self.present = True
-        self.chosen.wake()
-        return self.chosen
-
-    def bound(self, bind: Callable[[Body], Callable[Given, Told]]) -> Callable[Given, Told]:
-        """What `bind` makes of the present form; a body of one form pays nothing for there being others."""
-        if len(self._forms) == 1:
-            return bind(self.chosen)
-        table = {id(body): bind(body) for body in self}
-
-        def of_chosen(*given: Given.args, **named: Given.kwargs) -> Told:
-            return table[id(self.chosen)](*given, **named)
-
-        return of_chosen
-
-
-def held_by(model: RobotModel, first: str) -> dict[str, Frame]:
-    """The links that fixed joints hold to `first`, itself included, and where they are in its frame."""
-    members = {first: IDENTITY_FRAME}
-    waiting = [first]
-    while waiting:
-        parent = waiting.pop()
-        for joint in model.joints:
-            if joint.parent == parent and joint.type == "fixed":
-                members[joint.child] = frames.compose(members[parent], frames.frame(joint.origin))
-                waiting.append(joint.child)
-    return members

@@ -26,7 +26,8 @@ from deepbots_cli.program.world import GROUND
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from deepbots_cli.engines.pybullet.body import Body, Pool
+    from deepbots_cli.engines.objects import Pool
+    from deepbots_cli.engines.pybullet.body import Body
     from deepbots_cli.frames import Frame, Quaternion, Triple
     from deepbots_cli.port import (
         CameraReader,
@@ -134,7 +135,7 @@ class PyBulletEngine:
         self._rays: surfaces.Rays | None = None
         self._backdrop: tuple[object, Image] | None = None
         try:
-            self._pools: dict[str, Pool] = {pool.name: pool for pool in loading.bodies(self._client, world)}
+            self._pools: dict[str, Pool[Body]] = {pool.name: pool for pool in loading.bodies(self._client, world)}
             self._parameters = Parameters(self._client, world, self._pools, self._floor)
             every = [body for pool in self._pools.values() for body in pool]
             self._moving = [body for body in every if not body.fixed or body.brakes]
@@ -345,7 +346,7 @@ class PyBulletEngine:
             _refuse()
         return self
 
-    def _pool(self, name: str) -> Pool:
+    def _pool(self, name: str) -> Pool[Body]:
         return find(self._open()._pools, name, "the world has no body")
 
     def _body(self, name: str) -> Body:

@@ -11,19 +11,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deepbots_cli import frames
-from deepbots_cli.engines.objects import as_robot, forms, moves, walls
+from deepbots_cli.engines.objects import PALETTE, Pool, as_robot, forms, moves, walls, with_explicit_masses
 from deepbots_cli.engines.pybullet import BASE, UNREACHABLE, hushed
 from deepbots_cli.engines.pybullet import pybullet as p
-from deepbots_cli.engines.pybullet.body import Body, Pool, held_by
+from deepbots_cli.engines.pybullet.body import Body
 from deepbots_cli.engines.pybullet.parameters import contact_parameters
 from deepbots_cli.errors import EngineError
 from deepbots_cli.geometry import triangles
 from deepbots_cli.port import STILL
 from deepbots_cli.program.world import GROUND
-from deepbots_cli.robots import inertia
-from deepbots_cli.robots.edits import with_link
 from deepbots_cli.robots.meshes import checked_bytes
-from deepbots_cli.robots.model import Friction, Inertial, Joint, Limit, Link, Mesh, RobotModel
+from deepbots_cli.robots.model import Friction, Joint, Limit, Link, Mesh, RobotModel
 from deepbots_cli.robots.writer import write
 from deepbots_cli.terrain import Grid, grid
 
@@ -45,10 +43,8 @@ measured; a ball that rolls over an edge of a triangle may be further away than 
 """
 EARTH = (0.72, 0.63, 0.48, 1.0)
 _MAX_VISUAL_CELLS = 100  # cells of what is drawn along either side; a finer picture would take longer than it shows
-PALETTE = ((0.84, 0.44, 0.24, 1.0), (0.27, 0.45, 0.66, 1.0), (0.30, 0.32, 0.36, 1.0), (0.86, 0.70, 0.32, 1.0), (0.42, 0.60, 0.46, 1.0))
 OPEN_JOINT_LIMIT = 1e9  # rad or m; the open end of a range with one end
 MOST_JOINTS = 127  # of one robot; a larger one loads, but its joints cannot be read
-ROOT_MASS_FRACTION = 1e-6  # the mass of a root that has none, of what is held to it; its inertia as of a mass 1 m away
 UNLIMITED = (1.0, -1.0)  # the loader reads a missing limit as 0, and lower > upper as unlimited
 
 
@@ -79,7 +75,7 @@ def _restitutions(world: WorldModel) -> Iterator[float]:
         yield from (link.friction.restitution or 0.0 for link in robot.model.links)
 
 
-def bodies(client: int, world: WorldModel) -> Iterator[Pool]:
+def bodies(client: int, world: WorldModel) -> Iterator[Pool[Body]]:
     """Everything there is, in the order of the world model."""
     for pool in _loaded(client, world):
         if world.terrain is None:
@@ -95,7 +91,7 @@ def _limit_contacts(client: int, body: Body) -> None:
             p.changeDynamics(body.number, body.links[link.name], contactProcessingThreshold=CONTACT_DISTANCE, physicsClientId=client)
 
 
-def _loaded(client: int, world: WorldModel) -> Iterator[Pool]:
+def _loaded(client: int, world: WorldModel) -> Iterator[Pool[Body]]:
     floor = _ground(client, world)
     if floor is not None:
         _make_contact(client, floor)
@@ -110,13 +106,16 @@ def _loaded(client: int, world: WorldModel) -> Iterator[Pool]:
                 body.home = ((-parked * PARKING_SPACING, 0.0, -PARKING_SPACING), frames.IDENTITY_ROTATION)
             yield Pool(thing.name, variants, thing.pooled)
         for robot in world.robots:
+            if len(robot.model.joints) > MOST_JOINTS:
+                count = len(robot.model.joints)
+                raise EngineError(f"'{robot.name}' has {count} joints, and PyBullet holds {MOST_JOINTS} at most, fixed ones included")
             model = with_explicit_masses(robot.name, robot.model, robot.fixed_base)
             body = _load(client, robot.name, model, robot.fixed_base, file)
             body.home = body.of_centre(*frames.frame(robot.pose))
             yield Pool(robot.name, [(robot.name, body)], pooled=False)
 
 
-def join_islands(client: int, pools: Iterable[Pool]) -> None:
+def join_islands(client: int, pools: Iterable[Pool[Body]]) -> None:
     """Tie all that moves to one another with gears that exert nothing, so that the solver sees one group.
 
     It solves bodies whose boxes overlap together, iterates until such a group is done, and forgets overlaps
@@ -250,40 +249,6 @@ def _drawn_terrain(client: int, vertices: NDArray[np.float64], faces: NDArray[np
 
 def _ground_body(client: int, number: int, friction: Friction) -> Body:
     return Body(GROUND, number, RobotModel(GROUND, (Link(GROUND, friction=friction),), (), GROUND), True, client)
-
-
-def with_explicit_masses(name: str, model: RobotModel, fixed_base: bool) -> RobotModel:
-    """The model with a mass on each link: 0 where the file states none, for which a loader would invent 1 kg.
-
-    Raises:
-        EngineError: There are too many joints; a joint or a free base moves nothing that has mass, or is of a kind that is
-            not supported.
-    """
-    if len(model.joints) > MOST_JOINTS:
-        raise EngineError(f"'{name}' has {len(model.joints)} joints, and PyBullet holds {MOST_JOINTS} at most, fixed ones included")
-    carried = inertia.carried(model)
-    for joint in model.joints:
-        if joint.type in ("floating", "planar"):
-            raise EngineError(f"the engine has no {joint.type} joints such as '{joint.name}' of '{name}'")
-        if joint.moves and carried[joint.child] <= 0.0:
-            raise EngineError(f"joint '{joint.name}' of '{name}' moves nothing that has mass; give link '{joint.child}' an inertial")
-    root = model.link(model.root).inertial
-    if not fixed_base and (root is None or root.mass <= 0.0):
-        model = _with_heavy_root(name, model)
-    return replace(model, links=tuple(replace(link, inertial=link.inertial or Inertial(0.0)) for link in model.links))
-
-
-def _with_heavy_root(name: str, model: RobotModel) -> RobotModel:
-    """The model whose root is a mere frame, as `base_footprint` is, with a trace of what fixed joints hold to it.
-
-    The engine would take a free root without mass for one that is bolted to the world.
-    """
-    links = [model.link(link).inertial for link in held_by(model, model.root)]
-    mass = sum(known.mass for known in links if known)
-    if mass <= 0.0:
-        raise EngineError(f"root link '{model.root}' of '{name}' has no mass; give it an inertial or fix the base")
-    trace = ROOT_MASS_FRACTION * mass
-    return with_link(model, replace(model.link(model.root), inertial=Inertial(trace, ixx=trace, iyy=trace, izz=trace)))
 
 
 def for_loader(model: RobotModel) -> RobotModel:

@@ -13,7 +13,8 @@ from deepbots_cli.errors import EngineError
 from deepbots_cli.program.world import GROUND
 
 if TYPE_CHECKING:
-    from deepbots_cli.engines.pybullet.body import Body, Pool
+    from deepbots_cli.engines.objects import Pool
+    from deepbots_cli.engines.pybullet.body import Body
     from deepbots_cli.engines.pybullet.cameras import Floor
     from deepbots_cli.frames import Triple
     from deepbots_cli.program.world import Colour, EngineParameter, WorldModel
@@ -34,7 +35,7 @@ class Parameters:
     `light`, the brightness of pictures, and `gravity` (m/s^2) are as they are now; at first those of the world model.
     """
 
-    def __init__(self, client: int, world: WorldModel, pools: dict[str, Pool], floor: Floor | None) -> None:
+    def __init__(self, client: int, world: WorldModel, pools: dict[str, Pool[Body]], floor: Floor | None) -> None:
         self.light, self.gravity = world.light, world.gravity
         self._client, self._pools, self._floor = client, pools, floor
         self._ways_back: dict[object, Callable[[], object]] = {}

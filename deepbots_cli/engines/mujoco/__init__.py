@@ -1,0 +1,41 @@
+"""MuJoCo behind the port; the only package that imports it.
+
+engine.py      the engine: one world
+model.py       ground, walls, objects and robots, as a model of MuJoCo
+state.py       the state of a world and what is derived from it; the values that an episode varies
+motors.py      motors and springs on joints, and forces on links
+surfaces.py    what touches what and how hard, distances between surfaces and along rays
+cameras.py     pictures, where OpenGL is
+
+What MuJoCo leaves to its callers, and is settled here:
+
+- the friction of a pair is the larger of the two: ours is their product, as in PyBullet, so each pair of surfaces that may
+  touch is an entry of its own
+- positions of links and velocities belong to the state before the last step: they are computed again when they are asked for
+- bodies cannot come and go: an absent one floats without weight far away
+- a state that is not finite is silently replaced by the first one, and told to a file: ours stays as it is, for `require_finite`
+- rays leave out one link: ours leave out the robot
+- a motor that is stiff for a light wheel is unstable, or breaks the grip of the wheel if it is integrated implicitly after
+  contacts are solved: ours adds what it does within a step to the inertia of the joint
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+
+if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+    os.environ.setdefault(
+        "MUJOCO_GL", "egl"
+    )  # MuJoCo chooses its library for pictures when it is imported, and takes one that needs a display
+
+import mujoco
+
+__all__ = ["mujoco"]
+
+
+def _ignore(_: str) -> None:
+    """A warning of MuJoCo: it says that a state is not finite, which `require_finite` says with the name of the body."""
+
+
+mujoco.set_mju_user_warning(_ignore)  # by default it writes MUJOCO_LOG.TXT into the working directory

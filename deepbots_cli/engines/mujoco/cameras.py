@@ -1,0 +1,146 @@
+"""Pictures of the world, drawn with OpenGL from a model of their own, which holds what is seen instead of what collides."""
+
+from __future__ import annotations
+
+import atexit
+import warnings
+from functools import cache
+from math import tan
+from typing import TYPE_CHECKING, Any
+from weakref import WeakSet
+
+import numpy as np
+
+from deepbots_cli import frames
+from deepbots_cli.engines.mujoco import mujoco as mj
+from deepbots_cli.engines.mujoco.model import FARTHEST, NEAREST, Builder
+from deepbots_cli.errors import EngineError
+from deepbots_cli.port import SIGHT, Sight
+from deepbots_cli.program.world import GROUND
+
+if TYPE_CHECKING:
+    from deepbots_cli.engines.mujoco.state import World
+    from deepbots_cli.frames import Frame, Triple
+    from deepbots_cli.port import Image, PoseReader, View
+    from deepbots_cli.program.world import WorldModel
+
+LACKING = (
+    "MuJoCo draws with OpenGL, which this machine does not offer without a display; set MUJOCO_GL=egl or MUJOCO_GL=osmesa where one of"
+    " these libraries is installed, or use the engine 'pybullet' for pictures"
+)
+
+
+_OPEN: WeakSet[Pictures] = WeakSet()
+
+
+def _close_all() -> None:
+    for pictures in tuple(_OPEN):
+        pictures.close()
+
+
+@cache
+def available() -> bool:
+    """Whether a context of OpenGL can be made; found out once, in 10 ms."""
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            context = mj.GLContext(8, 8)
+            context.make_current()
+            context.free()
+    except Exception:  # noqa: BLE001 - each of the libraries fails in its own way
+        return False
+    atexit.register(_close_all)  # before MuJoCo ends the library, which it registered with the first context
+    return True
+
+
+class Pictures:
+    """Draws one world; nothing is built before the first picture."""
+
+    def __init__(self, world: WorldModel, state: World) -> None:
+        self._world, self._state = world, state
+        self._model: Any = None
+        self._renderers: dict[tuple[int, int], Any] = {}
+        _OPEN.add(self)
+
+    def close(self) -> None:
+        for renderer in self._renderers.values():
+            renderer.close()
+        self._renderers.clear()
+
+    def picture(self, view: View) -> Image:
+        ahead = np.subtract(view.target, view.eye)
+        ahead = ahead / np.linalg.norm(ahead)
+        left = np.cross((0.0, 0.0, 1.0), ahead)
+        length = np.linalg.norm(left)
+        left = left / length if length > 1e-9 else np.array((0.0, 1.0, 0.0))
+        width, height, samples = view.width * view.samples, view.height * view.samples, view.samples
+        renderer = self._shown(width, height)
+        self._aim(renderer, view.eye, ahead, np.cross(ahead, left), view.fov)
+        fine = renderer.render().astype(np.uint16).reshape(view.height, samples, view.width, samples, 3)
+        return self._lit((fine.sum(axis=(1, 3)) // samples**2).astype(np.uint8))
+
+    def sight(self, pose: PoseReader, mount: Frame, width: int, height: int, fov: float) -> Sight:
+        eye, turned = frames.compose(pose(), mount)
+        renderer = self._shown(width, height)
+        self._aim(renderer, eye, frames.rotate(turned, (1.0, 0.0, 0.0)), frames.rotate(turned, (0.0, 0.0, 1.0)), fov)
+        colours = self._lit(renderer.render().copy())
+        renderer.enable_depth_rendering()
+        depth = np.minimum(renderer.render(), np.float32(SIGHT))
+        renderer.disable_depth_rendering()
+        renderer.enable_segmentation_rendering()
+        geoms = renderer.render()[..., 0]
+        renderer.disable_segmentation_rendering()
+        names = tuple(self._state.pools)
+        bodies = np.where(geoms >= 0, self._owners[geoms], np.int32(-1)).astype(np.int32)
+        return Sight(colours, depth, bodies, names)
+
+    def _lit(self, picture: Image) -> Image:
+        light = self._state.light
+        return picture if light == 1.0 else np.asarray(np.clip(picture * np.float32(light), 0.0, 255.0), dtype=np.uint8)
+
+    def _shown(self, width: int, height: int) -> Any:
+        """A renderer of this size, with the bodies where they are now."""
+        if not available():
+            raise EngineError(LACKING)
+        if self._model is None:
+            self._build()
+        model, data, now = self._model, self._data, self._state.data
+        for name in ("qpos", "mocap_pos", "mocap_quat"):
+            getattr(data, name)[:] = getattr(now, name)
+        model.geom_rgba[:] = self._usual
+        for (body, link), colour in self._state.colours.items():
+            geoms = self._geoms.get((body, link), [])
+            model.geom_rgba[geoms] = colour
+        mj.mj_kinematics(model, data)
+        mj.mj_camlight(model, data)
+        renderer = self._renderers.get((width, height))
+        if renderer is None:
+            model.vis.global_.offwidth, model.vis.global_.offheight = width, height
+            renderer = self._renderers[width, height] = mj.Renderer(model, height, width)
+        renderer.update_scene(data)
+        return renderer
+
+    def _build(self) -> None:
+        builder = Builder(self._world, drawn=True)
+        self._model = builder.compiled()
+        self._data = mj.MjData(self._model)
+        self._usual = self._model.geom_rgba.copy()
+        self._geoms: dict[tuple[str, str], list[int]] = {}
+        self._owners = np.full(self._model.ngeom + 1, -1, np.int32)
+        for place, pool in enumerate(builder.pools):
+            for body in pool:
+                for link, geoms in body.geoms.items():
+                    self._geoms.setdefault((pool.name, link), []).extend(geoms)
+                    self._owners[geoms] = place
+        ground = self._geoms.get((GROUND, GROUND))
+        if ground:  # painted lines
+            lines = (self._model.geom_bodyid[: self._model.ngeom] == 0).nonzero()[0]
+            self._owners[lines] = self._owners[ground[0]]
+
+    def _aim(self, renderer: Any, eye: Triple, ahead: Any, up: Any, fov: float) -> None:
+        for camera in renderer.scene.camera:
+            camera.pos, camera.forward, camera.up = eye, ahead, up
+            camera.frustum_center = 0.0
+            camera.frustum_top = NEAREST * tan(fov / 2)
+            camera.frustum_bottom = -camera.frustum_top
+            camera.frustum_width = 0.0
+            camera.frustum_near, camera.frustum_far = NEAREST, FARTHEST

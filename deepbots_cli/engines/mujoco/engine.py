@@ -1,0 +1,325 @@
+"""One world in MuJoCo."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from math import inf
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from deepbots_cli import frames
+from deepbots_cli.engines.kinematics import Chain
+from deepbots_cli.engines.mujoco import cameras, surfaces
+from deepbots_cli.engines.mujoco import motors as drives
+from deepbots_cli.engines.mujoco import mujoco as mj
+from deepbots_cli.engines.mujoco.model import Body, Builder
+from deepbots_cli.engines.mujoco.state import Kept, World
+from deepbots_cli.engines.objects import Pool, find
+from deepbots_cli.errors import EngineError
+from deepbots_cli.port import STILL, Overlap
+from deepbots_cli.program.world import GROUND
+
+if TYPE_CHECKING:
+    from deepbots_cli.frames import Frame, Quaternion, Triple
+    from deepbots_cli.port import (
+        CameraReader,
+        Capability,
+        ClearanceReader,
+        ContactReader,
+        ForceReader,
+        Image,
+        JointReader,
+        Kinematics,
+        Motion,
+        MotionReader,
+        MotorWriter,
+        Part,
+        PoseReader,
+        Pusher,
+        RayReader,
+        TorqueReader,
+        VelocityReader,
+        View,
+    )
+    from deepbots_cli.program.world import EngineParameter, WorldModel
+
+
+class MuJoCoEngine:
+    """One world, with exact snapshots."""
+
+    name = "mujoco"
+
+    def __init__(self, world: WorldModel) -> None:
+        built = Builder(world)
+        self._world = World(built.compiled(), world, built.pools)
+        self._motors = drives.Motors(self._world)
+        self._touches: surfaces.Touches | None = None
+        self._acts: list[Callable[[], object]] = []
+        self._pictures = cameras.Pictures(world, self._world)
+        drawing: frozenset[Capability] = frozenset({"rendering"} if cameras.available() else ())
+        self.capabilities: frozenset[Capability] = drawing | {"contacts", "snapshot"}
+        self.reset()
+
+    # Time
+
+    def reset(self) -> None:
+        self._world.open().reset()
+        self._motors.rest()
+        if self._touches is not None:
+            self._touches.forget()
+
+    def step(self, substeps: int) -> None:
+        world = self._world
+        if world.unsettled:
+            world.settle()
+        model, data, touches, acts, servos = world.model, world.data, self._touches, self._acts, self._motors.limited_servos
+        if not (acts or servos or world.pushed):
+            if touches is None:
+                mj.mj_step(model, data, substeps)
+            else:
+                advance, look = mj.mj_step, touches.look
+                touches.forget()
+                for _ in range(substeps):
+                    advance(model, data)
+                    look()
+            world.stepped()
+            return
+        if touches is not None:
+            touches.forget()
+        for _ in range(substeps):
+            for act in acts:
+                act()
+            for renew in servos.values():
+                renew()
+            mj.mj_step(model, data)
+            world.stepped()
+            if world.pushed:
+                data.xfrc_applied[:] = 0.0
+                world.pushed = False
+            if touches is not None:
+                touches.look()
+
+    def before_substep(self, act: Callable[[], object]) -> None:
+        self._acts.append(act)
+
+    def require_finite(self) -> None:
+        self._world.require_finite()
+
+    def snapshot(self) -> object:
+        return self._world.open().keep()
+
+    def restore(self, snapshot: object) -> None:
+        if not isinstance(snapshot, Kept):
+            raise EngineError("this is no snapshot of a world in MuJoCo")
+        self._world.restore(snapshot)
+
+    def close(self) -> None:
+        self._acts.clear()
+        self._pictures.close()
+        self._world.close()
+
+    # Values of an episode
+
+    @property
+    def gravity(self) -> Triple:
+        x, y, z = self._world.model.opt.gravity.tolist()
+        return x, y, z
+
+    def place(
+        self, body: str, position: Triple, orientation: Quaternion, velocity: Triple = STILL, angular_velocity: Triple = STILL
+    ) -> None:
+        pool, data = self._pool(body), self._world.data
+        pool.enter()
+        placed = pool.chosen
+        turned = x, y, z, w = frames.normalised(orientation)
+        if placed.mocap >= 0:
+            data.mocap_pos[placed.mocap], data.mocap_quat[placed.mocap] = position, (w, x, y, z)
+        elif placed.position >= 0:
+            data.qpos[placed.position : placed.position + 7] = (*position, w, x, y, z)
+            data.qvel[placed.velocity : placed.velocity + 6] = (*velocity, *frames.rotate_back(turned, angular_velocity))
+        self._world.changed()
+
+    def set_joint(self, robot: str, joint: str, position: float, velocity: float) -> None:
+        model, data, (number,) = self._world.model, self._world.data, self._joints(robot, (joint,))
+        data.qpos[model.jnt_qposadr[number]], data.qvel[model.jnt_dofadr[number]] = position, velocity
+        self._world.changed()
+
+    def choose(self, body: str, variant: str) -> None:
+        self._pool(body).choose(variant)
+
+    def set_parameter(self, what: EngineParameter, of: tuple[str, ...], *values: float) -> None:
+        self._world.open().set(what, of, values)
+
+    # Motors
+
+    def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
+        return self._motor(robot, joints, max_torque).velocity_writer()
+
+    def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
+        return self._motor(robot, joints, max_torque).torque_writer()
+
+    def position_motor(
+        self,
+        robot: str,
+        joints: Sequence[str],
+        max_torque: Sequence[float],
+        stiffness: Sequence[float] | None,
+        damping: Sequence[float] | None,
+    ) -> MotorWriter:
+        motor = self._motor(robot, joints, max_torque)
+        return motor.servo_writer() if stiffness is None else motor.spring_writer(stiffness, damping)
+
+    def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
+        return self._pool(part[0]).bound(lambda body: drives.pusher(self._world, _link(body, part[1]), frame))
+
+    # Readers of motion
+
+    def joint_states(self, robot: str, joints: Sequence[str]) -> JointReader:
+        model, data, numbers = self._world.model, self._world.data, list(self._joints(robot, joints))
+        if not numbers:
+            return lambda: ()
+        positions, velocities = (drives.places(adr[numbers].tolist()) for adr in (model.jnt_qposadr, model.jnt_dofadr))
+        qpos, qvel = data.qpos, data.qvel
+        return lambda: tuple(zip(qpos[positions].tolist(), qvel[velocities].tolist(), strict=True))
+
+    def joint_torques(self, robot: str, joints: Sequence[str]) -> TorqueReader:
+        return self._motors.torques(self._joints(robot, joints))
+
+    def pose(self, body: str, link: str | None = None) -> PoseReader:
+        return self._pool(body).bound(lambda form: self._pose(form, _link(form, link)))
+
+    def velocity(self, body: str, link: str | None = None) -> VelocityReader:
+        return self._pool(body).bound(lambda form: self._velocity(form, _link(form, link)))
+
+    def motion(self, body: str, link: str | None = None) -> MotionReader:
+        pose, velocity = self.pose(body, link), self.velocity(body, link)
+
+        def read() -> Motion:
+            return pose(), velocity()
+
+        return read
+
+    def _pose(self, body: Body, link: int) -> PoseReader:
+        """Of a root link from the state, of another from positions that are computed when they are asked for."""
+        world, data = self._world, self._world.data
+        if link == body.root and body.position >= 0:
+            numbers = data.qpos[body.position : body.position + 7]
+
+            def read_free() -> Frame:
+                px, py, pz, w, x, y, z = numbers.tolist()
+                return (px, py, pz), (x, y, z, w)
+
+            return read_free
+        at_rest = link == body.root and body.mocap >= 0
+        place, turned = (data.mocap_pos[body.mocap], data.mocap_quat[body.mocap]) if at_rest else (data.xpos[link], data.xquat[link])
+
+        def read() -> Frame:
+            if not (at_rest or world.posed):
+                world.pose()
+            w, x, y, z = turned.tolist()
+            return tuple(place.tolist()), (x, y, z, w)
+
+        return read
+
+    def _velocity(self, body: Body, link: int) -> VelocityReader:
+        world, model, data = self._world, self._world.model, self._world.data
+        if link == body.root and body.position >= 0:
+            pose, numbers = self._pose(body, link), data.qvel[body.velocity : body.velocity + 6]
+
+            def read_free() -> tuple[Triple, Triple]:
+                vx, vy, vz, wx, wy, wz = numbers.tolist()
+                return (vx, vy, vz), frames.rotate(pose()[1], (wx, wy, wz))
+
+            return read_free
+        found, kind = np.zeros(6), mj.mjtObj.mjOBJ_XBODY
+
+        def read() -> tuple[Triple, Triple]:
+            if not world.timed:
+                world.motion()
+            mj.mj_objectVelocity(model, data, kind, link, found, 0)
+            wx, wy, wz, vx, vy, vz = found.tolist()
+            return (vx, vy, vz), (wx, wy, wz)
+
+        return read
+
+    def inverse_kinematics(self, part: Part, joints: Sequence[str]) -> Kinematics:
+        model = self._pool(part[0]).chosen.model
+        chain = Chain(model, part[1] or model.root, joints)
+        root, read = self.pose(part[0]), self.joint_states(part[0], chain.moving)
+        return lambda position, attitude: chain.solve(root(), [state[0] for state in read()], position, attitude)
+
+    # Readers of surfaces
+
+    def contact(self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True) -> ContactReader:
+        own = self._geoms(one)
+        if others is None:
+            pools = self._world.pools
+            others = [(name, None) for name in pools if name != one[0] and (ground or name != GROUND)]
+        met = [geom for part in others for geom in self._geoms(part)]
+        if self._touches is None:
+            self._touches = surfaces.Touches(self._world)
+        return self._touches.reader(own, met)
+
+    def contact_force(self, one: Part) -> ForceReader:
+        return surfaces.force(self._world, self._geoms(one))
+
+    def clearance(self, one: Part, other: Part) -> ClearanceReader:
+        near, far = self._pool(one[0]), self._pool(other[0])
+        for geom in (*self._geoms(one), *self._geoms(other)):
+            if self._world.model.geom_type[geom] == mj.mjtGeom.mjGEOM_HFIELD:
+                raise EngineError("MuJoCo knows no distances to terrain; measure them with rays, or use the engine 'pybullet'")
+        read = near.bound(lambda body: far.bound(lambda its: surfaces.clearance(self._world, body.of(one[1]), its.of(other[1]))))
+        return lambda: read() if near.present and far.present else inf
+
+    def rays(self, part: Part, rays: Sequence[Frame], reach: float) -> RayReader:
+        return self._pool(part[0]).bound(lambda body: surfaces.rays(self._world, body, _link(body, part[1]), tuple(rays), reach))
+
+    def overlaps(self) -> list[Overlap]:
+        owners = {
+            geom: (pool.name, link)
+            for pool in self._world.open().pools.values()
+            if pool.present
+            for link, geoms in pool.chosen.geoms.items()
+            for geom in geoms
+        }
+        deepest: dict[tuple[str, str], Overlap] = {}
+        for one, other, depth in surfaces.depths(self._world):
+            if one in owners and other in owners:
+                found = Overlap(owners[one], owners[other], depth)
+                known = deepest.get((found.one[0], found.other[0]))
+                deepest[found.one[0], found.other[0]] = found if known is None or known.depth < depth else known
+        return sorted(deepest.values(), key=lambda found: -found.depth)
+
+    # Pictures
+
+    def camera(self, part: Part, mount: Frame, width: int, height: int, fov: float) -> CameraReader:
+        return partial(self._pictures.sight, self.pose(*part), mount, width, height, fov)
+
+    def render(self, view: View) -> Image:
+        self._world.open()
+        return self._pictures.picture(view)
+
+    # Names
+
+    def _pool(self, name: str) -> Pool[Body]:
+        return find(self._world.open().pools, name, "the world has no body")
+
+    def _joints(self, robot: str, names: Sequence[str]) -> tuple[int, ...]:
+        body = self._pool(robot).chosen
+        return tuple(find(body.joints, name, f"'{body.name}' has no joint") for name in names)
+
+    def _motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> drives.Motor:
+        return drives.Motor(self._motors, self._joints(robot, joints), max_torque)
+
+    def _geoms(self, part: Part) -> list[int]:
+        """Of a body in all its forms, or of one link."""
+        pool = self._pool(part[0])
+        if part[1] is not None:
+            _link(pool.chosen, part[1])
+        return [geom for body in pool for geom in body.of(part[1])]
+
+
+def _link(body: Body, link: str | None) -> int:
+    return body.root if link is None else find(body.links, link, f"'{body.name}' has no link")

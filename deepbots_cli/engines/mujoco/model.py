@@ -1,0 +1,375 @@
+"""Ground, walls, objects and robots as a model of MuJoCo, built from the world model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from itertools import combinations
+from math import inf
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from deepbots_cli import frames
+from deepbots_cli.engines.mujoco import mujoco as mj
+from deepbots_cli.engines.objects import PALETTE, ROOT_MASS_FRACTION, Pool, as_robot, forms, held_by, moves, walls, with_explicit_masses
+from deepbots_cli.errors import EngineError
+from deepbots_cli.geometry import triangles
+from deepbots_cli.program.world import GROUND, Colour, Line, ObjectBody, Terrain, WorldModel
+from deepbots_cli.robots import inertia
+from deepbots_cli.robots.model import Box, Capsule, Cylinder, Friction, Geometry, Joint, Link, Mesh, RobotModel, Sphere
+from deepbots_cli.terrain import Grid, grid
+
+if TYPE_CHECKING:
+    from deepbots_cli.frames import Frame, Matrix
+
+Made = Any
+"""An element of a specification, or a compiled model; MuJoCo has no types that a checker could read."""
+
+APART = 1000.0  # m between bodies that are absent
+DEEP = 1.0  # m of ground below the lowest place of a terrain
+SOLID, HIDDEN, SEEN = 0, 5, 1  # groups of geoms: what rays meet, what they do not, what is only drawn
+RESPONSE, RESPONSE_STEPS = 0.01, 3.0
+"""Time constant (s) of contacts and joint limits, and the least in engine steps.
+
+MuJoCo's contacts are springs. With these a crate rests 27 um deep at steps of 1 ms and 0.15 mm at 8 ms, and slides as Coulomb's law
+says within 0.4 %. Stiffer ones (2 steps, impedance 0.95 to 0.99) are ten times less deep, and a crate that slides hops: 4 % off.
+"""
+IMPEDANCE = (0.9, 0.95, 0.001, 0.5, 2.0)
+NEAREST, FARTHEST = 0.01, 2000.0  # m; what is drawn
+EARTH = (0.72, 0.63, 0.48, 1.0)
+
+
+@dataclass(eq=False)
+class Body:
+    """A robot or an object in one of its forms: ids of links and of their geoms, and of joints, by name.
+
+    A root link that moves has the first of its 7 `position` and 6 `velocity` numbers in the state; any other has a `mocap` number.
+    `still` holds the links that never move.
+    """
+
+    name: str
+    model: RobotModel
+    fixed: bool
+    home: Frame
+    links: dict[str, int] = field(default_factory=dict)
+    joints: dict[str, int] = field(default_factory=dict)
+    geoms: dict[str, list[int]] = field(default_factory=dict)
+    still: frozenset[str] = frozenset()
+    root: int = 0
+    position: int = -1
+    velocity: int = -1
+    mocap: int = -1
+    on_entrance: Callable[[Body], object] | None = None
+
+    def suspend(self) -> None:
+        """A reset has put it away."""
+
+    def wake(self) -> None:
+        if self.on_entrance is not None:
+            self.on_entrance(self)
+
+    def of(self, link: str | None) -> list[int]:
+        """The geoms of a link, or of all."""
+        return self.geoms[link] if link is not None else [geom for geoms in self.geoms.values() for geom in geoms]
+
+
+class Builder:
+    """A model of the world, and its bodies. The one for pictures has the same bodies and joints, with what is seen of them as geoms."""
+
+    def __init__(self, world: WorldModel, drawn: bool = False) -> None:
+        self._world, self._drawn = world, drawn
+        self._spec = spec = mj.MjSpec()
+        step = world.timestep / world.substeps
+        spec.option.timestep = step
+        spec.option.gravity = world.gravity
+        spec.option.integrator = mj.mjtIntegrator.mjINT_EULER
+        spec.option.cone = mj.mjtCone.mjCONE_ELLIPTIC
+        spec.option.disableflags = mj.mjtDisableBit.mjDSBL_AUTORESET
+        spec.compiler.degree = False
+        spec.compiler.autolimits = False
+        spec.compiler.alignfree = False
+        spec.stat.extent = 1.0
+        spec.visual.map.znear, spec.visual.map.zfar = NEAREST, FARTHEST
+        self._response = (max(RESPONSE, RESPONSE_STEPS * step), 1.0)
+        self._made: list[tuple[Body, dict[str, Made], dict[str, Made], dict[str, list[Made]]]] = []
+        self._elements = self._absent = 0
+        self.pools: list[Pool[Body]] = []
+        if drawn:
+            self._add_light()
+        self._add_ground()
+        for thing in (*(walls(world.arena) if world.arena else ()), *world.objects):
+            variants = [(name, self._object(form, thing.pooled)) for name, form in forms(thing).items()]
+            self.pools.append(Pool(thing.name, variants, thing.pooled))
+        for robot in world.robots:
+            model = with_explicit_masses(robot.name, robot.model, robot.fixed_base)
+            body = self._add(Body(robot.name, model, robot.fixed_base, frames.frame(robot.pose)))
+            self.pools.append(Pool(robot.name, [(robot.name, body)], pooled=False))
+
+    def compiled(self) -> Made:
+        """The model; the bodies then know their ids.
+
+        Raises:
+            EngineError: MuJoCo refuses the world.
+        """
+        if not self._drawn:
+            self._add_pairs()
+        try:
+            model = self._spec.compile()
+        except ValueError as error:
+            raise EngineError(f"MuJoCo cannot build this world: {error}") from error
+        for body, links, joints, geoms in self._made:
+            body.links = {name: made.id for name, made in links.items()}
+            body.joints = {name: made.id for name, made in joints.items()}
+            body.geoms = {name: [geom.id for geom in made] for name, made in geoms.items()}
+            body.root = body.links[body.model.root]
+            body.mocap = int(model.body_mocapid[body.root])
+            if not body.fixed:
+                first = model.body_jntadr[body.root]
+                body.position, body.velocity = int(model.jnt_qposadr[first]), int(model.jnt_dofadr[first])
+        return model
+
+    # Ground
+
+    def _add_ground(self) -> None:
+        world = self._world
+        shape: dict[str, Any]
+        colour: Colour | None
+        if world.terrain is not None:
+            relief = self._relief(world.terrain)
+            shape = {"type": mj.mjtGeom.mjGEOM_HFIELD, "hfieldname": GROUND, "pos": (0.0, 0.0, float(relief.heights.min()))}
+            friction, colour = Friction(lateral=world.terrain.friction), world.terrain.colour or EARTH
+        elif world.ground is not None:
+            shape = {"type": mj.mjtGeom.mjGEOM_PLANE, "size": (0.0, 0.0, 1.0)}
+            friction, colour = Friction(lateral=world.ground.friction, restitution=world.ground.restitution), world.ground.colour
+        else:
+            return
+        body = Body(
+            GROUND,
+            RobotModel(GROUND, (Link(GROUND, friction=friction),), (), GROUND),
+            True,
+            frames.IDENTITY_FRAME,
+            still=frozenset({GROUND}),
+        )
+        if self._drawn:
+            shape |= {"rgba": colour} if colour else {"material": self._tiles()}
+        geom = self._geom(self._spec.worldbody, **shape)
+        self._made.append((body, {GROUND: self._spec.worldbody}, {}, {GROUND: [geom]}))
+        self.pools.append(Pool(GROUND, [(GROUND, body)], pooled=False))
+        for line in world.lines if self._drawn else ():
+            self._paint(line)
+
+    def _relief(self, terrain: Terrain) -> Grid:
+        relief = grid(terrain.shape)
+        if relief is None:
+            raise EngineError(
+                "MuJoCo holds a mesh only as its convex hull, so it cannot be the ground; use a terrain of heights"
+                " (heightfield, formula or pit), or the engine 'pybullet'"
+            )
+        rows, columns = relief.heights.shape
+        low, high = float(relief.heights.min()), float(relief.heights.max())
+        span = max(high - low, 1e-6)
+        self._spec.add_hfield(
+            name=GROUND,
+            nrow=rows,
+            ncol=columns,
+            size=(relief.size[0] / 2, relief.size[1] / 2, span, DEEP),
+            userdata=((relief.heights - low) / span).ravel().tolist(),
+        )
+        return relief
+
+    def _add_light(self) -> None:
+        """Daylight, a sky that is brighter at the horizon, and colours that do not depend on from where they are seen."""
+        spec = self._spec
+        spec.visual.quality.offsamples = 0  # a pixel is what its centre sees
+        gradient, sky = mj.mjtBuiltin.mjBUILTIN_GRADIENT, mj.mjtTexture.mjTEXTURE_SKYBOX
+        spec.add_texture(name="sky", type=sky, builtin=gradient, rgb1=(0.59, 0.73, 0.87), rgb2=(0.93, 0.95, 0.96), width=128, height=768)
+        spec.visual.headlight.active = False  # it shines from where the camera was in the picture before
+        sun = mj.mjtLightType.mjLIGHT_DIRECTIONAL
+        for direction, ambient, diffuse in (((-0.3, 0.4, -0.87), 0.45, 0.5), ((0.5, -0.6, -0.3), 0.0, 0.1)):
+            dull = {"ambient": (ambient,) * 3, "diffuse": (diffuse,) * 3, "specular": (0.0,) * 3, "castshadow": False}
+            spec.worldbody.add_light(type=sun, pos=(0, 0, 10), dir=direction, **dull)
+
+    def _tiles(self) -> str:
+        light, dark = (0.87, 0.89, 0.91), (0.78, 0.81, 0.84)
+        kinds = {"type": mj.mjtTexture.mjTEXTURE_2D, "builtin": mj.mjtBuiltin.mjBUILTIN_CHECKER}
+        self._spec.add_texture(name="tiles", rgb1=light, rgb2=dark, width=256, height=256, **kinds)
+        material = self._spec.add_material(name="tiles", texuniform=True, texrepeat=(4.0, 4.0))
+        material.textures[mj.mjtTextureRole.mjTEXROLE_RGB] = "tiles"
+        return "tiles"
+
+    def _paint(self, line: Line) -> None:
+        """A box for each piece, and a disc at each of its ends."""
+        half, thin = line.width / 2, 1e-3
+        for (x0, y0), (x1, y1) in line.pieces:
+            long, yaw = float(np.hypot(x1 - x0, y1 - y0)) / 2, float(np.arctan2(y1 - y0, x1 - x0))
+            turned = _wxyz(frames.quaternion(0.0, 0.0, yaw))
+            if long > 0.0:
+                middle, size = ((x0 + x1) / 2, (y0 + y1) / 2, 0.0), (long, half, thin)
+                self._geom(self._spec.worldbody, type=mj.mjtGeom.mjGEOM_BOX, size=size, pos=middle, quat=turned, rgba=line.colour)
+            for x, y in ((x0, y0), (x1, y1)):
+                disc = (half, thin, 0.0)
+                self._geom(self._spec.worldbody, type=mj.mjtGeom.mjGEOM_CYLINDER, size=disc, pos=(x, y, 0.0), rgba=line.colour)
+
+    # Bodies
+
+    def _object(self, thing: ObjectBody, pooled: bool) -> Body:
+        home = frames.frame(thing.pose)
+        if pooled:
+            self._absent += 1
+            home = (-self._absent * APART, 0.0, self._absent * APART), frames.IDENTITY_ROTATION
+        return self._add(Body(thing.name, as_robot(thing), not moves(thing), home), pooled)
+
+    def _add(self, body: Body, pooled: bool = False) -> Body:
+        """Add the links and joints of a body to the specification."""
+        model = body.model
+        carried = inertia.carried(model)
+        joint_of = {joint.child: joint for joint in model.joints}
+        children: dict[str, list[str]] = {}
+        for joint in model.joints:
+            children.setdefault(joint.parent, []).append(joint.child)
+        body.still = frozenset(held_by(model, model.root)) if body.fixed else frozenset()
+        links: dict[str, Made] = {}
+        joints: dict[str, Made] = {}
+        geoms: dict[str, list[Made]] = {}
+        order = [model.root]
+        for place, name in enumerate(order):
+            link, above = model.link(name), joint_of.get(name)
+            position, turned = body.home if above is None else frames.frame(above.origin)
+            parent = self._spec.worldbody if above is None else links[above.parent]
+            links[name] = made = parent.add_body(pos=position, quat=_wxyz(turned), gravcomp=float(pooled and not body.fixed))
+            if above is None:
+                made.mocap = body.fixed
+                if not body.fixed:
+                    made.add_freejoint()
+            elif above.moves:
+                joints[above.name] = self._joint(made, above)
+            self._weigh(made, link, ROOT_MASS_FRACTION * carried[name] if above is None or above.moves else 0.0)
+            geoms[name] = [self._surface(made, piece, place, pooled) for piece in self._pieces(link)]
+            order += children.get(name, ())
+        self._made.append((body, links, joints, geoms))
+        return body
+
+    def _pieces(self, link: Link) -> tuple[Geometry, ...]:
+        return (link.visuals or link.collisions) if self._drawn else link.collisions
+
+    def _weigh(self, made: Made, link: Link, trace: float) -> None:
+        """Mass and inertia; a link that moves and states none gets a `trace` of what it carries, since MuJoCo takes no such link."""
+        known = link.inertial
+        mass = known.mass if known else 0.0
+        if known is None or mass <= 0.0:
+            mass, tensor, at = trace, frames.diagonal((trace, trace, trace)), (0.0, 0.0, 0.0)
+        else:
+            tensor = frames.rotate_tensor(inertia.matrix(known), frames.rotation_matrix(known.origin.rpy))
+            at = known.origin.xyz
+            if max(known.ixx, known.iyy, known.izz) <= 0.0:
+                tensor = self._made_up(link, mass)
+        made.explicitinertial = True
+        made.mass, made.ipos = mass, at
+        if mass > 0.0:
+            made.fullinertia = (tensor[0][0], tensor[1][1], tensor[2][2], tensor[0][1], tensor[0][2], tensor[1][2])
+
+    def _made_up(self, link: Link, mass: float) -> Matrix:
+        """The inertia of a link that has a mass but none: that of the box around its mesh, or else a trace."""
+        for piece in link.collisions:
+            if isinstance(piece.shape, Mesh):
+                corners = triangles(piece.shape).reshape(-1, 3)
+                x, y, z = ((corners.max(axis=0) - corners.min(axis=0)) ** 2).tolist()
+                return frames.diagonal((mass / 12 * (y + z), mass / 12 * (x + z), mass / 12 * (x + y)))
+        return frames.diagonal((ROOT_MASS_FRACTION * mass,) * 3)
+
+    def _joint(self, made: Made, joint: Joint) -> Made:
+        kinds = mj.mjtJoint
+        lower, upper = joint.limit.lower, joint.limit.upper
+        open_ended = joint.type == "continuous" or (lower is None and upper is None)
+        low, high = -1e9 if lower is None else lower, 1e9 if upper is None else upper
+        self._elements += 1
+        name = f"j{self._elements}"
+        added = made.add_joint(
+            name=name,
+            type=kinds.mjJNT_SLIDE if joint.type == "prismatic" else kinds.mjJNT_HINGE,
+            axis=joint.axis,
+            limited=not open_ended and low <= high,
+            range=(low, max(high, low + 1e-9)),
+            damping=joint.damping,
+            frictionloss=joint.friction,
+            solref_limit=self._response,
+            solimp_limit=IMPEDANCE,
+            solref_friction=self._response,
+            solimp_friction=IMPEDANCE,
+        )
+        actuator = self._spec.add_actuator(
+            name=name, target=name, trntype=mj.mjtTrn.mjTRN_JOINT, biastype=mj.mjtBias.mjBIAS_AFFINE, gaintype=mj.mjtGain.mjGAIN_FIXED
+        )
+        actuator.gainprm[0] = 1.0
+        return added
+
+    def _surface(self, made: Made, piece: Geometry, place: int, pooled: bool) -> Made:
+        position, turned = frames.frame(piece.origin)
+        colour = piece.colour or PALETTE[place % len(PALETTE)]
+        about: dict[str, Any] = {"pos": position, "quat": _wxyz(turned), "rgba": colour if self._drawn else (1, 1, 1, 1)}
+        group = HIDDEN if pooled and not self._drawn else SOLID
+        kinds = mj.mjtGeom
+        match piece.shape:
+            case Box(size):
+                return self._geom(made, group, type=kinds.mjGEOM_BOX, size=[side / 2 for side in size], **about)
+            case Sphere(radius):
+                return self._geom(made, group, type=kinds.mjGEOM_SPHERE, size=(radius, 0, 0), **about)
+            case Cylinder(radius, length):
+                return self._geom(made, group, type=kinds.mjGEOM_CYLINDER, size=(radius, length / 2, 0), **about)
+            case Capsule(radius, length):
+                return self._geom(made, group, type=kinds.mjGEOM_CAPSULE, size=(radius, length / 2, 0), **about)
+            case Mesh():
+                return self._geom(made, group, type=kinds.mjGEOM_MESH, meshname=self._mesh(piece.shape), **about)
+
+    def _mesh(self, mesh: Mesh) -> str:
+        """The triangles of a mesh; MuJoCo lets its convex hull collide, as PyBullet does with meshes that move."""
+        corners = triangles(mesh).reshape(-1, 3)
+        vertices, faces = np.unique(corners, axis=0, return_inverse=True)
+        self._elements += 1
+        name = f"m{self._elements}"
+        convex = mj.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+        self._spec.add_mesh(name=name, uservert=vertices.ravel().tolist(), userface=faces.ravel().tolist(), inertia=convex)
+        return name
+
+    def _geom(self, made: Made, group: int = SOLID, **about: Any) -> Made:
+        """A geom that touches nothing but by an entry of its own, and has no mass."""
+        self._elements += 1
+        return made.add_geom(name=f"g{self._elements}", contype=0, conaffinity=0, group=group, mass=0.0, **about)
+
+    # Pairs
+
+    def _add_pairs(self) -> None:
+        """An entry for each two surfaces that may touch: of two bodies, at least one of which moves."""
+        surfaces = [list(self._surfaces(pool)) for pool in self.pools]
+        for one, other in combinations(surfaces, 2):
+            for first, stays in one:
+                for second, stays_too in other:
+                    if not (stays and stays_too):
+                        self._spec.add_pair(
+                            geomname1=first.name,
+                            geomname2=second.name,
+                            condim=3,
+                            margin=0.0,
+                            gap=0.0,
+                            solref=self._response,
+                            solreffriction=(0.0, 0.0),
+                            solimp=IMPEDANCE,
+                        )
+
+    def _surfaces(self, pool: Pool[Body]) -> Iterator[tuple[Made, bool]]:
+        """The geoms of a body in all its forms, and whether they never move."""
+        owned = set(map(id, pool))
+        for body, _, _, geoms in self._made:
+            if id(body) in owned:
+                for link, made in geoms.items():
+                    yield from ((geom, link in body.still) for geom in made)
+
+
+def _wxyz(q: frames.Quaternion) -> tuple[float, float, float, float]:
+    return (q[3], q[0], q[1], q[2])
+
+
+def limited(bound: float) -> float:
+    """A bound that MuJoCo can hold."""
+    return min(bound, 1e12) if bound < inf else 1e12

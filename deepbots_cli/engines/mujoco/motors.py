@@ -1,0 +1,205 @@
+"""Motors and springs on joints, and forces on links."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from deepbots_cli import frames
+from deepbots_cli.engines.mujoco.model import limited
+from deepbots_cli.port import SERVO_TIME, STILL
+
+if TYPE_CHECKING:
+    from deepbots_cli.engines.mujoco.state import World
+    from deepbots_cli.frames import Triple
+    from deepbots_cli.port import MotorWriter, Pusher, TorqueReader
+
+STIFFEST = 1000.0
+"""Largest gain of a velocity motor, in inertias of its joint per engine step."""
+SLACK = 0.1
+"""Share of its target by which a velocity motor must be off to exert its limit."""
+
+
+class Motors:
+    """The joints of a world: each has one actuator, which obeys the motor that was written last.
+
+    The torque of an actuator is `ctrl - stiffness * position - damping * velocity`, limited.
+    """
+
+    def __init__(self, world: World) -> None:
+        self.world = world
+        self._of_joint: dict[int, Motor] = {}
+        self.limited_servos: dict[Motor, Callable[[], None]] = {}
+        """What to call before each engine step for servos at their limit."""
+        self.usual_armature, self.usual_inverse = world.model.dof_armature.copy(), world.model.dof_invweight0.copy()
+        self.actuators = {joint: actuator for actuator, joint in enumerate(world.model.actuator_trnid[:, 0].tolist())}
+        world.memories.append((lambda: (dict(self._of_joint), dict(self.limited_servos)), lambda memory: self._remember(*memory)))
+
+    def take(self, motor: Motor) -> None:
+        """Let a motor drive its joints."""
+        for joint in motor.joints:
+            before = self._of_joint.get(joint)
+            if before is not None:
+                before.drives = False
+                self.limited_servos.pop(before, None)
+            self._of_joint[joint] = motor
+        motor.drives = True
+
+    def rest(self) -> None:
+        self._remember({}, {})
+
+    def _remember(self, of_joint: dict[int, Motor], servos: dict[Motor, Callable[[], None]]) -> None:
+        for motor in self._of_joint.values():
+            motor.drives = False
+        self._of_joint = dict(of_joint)
+        self.limited_servos.clear()
+        self.limited_servos.update(servos)
+        for motor in of_joint.values():
+            motor.drives = all(of_joint.get(joint) is motor for joint in motor.joints)
+            motor.gains = []
+
+    def torques(self, joints: Sequence[int]) -> TorqueReader:
+        """What motors exerted in the last engine step: without the part that went into the inertia that velocity motors add."""
+        world, model = self.world, self.world.model
+        dofs = model.jnt_dofadr[list(joints)]
+        exerted, armature, accelerations, usual = world.data.qfrc_actuator, model.dof_armature, world.data.qacc, self.usual_armature[dofs]
+        return lambda: (exerted[dofs] - (armature[dofs] - usual) * accelerations[dofs]).tolist()
+
+
+class Motor:
+    """A motor on some joints; `drives` says whether they obey it, `gains` are those of a velocity motor, as far as the model has them."""
+
+    def __init__(self, motors: Motors, joints: Sequence[int], max_torque: Sequence[float]) -> None:
+        world = motors.world
+        model = world.model
+        self.joints = tuple(joints)
+        self.drives = False
+        self.gains: list[float] = []
+        self._motors, self._world = motors, world
+        self._limits = [limited(limit) for limit in max_torque]
+        self._acts = places([motors.actuators[joint] for joint in joints])
+        self._dofs = places(model.jnt_dofadr[list(joints)].tolist())
+        self._places = places(model.jnt_qposadr[list(joints)].tolist())
+        self._bound = places(self.joints)
+
+    def _take(self, *, soft: bool) -> None:
+        """Drive the joints; `soft` limits are those of the joint, beyond which the damping still acts on the inertia."""
+        model = self._world.model
+        ranges = [(-limit, limit) for limit in self._limits]
+        model.actuator_biasprm[self._acts] = 0.0
+        model.dof_armature[self._dofs] = self._motors.usual_armature[self._dofs]
+        model.dof_invweight0[self._dofs] = self._motors.usual_inverse[self._dofs]
+        model.actuator_forcelimited[self._acts] = not soft
+        model.actuator_forcerange[self._acts] = ranges
+        model.jnt_actfrclimited[self._bound] = soft
+        model.jnt_actfrcrange[self._bound] = ranges
+        self._motors.take(self)
+
+    def torque_writer(self) -> MotorWriter:
+        ctrl, acts, limits = self._world.data.ctrl, self._acts, self._limits
+
+        def write(targets: Sequence[float]) -> None:
+            if not self.drives:
+                self._take(soft=False)
+            ctrl[acts] = [min(max(target, -limit), limit) for target, limit in zip(targets, limits, strict=True)]
+
+        return write
+
+    def spring_writer(self, stiffness: Sequence[float], damping: Sequence[float] | None) -> MotorWriter:
+        """The torque is `stiffness * (target - position) - damping * velocity`."""
+        ctrl, acts, bias = self._world.data.ctrl, self._acts, self._world.model.actuator_biasprm
+        stiffness, damping = list(stiffness), list(damping or [0.0] * len(stiffness))
+
+        def write(targets: Sequence[float]) -> None:
+            if not self.drives:
+                self._take(soft=False)
+                bias[acts, 1], bias[acts, 2] = [-k for k in stiffness], [-d for d in damping]
+            ctrl[acts] = [k * target for k, target in zip(stiffness, targets, strict=True)]
+
+        return write
+
+    def velocity_writer(self) -> MotorWriter:
+        """The torque is `gain * (target - velocity)` with the velocity at the end of each engine step.
+
+        That is the torque by the velocity at its beginning, and `gain * step` more inertia: the motor is stable however light its joint is,
+        and the solver of contacts knows of it. A gain is such that the limit is exerted at the present error, or, close to the target, at
+        a tenth of the target; then the motor does not overshoot.
+        """
+        return self._pursuit(0.0)
+
+    def servo_writer(self) -> MotorWriter:
+        """A velocity motor whose target is the error over `SERVO_TIME`.
+
+        Its gain is renewed in each engine step while the limit keeps the joint from following this target; else it would swing.
+        """
+        return self._pursuit(1.0 / max(SERVO_TIME, self._world.model.opt.timestep))
+
+    def _pursuit(self, rate: float) -> MotorWriter:
+        """A velocity motor, or a servo with a `rate` (1/s)."""
+        data, model, acts, dofs, at = self._world.data, self._world.model, self._acts, self._dofs, self._places
+        step, servos = model.opt.timestep, self._motors.limited_servos
+        ctrl, velocity, position, bias, armature = data.ctrl, data.qvel, data.qpos, model.actuator_biasprm, model.dof_armature
+        usual, inertias = self._motors.usual_armature[dofs].tolist(), model.dof_M0[dofs].tolist()
+        moved = [1.0 / inverse for inverse in self._motors.usual_inverse[dofs].tolist()]
+        inverses = model.dof_invweight0  # by which MuJoCo scales the stiffness of joint limits
+        bounds = [(STIFFEST * inertia / step, limit) for inertia, limit in zip(inertias, self._limits, strict=True)]
+        damped = [4.0 * inertia * rate for inertia in inertias]
+
+        def aim(targets: Sequence[float]) -> None:
+            wanted = [(target - now) * rate for target, now in zip(targets, position[at].tolist(), strict=True)] if rate else targets
+            gains = []
+            for target, now, (stiffest, limit) in zip(wanted, velocity[dofs].tolist(), bounds, strict=True):
+                off = max(abs(target - now), SLACK * abs(target))
+                gains.append(limit / off if off * stiffest > limit else stiffest)
+            if gains != self.gains:
+                self.gains = gains
+                bias[acts, 2] = [-gain for gain in gains]
+                armature[dofs] = [own + gain * step for own, gain in zip(usual, gains, strict=True)]
+                inverses[dofs] = [1.0 / (own + gain * step) for own, gain in zip(moved, gains, strict=True)]
+                if rate:
+                    bias[acts, 1] = [-gain * rate for gain in gains]
+            ctrl[acts] = [gain * (rate or 1.0) * target for gain, target in zip(gains, targets, strict=True)]
+
+        def write(targets: Sequence[float]) -> None:
+            if not self.drives:
+                self._take(soft=True)
+                self.gains = []
+            aim(targets)
+            if rate:
+                if any(gain < least for gain, least in zip(self.gains, damped, strict=True)):
+                    servos[self] = partial(aim, tuple(targets))
+                else:
+                    servos.pop(self, None)
+
+        return write
+
+
+def places(numbers: Sequence[int]) -> Any:
+    """An index of these places: a slice where they follow each other, which numpy reads in half the time."""
+    first, count = numbers[0], len(numbers)
+    return slice(first, first + count) if list(numbers) == list(range(first, first + count)) else np.array(numbers)
+
+
+def pusher(world: World, link: int, frame: Literal["world", "link"]) -> Pusher:
+    """MuJoCo's forces act at the centre of mass, in the axes of the world."""
+    model, data = world.model, world.data
+    applied, turned = data.xfrc_applied[link], data.xquat[link]
+    centre = tuple(model.body_ipos[link].tolist())
+    centred = centre == STILL
+
+    def push(force: Triple, torque: Triple) -> None:
+        if frame == "link" or not centred:
+            world.pose()
+            w, x, y, z = turned.tolist()
+            if frame == "link":
+                force, torque = frames.rotate((x, y, z, w), force), frames.rotate((x, y, z, w), torque)
+            if not centred:
+                torque = frames.add(torque, frames.cross(force, frames.rotate((x, y, z, w), centre)))
+        applied[:3] += force
+        applied[3:] += torque
+        world.pushed = True
+
+    return push

@@ -1,0 +1,166 @@
+"""What touches what and how hard, how far apart surfaces are, and how far rays from a link are free."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from math import inf
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from deepbots_cli import frames
+from deepbots_cli.engines.mujoco import mujoco as mj
+from deepbots_cli.engines.mujoco.model import HIDDEN
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from deepbots_cli.engines.mujoco.model import Body
+    from deepbots_cli.engines.mujoco.state import World
+    from deepbots_cli.frames import Frame
+    from deepbots_cli.port import ClearanceReader, ContactReader, ForceReader, RayReader
+
+    Figures = NDArray[np.float64]
+
+FAR = 1e6  # m; the distance between surfaces is asked for up to here
+MET = 1e-9  # m; by how much lines that meet in a point may miss it
+
+
+class Touches:
+    """Looks after every engine step at what touches, for all contact readers of a world."""
+
+    def __init__(self, world: World) -> None:
+        self._data = world.data
+        self._marks: dict[tuple[int, int], list[int]] = {}
+        self._touched: list[bool] = []
+        self._none: list[bool] = []
+        self._dull: list[list[int]] = []
+        world.memories.append((lambda: list(self._touched), self._remember))
+
+    def forget(self) -> None:
+        self._touched[:] = self._none
+
+    def _remember(self, touched: list[bool]) -> None:
+        self._touched[: len(touched)] = touched
+
+    def look(self) -> None:
+        """Marks the readers of the pairs of geoms in contact; `_dull` are pairs that mean nothing to any of them."""
+        if self._data.ncon:
+            pairs = self._data.contact.geom.tolist()
+            if pairs != self._dull:
+                met = [place for one, other in pairs for place in self._marks.get((one, other), ())]
+                for place in met:
+                    self._touched[place] = True
+                self._dull = pairs if not met else []
+
+    def reader(self, own: Iterable[int], others: Iterable[int]) -> ContactReader:
+        place, touched, others = len(self._touched), self._touched, tuple(others)
+        self._dull = []
+        for one in own:
+            for other in others:
+                self._marks.setdefault((one, other), []).append(place)
+                self._marks.setdefault((other, one), []).append(place)
+        touched.append(False)
+        self._none.append(False)
+        return lambda: touched[place]
+
+
+def force(world: World, geoms: Iterable[int]) -> ForceReader:
+    """The sum of normal forces on geoms."""
+    own = frozenset(geoms)
+    return lambda: float(sum(force for one, other, force in world.forces if one in own or other in own))
+
+
+def clearance(world: World, ones: Sequence[int], others: Sequence[int]) -> ClearanceReader:
+    model, data, pairs = world.model, world.data, [(one, other) for one in ones for other in others]
+
+    def distance() -> float:
+        world.pose()
+        found = FAR
+        for one, other in pairs:
+            found = min(found, mj.mj_geomDistance(model, data, one, other, found, None))
+        return max(0.0, found) if found < FAR else inf
+
+    return distance
+
+
+def depths(world: World) -> Iterable[tuple[int, int, float]]:
+    """Geoms within each other and by how much (m), as the world stands; looked for in a state of its own, so that nothing changes."""
+    model, data, spare = world.model, world.data, world.spare
+    for name in ("qpos", "mocap_pos", "mocap_quat"):
+        getattr(spare, name)[:] = getattr(data, name)
+    mj.mj_kinematics(model, spare)
+    mj.mj_comPos(model, spare)
+    mj.mj_collision(model, spare)
+    for (one, other), distance in zip(spare.contact.geom.tolist(), spare.contact.dist.tolist(), strict=True):
+        if distance < 0.0:
+            yield one, other, -distance
+
+
+# Rays
+
+
+def rays(world: World, body: Body, link: int, given: Sequence[Frame], reach: float) -> RayReader:
+    """Rays whose lines meet in a point are cast from there in one call, which costs a quarter of a call for each."""
+    model, data = world.model, world.data
+    own = body.of(None)
+    groups = model.geom_group[min(own) : max(own) + 1] if own else model.geom_group[:0]
+    starts = np.array([origin for origin, _ in given])
+    directions = np.array([frames.rotate(turned, (1.0, 0.0, 0.0)) for _, turned in given])
+    centre = _meeting_point(starts, directions)
+    seen = np.ones(6, np.uint8)
+    seen[HIDDEN] = 0
+    position, axes = data.xpos[link], data.xmat[link].reshape(3, 3)
+
+    ray, aside = mj.mj_ray, np.ascontiguousarray(directions.T)
+
+    def cast(place: int, origins: Figures, ways: Figures) -> float:
+        length: float = ray(model, data, origins[place], ways[place], seen, True, -1, None, None)
+        return reach if length < 0.0 or length > reach else length
+
+    if centre is None:
+        every = range(len(given))
+
+        def read_each() -> list[float]:
+            world.pose()
+            kept = groups[:1].copy()
+            groups.fill(HIDDEN)
+            origins, ways = position + starts @ axes.T, directions @ axes.T
+            free = [cast(place, origins, ways) for place in every]
+            groups[:] = kept
+            return free
+
+        return read_each
+
+    count, ahead = len(given), np.einsum("ij,ij->i", starts - centre, directions).tolist()
+    far, geoms, met = reach + max(ahead), np.zeros(count, np.int32), np.zeros(count)
+
+    def read() -> list[float]:
+        world.pose()
+        kept = groups[:1].copy()
+        groups.fill(HIDDEN)
+        mj.mj_multiRay(model, data, position + axes @ centre, (axes @ aside).T.ravel(), seen, True, -1, geoms, met, None, count, far)
+        lengths = met.tolist()
+        free = [reach if length < 0.0 else min(length - start, reach) for length, start in zip(lengths, ahead, strict=True)]
+        for place, length in enumerate(free):
+            if length < 0.0:  # something is between the centre and the start
+                free[place] = cast(place, position + starts @ axes.T, directions @ axes.T)
+        groups[:] = kept
+        return free
+
+    return read
+
+
+def _meeting_point(starts: Figures, directions: Figures) -> Figures | None:
+    """The point behind or at all starts where the lines of the rays meet, if there is one."""
+    if len(starts) < 2:
+        return None
+    across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
+    total = across.sum(axis=0)
+    if np.linalg.cond(total) > 1e6:
+        return None  # parallel
+    point = np.linalg.solve(total, np.einsum("nij,nj->i", across, starts))
+    apart = starts - point
+    ahead = np.einsum("ij,ij->i", apart, directions)
+    off = np.linalg.norm(apart - ahead[:, None] * directions, axis=1).max()
+    return point if off < MET and ahead.min() > -MET else None

@@ -1,0 +1,110 @@
+"""What MuJoCo does otherwise by itself, or cannot do."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from math import cos, pi, sin
+
+import pytest
+
+from deepbots_cli.engines import create
+from deepbots_cli.errors import EngineError
+from deepbots_cli.port import View
+from deepbots_cli.program.world import Formula, Ground, ObjectBody, RobotBody, Terrain, WorldModel
+from deepbots_cli.robots.model import Box, Cylinder, Friction, Geometry, Inertial, Joint, Limit, Link, Mesh, Pose, RobotModel, Sphere
+from tests.named import constant
+
+HILLS = Terrain(Formula(constant(0.0).scalar, (4.0, 4.0)))
+
+
+def test_a_mesh_is_no_ground_and_the_message_says_what_to_do():
+    with pytest.raises(EngineError, match=r"convex hull.*terrain of heights.*'pybullet'"):
+        create("mujoco", WorldModel(0.02, 1, terrain=Terrain(Mesh("ground.stl", "00"))))
+
+
+def test_distances_to_terrain_are_refused(build):
+    engine = build("mujoco", WorldModel(0.02, 1, terrain=HILLS, objects=(ObjectBody("ball", Sphere(0.1), Pose((0, 0, 1)), 1.0),)))
+    with pytest.raises(EngineError, match="distances to terrain; measure them with rays"):
+        engine.clearance(("ball", None), ("ground", None))
+
+
+@pytest.mark.parametrize(("one", "other"), [(0.5, 0.6), (0.9, 0.4), (1.0, 0.3)])
+def test_the_friction_of_a_pair_is_the_product(one, other, build):
+    """On a slope of 30 degrees what slides gains g (sin a - mu cos a)."""
+    crate = ObjectBody("crate", Box((0.2, 0.2, 0.1)), Pose((0, 0, 0.05)), 1.0, friction=one)
+    engine = build("mujoco", WorldModel(0.01, 10, (9.81 * sin(pi / 6), 0, -9.81 * cos(pi / 6)), Ground(1.0), objects=(crate,)))
+    for drawn in (other, None):
+        engine.reset()
+        if drawn is not None:
+            engine.set_parameter("lateral_friction", ("ground", ""), drawn)
+        for _ in range(50):
+            engine.step(10)
+        expected = 9.81 * (sin(pi / 6) - one * (drawn or 1.0) * cos(pi / 6)) * 0.5
+        assert engine.velocity("crate")()[0][0] == pytest.approx(max(expected, 0.0), rel=0.05, abs=5e-3)  # it hops a little
+
+
+def spinner() -> RobotModel:
+    """A wheel of 80 g in the air, on a heavy stand, with a range of half a turn."""
+    tyre = (Geometry(Cylinder(0.03, 0.02), Pose(rpy=(pi / 2, 0, 0))),)
+    wheel = Link("wheel", Inertial(0.08, ixx=2e-5, iyy=3.6e-5, izz=2e-5), tyre, tyre, Friction(1.0))
+    joints = (Joint("axle", "revolute", "stand", "wheel", Pose((0, 0, 1)), (0, 1, 0), Limit(-pi / 2, pi / 2)),)
+    return RobotModel("spinner", (Link("stand", Inertial(5.0, ixx=0.1, iyy=0.1, izz=0.1)), wheel), joints, root="stand")
+
+
+def test_a_strong_motor_on_a_light_wheel_is_stable_and_its_range_is_in_radians(build):
+    engine = build("mujoco", WorldModel(0.016, 1, ground=None, robots=(RobotBody("robot", spinner(), fixed_base=True),)))
+    drive, read = engine.velocity_motor("robot", ["axle"], [10.0]), engine.joint_states("robot", ["axle"])
+    for target, speed in ((5.0, 5.0), (-5.0, -5.0), (5.0, 5.0)):
+        for _ in range(10):
+            drive([target])
+            engine.step(1)
+        assert read()[0][1] == pytest.approx(speed, rel=1e-3)
+    for _ in range(60):
+        drive([5.0])
+        engine.step(1)
+    assert read()[0][0] == pytest.approx(pi / 2, abs=0.05)
+
+
+def test_a_state_that_is_not_finite_writes_no_file(tmp_path, monkeypatch, worlds, build):
+    monkeypatch.chdir(tmp_path)
+    engine = build("mujoco", worlds.rail())
+    engine.set_joint("robot", "hinge", float("nan"), 0.0)
+    engine.step(4)
+    with pytest.raises(EngineError, match="'robot' left the range of numbers"):
+        engine.require_finite()
+    assert list(tmp_path.iterdir()) == []
+    engine.reset()
+    engine.step(4)
+    engine.require_finite()
+
+
+def test_without_opengl_everything_but_pictures_works():
+    script = """
+from deepbots_cli.engines import create
+from deepbots_cli.errors import EngineError
+from deepbots_cli.port import View
+from deepbots_cli.program.world import WorldModel
+engine = create("mujoco", WorldModel(0.02, 1))
+engine.step(1)
+try:
+    engine.render(View((1, 1, 1), (0, 0, 0)))
+except EngineError as error:
+    print(sorted(engine.capabilities), error)
+"""
+    without = {"MUJOCO_GL": "disable", "PATH": ""}
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=without | {"PYTHONPATH": ":".join(sys.path)})
+    assert "['contacts', 'snapshot'] MuJoCo draws with OpenGL" in done.stdout, done.stderr
+
+
+def test_drawing_changes_nothing_that_follows(worlds, build):
+    seen, unseen = build("mujoco", worlds.arena()), build("mujoco", worlds.arena())
+    if "rendering" not in seen.capabilities:
+        pytest.skip("there is no OpenGL")
+    for engine in (seen, unseen):
+        for _ in range(10):
+            engine.step(4)
+            if engine is seen:
+                engine.render(View((1, 1, 1), (0, 0, 0), 32, 32))
+    assert seen.pose("ball")() == unseen.pose("ball")()
+    assert seen.pose("robot")() == unseen.pose("robot")()
