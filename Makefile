@@ -5,6 +5,8 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3 || echo python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 EDITORS := build/editors
+# `worksteal` keeps tests of a module together, so that what they share is made once.
+PYTEST := $(BIN)/pytest -n 2 --dist worksteal
 PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --no-input
 .DEFAULT_GOAL := help
 
@@ -24,11 +26,11 @@ train: setup ## train and evaluate the CartPole
 
 .PHONY: test
 test: dev ## the tests, with a few of many cases that show one fact
-	$(BIN)/pytest -n 2 -m "not slow and not editors"
+	$(PYTEST) -m "not slow and not editors"
 
 .PHONY: nightly
 nightly: dev ## every case of every test, and a long run over damaged files; takes about an hour
-	$(BIN)/pytest -n 2 -m "not editors"
+	$(PYTEST) -m "not editors"
 	$(MAKE) fuzz
 
 .PHONY: fuzz
@@ -42,7 +44,7 @@ check: dev ## everything that a change must pass
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/pytest -n 2 -m "not slow and not editors"
+	$(PYTEST) -m "not slow and not editors"
 
 .PHONY: editors
 editors: dev $(EDITORS)/installed ## what editors make of the JSON Schema and of the language server, and code scanning of SARIF; needs node and npm

@@ -25,8 +25,8 @@ def interface(program: Program) -> dict[str, str]:
             program.policy.goal.components or ("",), program.policy.goal.low, program.policy.goal.high, strict=True
         ):
             items[f"goal.{component}".rstrip(".")] = _range(low, high, program.policy.goal.unit)
-    if program.policy.stack > 1:
-        items["agent.stack"] = f"{program.policy.stack} observations in a row"
+    if program.policy.frame_stack > 1:
+        items["agent.frame_stack"] = f"{program.policy.frame_stack} observations in a row"
     for part in program.policy.action:
         items[f"action.{part.name}"] = _action(part)
     for robot in program.robots:
@@ -59,7 +59,7 @@ def other_conditions(run: Program, scenario: Program) -> list[str]:
     circumstances = (
         ("timing", run.timing, scenario.timing),
         ("timestep", f"{run.world.timestep:g} s", f"{scenario.world.timestep:g} s"),
-        ("repeat", str(run.repeat), str(scenario.repeat)),
+        ("action_repeat", str(run.action_repeat), str(scenario.action_repeat)),
     )
     return [f"trained with {name} {old}, evaluated with {new}" for name, old, new in circumstances if old != new]
 

@@ -59,7 +59,7 @@ Pusher = Callable[[Triple, Triple], object]
 """Takes a force (N) and a torque (N m)."""
 ContactReader = Callable[[], bool]
 ForceReader = Callable[[], float]
-GapReader = Callable[[], float]
+ClearanceReader = Callable[[], float]
 RayReader = Callable[[], Sequence[float]]
 Kinematics = Callable[[Triple, Quaternion | None], Sequence[float]]
 
@@ -163,7 +163,7 @@ class Engine(Protocol):
     def contact_force(self, one: Part) -> ForceReader:
         """The sum of normal forces (N) on `one` from everything that it touches, in the last engine step."""
 
-    def gap(self, one: Part, other: Part) -> GapReader:
+    def clearance(self, one: Part, other: Part) -> ClearanceReader:
         """The distance between two surfaces, m: 0 where they touch, and infinite to a body that is absent."""
 
     def rays(self, part: Part, rays: Sequence[Frame], reach: float) -> RayReader:

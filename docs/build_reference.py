@@ -20,6 +20,7 @@ from deepbots_cli.expressions.functions import ALLOWED, FUNCTIONS, Family, Funct
 from deepbots_cli.expressions.types import Context, Kind
 from deepbots_cli.learning.defaults import OURS, library_defaults, library_of
 from deepbots_cli.lint.pages import Page, every_page
+from deepbots_cli.renames import RENAMES
 from deepbots_cli.scenario.base import Forms, Kinds, ListOf, MappingOf, Section, Shape, fields
 from deepbots_cli.scenario.docs import about, default_of, description, example_of, unit_of
 from deepbots_cli.scenario.fields import Expression, FieldType, Quantity
@@ -57,7 +58,7 @@ class _Keys:
             "A figure is kept in SI units, of which 1 is a plain number; how values are written is said in [the language](../language.md)."
             " Tests lay each example upon a scenario that has a place for it, and run that.",
         ]
-        return "\n".join([*head, *self._section("scenario", Scenario, ()), *_defaults()]) + "\n"
+        return "\n".join([*head, *self._section("scenario", Scenario, ()), *_defaults(), *_renamed()]) + "\n"
 
     def _section(self, title: str, part: type[Section], route: Route) -> Iterator[str]:
         if part not in self._met:
@@ -120,6 +121,14 @@ def _defaults() -> Iterator[str]:
         for name in model.hyperparameter_names():
             text, source = (own[name].words, "deepbots") if name in own else (_plain(library.get(name)), title)
             yield f"| `{name}` | {text} | {source} |"
+
+
+def _renamed() -> Iterator[str]:
+    """The old names of keys, words and functions."""
+    yield from ["", "## Renamed", "", "An old name is the finding [DB109](rules.md#db109-renamed), and its fix writes the new one."]
+    yield from ["", "| old name | new name | what it is | reason |", "|---|---|---|---|"]
+    for (old, new), rename in {(rename.old, rename.new): rename for rename in RENAMES}.items():
+        yield f"| `{old}` | `{new}` | {rename.what} | {rename.reason} |"
 
 
 def _plain(value: object) -> str:

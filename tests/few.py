@@ -9,6 +9,8 @@ import pytest
 
 WORLDS = ("cartpole", "find_ball", "quadruped", "multi_cartpole", "see_ball", "panda_reach")
 """Shipped scenarios that differ most: discrete actions, rays, a vector of joints, a team, a camera and an arm with a goal."""
+LIGHT = tuple(name for name in WORLDS if name != "panda_reach")
+"""Those that compile in less than 0.3 s; the arm takes 1 s."""
 
 
 def few(cases: Iterable[Any], chosen: Collection[str] = WORLDS, name: Callable[[Any], str] = str) -> list[Any]:

@@ -41,12 +41,12 @@ Tables = Dictionary[str, Row | list[Row]]
 
 _DIGITS = 6
 """Of a pose: um and udeg."""
-_FAULTS = ("noise", "bias", "drift", "range", "quantise", "period", "latency")
+_FAULTS = ("noise", "bias", "drift", "range", "resolution", "period", "latency")
 
 
 def of_scenario(scenario: Program, root: Node, run: Run | None = None) -> Tables:
     """The tables of a compiled scenario, and of the run that it comes from; empty ones are left out."""
-    goal = {key: wording(root, "goal", key) for key in ("achieved", "desired", "within", "range", "noise")}
+    goal = {key: wording(root, "goal", key) for key in ("achieved", "desired", "tolerance", "range", "noise")}
     return _filled(
         {
             "run": _run(run) if run else {},
@@ -237,7 +237,7 @@ def _scenario(scenario: Program) -> Row:
 
 
 def _view(scenario: Program) -> str:
-    numbers = len(viewed(scenario.policy.numbers, scenario.policy.stack))
+    numbers = len(viewed(scenario.policy.numbers, scenario.policy.frame_stack))
     parts = [f"Box({numbers})"] if numbers or not scenario.policy.images else []
     parts += [f"{entry.key} {_sides(entry, scenario)}" for entry in scenario.policy.images]
     if scenario.policy.goal is not None:
@@ -247,7 +247,7 @@ def _view(scenario: Program) -> str:
 
 def _sides(entry: ImageObservation, scenario: Program) -> str:
     rows, columns, channels = entry.shape
-    return f"{rows} x {columns} x {channels * len(entry.ages(scenario.policy.stack))}"
+    return f"{rows} x {columns} x {channels * len(entry.ages(scenario.policy.frame_stack))}"
 
 
 def _space(scenario: Program) -> str:
@@ -316,7 +316,7 @@ def _driven_parts(robot: str, actuator: Actuator) -> list[Row]:
     """One row for each part that an actuator drives; all have the same columns."""
     response = actuator.response
     strength = response.strength if response.strength != 1.0 else None
-    answers: Row = {"strength": strength, "delay_s": response.delay or None, "lag_s": response.lag or None}
+    answers: Row = {"strength": strength, "delay_s": response.delay or None, "time_constant_s": response.time_constant or None}
     if isinstance(actuator, Thrust):
         known: Row = {"robot": robot, "actuator": actuator.name, "type": "thrust"}
         limits: Row = {"max_torque": None, "max_velocity": None, "thrust": [actuator.low, actuator.high]}
@@ -453,7 +453,7 @@ def _signals(scenario: Program, root: Node) -> list[Row]:
 
 def _observation(scenario: Program) -> list[Row]:
     """A row per number that the policy sees; with histories, how many steps before the last one it was so."""
-    seen = [(scenario.policy.numbers[index], ago) for index, ago in viewed(scenario.policy.numbers, scenario.policy.stack)]
+    seen = [(scenario.policy.numbers[index], ago) for index, ago in viewed(scenario.policy.numbers, scenario.policy.frame_stack)]
     remembers = any(ago for _, ago in seen)
     rows: list[Row] = [
         {
@@ -532,11 +532,11 @@ def timing(scenario: Program) -> list[Row]:
     """For step n of the agent, from 0: the physics step from which its action acts, and after which each observation is measured.
 
     Physics steps count from 1 and start anew with each episode. An observation is as old as the oldest value that it is computed from:
-    routes, `timing: paper`, the latency of sensors and `previous` add to its age. Other functions with a memory (`delta`, `smooth`)
+    routes, `timing: delayed`, the latency of sensors and `previous` add to its age. Other functions with a memory (`delta`, `low_pass`)
     have the age of their argument. The age varies where a delay is drawn, messages may be lost, or a sensor measures less often than
     the supervisor.
     """
-    substeps, timestep, repeat = scenario.world.substeps, scenario.world.timestep, scenario.repeat
+    substeps, timestep, repeat = scenario.world.substeps, scenario.world.timestep, scenario.action_repeat
     rows: list[Row] = []
     for part in scenario.policy.action:
         named = set(part.variables) if isinstance(part, Choices) else {part.name}
@@ -595,7 +595,7 @@ def _slowest(scenario: Program, routes: Iterable[Route]) -> float:
     """Ticks that the slowest route takes, 0 without one; infinite where that varies."""
     if scenario.format == "none":
         return 0
-    late = 1 if scenario.timing == "paper" else 0
+    late = 1 if scenario.timing == "delayed" else 0
     ticks = [0.0]
     for route in routes:
         latency = route.latency.scalar if route.latency else Const(0.0)

@@ -20,7 +20,7 @@ RUNTIME = (
     *("Arrangement", "Cartesian", "Follower", "Motor", "Push", "RobotController", "Supervisor", "Thrust", "Ways"),
     *(function.memory for function in FUNCTIONS.values() if function.memory),
     *sorted(FORMULAS),
-    *("clip", "foreign", "local", "quaternion", "scale", "scale_each", "scale_freely", "total"),
+    *("clip", "foreign", "to_body_frame", "quaternion", "scale", "scale_each", "scale_freely", "total"),
 )
 """What a printed module may import from `deepbots_cli.runtime`."""
 

@@ -167,7 +167,7 @@ class Printer:
         return None
 
     def _seen(self, seen: _Local) -> str:
-        return f"local({self.scope.readers.pose(seen.body, self.needs)}, {self.vector(seen.vector)})"
+        return f"to_body_frame({self.scope.readers.pose(seen.body, self.needs)}, {self.vector(seen.vector)})"
 
     def _joined(self, tree: Op) -> Code | None:
         """An operation on many arguments of the same form, as one operation on a vector."""
@@ -377,7 +377,7 @@ def _patterns() -> dict[str, list[tuple[str, Scalar]]]:
 _PATTERNS = _patterns()
 _ROWS = [
     Op("add", tuple(Op("mul", (rotation(_ONE, row, axis), Name(f"{row}"))) for row in range(3))) for axis in range(3)
-]  # what `lower` makes of `local`
+]  # what `lower` makes of `to_body_frame`
 
 
 def _of_poses(tree: Op) -> tuple[str, list[str]] | None:

@@ -28,15 +28,15 @@ _ITEM = {
     "angular_velocity": 1,
     "joint_position": 0,
     "joint_velocity": 1,
-    "beside": 0,
-    "along": 1,
+    "cross_track_error": 0,
+    "arc_length": 1,
 }
 """Where a fact stands in what its reader returns, or returns for a joint."""
 _XYZ = "xyzw"
-ARRIVALS = ("age", "fresh")
+ARRIVALS = ("age", "message_received")
 """What the channel tells, and no engine."""
 _SINGLE = {
-    "gap": "engine.gap({0}, {1})",
+    "clearance": "engine.clearance({0}, {1})",
     "contact": "engine.contact({0}, ({1},))",
     "collided": "engine.contact({0}, ground=False)",
     "path_distance": "self.ways.distance({0}, {1})",
@@ -68,7 +68,7 @@ class Readers:
             return f"{self._need((_POSES[what], leaf.subjects[0]), needs)}[{item}][{_XYZ.index(leaf.component or 'x')}]"
         if what in _SINGLE:
             return self._need((what, _AND.join(leaf.subjects)), needs)
-        if what in ("beside", "along"):
+        if what in ("cross_track_error", "arc_length"):
             self.pose(leaf.subjects[0], needs)
             return f"{self._need(('line', _AND.join(leaf.subjects)), needs)}[{item}]"
         code, index = self._joint(leaf, needs)

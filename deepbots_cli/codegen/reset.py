@@ -214,7 +214,7 @@ def _is_vector(variation: RandomizedParameter) -> bool:
     return isinstance(variation.of, OfSensor) or (isinstance(variation.of, OfActuator) and variation.what not in _OF_RESPONSE)
 
 
-_OF_RESPONSE = ("actuator_delay", "actuator_lag")
+_OF_RESPONSE = ("actuator_delay", "actuator_time_constant")
 
 
 def _setting(variation: RandomizedParameter, vector: str, values: Sequence[str]) -> str:
@@ -352,7 +352,7 @@ def drawing(space: Workspace) -> list[str]:
 def _drawing(space: Workspace, push: Disturbance) -> list[str]:
     printer = space.printer()
     force, torque = (printer.tuple(vector) for vector in push.wrench)
-    lasts, every = printer.value(push.lasts.scalar), "inf" if push.every is None else printer.value(push.every.scalar)
-    printer.line(f"return {force}, {torque}, {lasts}, {every}")
+    duration, every = printer.value(push.duration.scalar), "inf" if push.every is None else printer.value(push.every.scalar)
+    printer.line(f"return {force}, {torque}, {duration}, {every}")
     doc = '"""Force, torque and duration of a push, and the time from its beginning to that of the next."""'
     return block(f"def _draw_{push.name}(self) -> Any:", printer.finished([doc]))

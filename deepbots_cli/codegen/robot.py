@@ -212,7 +212,9 @@ class Drives:
         robot = quoted(self._robot.name)
         match actuator:
             case Thrust():
-                rotors = [self._rotor(link, actuator.drag * sense) for link, sense in zip(actuator.links, actuator.spin, strict=True)]
+                rotors = [
+                    self._rotor(link, actuator.moment_constant * sense) for link, sense in zip(actuator.links, actuator.spin, strict=True)
+                ]
                 arguments = ["engine", robot, tuple_code(rotors), repr(self._substep), *_strength(actuator), *_late(actuator)]
                 return f"Thrust({', '.join(arguments)})"
             case Cartesian():
@@ -243,7 +245,12 @@ class Drives:
     def _responds(self, actuator: Motor | Cartesian) -> bool:
         """Whether it follows its commands in every substep, rather than at once."""
         response = actuator.response
-        late = response.delay > 0.0 or response.lag > 0.0 or self._varies(actuator, "delay") or self._varies(actuator, "lag")
+        late = (
+            response.delay > 0.0
+            or response.time_constant > 0.0
+            or self._varies(actuator, "delay")
+            or self._varies(actuator, "time_constant")
+        )
         return late or bool(_rates(actuator))
 
     def _answers(self, actuator: Motor | Cartesian) -> list[str]:
@@ -257,11 +264,11 @@ class Drives:
     def _varies(self, actuator: Actuator, what: str) -> bool:
         return (actuator.name, f"actuator_{what}") in self._varied
 
-    def _rotor(self, link: str, drag: float) -> str:
-        """The link that carries a rotor, where on it the rotor sits, its axis and its drag."""
+    def _rotor(self, link: str, moment_constant: float) -> str:
+        """The link that carries a rotor, where on it the rotor sits, its axis and its moment constant."""
         carrier, (position, turned) = held(self._model, link)
         axis = frames.rotate(turned, (0.0, 0.0, 1.0))
-        return f"({quoted(carrier)}, {position!r}, {axis!r}, {drag!r})"
+        return f"({quoted(carrier)}, {position!r}, {axis!r}, {moment_constant!r})"
 
 
 def _strength(actuator: Actuator) -> list[str]:
@@ -269,7 +276,7 @@ def _strength(actuator: Actuator) -> list[str]:
 
 
 def _late(actuator: Actuator) -> list[str]:
-    values = (("delay", actuator.response.delay), ("lag", actuator.response.lag))
+    values = (("delay", actuator.response.delay), ("time_constant", actuator.response.time_constant))
     return [f"{name}={value!r}" for name, value in values if value]
 
 

@@ -1,6 +1,6 @@
 """Prints what a step does, and what is computed in each tick of it.
 
-A step of the agent decodes its action, sends one message to each robot, and goes on for `repeat` ticks or until the episode
+A step of the agent decodes its action, sends one message to each robot, and goes on for `action_repeat` ticks or until the episode
 ends. `_observe` computes what follows from the world and the messages, in the order of the language: signals and the goal once,
 then terminations, truncation, rewards (which see the endings), then the observation. Failure beats success; terminated beats truncated.
 """
@@ -42,7 +42,7 @@ def advance(space: Workspace) -> list[str]:
         _print_tick(space, printer)
         doc = '"""Act, let the world go on for a timestep, and observe."""'
         return block(f"def _advance(self, action: Any) -> {result}:", printer.finished([doc]))
-    repeat = space.scenario.repeat
+    repeat = space.scenario.action_repeat
     if space.uses("previous_reward"):
         printer.line("self.previous_reward = self.reward")
     printer.lines += _zeroed(["self.reward", *_terms(space)])
@@ -186,7 +186,7 @@ def _print_decoding(space: Workspace, printer: Printer) -> None:
 
 def _delivers_in_ticks(space: Workspace, robot: Robot) -> bool:
     """Whether a message to this robot may arrive in another tick than the one that follows its sending."""
-    late = space.scenario.timing == "paper" and space.repeats
+    late = space.scenario.timing == "delayed" and space.repeats
     return space.scenario.format != "none" and (late or not robot.to_route.perfect)
 
 
@@ -315,7 +315,7 @@ def _tick_limit(space: Workspace) -> tuple[int, str] | None:
     limits = space.scenario.truncation
     ticks = []
     if limits.max_steps is not None:
-        ticks.append((limits.max_steps * space.scenario.repeat, "max_steps"))
+        ticks.append((limits.max_steps * space.scenario.action_repeat, "max_steps"))
     if limits.max_time is not None:
         # a limit of a whole number of ticks must not gain one by rounding
         ticks.append((max(1, math.ceil(limits.max_time / space.scenario.world.timestep - 1e-9)), "max_time"))
@@ -435,7 +435,7 @@ def _print_masks(space: Workspace, printer: Printer) -> None:
     """What the agent may choose next; where it has to choose, it must be something."""
     if not space.forbids:
         return
-    repeat = space.scenario.repeat
+    repeat = space.scenario.action_repeat
     chooses = "not self.terminated and not self.truncated" + (f" and self.tick_count % {repeat} == 0" if space.repeats else "")
     for part in space.choices:
         if any(option.forbidden is not None for option in part.options):

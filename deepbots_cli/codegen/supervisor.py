@@ -92,7 +92,7 @@ def _bind(space: Workspace) -> list[str]:
 def _seen(space: Workspace) -> str:
     histories = {entry.name: entry.history for entry in space.scenario.policy.observation}
     seen = sentence_list([name if many == 1 else f"{name} ({many} in a row)" for name, many in histories.items()])
-    seen += f"; {space.scenario.policy.stack} times in a row" if space.scenario.policy.stack > 1 else ""
+    seen += f"; {space.scenario.policy.frame_stack} times in a row" if space.scenario.policy.frame_stack > 1 else ""
     return seen + ("; and what is achieved and desired" if space.scenario.policy.goal is not None else "")
 
 

@@ -53,12 +53,12 @@ class Workspace:
     @property
     def repeats(self) -> bool:
         """Whether a step of the agent has several ticks, which are then a method of their own."""
-        return self.scenario.repeat > 1
+        return self.scenario.action_repeat > 1
 
     @property
     def remembers(self) -> bool:
         """Whether the policy sees more than the numbers of the last step."""
-        return self.scenario.policy.stack > 1 or any(entry.history > 1 for entry in self.scenario.policy.observation)
+        return self.scenario.policy.frame_stack > 1 or any(entry.history > 1 for entry in self.scenario.policy.observation)
 
     @property
     def shares(self) -> bool:
@@ -71,7 +71,7 @@ class Workspace:
         return "self.tick_count" if self.repeats else "self.step_count"
 
     def is_direct(self, robot: Robot, direction: Direction) -> bool:
-        """Whether each message arrives in the tick in which it is sent: `paper` timing makes either direction a tick longer."""
+        """Whether each message arrives in the tick in which it is sent: `delayed` timing makes either direction a tick longer."""
         route = robot.to_route if direction == "to_robot" else robot.from_route
         return self.scenario.format == "none" or (route.perfect and self.scenario.timing == "immediate")
 
@@ -175,9 +175,9 @@ class Workspace:
         robot = next(robot for robot in self.scenario.robots if robot.name == name.partition(".")[0])
         if self.scenario.format != "none" and not robot.from_route.perfect:
             return f"self.from_{robot.name}.{leaf.function}"
-        if leaf.function == "fresh":
+        if leaf.function == "message_received":
             return "True"
-        late = self.scenario.format != "none" and self.scenario.timing == "paper"
+        late = self.scenario.format != "none" and self.scenario.timing == "delayed"
         return f"({self.scenario.world.timestep!r} if {self.tick} else 0.0)" if late else "0.0"
 
 

@@ -41,6 +41,7 @@ from deepbots_cli.document.hints import as_a_number
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Evaluation, Policy, Truncation
 from deepbots_cli.scenario.base import visit
+from deepbots_cli.scenario.renamed import with_new_names
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.validate import validate
 
@@ -94,12 +95,14 @@ def _with_cases(document: Document) -> Checked:
         return checked
     from deepbots_cli.compiler.variants import with_cases  # brings the back end, which most linting does without
 
-    variants, program = with_cases(document, checked.spec, checked.program, checked.findings, _check)
+    variants, program = with_cases(checked.document, checked.spec, checked.program, checked.findings, _check)
     return replace(checked, program=None if checked.findings.errors else program, variants=variants)
 
 
 def _check(document: Document) -> Checked:
     findings = document.findings
+    if document.root is not None:
+        document = replace(document, root=with_new_names(document.root, findings))
     spec = validate(document.root, findings) if document.root is not None else None
     if document.root is None or spec is None:
         return Checked(document, findings)
@@ -129,7 +132,7 @@ def _program(namespace: Namespace) -> Program:
     tick = bare.timestep
     reset, walls = arrangement(namespace, bare)
     limits, action, rewards = truncation(namespace), actions.parts(), reward_terms(namespace)
-    each, repeat = copies(namespace), spec.agent.repeat
+    each, action_repeat = copies(namespace), spec.agent.action_repeat
     routes = route("to_robot", namespace), route("from_robot", namespace)
     robots = tuple(builder.finish(tick, action, routes) for builder in builders)
     poses = {builder.scene.name: builder.poses for builder in builders}
@@ -138,10 +141,10 @@ def _program(namespace: Namespace) -> Program:
         Observations(namespace).entries(),
         rewards,
         goals.goal(rewards),
-        spec.agent.stack,
+        spec.agent.frame_stack,
         each,
         scripts(namespace, action),
-        training(namespace, action, each, limits.last_step(tick * repeat) if limits != Truncation() else None),
+        training(namespace, action, each, limits.last_step(tick * action_repeat) if limits != Truncation() else None),
     )
     program = Program(
         name=spec.name,
@@ -164,7 +167,7 @@ def _program(namespace: Namespace) -> Program:
             groups=tuple(namespace.groups.values()),
         ),
         solved=solved(namespace),
-        repeat=repeat,
+        action_repeat=action_repeat,
         evaluation=Evaluation(spec.evaluation.episodes),
         disturbances=disturbances(namespace),
         augmented=frozenset(spec.augment),

@@ -125,12 +125,12 @@ def disturbances(namespace: Namespace) -> tuple[Disturbance, ...]:
 
 def _disturbance(name: str, given: DisturbanceSpec, namespace: Namespace) -> Disturbance | None:
     pushed = _pushed(given, namespace)
-    keys = ("force", "torque", "at", "every", "lasts")
-    force, torque, first, every, lasts = found = [namespace.expression(given, key, stage=Stage.STEP) for key in keys]
-    if every is not None and lasts is not None:
-        _check_overlap(every, lasts, namespace)
+    keys = ("force", "torque", "at", "every", "duration")
+    force, torque, first, every, duration = found = [namespace.expression(given, key, stage=Stage.STEP) for key in keys]
+    if every is not None and duration is not None:
+        _check_overlap(every, duration, namespace)
     is_broken = any(value is None and getattr(given, key) is not None for key, value in zip(keys, found, strict=True))
-    return None if pushed is None or lasts is None or is_broken else Disturbance(name, *pushed, force, torque, first, every, lasts)
+    return None if pushed is None or duration is None or is_broken else Disturbance(name, *pushed, force, torque, first, every, duration)
 
 
 def _pushed(given: DisturbanceSpec, namespace: Namespace) -> tuple[str, str | None] | None:
@@ -163,9 +163,9 @@ def _is_fixed(body: str, link: str, namespace: Namespace) -> bool:
     return bool(getattr(thing, "fixed", False)) or getattr(thing, "solid", True) is False
 
 
-def _check_overlap(every: Expression, lasts: Expression, namespace: Namespace) -> None:
+def _check_overlap(every: Expression, duration: Expression, namespace: Namespace) -> None:
     """DB105 where a push may begin while the one before still acts."""
-    longest, soonest = lasts.typed.type.interval.high, every.typed.type.interval.low
+    longest, soonest = duration.typed.type.interval.high, every.typed.type.interval.low
     if longest > soonest * (1 + 1e-9):
         headline = f"a push that may last {longest:g} s, where the next may begin after {soonest:g} s"
-        namespace.values.findings.add("DB105", lasts.span, headline, help="make it shorter than `every`")
+        namespace.values.findings.add("DB105", duration.span, headline, help="make it shorter than `every`")

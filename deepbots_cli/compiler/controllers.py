@@ -166,12 +166,12 @@ class Actuators:
     def _thrust(self, name: str, spec: specs.Thrust) -> ResolvedActuator | None:
         links = self._scene.links_of(spec, self._values)
         ends = self._namespace.ends(spec, "range", what="the range of a thrust")
-        drag = self._namespace.fixed(spec, "drag") or 0.0
+        moment_constant = self._namespace.fixed(spec, "moment_constant") or 0.0
         response = self._response(spec, links)
         spin = self._spin(spec, links)
         if not links or ends is None or spin is None:
             return None
-        thrust = Thrust(name, links, ends.low[0], ends.high[0], drag, spin, response)
+        thrust = Thrust(name, links, ends.low[0], ends.high[0], moment_constant, spin, response)
         return ResolvedActuator(thrust, spec.dimension, links if len(links) > 1 or spec.links is not None else None)
 
     def _spin(self, spec: specs.Thrust, links: tuple[str, ...]) -> tuple[float, ...] | None:
@@ -197,8 +197,9 @@ class Actuators:
     # Limits and response
 
     def _response(self, spec: specs.Actuator, parts: tuple[str, ...]) -> Response:
-        """Strength is drawn for each of the parts, delay and lag for all of them together."""
-        return Response(self._varied(spec, "strength", 1.0, spread=parts), self._varied(spec, "delay", 0.0), self._varied(spec, "lag", 0.0))
+        """Strength is drawn for each of the parts, delay and time constant for all of them together."""
+        strength = self._varied(spec, "strength", 1.0, spread=parts)
+        return Response(strength, self._varied(spec, "delay", 0.0), self._varied(spec, "time_constant", 0.0))
 
     def _max_torque(self, spec: specs.Actuator, joints: tuple[Joint, ...]) -> Limits:
         """The largest torque or force of each joint: the tighter of the scenario's and that of the robot file."""

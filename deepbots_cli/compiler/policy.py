@@ -304,7 +304,7 @@ class Observations:
         return (ends.low, ends.high) if ends else None
 
     def _check_size(self, entries: tuple[Observation, ...]) -> None:
-        stack = self._spec.agent.stack
+        stack = self._spec.agent.frame_stack
         seen = stack * sum(len(entry.low) * entry.history for entry in entries)
         pixels = stack * sum(math.prod(entry.value.typed.type.picture or (0,)) * entry.history for entry in entries)
         for found, limit, what in ((seen, MAX_OBSERVED_NUMBERS, "numbers"), (pixels, MAX_OBSERVED_BYTES, "bytes of pictures")):
@@ -322,7 +322,7 @@ class Observations:
             picture = entry.value.typed.type.picture
             if picture is None:
                 continue
-            rows, columns, channels = picture[0], picture[1], picture[2] * entry.history * self._spec.agent.stack
+            rows, columns, channels = picture[0], picture[1], picture[2] * entry.history * self._spec.agent.frame_stack
             if min(rows, columns) < MIN_SIDE:
                 headline = f"pictures of {columns} x {rows} pixels, where the network needs {MIN_SIDE} x {MIN_SIDE}"
                 self._values.findings.add("DB612", entry.value.span, headline, help="raise the `resolution` of the camera")
@@ -367,7 +367,7 @@ class Goals:
         for name in self._namespace.named(Origin.GOAL):
             self._namespace.settle(name)
         achieved, desired = self._valued.get("achieved"), self._valued.get("desired")
-        within, ends = self._namespace.fixed(spec, "within", dimension=achieved.typed.type.dimension if achieved else None), None
+        within, ends = self._namespace.fixed(spec, "tolerance", dimension=achieved.typed.type.dimension if achieved else None), None
         if achieved is not None:
             kind = achieved.typed.type
             ends = self._namespace.ends(spec, "range", what="the range of a goal", dimension=kind.dimension, components=kind.components)
@@ -378,9 +378,9 @@ class Goals:
         return Goal(achieved, desired, ends.low, ends.high, within)
 
     def _check_repeat(self) -> None:
-        if self._spec.agent.repeat > 1:
-            span = self._values.field(self._spec.agent, "repeat").span
-            help = "take `repeat` out, and make the timestep longer"
+        if self._spec.agent.action_repeat > 1:
+            span = self._values.field(self._spec.agent, "action_repeat").span
+            help = "take `action_repeat` out, and make the timestep longer"
             self._values.findings.add("DB709", span, "a reward over several ticks, which hindsight cannot recompute", help=help)
 
     def _part(self, spec: GoalSpec, name: str) -> Symbol:

@@ -74,7 +74,7 @@ def _start_value(
 
 # Before the first step nothing has touched or acted, and no picture was taken.
 _UNMOVED = {
-    **dict.fromkeys(("contact", "collided"), "before the first step nothing has touched; ask for `gap(...) > 1 cm`"),
+    **dict.fromkeys(("contact", "collided"), "before the first step nothing has touched; ask for `clearance(...) > 1 cm`"),
     "joint_torque": "before the first step no motor has acted; take it out",
     "visible": "a start is found before the first picture is taken; ask where the body stands, as in `abs(bearing(...)) < 30 deg`",
 }

@@ -244,9 +244,9 @@ class Overrides:
 
     def _change_link(self, model: RobotModel, link: Link, change: LinkOverride) -> RobotModel:
         of = OfLink(self.robot, link.name)
-        factors = self.namespace.triple(change, "stretch", stage=Stage.EPISODE)
+        factors = self.namespace.triple(change, "scale", stage=Stage.EPISODE)
         if factors:
-            model = self._accepted(model, edits.stretch(model, link.name, factors), change, "stretch")
+            model = self._accepted(model, edits.stretch(model, link.name, factors), change, "scale")
         if change.density is not None:
             model = self._change_density(model, link.name, change)
         elif change.mass is not None:

@@ -205,19 +205,19 @@ def _rays(namespace: Namespace, spec: RayScan) -> dict[str, Pose] | None:
     """The frames of rays by their names, "" for a single ray without a name; None after a finding."""
     values = namespace.values
     if isinstance(spec.rays, dict):
-        if spec.fan is not None:
-            span, headline = values.key_span((*spec.path, "fan")), "a fan, where the rays are given by name"
+        if spec.angle_range is not None:
+            span, headline = values.key_span((*spec.path, "angle_range")), "a fan, where the rays are given by name"
             values.findings.add("DB101", span, headline, help="give their number under `rays`")
         return {name: _frame(namespace, ray) for name, ray in spec.rays.items()}
     count = spec.rays or 1
-    if spec.fan is None:
+    if spec.angle_range is None:
         if count > 1:
             headline = f"{count} rays without their directions"
-            help = "add `fan: 90 .. -90 deg`, or give them by name"
+            help = "add `angle_range: 90 .. -90 deg`, or give them by name"
             values.findings.add("DB102", values.span((*spec.path, "rays")), headline, help=help)
             return None
         return {"": Pose()} if spec.rays is None else {"r0": Pose()}
-    ends = namespace.ends(spec, "fan", what="the fan", falling=True)
+    ends = namespace.ends(spec, "angle_range", what="the fan", falling=True)
     if ends is None:
         return None
     (first,), (last,) = ends.low, ends.high
@@ -261,7 +261,7 @@ def _lookup(namespace: Namespace, spec: TableSpec) -> tuple[CalibrationTable, Di
 
 MAX_TICKS = 100_000
 """The longest period and latency; a reading that old tells nothing, and each is kept."""
-_OF_NUMBERS = ("noise", "bias", "drift", "quantise", "range")
+_OF_NUMBERS = ("noise", "bias", "drift", "resolution", "range")
 
 
 def _noise_model(namespace: Namespace, spec: SensorSpec, known: Type) -> tuple[NoiseModel | None, Interval]:
@@ -275,18 +275,18 @@ def _noise_model(namespace: Namespace, spec: SensorSpec, known: Type) -> tuple[N
         noise, relative_noise = _error(namespace, spec, "noise", known)
         bias, relative_bias = _error(namespace, spec, "bias", known)
         drift, _ = _error(namespace, spec, "drift", known)
-        quantise, (low, high) = _resolution(namespace, spec, known), _range(namespace, spec, known)
-        model = NoiseModel(1, latency, noise, relative_noise, bias, relative_bias, drift, low, high, quantise)
+        resolution, (low, high) = _resolution(namespace, spec, known), _range(namespace, spec, known)
+        model = NoiseModel(1, latency, noise, relative_noise, bias, relative_bias, drift, low, high, resolution)
         wanders = noise or relative_noise or bias or relative_bias or drift
         reach = Interval(min(low), max(high)) if low else EVERYTHING if wanders else known.interval
-        if quantise and reach.finite:
-            half = max(quantise) / 2
+        if resolution and reach.finite:
+            half = max(resolution) / 2
             reach = Interval(reach.low - half, reach.high + half)
     return None if model == NoiseModel() and len(namespace.variations) == drawn else model, reach
 
 
 def _refuse_errors(values: Values, spec: SensorSpec, known: Type) -> None:
-    tells, keys = ("takes pictures", _OF_NUMBERS[:-1]) if known.picture else ("tells true or false", _OF_NUMBERS)
+    tells, keys = ("takes pictures", _OF_NUMBERS[:-2]) if known.picture else ("tells true or false", _OF_NUMBERS)
     for key in keys:
         if key in spec.model_fields_set:
             values.findings.add("DB403", values.key_span((*spec.path, key)), f"`{key}` of a sensor that {tells}", help="take it out")
@@ -312,13 +312,13 @@ def _error(namespace: Namespace, spec: SensorSpec, key: str, known: Type) -> tup
 
 
 def _resolution(namespace: Namespace, spec: SensorSpec, known: Type) -> tuple[float, ...]:
-    if "quantise" not in spec.model_fields_set:
+    if "resolution" not in spec.model_fields_set:
         return ()
-    steps = namespace.numbers(spec, "quantise", dimension=known.dimension, components=known.components)
+    steps = namespace.numbers(spec, "resolution", dimension=known.dimension, components=known.components)
     if steps and any(0.0 < step < MIN_RESOLUTION for step in steps):
         values, headline = namespace.values, f"a step of {min(steps):g} between two readings"
         help = f"give at least {MIN_RESOLUTION:g}, or take it out"
-        values.findings.add("DB105", values.span((*spec.path, "quantise")), headline, help=help)
+        values.findings.add("DB105", values.span((*spec.path, "resolution")), headline, help=help)
     return steps if steps and all(steps) else ()
 
 

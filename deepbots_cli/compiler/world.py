@@ -173,7 +173,7 @@ def _line(name: str, spec: world_spec.Line, namespace: Namespace) -> Line | None
 
 def _points(spec: world_spec.Line | world_spec.Wall, namespace: Namespace) -> tuple[Point, ...] | None:
     """The corners; None after a finding."""
-    found = [namespace.pair(spec, "through", index) for index in range(len(spec.through))]
+    found = [namespace.pair(spec, "points", index) for index in range(len(spec.points))]
     points = [point for point in found if point is not None]
     if len(points) < len(found):
         return None
@@ -182,7 +182,7 @@ def _points(spec: world_spec.Line | world_spec.Wall, namespace: Namespace) -> tu
             after = (index + 1) % len(points)
             headline = "two points in a row are the same" if after else "the last point is the first one again"
             help = "leave one of them out" if after else "leave it out; `closed: true` joins the ends"
-            span = namespace.values.span((*spec.path, "through", after or index))
+            span = namespace.values.span((*spec.path, "points", after or index))
             namespace.values.findings.add("DB105", span, headline, help=help)
             return None
     return tuple(points)
@@ -195,7 +195,7 @@ def walls(namespace: Namespace) -> tuple[ObjectBody, ...]:
 
 def pieces(name: str, spec: world_spec.Wall) -> tuple[str, ...]:
     """The names of the boxes of a wall; the blank keeps them apart from every object."""
-    return tuple(f"{name} {number}" for number in range(1, len(spec.through) + (1 if spec.closed else 0)))
+    return tuple(f"{name} {number}" for number in range(1, len(spec.points) + (1 if spec.closed else 0)))
 
 
 def _wall(name: str, spec: world_spec.Wall, namespace: Namespace) -> Sequence[ObjectBody]:

@@ -12,6 +12,7 @@ from fractions import Fraction
 from functools import partial
 from typing import NamedTuple, TypeVar
 
+from deepbots_cli import renames
 from deepbots_cli.diagnostics.nearest import Meant, meant
 from deepbots_cli.expressions import syntax
 from deepbots_cli.expressions.dimensions import ANGLE, NUMBER, TIME, Dimension, multiple, suggest_unit
@@ -435,6 +436,9 @@ class _Checker:
     def _call(self, node: syntax.Call) -> Typed:
         function = FUNCTIONS.get(node.function)
         called = syntax.Name(node.start, node.name_end, (node.function,))
+        if function is None and (rename := renames.FUNCTIONS.get(node.function)):
+            self._fault("DB109", called, renames.headline(rename), f"write `{rename.new}`", Meant(rename.new, safe=True))
+            function = FUNCTIONS[rename.new]
         if function is None:
             if help := _CALLED_ELSEWHERE.get(node.function):
                 raise self._fault("DB402", called, f"unknown function `{node.function}`", help)

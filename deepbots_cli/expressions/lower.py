@@ -126,7 +126,7 @@ class Lowering:
     def _world(self, value: Invocation, function: Function) -> Scalars:
         components = value.type.components
         names = [_named(subject, function) for subject in value.subjects]
-        if value.args:  # `local`: the transposed rotation matrix times the vector
+        if value.args:  # `to_body_frame`: the transposed rotation matrix times the vector
             vector, body = self.scalars(value.args[0]), names[0][0]
             rows = [[op("mul", rotation(body, row, column), vector[row]) for row in range(3)] for column in range(3)]
             return tuple(op("add", *row) for row in rows)
@@ -175,7 +175,7 @@ def _named(subject: Subject, function: Function) -> tuple[str, ...]:
 
 
 def _of_pieces(function: Function, names: tuple[str, ...], pieces: Mapping[str, tuple[str, ...]]) -> Scalar:
-    """The value for every piece of a wall, joined: the least gap, whether any is touched or seen."""
+    """The value for every piece of a wall, joined: the least clearance, whether any is touched or seen."""
     read = function.tree or (lambda *bodies: World(function.name, bodies))
     found = [read(*each) for each in product(*(pieces.get(name, (name,)) for name in names))]
     return found[0] if len(found) == 1 else op(function.of_pieces, *found)

@@ -35,14 +35,14 @@ COMPARISONS = ("less", "less_equal", "greater", "greater_equal")
 _LASTING = ("duration", "integral")
 _NO_NAMES: frozenset[str] = frozenset()
 _TIME = frozenset({"time"})
-FOLLOWING = frozenset({"running_max", "running_min", "smooth", "hold"})
+FOLLOWING = frozenset({"running_max", "running_min", "low_pass", "hold"})
 """Functions with a memory that rise with their argument."""
 _CLOCK = frozenset({"time", "step", "episode_return", "previous_reward"})
 _MARGIN = 0.02
 """By this share of its limit another ending has to hold first: a value may pass both limits within a step."""
 _MAX_ENDINGS = 32
 """With more endings, not all pairs are compared."""
-_GRADUAL = frozenset({"position", "orientation", "joint_position", "gap", "beside", "along"})
+_GRADUAL = frozenset({"position", "orientation", "joint_position", "clearance", "cross_track_error", "arc_length"})
 """Facts that do not jump, unlike speeds and forces when bodies collide."""
 
 
@@ -102,7 +102,7 @@ class Analysis:
         self._identities: dict[int, tuple[Scalar, int]] = {}
         self._numbers: dict[tuple[object, ...], int] = {}
         self._ranges: dict[tuple[float, float], Ranges] = {}
-        self.period = program.world.timestep * program.repeat
+        self.period = program.world.timestep * program.action_repeat
         """Seconds between two actions."""
         self.last = program.truncation.last_step(self.period)
         """The step at which an episode is truncated at the latest."""
@@ -306,7 +306,7 @@ class Analysis:
     def pair(self, node: Scalar) -> frozenset[str] | None:
         """The two bodies whose distance this is, by any measure: between origins, between surfaces, or along a path."""
         match self.meaning(node):
-            case World("gap" | "path_distance", subjects):
+            case World("clearance" | "path_distance", subjects):
                 return frozenset(self._roots.get(subject, subject) for subject in subjects)
             case Op("hypot", args):
                 pairs = {self._offset(arg) for arg in args}
@@ -355,14 +355,14 @@ def _held_for(node: Operation) -> Typed | None:
 
 def _goal_reached(goal: Goal) -> Expression:
     """The definition of `goal_reached`, as if it had been written out. It has no place in the scenario: its owner is empty."""
-    distance_text, limit = "norm(achieved - desired)", f"{goal.within:g} {goal.achieved.typed.type.dimension}".strip()
+    distance_text, limit = "norm(achieved - desired)", f"{goal.tolerance:g} {goal.achieved.typed.type.dimension}".strip()
     text, end = f"{distance_text} <= {limit}", len(distance_text)
     size = Type(goal.achieved.typed.type.dimension, stage=Stage.STEP)
     whole = size._replace(components=goal.achieved.typed.type.components)
     sides = tuple(Reference(whole, 0, end, Symbol(name, whole)) for name in ("achieved", "desired"))
     difference = Operation(whole, 0, end, "sub", sides)
     distance = Invocation(size, 0, end, "norm" if whole.components else "abs", (), (difference,))
-    within = Constant(size, end + 4, len(text), (goal.within,))
+    within = Constant(size, end + 4, len(text), (goal.tolerance,))
     typed = Operation(Type(boolean=True, stage=Stage.STEP), 0, len(text), "less_equal", (distance, within))
     return Expression("goal_reached", goal.achieved.span, text, typed, "")
 

@@ -142,7 +142,7 @@ def _with_return(analysis: Analysis, first: int, last: int) -> Ranges:
     """Ranges in these steps, with the range of the return; `first` is 0 or `last`."""
     reward = analysis.reward
     step = total(reward.terms, reward.running())
-    ticks = float((last - bool(first)) * analysis.program.repeat)
+    ticks = float((last - bool(first)) * analysis.program.action_repeat)
     known = Interval()
     if reward.is_complete and not first:
         known = Interval(min(0.0, step.low * ticks), max(0.0, step.high * ticks))
@@ -165,7 +165,7 @@ def _later(program: Program) -> str:
     limits, timestep = program.truncation, program.world.timestep
     if limits.max_steps is None or limits.max_time is None:
         return ""
-    steps, time = limits.max_steps * program.repeat, ceil(limits.max_time / timestep - 1e-9)
+    steps, time = limits.max_steps * program.action_repeat, ceil(limits.max_time / timestep - 1e-9)
     return "max_time" if time > steps else "max_steps" if steps > time else ""
 
 
@@ -268,12 +268,12 @@ def after_the_end(context: Context) -> Iterator[Finding]:
     Example::
 
         disturbances:
-          knock: {body: cart, force: 5 0 0 N, at: 20 s, lasts: 50 ms}
+          knock: {body: cart, force: 5 0 0 N, at: 20 s, duration: 50 ms}
 
     Instead::
 
         disturbances:
-          knock: {body: cart, force: 5 0 0 N, at: 2 s, lasts: 50 ms}
+          knock: {body: cart, force: 5 0 0 N, at: 2 s, duration: 50 ms}
     """
     times = [{path: time for _, time, path in _delays(analysis)} for analysis in context.versions]
     end = max(analysis.last * analysis.period for analysis in context.versions)  # s
@@ -332,7 +332,7 @@ def unreachable_goal(context: Context) -> Iterator[Finding]:
     """DB807: a success requires an impossible distance: bodies touch before their origins meet, or one lies beyond the walls.
 
     `distance` and `ground_distance` are measured between origins. A robot of 4 cm radius and a ball of 7 cm radius never come closer
-    than 11 cm. `gap` is measured between surfaces.
+    than 11 cm. `clearance` is measured between surfaces.
 
     Example::
 
@@ -346,7 +346,7 @@ def unreachable_goal(context: Context) -> Iterator[Finding]:
 
         objects: {ball: {shape: sphere, radius: 7 cm, fixed: true, pose: {x: 0.3 m, z: 7 cm}}}
         augment:
-          left: gap(cart, ball)
+          left: clearance(cart, ball)
         observation: {left: 0 .. 1 m}
         termination: {success: {there: left < 2 cm}}
     """
@@ -379,7 +379,7 @@ def _unreachable(analysis: Analysis, asked: Threshold) -> tuple[str, str] | None
     if limit < _TOLERANCE * touching:
         apart = with_unit(round(touching, 4), LENGTH)
         words = f"requires {with_unit(limit, LENGTH)} between the origins of `{a}` and `{b}`, which are {apart} apart when the two touch"
-        return words, "require a larger distance, or use the `gap` between surfaces"
+        return words, "require a larger distance, or use the `clearance` between surfaces"
     outside = next((body for body in (a, b) if _is_outside(analysis, body, limit)), None)
     if outside and any(robot.name in pair - {outside} and not robot.fixed_base for robot in analysis.program.world.robots):
         words = f"requires the robot to reach `{outside}`, which lies outside the walls of the arena"

@@ -107,7 +107,9 @@ def _computed(program: Program) -> Iterator[Expression]:
 
 # Equality of measurements
 
-_MEASURED = frozenset({"position", "velocity", "angular_velocity", "orientation", "joint_position", "joint_velocity", "beside", "along"})
+_MEASURED = frozenset(
+    {"position", "velocity", "angular_velocity", "orientation", "joint_position", "joint_velocity", "cross_track_error", "arc_length"}
+)
 _SMOOTH = frozenset({"add", "sub", "mul", "div", "neg", "abs", "hypot", "sqrt", "pow", "sin", "cos", "tan", "atan2", "exp", "log"})
 """Operations on a measurement that give a measurement; `clamp`, `min` and `where` give values that can be met exactly."""
 

@@ -134,7 +134,7 @@ def goal_in_observation(context: Context) -> Iterator[Finding]:
     Example::
 
         parameters: {mark: uniform(-0.3 .. 0.3 m)}
-        goal: {achieved: position(cart).x, desired: mark, within: 5 cm, range: -0.4 .. 0.4 m}
+        goal: {achieved: position(cart).x, desired: mark, tolerance: 5 cm, range: -0.4 .. 0.4 m}
         augment: {left: mark - x}
         observation: {left: -0.8 .. 0.8 m}
         reward: {alive: 1 when goal_reached}
@@ -143,7 +143,7 @@ def goal_in_observation(context: Context) -> Iterator[Finding]:
     Instead::
 
         parameters: {mark: uniform(-0.3 .. 0.3 m)}
-        goal: {achieved: position(cart).x, desired: mark, within: 5 cm, range: -0.4 .. 0.4 m}
+        goal: {achieved: position(cart).x, desired: mark, tolerance: 5 cm, range: -0.4 .. 0.4 m}
         reward: {alive: 1 when goal_reached}
         train: {algorithm: DQN, total_timesteps: 50_000, learning_starts: 1000, replay: her}
     """
@@ -194,7 +194,7 @@ def noise_without_effect(context: Context) -> Iterator[Finding]:
     Example::
 
         parameters: {mark: uniform(-0.3 .. 0.3 m)}
-        goal: {achieved: position(cart).x, desired: mark, within: 5 cm, range: -0.4 .. 0.4 m}
+        goal: {achieved: position(cart).x, desired: mark, tolerance: 5 cm, range: -0.4 .. 0.4 m}
         observation: {x: {range: -0.4 .. 0.4 m, noise: 5 mm}}
         reward: {alive: 1 when goal_reached}
 
@@ -202,7 +202,7 @@ def noise_without_effect(context: Context) -> Iterator[Finding]:
 
         parameters: {mark: uniform(-0.3 .. 0.3 m)}
         augment: {x: {value: position(cart).x, noise: 5 mm}}
-        goal: {achieved: x, desired: mark, within: 5 cm, range: -0.4 .. 0.4 m}
+        goal: {achieved: x, desired: mark, tolerance: 5 cm, range: -0.4 .. 0.4 m}
         reward: {alive: 1 when goal_reached}
     """
     program, analysis = context.program, context.analysis
@@ -231,7 +231,7 @@ def may_be_noisy(program: Program) -> tuple[Expression, ...]:
 def _seen_numbers(analysis: Analysis) -> Iterator[SeenNumber]:
     """The numbers of the observation and of the goal, without those from messages that may be late."""
     program = analysis.program
-    is_late = program.timing == "paper" or any(robot.from_route.settings for robot in program.robots)
+    is_late = program.timing == "delayed" or any(robot.from_route.settings for robot in program.robots)
     found = [
         SeenNumber(number.name, number.entry.value.span, number.node, Interval(number.low, number.high), number.entry.noise)
         for number in ranged_numbers(analysis)

@@ -120,7 +120,7 @@ class Ranges:
                 return NEVER if args[0] == NEVER else Interval(0.0, self._time.high)
             case "integral":
                 return hull((NEVER, iv.multiply(args[0], Interval(0.0, self._time.high))))
-            case "rising":
+            case "rising_edge":
                 return NEVER if args[0] == NEVER else TRUTH
             case function:
                 return FUNCTIONS[function].interval(*args)
@@ -279,7 +279,7 @@ class StartRanges(Ranges):
     def _state(self, node: State) -> Interval:
         args = [self.of(arg) for arg in node.args]
         match node.function:
-            case "delta" | "integral" | "duration" | "rising":
+            case "delta" | "integral" | "duration" | "rising_edge":
                 return NEVER
             case "previous":
                 return args[-1]

@@ -24,7 +24,7 @@ _DISCOUNT = 0.99
 _ROUNDING = 1e-9
 _MIN_STEPS = 200
 """Fewer simulated steps allow no conclusion."""
-_PROGRESS = frozenset({"delta", "previous", "running_min", "running_max", "accumulate", "rising", "hold"})
+_PROGRESS = frozenset({"delta", "previous", "running_min", "running_max", "accumulate", "rising_edge", "hold"})
 """Functions that pay for getting somewhere, and nothing for staying."""
 
 
@@ -148,7 +148,7 @@ def term_dominates(context: Context) -> Iterator[Finding]:
         return
     for term, node in ordinary:
         known = reward.running().of(node)
-        high = max(abs(known.low), abs(known.high)) * reward.analysis.last * reward.program.repeat
+        high = max(abs(known.low), abs(known.high)) * reward.analysis.last * reward.program.action_repeat
         if known.single or high <= _DOMINATES * prize:
             continue
         low = _smallest_sum(reward, node)
@@ -168,7 +168,7 @@ def _smallest_sum(reward: RewardTerms, node: Scalar) -> float:
         if side == 0.0 or side == -sign:
             return 0.0
         sign = side
-        found += min(abs(known.low), abs(known.high)) * (end - first + 1) * reward.program.repeat
+        found += min(abs(known.low), abs(known.high)) * (end - first + 1) * reward.program.action_repeat
         first = end + 1
     return found
 
@@ -308,7 +308,7 @@ def rewards_early_death(context: Context) -> Iterator[Finding]:
         if total(ordinary, reward.running()).high > 0.0:
             return
         final = [*ordinary, *final]
-    ahead = step.high * program.repeat * (reward.analysis.last - 1)
+    ahead = step.high * program.action_repeat * (reward.analysis.last - 1)
     failures = [(ending, total(final, reward.at(ending)).low) for ending in program.endings if ending.outcome == "failure"]
     ending, cost = next(((ending, cost) for ending, cost in failures if cost > ahead), (None, 0.0))
     if ending is None:
@@ -331,7 +331,7 @@ def _short_of_the_goal(reward: RewardTerms) -> Ranges:
     reached = reward.analysis.meaning(Name("goal_reached"))
     if goal is None or not isinstance(reached, Op):
         return running
-    return running.where(reward.analysis.identity(reached.args[0]), Interval(nextafter(goal.within, INF), INF))
+    return running.where(reward.analysis.identity(reached.args[0]), Interval(nextafter(goal.tolerance, INF), INF))
 
 
 class Staying(Ranges):
@@ -339,7 +339,7 @@ class Staying(Ranges):
 
     def _state(self, node: State) -> Interval:
         match node.function:
-            case "delta" | "rising":
+            case "delta" | "rising_edge":
                 return NEVER
             case "previous":
                 return self.of(node.args[0])
@@ -406,7 +406,7 @@ def discounted_ticks(reward: RewardTerms) -> float:
     found = [entry.value for entry in training.hyperparameters if entry.name == "gamma"] if training else []
     gamma = found[0] if found and isinstance(found[0], float) else _DISCOUNT
     seen = INF if gamma >= 1.0 else 1.0 / (1.0 - gamma)
-    return min(reward.analysis.last / 2, seen) * reward.program.repeat
+    return min(reward.analysis.last / 2, seen) * reward.program.action_repeat
 
 
 def other_policy_pays_more(simulation: Simulation) -> Iterator[Finding]:
@@ -543,7 +543,7 @@ def _worth(analysis: Analysis) -> Interval:
         return Interval(-INF, INF)
     step = total(reward.terms, reward.running())
     end = total(reward.terms, analysis.ranges_in(1.0, float(analysis.last)))  # whichever endings hold, also several at once
-    ticks = analysis.last * analysis.program.repeat - 1
+    ticks = analysis.last * analysis.program.action_repeat - 1
     fewest = 0 if analysis.program.endings else ticks
     high = step.high * (ticks if step.high > 0.0 else fewest) + end.high if step.high < INF else INF
     low = step.low * (ticks if step.low < 0.0 else fewest) + end.low if step.low > -INF else -INF

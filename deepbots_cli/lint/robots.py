@@ -200,7 +200,7 @@ def limp_at_start(context: Context) -> Iterator[Finding]:
         limp = [command.actuator for command in robot.commands if _is_limp(command.actuator)]
         body = analysis.body(robot.name)
         positions = _start_positions(analysis, body) if limp else None
-        ticks = int(program.timing == "paper")
+        ticks = int(program.timing == "delayed")
         if robot.to_route.latency is not None:
             latency = analysis.ranges.of(analysis.scalars(robot.to_route.latency)[0]).low
             ticks += ceil(latency / program.world.timestep - 1e-9) if latency > 0.0 else 0

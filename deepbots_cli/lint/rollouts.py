@@ -257,7 +257,7 @@ class Counter:
 
     def __init__(self, program: Program) -> None:
         self._program = program
-        ages = viewed(program.policy.numbers, program.policy.stack)
+        ages = viewed(program.policy.numbers, program.policy.frame_stack)
         self._columns = [ages.index((place, 0)) for place in range(len(program.policy.numbers))]
         self._pictures = [entry.key for entry in program.policy.images]
         self._first: dict[str, NDArray[np.uint8]] = {}
@@ -355,7 +355,7 @@ def _outside(environment: Supervisor, observation: Any) -> list[str]:
     numbers = np.atleast_2d(observation["observation"] if isinstance(observation, dict) else observation)
     entries = [
         environment.scenario.policy.numbers[place]
-        for place, _ in viewed(environment.scenario.policy.numbers, environment.scenario.policy.stack)
+        for place, _ in viewed(environment.scenario.policy.numbers, environment.scenario.policy.frame_stack)
     ]
     return [
         entry.full_name

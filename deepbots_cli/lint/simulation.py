@@ -100,7 +100,7 @@ def _work(program: Program) -> float:
     """The cost of a step of the agent, in physics steps of one robot (about 15 us): ten of them are overhead."""
     copies = program.policy.copies.count if program.policy.copies else 1
     pixels = sum(entry.shape[0] * entry.shape[1] for entry in program.policy.images)
-    return (len(program.robots) * (program.world.substeps * program.repeat + 10) + pixels / _PIXELS) * copies
+    return (len(program.robots) * (program.world.substeps * program.action_repeat + 10) + pixels / _PIXELS) * copies
 
 
 def idle(program: Program) -> tuple[tuple[int, ...], tuple[float, ...]] | None:

@@ -66,7 +66,7 @@ class Program:
     truncation: Truncation
     reset: Reset
     solved: Solved | None
-    repeat: int = 1
+    action_repeat: int = 1
     evaluation: Evaluation = Evaluation()
     cases: tuple[EvaluationCase, ...] = ()
     curriculum: tuple[CurriculumStage, ...] = ()
@@ -103,7 +103,7 @@ class Program:
     @property
     def period(self) -> float:
         """Simulated time of one step, in s."""
-        return self.world.timestep * self.repeat
+        return self.world.timestep * self.action_repeat
 
     @property
     def defines_success(self) -> bool:

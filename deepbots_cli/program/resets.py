@@ -206,7 +206,7 @@ class OfWalls(tuple[str, ...]):
 Owner = OfWorld | OfLink | OfJoint | OfActuator | OfSensor | OfWalls
 """Whose value it is."""
 ActuatorParameter = Literal[
-    "actuator_strength", "actuator_max_torque", "actuator_stiffness", "actuator_damping", "actuator_delay", "actuator_lag"
+    "actuator_strength", "actuator_max_torque", "actuator_stiffness", "actuator_damping", "actuator_delay", "actuator_time_constant"
 ]
 Randomizable = EngineParameter | ActuatorParameter | Literal["walls_friction", "sensor"]
 
@@ -276,7 +276,7 @@ class Disturbance:
     """Pushes of a link at its origin (`link` None is the root link, or an object), in the axes of the world.
 
     The first push begins `first` s into the episode (by default after one interval), each further one `every` s after the one
-    before; without `every` there is one. Force (N), torque (N m), `lasts` (s) and `every` are computed anew for each push.
+    before; without `every` there is one. Force (N), torque (N m), `duration` (s) and `every` are computed anew for each push.
     """
 
     name: str
@@ -286,7 +286,7 @@ class Disturbance:
     torque: Expression | None
     first: Expression | None
     every: Expression | None
-    lasts: Expression
+    duration: Expression
 
     @property
     def begins(self) -> Scalar:

@@ -25,7 +25,7 @@ MIN_RESOLUTION = 1e-12
 Parameter = float | bool | str | tuple[float, ...] | None
 """A parameter of a sensor or an actuator: a number or a vector in SI units, or a word."""
 Combined = Literal["each", "nearest", "mean"]
-Channels = Literal["rgb", "grey", "depth", "mask"]
+Channels = Literal["rgb", "grayscale", "depth", "segmentation"]
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class NoiseModel:
     drift: tuple[float, ...] = ()
     low: tuple[float, ...] = ()
     high: tuple[float, ...] = ()
-    quantise: tuple[float, ...] = ()
+    resolution: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -136,15 +136,15 @@ MotorKind = Literal["velocity_motor", "position_motor", "torque_motor"]
 
 @dataclass(frozen=True)
 class Response:
-    """How an actuator answers its commands; `delay` and `lag` in s.
+    """How an actuator answers its commands; `delay` and `time_constant` in s.
 
     Whatever torque, force or thrust it would exert is multiplied by `strength`. A command takes effect `delay` after
-    it was given, and is followed with the time constant `lag`.
+    it was given, and is followed with the `time_constant`.
     """
 
     strength: float = 1.0
     delay: float = 0.0
-    lag: float = 0.0
+    time_constant: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -176,14 +176,14 @@ class Motor:
 class Thrust:
     """An actuator that pushes links along their z axis with `low` to `high` N, as rotors do.
 
-    It also turns each link about this axis with `drag` (m) times thrust times its `spin`.
+    It also turns each link about this axis with `moment_constant` (m) times thrust times its `spin`.
     """
 
     name: str
     links: tuple[str, ...]
     low: float
     high: float
-    drag: float
+    moment_constant: float
     spin: tuple[float, ...]
     response: Response = Response()
 
@@ -242,7 +242,7 @@ Actuator = Motor | Thrust | Cartesian | CustomActuator
 
 # Messages
 
-Timing = Literal["immediate", "paper"]
+Timing = Literal["immediate", "delayed"]
 Direction = Literal["to_robot", "from_robot"]
 Order = Literal["sent", "arrival", "newest"]
 OnLoss = Literal["hold", "zero", "skip"]

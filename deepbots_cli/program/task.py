@@ -189,14 +189,14 @@ class Goal:
 
     The policy sees both mapped from [low, high] to [-1, 1] and clipped. In rewards, the names `achieved` and `desired`
     mean the clipped values, so that a reward can be recomputed from an observation. The goal is reached when the two are
-    `within` of each other. The noise on what is achieved is added before the mapping.
+    within `tolerance` of each other. The noise on what is achieved is added before the mapping.
     """
 
     achieved: Expression
     desired: Expression
     low: tuple[float, ...]
     high: tuple[float, ...]
-    within: float
+    tolerance: float
 
     @property
     def components(self) -> tuple[str, ...]:
@@ -217,9 +217,9 @@ class Goal:
 
     @property
     def reached(self) -> Scalar:
-        """Whether the two are `within` of each other."""
+        """Whether the two are within `tolerance` of each other."""
         apart = tuple(Op("sub", pair) for pair in zip(self.names("achieved"), self.names("desired"), strict=True))
-        return Op("less_equal", (Op("hypot", apart) if len(apart) > 1 else Op("abs", apart), Const(self.within)))
+        return Op("less_equal", (Op("hypot", apart) if len(apart) > 1 else Op("abs", apart), Const(self.tolerance)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -374,7 +374,7 @@ class Policy:
     observation: tuple[Observation, ...]
     reward: tuple[Expression, ...]
     goal: Goal | None = None
-    stack: int = 1
+    frame_stack: int = 1
     copies: RobotCopies | None = None
     scripts: tuple[Script, ...] = ()
     training: Training | None = None

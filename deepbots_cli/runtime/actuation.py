@@ -29,17 +29,17 @@ class Response:
     """What of its commands an actuator follows, from substep to substep.
 
     A command takes effect in the first substep that begins `delay` after it was sent, or later. From there on what is
-    followed approaches it: in a substep of h seconds by the share 1 - exp(-h / lag) of what is left, which is a lag of
+    followed approaches it: in a substep of h seconds by the share 1 - exp(-h / time_constant) of what is left, a lag of
     first order exactly, and by at most `rate` * h. It starts from what `origin` says when the first command takes effect.
 
-    `delay` and `lag` are in s, `rates` in units of the command per s, one per component; they are in force from the
+    `delay` and `time_constant` are in s, `rates` in units of the command per s, one per component; they are in force from the
     next `reset`. A negative one, such as a normal distribution may draw, counts as 0.
     """
 
-    def __init__(self, substep: float, origin: Origin, delay: float = 0.0, lag: float = 0.0, rates: Sequence[float] = ()) -> None:
+    def __init__(self, substep: float, origin: Origin, delay: float = 0.0, time_constant: float = 0.0, rates: Sequence[float] = ()) -> None:
         """`substep` is the length of one, s; without `rates` a command may jump."""
         self.delay = delay
-        self.lag = lag
+        self.time_constant = time_constant
         self._substep = substep
         self._origin = origin
         self._most = [rate * substep for rate in rates]
@@ -51,7 +51,7 @@ class Response:
         self._sent.clear()
         self._now = 0
         self._wait = max(0, ceil(self.delay / self._substep - _EARLY))
-        self._share = 1.0 - exp(-self._substep / self.lag) if self.lag > 0.0 else 1.0
+        self._share = 1.0 - exp(-self._substep / self.time_constant) if self.time_constant > 0.0 else 1.0
         self._jumps = self._share == 1.0 and not self._most
         self._goal: Sequence[float] = ()
         self._value: Sequence[float] | None = None
@@ -109,7 +109,7 @@ class Motor:
         strength: PerJoint = 1.0,
         substep: float | None = None,
         delay: float = 0.0,
-        lag: float = 0.0,
+        time_constant: float = 0.0,
         rates: Sequence[float] = (),
     ) -> None:
         """`rates` bounds how fast targets change, in their unit per s.
@@ -123,7 +123,7 @@ class Motor:
         self._engine, self._kind, self._robot, self._joints = engine, kind, robot, joints
         self._states = engine.joint_states(robot, joints)
         self._bound: object = None
-        self.response = None if substep is None else Response(substep, self._rest, delay, lag, rates)
+        self.response = None if substep is None else Response(substep, self._rest, delay, time_constant, rates)
         self.reset()
         if self.response is not None:
             engine.before_substep(self._act)
@@ -190,7 +190,7 @@ class Cartesian(Motor):
     """Brings the origin of a link to a position (m, world frame); called with x, y and z.
 
     Joint positions are computed once per command, from where the joints are and within their ranges; what is out of
-    reach is approached. The engine's servo then drives the joints there, with the delay, lag and rates of a `Motor`.
+    reach is approached. The engine's servo then drives the joints there, with the delay, time constant and rates of a `Motor`.
     """
 
     def __init__(
@@ -205,7 +205,7 @@ class Cartesian(Motor):
         strength: PerJoint = 1.0,
         substep: float | None = None,
         delay: float = 0.0,
-        lag: float = 0.0,
+        time_constant: float = 0.0,
         rates: Sequence[float] = (),
     ) -> None:
         """`rpy` (rad) is the attitude that the link keeps; without, it may have any."""
@@ -214,7 +214,16 @@ class Cartesian(Motor):
         self.watch: Callable[[Triple, Sequence[float]], object] | None = None
         """Called with the position of each command (m, world frame) and the joint positions computed for it (rad or m)."""
         super().__init__(
-            engine, "position_motor", robot, joints, max_torque, strength=strength, substep=substep, delay=delay, lag=lag, rates=rates
+            engine,
+            "position_motor",
+            robot,
+            joints,
+            max_torque,
+            strength=strength,
+            substep=substep,
+            delay=delay,
+            time_constant=time_constant,
+            rates=rates,
         )
 
     def __call__(self, targets: Sequence[float]) -> None:
@@ -236,7 +245,7 @@ class ControlLaw(NamedTuple):
     """How an actuator answers its commands.
 
     `act` is called before every engine step, from the first command on. It gets the command in SI units, one value per joint, after
-    delay and lag, and returns the torque (N m) or force (N) on each joint; strength and `max_torque` are applied to what it returns.
+    delay and time constant, and returns the torque (N m) or force (N) on each joint; strength and `max_torque` are applied to it.
     `restart` begins an episode. `rest` gives the command that keeps the joints where they are until the first one; without it the
     actuator exerts nothing until then.
     """
@@ -284,7 +293,7 @@ class CustomMotor(Motor):
             strength=response.strength,
             substep=site.substep,
             delay=response.delay,
-            lag=response.lag,
+            time_constant=response.time_constant,
         )
 
     def reset(self) -> None:
@@ -311,13 +320,13 @@ class CustomMotor(Motor):
 # Forces on links
 
 Rotor = tuple[str, Triple, Triple, float]
-"""The link that carries it, its place and axis in the frame of that link, and its drag (m), negative for the other sense."""
+"""The link that carries it, its place and axis in the frame of that link, and its moment constant (m), negative for the other sense."""
 
 
 class Thrust:
     """Pushes links in every substep; called with one thrust (N) per rotor.
 
-    A thrust t along the axis comes with a torque drag * t (N m) about it, which is what the air does to the link:
+    A thrust t along the axis comes with a torque moment_constant * t (N m) about it, which is what the air does to the link:
     positive for a rotor that turns clockwise seen from the tip of the axis. `strength` multiplies both, and is in force
     from the next `reset`. Until the first command takes effect rotors stand still.
 
@@ -333,13 +342,13 @@ class Thrust:
         *,
         strength: float | Sequence[float] = 1.0,
         delay: float = 0.0,
-        lag: float = 0.0,
+        time_constant: float = 0.0,
     ) -> None:
         """`substep` is the length of one, s."""
         self.strength = strength
         self._rotors = rotors
         self._push = {carrier: engine.pusher((robot, carrier), "link") for carrier, _, _, _ in rotors}
-        self.response = Response(substep, lambda: [0.0] * len(rotors), delay, lag)
+        self.response = Response(substep, lambda: [0.0] * len(rotors), delay, time_constant)
         self.reset()
         engine.before_substep(self._act)
 
@@ -380,9 +389,9 @@ class Thrust:
 
 def _effect(rotor: Rotor, strength: float) -> tuple[str, Triple, Triple]:
     """Force and torque on its link per thrust that is commanded."""
-    carrier, place, axis, drag = rotor
+    carrier, place, axis, moment_constant = rotor
     force = frames.scaled(axis, strength)
-    return carrier, force, frames.add(frames.cross(place, force), frames.scaled(force, drag))
+    return carrier, force, frames.add(frames.cross(place, force), frames.scaled(force, moment_constant))
 
 
 Draw = Callable[[], tuple[Triple, Triple, float, float]]
@@ -414,8 +423,8 @@ class Push:
 
     def _act(self) -> None:
         if self._now >= self._due:
-            self._force, self._torque, lasts, until_next = self._draw()
-            self._left = lasts / self._substep
+            self._force, self._torque, duration, until_next = self._draw()
+            self._left = duration / self._substep
             self._due += until_next / self._substep
         self._now += 1
         left = self._left

@@ -35,7 +35,7 @@ class LossyChannel:
     """In s; that of the next message, as are `loss` and `range`."""
     loss: float
     range: float
-    fresh: bool
+    message_received: bool
     """Whether a message arrived in this tick."""
     measured: int
     """The tick at whose end the message that arrived last was made."""
@@ -83,7 +83,7 @@ class LossyChannel:
         self._newest = -1
         self._losing: bool | None = None
         self.latest = None
-        self.fresh = False
+        self.message_received = False
         self._begins = self._first_at_once
 
     @property
@@ -99,7 +99,7 @@ class LossyChannel:
         """The same for a message that is encoded already."""
         if self._begins:
             self.latest = message
-            self.fresh = True
+            self.message_received = True
             return
         arrival = self._tick + self._delay + max(self.latency * self._rate, 0.0)
         if self._route.order == "sent":
@@ -134,7 +134,7 @@ class LossyChannel:
     def _arrived(self) -> list[Any]:
         now, queue, taken = self._tick + _ROUNDING, self._queue, []
         self._tick += 1
-        self.fresh = False
+        self.message_received = False
         while queue and queue[0][0] <= now:
             _, number, tick, parcel = heappop(queue)
             if self._route.order == "newest":
@@ -144,7 +144,7 @@ class LossyChannel:
             if parcel:
                 (self.latest,) = parcel
                 self.measured = tick + 1
-                self.fresh = True
+                self.message_received = True
             elif self._route.on_loss == "zero":
                 self.latest = self._zeros
             if parcel or (self._route.on_loss != "skip" and self.latest is not None):

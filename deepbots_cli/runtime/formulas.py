@@ -138,7 +138,7 @@ def tilt(pose: Frame) -> float:
     return 2.0 * atan2(hypot(x, y), hypot(z, w))
 
 
-def local(pose: Frame, vector: Sequence[float]) -> Triple:
+def to_body_frame(pose: Frame, vector: Sequence[float]) -> Triple:
     """A vector of the world as seen from the body: the transposed rotation matrix times the vector."""
     x, y, z, w = pose[1]
     a, b, c = vector
@@ -256,7 +256,7 @@ class Hold(Memory):
         return self.kept
 
 
-class Smooth(Memory):
+class LowPass(Memory):
     """A first-order low-pass filter with the time constant `tau` (s), as backward Euler has it."""
 
     def advance(self, x: float, tau: float) -> Any:
@@ -300,7 +300,7 @@ class Duration(Memory):
         return self.kept
 
 
-class Rising(Memory):
+class RisingEdge(Memory):
     """Whether the condition has just become true."""
 
     def begin(self, condition: bool) -> bool:

@@ -61,7 +61,7 @@ class Follower:
         """Begin an episode: the next place is where the way along the line begins."""
         self._at = -1  # the piece that the body is beside; none yet
         self._place = (0.0, 0.0)
-        self._beside = self._along = self._arc = 0.0
+        self._cross_track_error = self._arc_length = self._arc = 0.0
 
     def __call__(self, position: Sequence[float]) -> tuple[float, float]:
         """How far the body is to the left of the line, and how far it has come along it since the reset, in m.
@@ -72,10 +72,10 @@ class Follower:
         if self._at < 0:
             candidates: Iterable[int] = range(len(self._pieces))
         elif (x, y) == self._place:
-            return self._beside, self._along
+            return self._cross_track_error, self._arc_length
         else:
             moved = hypot(x - self._place[0], y - self._place[1])
-            candidates = self._near(2.0 * (moved + abs(self._beside)) + self._width)
+            candidates = self._near(2.0 * (moved + abs(self._cross_track_error)) + self._width)
         at, arc, nearest, side = max(self._at, 0), self._arc, float("inf"), 0.0
         for index in candidates:
             piece = self._pieces[index]
@@ -84,10 +84,10 @@ class Follower:
                 arc, nearest, side, at = piece.start + along, squared, left, index
         if self._at >= 0:
             step = arc - self._arc
-            self._along += step - self._length * round(step / self._length) if self._closed else step
+            self._arc_length += step - self._length * round(step / self._length) if self._closed else step
         self._at, self._arc, self._place = at, arc, (x, y)
-        self._beside = sqrt(nearest) if side >= 0.0 else -sqrt(nearest)
-        return self._beside, self._along
+        self._cross_track_error = sqrt(nearest) if side >= 0.0 else -sqrt(nearest)
+        return self._cross_track_error, self._arc_length
 
     def _near(self, reach: float) -> Iterator[int]:
         """Pieces that begin or end within `reach` along the line of where the body was, that one first."""

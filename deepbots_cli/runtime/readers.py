@@ -123,7 +123,7 @@ def gyro(site: Site) -> Instrument:
     return Instrument(turning if site.mount[1] == UPRIGHT else lambda: frames.rotate(back, turning()))
 
 
-def inclinometer(site: Site) -> Instrument:
+def projected_gravity(site: Site) -> Instrument:
     """The direction of gravity along the axes of the sensor, of length 1; nothing where there is no gravity."""
     read = mounted_pose(site)
     down: Triple = (0.0, 0.0, -1.0)
@@ -341,7 +341,7 @@ def _colours(sight: Sight, _optics: CameraIntrinsics) -> Image:
     return sight.colours
 
 
-def _grey(sight: Sight, _optics: CameraIntrinsics) -> Image:
+def _grayscale(sight: Sight, _optics: CameraIntrinsics) -> Image:
     return _bytes(np.asarray(sight.colours @ _GREY))
 
 
@@ -351,7 +351,7 @@ def _depth(sight: Sight, optics: CameraIntrinsics) -> Image:
     return _bytes(255.0 * np.clip(share, 0.0, 1.0))
 
 
-def _mask(sight: Sight, _optics: CameraIntrinsics) -> Image:
+def _segmentation(sight: Sight, _optics: CameraIntrinsics) -> Image:
     """0 where there is no body, else the place of the body among those of the world, from 1; 255 for all from there on."""
     return _bytes(np.clip(sight.bodies + 1, 0, 255))
 
@@ -361,4 +361,9 @@ def _bytes(figures: NDArray[Any]) -> Image:
     return np.asarray(np.rint(figures), np.uint8)[..., None]
 
 
-_PICTURES: dict[str, Callable[[Sight, CameraIntrinsics], Image]] = {"rgb": _colours, "grey": _grey, "depth": _depth, "mask": _mask}
+_PICTURES: dict[str, Callable[[Sight, CameraIntrinsics], Image]] = {
+    "rgb": _colours,
+    "grayscale": _grayscale,
+    "depth": _depth,
+    "segmentation": _segmentation,
+}

@@ -99,8 +99,8 @@ class Chain:
         if spec.low:
             ends = zip(values, spec.low, spec.high, strict=True)
             values = [low if x < low else high if x > high else x for x, low, high in ends]
-        if spec.quantise:
-            values = [step * round(x / step) for x, step in zip(values, spec.quantise, strict=True)]
+        if spec.resolution:
+            values = [step * round(x / step) for x, step in zip(values, spec.resolution, strict=True)]
         return values
 
     def _with_noise(self, values: Figures) -> Figures:
@@ -186,7 +186,7 @@ class Device:
         self._stream = f"robots.{robot}.sensors.{sensor.name}"
         self._period = faults.period
         self._latency = faults.latency
-        figures = (faults.noise, faults.relative_noise, faults.bias, faults.relative_bias, faults.drift, faults.low, faults.quantise)
+        figures = (faults.noise, faults.relative_noise, faults.bias, faults.relative_bias, faults.drift, faults.low, faults.resolution)
         self._chain = Chain(faults, max(1, len(sensor.components))) if any(figures) else None
         self._under_way: deque[tuple[int, int, Reading]] = deque()
 

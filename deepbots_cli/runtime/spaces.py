@@ -24,7 +24,7 @@ def observation_space(scenario: Program) -> gym.Space[Any]:
     With pictures or a goal, that stands as `observation` in a Dict beside them: pictures under their names as uint8 (rows,
     columns, channels), and `achieved_goal` and `desired_goal`.
     """
-    entries = [scenario.policy.numbers[index] for index, _ in viewed(scenario.policy.numbers, scenario.policy.stack)]
+    entries = [scenario.policy.numbers[index] for index, _ in viewed(scenario.policy.numbers, scenario.policy.frame_stack)]
     low = np.array([0.0 if entry.truth else -1.0 if entry.clip else -np.inf for entry in entries], np.float32)
     high = np.array([1.0 if entry.truth or entry.clip else np.inf for entry in entries], np.float32)
     box = gym.spaces.Box(low, high, dtype=np.float32)
@@ -33,7 +33,7 @@ def observation_space(scenario: Program) -> gym.Space[Any]:
     parts: dict[str, gym.Space[Any]] = {"observation": box} if entries or not scenario.policy.images else {}
     for pictured in scenario.policy.images:
         rows, columns, channels = pictured.shape
-        parts[pictured.key] = gym.spaces.Box(0, 255, (rows, columns, channels * len(pictured.ages(scenario.policy.stack))), np.uint8)
+        parts[pictured.key] = gym.spaces.Box(0, 255, (rows, columns, channels * len(pictured.ages(scenario.policy.frame_stack))), np.uint8)
     if scenario.policy.goal is not None:
         goal = gym.spaces.Box(-1.0, 1.0, (len(scenario.policy.goal.low),), np.float32)
         parts |= {"achieved_goal": goal, "desired_goal": goal}
@@ -42,13 +42,13 @@ def observation_space(scenario: Program) -> gym.Space[Any]:
 
 def depth(scenario: Program) -> int:
     """How many steps must be kept for the longest history."""
-    stack = scenario.policy.stack
+    stack = scenario.policy.frame_stack
     return stack + max([entry.history for entry in scenario.policy.observation], default=1) - 1
 
 
 def views(scenario: Program) -> NDArray[np.intp]:
     """Where the numbers of an observation stand in a ring of frames; row p is for a newest frame in place p."""
-    seen = np.array(viewed(scenario.policy.numbers, scenario.policy.stack), np.intp).reshape(-1, 2)
+    seen = np.array(viewed(scenario.policy.numbers, scenario.policy.frame_stack), np.intp).reshape(-1, 2)
     frames = depth(scenario)
     newest = np.arange(frames)[:, None]
     return (newest - seen[:, 1]) % frames * len(scenario.policy.numbers) + seen[:, 0]

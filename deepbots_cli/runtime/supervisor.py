@@ -85,7 +85,7 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         self.views = views(scenario)
         self.depth = len(self.views)
         self.frame_stacks = {
-            entry.key: FrameStack(entry.shape, entry.ages(scenario.policy.stack), self.depth) for entry in scenario.policy.images
+            entry.key: FrameStack(entry.shape, entry.ages(scenario.policy.frame_stack), self.depth) for entry in scenario.policy.images
         }
         self.frames = np.zeros(self.depth * len(scenario.policy.numbers), np.float32)
         self._buffer = self.frames.data
@@ -128,7 +128,7 @@ class Supervisor(gym.Env[Observation, Any], ABC):
             f"{name}.{direction}",
             route,
             self.scenario.world.timestep,
-            1 if self.scenario.timing == "paper" else 0,
+            1 if self.scenario.timing == "delayed" else 0,
             self.engine.pose(name),
             Wire(layout, self.scenario.format, self._rejected),
             first_at_once=not to_robot,

@@ -56,7 +56,7 @@ class Actuator(Section):
     """Factor on the torque, force or thrust that it exerts; below 1 it is worn."""
     delay: RandomizableDelay = "0 ms"
     """Time from a command to its effect."""
-    lag: RandomizableDelay = "0 ms"
+    time_constant: RandomizableDelay = "0 ms"
     """Time constant with which it follows a command."""
 
 
@@ -133,7 +133,7 @@ class Thrust(Actuator):
     """The links that it pushes: names, patterns, or a group."""
     range: Annotated[str, Range("force")]
     """Smallest and largest thrust, such as `0 .. 0.15 N`."""
-    drag: Length = 0
+    moment_constant: Length = 0
     """Torque about z per thrust, N*m/N = m."""
     spin: Annotated[dict[Annotated[str, Pattern("link")], Spin] | Spin, FORMS] = 1
     """Sense of that torque, 1 or -1, for all or per link; 1 for a rotor that turns clockwise seen from above."""

@@ -82,7 +82,7 @@ _OTHER_NAMES = {
     "joint_position": "encoder joint_angle joint_pos qpos",
     "joint_velocity": "joint_speed joint_vel qvel",
     "joint_torque": "joint_effort",
-    "inclinometer": "tilt",
+    "projected_gravity": "tilt gravity gravity_vector",
     "compass": "magnetometer",
     "position": "gps",
     "touch": "bumper contact collision",

@@ -34,7 +34,7 @@ class LinkOverride(Section):
     """Mass, kg; the inertia goes with it. `urdf * 1.2` scales that of the robot file."""
     density: Annotated[Scalar, Quantity("density", minimum=0, exclusive=True)] | None = None
     """In place of `mass`: mass, centre and inertia of a homogeneous body of the shape of the link."""
-    stretch: Annotated[Scalar, Quantity("number", components=3, minimum=0, exclusive=True)] | None = None
+    scale: Annotated[Scalar, Quantity("number", components=3, minimum=0, exclusive=True)] | None = None
     """Factors along x, y and z on shapes, centre of mass and child joints; mass goes with the volume."""
     friction: Annotated[Scalar, Quantity("number", stage="episode", minimum=0)] | None = None
     """Coulomb's coefficient of friction."""
@@ -121,8 +121,8 @@ class Messages(Section):
 
     format: Annotated[str, Word(FORMATS)] = "struct"
     """How a message is written; `none` lets the supervisor act on the robot without messages."""
-    timing: Literal["immediate", "paper"] = "immediate"
-    """`immediate`: an action acts in its own tick; `paper`: one tick later, and what the robot sends is one tick old."""
+    timing: Literal["immediate", "delayed"] = "immediate"
+    """`immediate`: an action acts in its own tick; `delayed`: one tick later, and what the robot sends is one tick old."""
     to_robot: Route = Field(default_factory=Route)
     """The way from the supervisor to the robots."""
     from_robot: Route = Field(default_factory=Route)

@@ -114,15 +114,17 @@ class Scenario(Section):
         """
         from deepbots_cli.document import descend, load, shipped, to_data
         from deepbots_cli.errors import ScenarioError
+        from deepbots_cli.scenario.renamed import with_new_names
         from deepbots_cli.scenario.validate import validate
 
         document = load(path)
-        found = validate(document.root, document.findings) if document.root is not None else None
-        if document.root is None or found is None or document.findings.errors:
+        root = with_new_names(document.root, document.findings) if document.root is not None else None
+        found = validate(root, document.findings) if root is not None else None
+        if root is None or found is None or document.findings.errors:
             raise ScenarioError(list(document.findings))
-        data: Any = to_data(document.root)
+        data: Any = to_data(root)
         for place, kind, value in visit(found):
-            node = descend(document.root, place)[0]
+            node = descend(root, place)[0]
             file = document.directory_of(node.span) / str(value)
             if isinstance(kind, fields.FilePath) and value not in shipped.robot_names() and file.exists():
                 holder = data

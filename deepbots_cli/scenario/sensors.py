@@ -84,7 +84,7 @@ class Sensor(Section):
     """Constant error in an episode."""
     drift: Annotated[Scalar, Quantity("any", stage="episode")] = 0
     """Growth of the bias per second."""
-    quantise: Annotated[Scalar, Quantity("reading", minimum=0)] = 0
+    resolution: Annotated[Scalar, Quantity("reading", minimum=0)] = 0
     """Step between two readings that can be told apart."""
     range: Annotated[str, Range("reading")] | None = None
     """Measurable range; readings are clipped to it."""
@@ -179,14 +179,14 @@ class Accelerometer(LinkSensor):
     type: Literal["accelerometer"]
 
 
-class Inclinometer(LinkSensor):
+class ProjectedGravity(LinkSensor):
     """The direction of gravity along its own axes, x y z, of length 1."""
 
     components = SPACE
     interval = iv.SIGNED_UNIT
-    reader = f"{_READERS}:inclinometer"
+    reader = f"{_READERS}:projected_gravity"
 
-    type: Literal["inclinometer"]
+    type: Literal["projected_gravity"]
 
 
 class Compass(LinkSensor):
@@ -295,7 +295,7 @@ class RayScan(LinkSensor):
 
     rays: Annotated[NamedRays | Annotated[int, Whole(1, 4096)], FORMS] | None = None
     """Rays by name, each with its frame on the sensor; or how many the fan has, named `r0`, `r1` ...; by default one."""
-    fan: Annotated[str, Range("angle")] | None = None
+    angle_range: Annotated[str, Range("angle")] | None = None
     """Yaw of the first and of the last ray, such as `90 .. -90 deg`."""
 
 
@@ -358,7 +358,7 @@ class Camera(LinkSensor):
     """Columns and rows, such as `64 64`."""
     fov: Annotated[Scalar, Quantity("angle", minimum=0, exclusive=True)] = "60 deg"
     """Angle of view from top to bottom."""
-    channels: Literal["rgb", "grey", "depth", "mask"] = "rgb"
+    channels: Literal["rgb", "grayscale", "depth", "segmentation"] = "rgb"
     """Content of a pixel."""
 
 
@@ -381,7 +381,7 @@ def _read(name: str, kind: Any) -> Iterator[tuple[str, type[Sensor]]]:
 
 _KINDS = (
     *(JointPosition, JointVelocity, JointTorque),
-    *(Gyro, Accelerometer, Inclinometer, Compass, Position, Velocity, Orientation, AngularVelocity),
+    *(Gyro, Accelerometer, ProjectedGravity, Compass, Position, Velocity, Orientation, AngularVelocity),
     *(Touch, Force, Infrared, Sonar, Laser, Lidar, Reflectance, Camera),
 )
 SENSORS: Table[type[Sensor]] = Table("deepbots.sensors", {kind_of(model): model for model in _KINDS}, _read)

@@ -66,9 +66,9 @@ Action = Annotated[DiscreteAction | ContinuousAction | Annotated[str, Range("any
 class Agent(Section):
     """How the policy is joined to the scenario."""
 
-    repeat: SmallInt = 1
+    action_repeat: SmallInt = 1
     """Control ticks for which one action of the agent is held."""
-    stack: SmallInt = 1
+    frame_stack: SmallInt = 1
     """How many observations in a row the policy sees."""
     each: Annotated[str, Reference("robot")] | None = None
     """One shared policy over the copies of this robot."""
@@ -94,7 +94,7 @@ class Goal(Section):
     """The value that the agent has reached."""
     desired: Annotated[Scalar, Expression("goal", boolean=False)]
     """The value to reach."""
-    within: Annotated[Scalar, Quantity("any", minimum=0)]
+    tolerance: Annotated[Scalar, Quantity("any", minimum=0)]
     """Distance between the two at which the goal counts as reached."""
     range: Annotated[str, Range("any")]
     """Bounds of both, for the observation."""
@@ -304,5 +304,5 @@ class Disturbance(Section):
     """Time from the beginning of one push to that of the next, and before the first, unless `at` says when that is."""
     at: Annotated[Scalar, Quantity("time", stage="episode", minimum=0)] | None = None
     """Time of the first push, which is the only one without `every`."""
-    lasts: Annotated[Scalar, Quantity("time", stage="step", minimum=0)]
+    duration: Annotated[Scalar, Quantity("time", stage="step", minimum=0)]
     """How long a push acts."""

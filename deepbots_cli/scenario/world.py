@@ -60,7 +60,7 @@ class Arena(Section):
 class Wall(Section):
     """A wall along a line of straight pieces."""
 
-    through: Annotated[Many[Point], Size(2, "point")]
+    points: Annotated[Many[Point], Size(2, "point")]
     """The corners in the ground plane, such as `[0 0 m, 1 0 m]`."""
     closed: Bool = False
     """Whether the last corner is joined to the first."""
@@ -77,7 +77,7 @@ class Wall(Section):
 class Line(Section):
     """A line painted on the ground, without collisions."""
 
-    through: Annotated[Many[Point], Size(2, "point")]
+    points: Annotated[Many[Point], Size(2, "point")]
     """The points of the line in the ground plane."""
     closed: Bool = False
     """Whether the last point is joined to the first."""

@@ -42,7 +42,7 @@ def speeds(environment: Supervisor, ticks: int, action: int = FORWARD, seed: int
 
 @pytest.mark.parametrize("substeps", [1, 2, 4, 8])
 def test_a_lagging_motor_follows_the_exponential_after_every_substep(rail: Make, substeps: int):
-    motor = rail(f"world.substeps={substeps}", *ENDLESS, lag="50 ms", max_torque="100 kN")
+    motor = rail(f"world.substeps={substeps}", *ENDLESS, time_constant="50 ms", max_torque="100 kN")
     for k, speed in enumerate(speeds(motor, 10), start=1):
         assert speed == pytest.approx(1 - exp(-k * TICK / substeps / 0.05), abs=1e-6)
 
@@ -93,16 +93,24 @@ def test_a_position_motor_moves_its_target_no_faster_than_its_velocity_limit(rai
 
 def test_figures_are_drawn_once_per_episode_and_come_again_with_the_seed(rail: Make):
     drawn = rail(
-        *ENDLESS, strength="uniform(0.5 .. 1)", delay="uniform(0 .. 40 ms)", lag="uniform(10 .. 50 ms)", max_torque="uniform(5 .. 10 N)"
+        *ENDLESS,
+        strength="uniform(0.5 .. 1)",
+        delay="uniform(0 .. 40 ms)",
+        time_constant="uniform(10 .. 50 ms)",
+        max_torque="uniform(5 .. 10 N)",
     )
     drive = drawn.robot_cart.drive_motor
     figures = []
     for seed in (1, 2, 1):
         first = speeds(drawn, 8, seed=seed)
-        figures.append((*drive.strength, *drive.max_torque, drive.response.delay, drive.response.lag, first))
+        figures.append((*drive.strength, *drive.max_torque, drive.response.delay, drive.response.time_constant, first))
     assert figures[0] == figures[2] != figures[1]
     fresh = rail(
-        *ENDLESS, strength="uniform(0.5 .. 1)", delay="uniform(0 .. 40 ms)", lag="uniform(10 .. 50 ms)", max_torque="uniform(5 .. 10 N)"
+        *ENDLESS,
+        strength="uniform(0.5 .. 1)",
+        delay="uniform(0 .. 40 ms)",
+        time_constant="uniform(10 .. 50 ms)",
+        max_torque="uniform(5 .. 10 N)",
     )
     assert speeds(fresh, 8, seed=1) == figures[0][-1]
 
@@ -147,7 +155,7 @@ def test_actuators_hold_while_the_world_settles(rail: Make):
 
 @pytest.mark.parametrize("target", ["1 m/s", "1 m"], ids=["velocity", "position"])
 @pytest.mark.parametrize(
-    "late", ["messages.to_robot={latency: 100 ms}", "messages.timing=paper", "robots.cart.actuators.motor.delay=100 ms"]
+    "late", ["messages.to_robot={latency: 100 ms}", "messages.timing=delayed", "robots.cart.actuators.motor.delay=100 ms"]
 )
 def test_a_motor_holds_until_its_first_command_takes_effect(rail: Make, target: str, late: str):
     command = (f"robots.cart.apply.motor=drive * {target}", "reset={set: {cart.hinge: 45 deg, cart.slider: 0.3 m}}")
@@ -202,7 +210,7 @@ def test_a_limit_times_strength_is_all_that_a_motor_exerts_whatever_the_substeps
 def test_an_actuator_may_be_called_like_a_sensor(rail: Make):
     twins = rail(
         *ENDLESS,
-        "robots.cart.actuators={place: {type: velocity_motor, joint: slider, lag: 20 ms}}",
+        "robots.cart.actuators={place: {type: velocity_motor, joint: slider, time_constant: 20 ms}}",
         "robots.cart.apply={place: drive * 1 m/s - 0.1 * place / s}",
     )
     found = speeds(twins, 20)

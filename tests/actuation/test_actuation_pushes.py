@@ -16,7 +16,12 @@ from deepbots_cli.runtime.actuation import Push
 
 DRONE = Path(__file__).parents[1] / "data" / "scenarios" / "drone.yaml"
 MASS, TICK = 0.02572680943 + 4 * 0.0005, 0.01
-ALONE = ("world.gravity=0 0 0 m/s^2", "parameters.hover=0 N", "reset={place: {drone: {z: 1 m}}}", "robots.drone.actuators.rotors.lag=0 ms")
+ALONE = (
+    "world.gravity=0 0 0 m/s^2",
+    "parameters.hover=0 N",
+    "reset={place: {drone: {z: 1 m}}}",
+    "robots.drone.actuators.rotors.time_constant=0 ms",
+)
 Make = Callable[..., Supervisor]
 
 
@@ -48,7 +53,7 @@ def speeds(environment: Supervisor, ticks: int, seed: int = 0) -> list[tuple[flo
 @pytest.mark.parametrize("substeps", [1, 3, 8])
 @pytest.mark.parametrize("lasts", [0.04, 0.1, 0.033])
 def test_momentum_is_force_times_time_whatever_the_substeps(pushed: Make, substeps: int, lasts: float):
-    once = pushed(f"{{push: {{body: drone, force: 0.02 0 0 N, at: 50 ms, lasts: {lasts} s}}}}", f"world.substeps={substeps}")
+    once = pushed(f"{{push: {{body: drone, force: 0.02 0 0 N, at: 50 ms, duration: {lasts} s}}}}", f"world.substeps={substeps}")
     found = speeds(once, 40)
     assert all(speed == pytest.approx((0, 0, 0), abs=1e-12) for speed in found[:5])
     assert found[5][0] > 0
@@ -56,7 +61,7 @@ def test_momentum_is_force_times_time_whatever_the_substeps(pushed: Make, subste
 
 
 def test_a_torque_turns_the_body(pushed: Make):
-    once = pushed("{twist: {body: drone.base_link, torque: 0 0 1e-5 N*m, at: 0 s, lasts: 50 ms}}")
+    once = pushed("{twist: {body: drone.base_link, torque: 0 0 1e-5 N*m, at: 0 s, duration: 50 ms}}")
     speeds(once, 10)
     _, (_, _, rate) = once.engine.velocity("drone")()
     inertia = 2.2e-5 + 4 * (1.26562e-07 + 0.0005 * 2 * 0.033**2)
@@ -64,20 +69,20 @@ def test_a_torque_turns_the_body(pushed: Make):
 
 
 def test_pushes_repeat_after_their_interval_and_the_first_comes_after_one(pushed: Make):
-    often = pushed("{push: {body: drone, force: 0 0.01 0 N, every: 0.2 s, lasts: 20 ms}}")
+    often = pushed("{push: {body: drone, force: 0 0.01 0 N, every: 0.2 s, duration: 20 ms}}")
     found = [speed[1] for speed in speeds(often, 100)]
     jumps = [k for k in range(1, 100) if found[k] > found[k - 1] + 1e-6]
     assert jumps == [k for start in (20, 40, 60, 80) for k in (start, start + 1)]
 
 
 def test_at_says_when_the_first_of_many_pushes_comes(pushed: Make):
-    often = pushed("{push: {body: drone, force: 0 0.01 0 N, at: 0 s, every: 0.5 s, lasts: 10 ms}}")
+    often = pushed("{push: {body: drone, force: 0 0.01 0 N, at: 0 s, every: 0.5 s, duration: 10 ms}}")
     found = [speed[1] for speed in speeds(often, 100)]
     assert [k for k in range(100) if found[k] > (found[k - 1] if k else 0.0) + 1e-6] == [0, 50]
 
 
 def test_pushes_are_drawn_anew_and_come_again_with_the_seed_after_any_past(pushed: Make):
-    gusts = "{gust: {body: drone, force: uniform(-10 -10 -10 .. 10 10 10 mN), every: uniform(30 .. 90 ms), lasts: uniform(10 .. 30 ms)}}"
+    gusts = "{gust: {body: drone, force: uniform(-10 -10 -10 .. 10 10 10 mN), every: uniform(30 .. 90 ms), duration: uniform(10 .. 30 ms)}}"
     used, fresh = pushed(gusts), pushed(gusts)
     speeds(used, 33, seed=4)
     first, again, other = speeds(used, 60, seed=7), speeds(fresh, 60, seed=7), speeds(fresh, 60, seed=8)
@@ -86,16 +91,16 @@ def test_pushes_are_drawn_anew_and_come_again_with_the_seed_after_any_past(pushe
 
 
 def test_another_disturbance_changes_no_draw_of_the_first(pushed: Make):
-    gust = "gust: {body: drone, force: uniform(-10 -10 0 .. 10 10 0 mN), every: uniform(50 .. 90 ms), lasts: 20 ms}"
+    gust = "gust: {body: drone, force: uniform(-10 -10 0 .. 10 10 0 mN), every: uniform(50 .. 90 ms), duration: 20 ms}"
     alone, both = (
         pushed(f"{{{gust}}}"),
-        pushed(f"{{lift: {{body: drone, force: 0 0 1 mN, every: uniform(50 .. 90 ms), lasts: 20 ms}}, {gust}}}"),
+        pushed(f"{{lift: {{body: drone, force: 0 0 1 mN, every: uniform(50 .. 90 ms), duration: 20 ms}}, {gust}}}"),
     )
     assert np.allclose(np.array(speeds(alone, 50))[:, :2], np.array(speeds(both, 50))[:, :2], atol=1e-9)
 
 
 def test_nothing_pushes_while_the_world_settles(pushed: Make):
-    settled = pushed("{push: {body: drone, force: 0 0.01 0 N, at: 0 s, lasts: 10 ms}}", "reset.settle=0.5 s")
+    settled = pushed("{push: {body: drone, force: 0 0.01 0 N, at: 0 s, duration: 10 ms}}", "reset.settle=0.5 s")
     assert settled.reset(seed=0)
     assert settled.engine.velocity("drone")()[0] == pytest.approx((0, 0, 0), abs=1e-12)
     assert speeds(settled, 3)[-1][1] == pytest.approx(0.01 * 0.01 / MASS, rel=1e-3)
@@ -103,7 +108,7 @@ def test_nothing_pushes_while_the_world_settles(pushed: Make):
 
 def test_a_drawn_parameter_may_set_the_force_of_all_pushes_of_an_episode(pushed: Make):
     windy = pushed(
-        "{push: {body: drone, force: 'vector(wind, 0 N, 0 N)', every: 0.1 s, lasts: 50 ms}}", "parameters.wind=uniform(1 .. 20 mN)"
+        "{push: {body: drone, force: 'vector(wind, 0 N, 0 N)', every: 0.1 s, duration: 50 ms}}", "parameters.wind=uniform(1 .. 20 mN)"
     )
     found = speeds(windy, 40, seed=3)
     assert found[19][0] > 0

@@ -27,14 +27,14 @@ def zero() -> list[float]:
 
 def test_a_lag_is_the_step_response_of_first_order():
     tau = 0.03
-    response = Response(SUBSTEP, zero, lag=tau)
+    response = Response(SUBSTEP, zero, time_constant=tau)
     response.send([2.0])
     for k, value in enumerate(followed(response, 40), start=1):
         assert value == pytest.approx(2.0 * (1 - exp(-k * SUBSTEP / tau)), abs=1e-12)
 
 
 def test_a_lag_ends_at_the_command_and_then_has_nothing_to_do():
-    response = Response(SUBSTEP, zero, lag=0.01)
+    response = Response(SUBSTEP, zero, time_constant=0.01)
     response.send([0.3])
     assert followed(response, 200)[-1] == pytest.approx(0.3, abs=1e-15)
     assert response.advance() is None
@@ -73,10 +73,10 @@ def test_a_rate_bounds_every_change_and_the_command_is_reached_exactly():
 
 
 def test_after_a_reset_nothing_is_left_of_earlier_commands_and_new_figures_are_in_force():
-    response = Response(SUBSTEP, zero, delay=0.01, lag=0.1)
+    response = Response(SUBSTEP, zero, delay=0.01, time_constant=0.1)
     response.send([1.0])
     followed(response, 10)
-    response.delay, response.lag = 0.0, 0.0
+    response.delay, response.time_constant = 0.0, 0.0
     response.reset()
     assert response.advance() is None
     response.send([3.0])
@@ -84,6 +84,6 @@ def test_after_a_reset_nothing_is_left_of_earlier_commands_and_new_figures_are_i
 
 
 def test_figures_below_zero_count_as_zero():
-    response = Response(SUBSTEP, zero, delay=-1.0, lag=-1.0)
+    response = Response(SUBSTEP, zero, delay=-1.0, time_constant=-1.0)
     response.send([1.0])
     assert response.advance() == [1.0]

@@ -83,7 +83,7 @@ def through_a_scenario(*sets: str) -> np.ndarray:  # type: ignore[type-arg]
     with tempfile.TemporaryDirectory() as folder:
         Path(folder, "pyproject.toml").touch()
         file = Path(folder, "cart.yaml")
-        reward = "reward={fresh: 'where(fresh(cart), 1, 0)', age: age(cart) / (1 s)}"
+        reward = "reward={fresh: 'where(message_received(cart), 1, 0)', age: age(cart) / (1 s)}"
         file.write_text(CART, encoding="utf-8")
         with closing(api.make(file, sets=[*sets, reward, f"truncation.max_steps={MESSAGES + 1}"], engine="pybullet")) as environment:
             environment.reset(seed=5)
@@ -102,8 +102,8 @@ def scenarios() -> Iterator[Row]:
     )
     late = through_a_scenario("messages.from_robot={latency: 50 ms}")
     yield Row("through a scenario: latency of 50 ms at ticks of 20 ms, ages that are not 60 ms", wrong_ages(late, 0.06), "", 0)
-    paper = through_a_scenario("messages.timing=paper")
-    yield Row("through a scenario: timing paper, ages that are not one tick", wrong_ages(paper, 0.02), "", 0)
+    delayed = through_a_scenario("messages.timing=delayed")
+    yield Row("through a scenario: timing delayed, ages that are not one tick", wrong_ages(delayed, 0.02), "", 0)
 
 
 def wrong_ages(rows: np.ndarray, age: float) -> float:  # type: ignore[type-arg]

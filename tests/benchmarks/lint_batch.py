@@ -17,7 +17,7 @@ FORMS = (
     "{a} * exp(-abs({x}))",
     "clamp({a} * {x}, -1 .. 1)",
     "where({x} > {a} and time > {b} s, {b}, 1 - {b})",
-    "smooth({x}, {b} s) + {a} * max({x}, 0.1)",
+    "low_pass({x}, {b} s) + {a} * max({x}, 0.1)",
     "{a} * ({x} - {b}) ^ 2",
 )
 

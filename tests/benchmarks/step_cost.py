@@ -131,7 +131,7 @@ def bare(environment: Supervisor, episodes: list[Episode], reads: tuple[Callable
 
 def substeps(environment: Supervisor) -> int:
     """Physics steps in a step of the agent."""
-    return environment.scenario.world.substeps * environment.scenario.repeat
+    return environment.scenario.world.substeps * environment.scenario.action_repeat
 
 
 def blind(environment: Supervisor) -> None:
@@ -205,7 +205,7 @@ def main() -> None:
     rows += [against_physics(what, bar, RAIL, sets, given.steps, given.pairs) for what, bar, sets in rail]
     for name, bar, with_rays, what in TASKS:
         if shipped.scenario_path(name):
-            steps = given.steps // (2 * api.compile(name).program.repeat)
+            steps = given.steps // (2 * api.compile(name).program.action_repeat)
             rows.append(against_physics(what, bar, name, (), steps, given.pairs, with_rays=with_rays))
     rows.append(csv_beside_struct(given.steps, given.pairs))
     rows += beside_layered(given.steps, given.pairs)

@@ -56,7 +56,7 @@ def lost_in(link: LossyChannel, count: int = MESSAGES) -> list[bool]:
     for number in range(count):
         link.send(number)
         link.receive()
-        lost.append(not link.fresh)
+        lost.append(not link.message_received)
     return lost
 
 

@@ -132,7 +132,7 @@ def test_a_lost_message_is_a_gap_that_the_receiver_fills_as_the_route_says(on_lo
         link.loss = loss
         link.send(message)
         found.append(link.receive())
-        fresh.append(link.fresh)
+        fresh.append(link.message_received)
     assert (found, fresh, link.latest) == (taken, [True, False, True], latest)
 
 

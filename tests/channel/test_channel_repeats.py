@@ -14,7 +14,7 @@ from deepbots_cli.runtime import Supervisor
 
 Make = Callable[..., Supervisor]
 TICK = 0.02
-THREE = "agent.repeat=3"
+THREE = "agent.action_repeat=3"
 
 
 def episode(environment: Supervisor, steps: int, drive: float = 0.5, seed: int = 0) -> list[tuple[float, bool, bool, dict[str, float]]]:
@@ -116,7 +116,7 @@ def test_what_a_robot_applies_advances_per_message_and_not_per_tick(make: Make) 
 
 
 def test_paper_timing_is_a_tick_late_and_not_a_step(make: Make) -> None:
-    environment = make(THREE, "messages.timing=paper", "reward={truth: joint_velocity(cart.slider) / (0.1 m/s)}")
+    environment = make(THREE, "messages.timing=delayed", "reward={truth: joint_velocity(cart.slider) / (0.1 m/s)}")
     assert [row[0] for row in episode(environment, 2, drive=1.0)] == pytest.approx([2.0, 3.0], abs=1e-3)
 
 

@@ -41,7 +41,7 @@ def test_a_supervisor_goes_by_what_has_arrived(make: Make, latency: str, ticks: 
 
 def test_paper_timing_is_one_tick_more_either_way(make: Make) -> None:
     route = "{to_robot: {latency: 20 ms}, from_robot: {latency: 20 ms}"
-    immediate, paper = (terms(make(f"messages={route}, timing: {timing}}}")) for timing in ("immediate", "paper"))
+    immediate, paper = (terms(make(f"messages={route}, timing: {timing}}}")) for timing in ("immediate", "delayed"))
     assert immediate["truth"] == pytest.approx([0.0, *DRIVES[:5]], abs=NEARLY)
     assert immediate["sent"] == pytest.approx([0.0, 0.0, *DRIVES[:4]], abs=NEARLY)
     assert paper["truth"] == pytest.approx([0.0, 0.0, *DRIVES[:4]], abs=NEARLY)
@@ -91,7 +91,7 @@ def test_beyond_its_range_a_robot_hears_nothing(make: Make) -> None:
 
 # What the supervisor knows of it
 
-TOLD = "signals: {stale: age(cart), came: fresh(cart)}\n"
+TOLD = "signals: {stale: age(cart), came: message_received(cart)}\n"
 GRANT = "augment: {shown: velocity(cart.cart).x * s / m}"
 SEEN = "reward={age: stale / (20 ms), came: 1 when came}"
 
@@ -103,7 +103,7 @@ SEEN = "reward={age: stale / (20 ms), came: 1 when came}"
         ("messages.from_robot={latency: 30 ms}", [1, 2, 2, 2, 2, 2], [0, 0, 1, 1, 1, 1]),
         ("messages.from_robot={loss: 1}", [1, 2, 3, 4, 5, 6], [0, 0, 0, 0, 0, 0]),
         ("messages.from_robot={loss: 1, on_loss: zero}", [1, 2, 3, 4, 5, 6], [0, 0, 0, 0, 0, 0]),
-        ("messages.timing=paper", [1, 1, 1, 1, 1, 1], [1, 1, 1, 1, 1, 1]),
+        ("messages.timing=delayed", [1, 1, 1, 1, 1, 1], [1, 1, 1, 1, 1, 1]),
         ("messages.format=none", [0, 0, 0, 0, 0, 0], [1, 1, 1, 1, 1, 1]),
     ],
 )
@@ -129,7 +129,7 @@ def test_ages_of_a_drawn_latency_lie_between_its_ends(make: Make) -> None:
     ("signal", "codes"),
     [
         ("age(cart) / s", []),
-        ("where(fresh(cart), cart.place / m, previous(drive) + time / s)", []),
+        ("where(message_received(cart), cart.place / m, previous(drive) + time / s)", []),
         ("limit * step * inner", []),
         ("wind * cart.place / m", ["DB609"]),
         ("position(cart.cart).x / m", ["DB609"]),

@@ -69,7 +69,8 @@ def test_observations_and_actions_have_a_row_for_each_copy(team: Make) -> None:
 
 @pytest.mark.parametrize("engine", ["exact", "pybullet"])
 @pytest.mark.parametrize(
-    "sets", [(), ("messages.format=csv", "messages.timing=paper"), ("agent={each: cart, repeat: 3, stack: 2}", "termination={}")]
+    "sets",
+    [(), ("messages.format=csv", "messages.timing=delayed"), ("agent={each: cart, action_repeat: 3, frame_stack: 2}", "termination={}")],
 )
 def test_each_copy_does_what_it_would_do_alone(team: Make, engine: str, sets: tuple[str, ...]) -> None:
     together, alone = (
@@ -162,7 +163,7 @@ def test_draws_are_each_copys_own_and_parameters_are_shared(team: Make) -> None:
 def test_channels_of_copies_share_no_draw(team: Make) -> None:
     environment = team(
         "messages={to_robot: {loss: 50 %}, from_robot: {latency: uniform(0 .. 100 ms) each step, loss: 50 %}}",
-        "reward={a: 1 when fresh(cart)}",
+        "reward={a: 1 when message_received(cart)}",
     )
     environment.reset(seed=0)
     heard = np.array([environment.step(np.zeros(3, int))[4]["each"]["reward"] for _ in range(60)])
@@ -170,7 +171,7 @@ def test_channels_of_copies_share_no_draw(team: Make) -> None:
         assert 10 < np.sum(heard[:, one] == heard[:, other]) < 50
 
 
-@pytest.mark.parametrize("sets", [(), ("messages={from_robot: {latency: 30 ms, loss: 0.2}}",), ("agent={each: cart, repeat: 4}",)])
+@pytest.mark.parametrize("sets", [(), ("messages={from_robot: {latency: 30 ms, loss: 0.2}}",), ("agent={each: cart, action_repeat: 4}",)])
 def test_a_seed_gives_the_same_and_a_reset_world_is_as_new(team: Make, sets: tuple[str, ...]) -> None:
     environment = team(*sets)
     first = as_bytes(rows(environment, 30, seed=3))

@@ -8,6 +8,7 @@ import struct
 import pytest
 
 from deepbots_cli.document import shipped
+from tests.few import few
 
 BROKEN = '<robot name="r"><link name="a"/><link name="a"/></robot>'
 ODD = """<robot name="odd"><link name="base"><collision><geometry><box size="2 1 0.5"/></geometry></collision></link>
@@ -54,7 +55,10 @@ def test_a_robot_file_that_is_not_there_is_one_line_that_lists_the_shipped_ones(
     assert "cartpole_rail, epuck" in ran.err
 
 
-@pytest.mark.parametrize("name", [*(n for n in shipped.robot_names() if n != "cartpole"), "package://pybullet_data/husky/husky.urdf"])
+HUSKY = "package://pybullet_data/husky/husky.urdf"
+
+
+@pytest.mark.parametrize("name", few([*(n for n in shipped.robot_names() if n != "cartpole"), HUSKY], ("epuck", HUSKY)))
 def test_a_robot_is_drawn_so_that_it_fills_the_picture(deepbots, tmp_path, name):
     reference = str(shipped.robot_path(name) or name)
     ran = deepbots("inspect", reference, "--picture", str(tmp_path / "robot.png"))

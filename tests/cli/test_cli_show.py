@@ -48,7 +48,7 @@ def test_programs_get_every_table(deepbots):
 
 
 def test_inspect_shows_the_noise_of_a_measurement_and_of_the_goal(deepbots):
-    goal = "goal={achieved: x, desired: 0.1 m, within: 1 cm, range: -1 .. 1 m, noise: 1 %}"
+    goal = "goal={achieved: x, desired: 0.1 m, tolerance: 1 cm, range: -1 .. 1 m, noise: 1 %}"
     noisy = "augment.x={value: position(cart).x, noise: 2 mm}"
     tables = inspected(deepbots, "--set", noisy, "--set", goal, "--set", "reward={there: 1 when goal_reached}")
     (x,) = (row for row in tables["signals"] if row["signal"] == "x")
@@ -104,7 +104,7 @@ def test_immediate_actions_act_at_once_and_every_observation_is_fresh(deepbots):
 
 
 def test_paper_timing_ages_actions_and_messages_by_a_tick_but_not_what_the_supervisor_adds(deepbots):
-    timing = {row["name"]: row for row in inspected(deepbots, "--set", "messages.timing=paper")["timing"]}
+    timing = {row["name"]: row for row in inspected(deepbots, "--set", "messages.timing=delayed")["timing"]}
     assert (timing["drive"]["physics_step"], timing["drive"]["age_s"]) == ("4n + 5", 0.032)
     assert (timing["cart.pole_angle"]["physics_step"], timing["cart.pole_angle"]["age_s"]) == ("4n", 0.032)
     assert (timing["x"]["physics_step"], timing["x"]["age_s"]) == ("4n + 4", 0)
@@ -261,7 +261,7 @@ def test_a_value_on_several_lines_is_shown_as_a_mapping_on_one(deepbots, tmp_pat
 
 
 def test_held_actions_are_counted_in_the_steps_of_the_agent(deepbots):
-    timing = {row["name"]: row for row in inspected(deepbots, "--set", "agent={repeat: 3}")["timing"]}
+    timing = {row["name"]: row for row in inspected(deepbots, "--set", "agent={action_repeat: 3}")["timing"]}
     assert (timing["drive"]["physics_step"], timing["x"]["physics_step"]) == ("12n + 1", "12n + 12")
 
 
@@ -325,7 +325,7 @@ def test_what_is_no_whole_number_is_refused_with_how_to_write_one(deepbots, word
 def test_a_quick_bench_measures_less(deepbots):
     figures = json.loads(deepbots("bench", "cartpole", "--quick", "--steps", "100", "--pairs", "1", "--json").out)
     assert (figures["steps"], figures["pairs"]) == (100, 1)
-    assert json.loads(deepbots("bench", "cartpole", "--quick", "--json").out)["pairs"] == 3
+    assert json.loads(deepbots("bench", "cartpole", "--quick", "--steps", "100", "--json").out)["pairs"] == 3
 
 
 def test_bench_tells_how_far_it_is():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import pty
@@ -11,8 +12,12 @@ import subprocess
 import sys
 import threading
 import time
+from io import StringIO
 
 import pytest
+
+from deepbots_cli.cli import main
+from tests.cli.conftest import Ran
 
 TINY = ("train", "cartpole", "--timesteps", "600", "--set", "evaluation={episodes: 4}")
 
@@ -20,11 +25,11 @@ TINY = ("train", "cartpole", "--timesteps", "600", "--set", "evaluation={episode
 @pytest.fixture(scope="module")
 def first(tmp_path_factory):
     """A folder with a run of 600 steps, `mine`, and what its training printed."""
-    folder = tmp_path_factory.mktemp("trained")
-    command = [sys.executable, "-m", "deepbots_cli", *TINY, "--run", "mine"]
-    ran = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-    assert ran.returncode == 0, ran.stderr
-    return folder, ran
+    folder, out, err = tmp_path_factory.mktemp("trained"), StringIO(), StringIO()
+    with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = main([*TINY, "--run", "mine"])
+    assert code == 0, err.getvalue()
+    return folder, Ran(code, out.getvalue(), err.getvalue())
 
 
 @pytest.fixture
@@ -36,10 +41,10 @@ def trained(first, tmp_path):
 
 
 def test_a_training_ends_with_a_verdict_and_what_to_do_next(trained, tmp_path):
-    assert "mean return" in trained.stdout
-    assert "cannot be told from 4 episodes" in trained.stdout
-    assert "deepbots eval mine --video" in trained.stderr
-    assert "tensorboard --logdir mine" in trained.stderr
+    assert "mean return" in trained.out
+    assert "cannot be told from 4 episodes" in trained.out
+    assert "deepbots eval mine --video" in trained.err
+    assert "tensorboard --logdir mine" in trained.err
     assert json.loads((tmp_path / "mine" / "run.json").read_text())["status"] == "finished"
 
 

@@ -111,3 +111,35 @@ def test_a_link_stays_a_link(deepbots, tmp_path):
 @pytest.mark.parametrize("name", shipped.scenario_names())
 def test_shipped_scenarios_are_current(deepbots, name):
     assert "is up to date" in deepbots("upgrade", shipped.scenario_path(name)).out
+
+
+OLD = """extends: base.yaml  # mine
+name: Old
+robots: {cart: {sensors: {pole_angle: {quantise: 0.1 deg}}}}
+signals:
+  near: smooth(gap(cart.body, cart.pole), 0.1 s)
+"""
+
+
+def test_old_names_are_replaced_also_in_files_that_are_included(deepbots, tmp_path):
+    (tmp_path / "base.yaml").write_text(WHOLE.replace("{format: csv}", "{format: csv, timing: paper}"), encoding="utf-8")
+    file = tmp_path / "old.yaml"
+    file.write_text("deepbots: 1\n" + OLD, encoding="utf-8")
+    shown = deepbots("upgrade", "old.yaml", "--diff")
+    assert shown.code == 1
+    assert "+++ base.yaml" in shown.out
+    ran = deepbots("upgrade", "old.yaml")
+    assert ran.code == 0, ran.err
+    assert ran.out.splitlines() == ["quantise -> resolution", "smooth -> low_pass", "gap -> clearance", "paper -> delayed"]
+    mended = OLD.replace("quantise", "resolution").replace("smooth", "low_pass").replace("gap", "clearance")
+    assert file.read_text(encoding="utf-8") == "deepbots: 1\n" + mended
+    assert "timing: delayed" in (tmp_path / "base.yaml").read_text(encoding="utf-8")
+    assert "is up to date" in deepbots("upgrade", "old.yaml").out
+
+
+def test_a_file_without_a_version_may_hold_old_names(deepbots, tmp_path):
+    (tmp_path / "base.yaml").write_text(WHOLE, encoding="utf-8")
+    (tmp_path / "old.yaml").write_text(OLD, encoding="utf-8")
+    assert deepbots("upgrade", "old.yaml").code == 0
+    assert (tmp_path / "old.yaml").read_text(encoding="utf-8").startswith("deepbots: 1\nextends: base.yaml  # mine\n")
+    assert {finding.code for finding in api.lint(tmp_path / "old.yaml")} <= {"DB205"}

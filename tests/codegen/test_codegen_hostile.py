@@ -23,6 +23,7 @@ from deepbots_cli.compiler import check
 from deepbots_cli.compiler.inputs import RESOLVED
 from deepbots_cli.document.load import loads
 from deepbots_cli.errors import DeepbotsError
+from tests.few import every
 
 TESTS = Path(__file__).parents[1]
 SOURCES = [
@@ -68,7 +69,7 @@ OTHERS: tuple[Any, ...] = (
 Place = tuple[Any, ...]
 
 
-@pytest.fixture(scope="module", params=SOURCES, ids=lambda source: Path(source).stem)
+@pytest.fixture(scope="module", params=every(2, SOURCES, lambda source: Path(source).stem))
 def opened(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Path]:
     """A scenario as data, and the folder that its files lie in."""
     checked, folder = api.load(request.param), tmp_path_factory.mktemp("copies")

@@ -16,7 +16,7 @@ PLACES = {
     "a link's restitution": "robots: {cart: {links: {body: {restitution: SHARE}}}}",
     "an object's restitution": "objects: {ball: {shape: sphere, radius: 5 cm, pose: {x: 1 m}, restitution: SHARE}}",
     "a drawn share": "objects: {ball: {shape: sphere, radius: 5 cm, pose: {x: 1 m}, restitution: uniform(0 .. SHARE)}}",
-    "the reflectance of a line": "world: {lines: {stripe: {through: [0 0 m, 1 0 m], width: 2 cm, reflectance: SHARE}}}",
+    "the reflectance of a line": "world: {lines: {stripe: {points: [0 0 m, 1 0 m], width: 2 cm, reflectance: SHARE}}}",
     "the lumps of a terrain": "world: {terrain: {type: pit, height: 0.5 m, noise: SHARE}}",
     "the loss of messages": "messages: {to_robot: {loss: SHARE}}",
     "the shares of layouts": LAYOUTS + "{left: SHARE, right: 1 - SHARE}}\nremove: [reset.place]",

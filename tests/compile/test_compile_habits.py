@@ -68,8 +68,8 @@ def test_other_names_stand_for_words_of_the_language_and_are_none():
     [
         "world: {ground: {COLOUR: red}}",
         "world: {arena: {size: 1 1 m, COLOUR: red}}",
-        "world: {walls: {fence: {through: [0.3 0.3 m, 0.3 0.4 m], height: 10 cm, COLOUR: red}}}",
-        "world: {lines: {stripe: {through: [0 0 m, 0.3 0 m], width: 2 cm, COLOUR: red}}}",
+        "world: {walls: {fence: {points: [0.3 0.3 m, 0.3 0.4 m], height: 10 cm, COLOUR: red}}}",
+        "world: {lines: {stripe: {points: [0 0 m, 0.3 0 m], width: 2 cm, COLOUR: red}}}",
         "robots: {cart: {links: {pole: {COLOUR: red}}}}",
         "objects: {ball: {shape: sphere, radius: 5 cm, COLOUR: red, pose: {x: 0.3 m, z: 5 cm}}}",
     ],

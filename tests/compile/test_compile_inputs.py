@@ -10,7 +10,7 @@ import pytest
 from deepbots_cli import api, canonical
 from deepbots_cli.compiler.inputs import copy_names
 from deepbots_cli.document import shipped
-from tests.few import few
+from tests.few import LIGHT, few
 
 MESH = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 
@@ -48,7 +48,7 @@ def test_inputs_are_all_files_and_stand_to_each_other_as_they_did(meshed):
 
 
 @pytest.mark.parametrize("sets", [(), ("world.gravity=0 0 -9.8 m/s^2", "world.substeps=5")])
-@pytest.mark.parametrize("name", few(shipped.scenario_names()))
+@pytest.mark.parametrize("name", few(shipped.scenario_names(), LIGHT))
 def test_a_resolved_scenario_compiles_to_the_same_from_its_copies(tmp_path, name, sets):
     compiled = api.compile(name, sets=sets)
     assert api.compile(unpack(compiled, tmp_path)).digest == compiled.digest

@@ -55,7 +55,7 @@ def test_a_group_may_stand_for_the_joints_that_change(workshop, cartpole) -> Non
 
 
 def test_a_stretch_may_be_one_factor_for_all_axes(workshop, cartpole) -> None:
-    pole = model(workshop.compile(cartpole(with_cart("links: {pole: {stretch: size}}"), ("parameters:", "parameters:\n  size: 2"))))
+    pole = model(workshop.compile(cartpole(with_cart("links: {pole: {scale: size}}"), ("parameters:", "parameters:\n  size: 2"))))
     assert pole.link("pole").inertial.mass == pytest.approx(8 * 0.2)
 
 
@@ -85,8 +85,8 @@ WRONG = {
     "links: {pole: {mass: -1 kg}}": "DB105",
     "links: {poel: {mass: 1 kg}}": "DB201",
     'links: {"pol_*": {mass: 1 kg}}': "DB206",
-    "links: {pole: {stretch: 1 1 0}}": "DB105",
-    "links: {wheel_front_left: {stretch: 1 1 2}}": "DB105",
+    "links: {pole: {scale: 1 1 0}}": "DB105",
+    "links: {wheel_front_left: {scale: 1 1 2}}": "DB105",
     "links: {pole: {friction: uniform(-0.5 .. 1)}}": "DB105",
     "links: {pole: {friction: -0.5}}": "DB105",
     "joints: {pole_hing: {damping: 1 N*m*s/rad}}": "DB302",

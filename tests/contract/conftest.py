@@ -26,18 +26,18 @@ DATA = Path(__file__).parents[1] / "data" / "scenarios"
 MADE_FOR_TESTS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("rail", ()),
     ("rail", ("messages.format=none",)),
-    ("rail", ("messages.timing=paper",)),
+    ("rail", ("messages.timing=delayed",)),
     ("drawn", ()),
-    ("drawn", ("messages.timing=paper",)),
+    ("drawn", ("messages.timing=delayed",)),
     ("pair", ()),
-    ("pair", ("agent={repeat: 3}",)),
+    ("pair", ("agent={action_repeat: 3}",)),
     ("../../channel/radio", ()),
     ("../../world/hills", ()),
     ("drone", ()),
     ("sensed", ()),
 )
 
-FULL = (*WORLDS, "rail-paper", "radio")
+FULL = (*WORLDS, "rail-delayed", "radio")
 
 
 @dataclass(frozen=True)

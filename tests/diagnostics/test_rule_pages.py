@@ -49,8 +49,8 @@ def named(page: Page) -> str:
 
 
 EXAMPLES = [page for page in every_page() if page.example]
-QUICK = {named(page) for page in EXAMPLES if not page.deep} | {"DB310-deep", "DB704-deep", "DB806-deep"}
-"""All but most of those that are simulated, which take 1 to 4 s each; `tests/golden/deep` has a case of each of them."""
+QUICK = {named(page) for page in EXAMPLES if not page.deep} | {"DB310-deep"}
+"""All but one of those that are simulated, which take 1 to 4 s each; `tests/golden/deep` has a case of each of them."""
 
 
 @pytest.mark.parametrize("page", few(EXAMPLES, QUICK, named))

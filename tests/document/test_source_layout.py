@@ -11,7 +11,7 @@ from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.document import shipped, to_data
 from deepbots_cli.document.layout import tidy
 from deepbots_cli.document.parse import parse
-from tests.few import few
+from tests.few import LIGHT, few
 
 SHIPPED = shipped.scenario_names()
 
@@ -131,7 +131,7 @@ def test_any_layout_of_a_scenario_is_changed_without_its_meaning_and_once_for_al
             assert tidy(done) == done
 
 
-@pytest.mark.parametrize("name", few(SHIPPED))
+@pytest.mark.parametrize("name", few(SHIPPED, LIGHT))
 def test_a_scenario_compiles_to_the_same_before_and_after(name):
     path = shipped.scenario_path(name).resolve()
     text = text_of(name)

@@ -107,7 +107,7 @@ def test_watching_contacts_changes_nothing(worlds, build):
     seen, unseen = build("pybullet", worlds.arena()), build("pybullet", worlds.arena())
     for name in ("robot", "ball"):
         seen.contact((name, None))
-        seen.gap((name, None), ("crate", None))
+        seen.clearance((name, None), ("crate", None))
     for engine in (seen, unseen):
         engine.velocity_motor("robot", [f"wheel_{i}" for i in range(4)], [10.0] * 4)([20.0] * 4)
         for _ in range(60):
@@ -132,22 +132,22 @@ def test_the_gap_between_two_solids_along_x_is_what_is_left_between_them(one, ot
     place = Pose((half + other_half + apart, 0, 1))
     world = things(ObjectBody("one", shape, Pose((0, 0, 1)), **STAYS), ObjectBody("other", other_shape, place, **STAYS))
     engine = build("pybullet", world)
-    assert engine.gap(("one", None), ("other", None))() == pytest.approx(apart, abs=1e-6)
+    assert engine.clearance(("one", None), ("other", None))() == pytest.approx(apart, abs=1e-6)
 
 
 def test_gaps_to_the_ground_to_corners_and_to_what_overlaps(build):
     turned = ObjectBody("turned", Box((0.2, 0.2, 0.2)), Pose((1, 0, 1), (0, 0, pi / 4)), **STAYS)
     engine = build("pybullet", things(ball("ball", (0, 0, 1)), turned, ball("inside", (0.05, 0, 1))))
-    assert engine.gap(("ball", None), ("ground", None))() == pytest.approx(0.95, abs=1e-6)
+    assert engine.clearance(("ball", None), ("ground", None))() == pytest.approx(0.95, abs=1e-6)
     # a corner is rounded by the library's margin of 1 mm: 0.4 mm too far
-    assert engine.gap(("ball", None), ("turned", None))() == pytest.approx(1 - 0.05 - 0.1 * sqrt(2), abs=5e-4)
-    assert engine.gap(("ball", None), ("inside", None))() == 0.0
+    assert engine.clearance(("ball", None), ("turned", None))() == pytest.approx(1 - 0.05 - 0.1 * sqrt(2), abs=5e-4)
+    assert engine.clearance(("ball", None), ("inside", None))() == 0.0
 
 
 def test_the_gap_of_a_moving_link_follows_it(worlds, build):
     world = worlds.arena()
     engine = build("pybullet", world)
-    gap, pose = engine.gap(("robot", "wheel_0"), ("front wall", None)), engine.pose("robot", "wheel_0")
+    gap, pose = engine.clearance(("robot", "wheel_0"), ("front wall", None)), engine.pose("robot", "wheel_0")
     engine.velocity_motor("robot", [f"wheel_{i}" for i in range(4)], [10.0] * 4)([5.0] * 4)
     engine.place("ball", (0, 0.4, 0.05), (0, 0, 0, 1))
     for _ in range(30):
@@ -159,7 +159,7 @@ def test_the_gap_of_a_moving_link_follows_it(worlds, build):
 def test_a_gap_to_nothing_is_infinite(build):
     ghost = ObjectBody("ghost", Sphere(0.1), Pose((1, 0, 1)), solid=False)
     engine = build("pybullet", things(ball("ball", (0, 0, 1)), ghost))
-    assert engine.gap(("ball", None), ("ghost", None))() == inf
+    assert engine.clearance(("ball", None), ("ghost", None))() == inf
 
 
 # What lies within something else

@@ -292,7 +292,7 @@ def test_what_the_exact_engine_cannot_do_names_the_engine_that_can(worlds, build
         lambda: engine.pusher(part),
         lambda: engine.contact(part),
         lambda: engine.contact_force(part),
-        lambda: engine.gap(part, part),
+        lambda: engine.clearance(part, part),
         lambda: engine.rays(part, (), 1.0),
         lambda: engine.camera(part, frames.HERE, 8, 8, 1.0),
         lambda: engine.inverse_kinematics(part, ()),

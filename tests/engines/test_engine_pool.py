@@ -36,7 +36,7 @@ def test_an_absent_body_is_touched_and_seen_by_nothing_until_it_is_placed(build)
     world = WorldModel(0.02, 4, objects=(ObjectBody("ball", Sphere(0.1), Pose((0, 0, 0.1)), 1.0), *pooled(2)))
     engine = build("pybullet", world)
     view = View((2.0, 0.0, 1.0), (0.0, 0.0, 0.0), 60, 40)
-    gap, touches = engine.gap(("ball", None), ("thing#1", None)), engine.contact(("thing#1", None))
+    gap, touches = engine.clearance(("ball", None), ("thing#1", None)), engine.contact(("thing#1", None))
     usual = engine.render(view)
     for _ in range(20):
         engine.step(4)
@@ -71,7 +71,7 @@ def test_a_placed_body_falls_and_rolls_like_any_other(build):
 def test_readers_follow_the_form_that_was_chosen(build):
     world = WorldModel(0.02, 4, objects=(ObjectBody("ball", Sphere(0.1), Pose((0, 0, 0.1)), 1.0), *pooled(1, ROUND, SQUARE, PILLAR)))
     engine = build("pybullet", world)
-    pose, gap = engine.pose("thing#1"), engine.gap(("ball", None), ("thing#1", None))
+    pose, gap = engine.pose("thing#1"), engine.clearance(("ball", None), ("thing#1", None))
     apart = (1 + 0.8**2) ** 0.5 - 0.15
     inside = {"pillar": (0.95**2 + 0.6**2) ** 0.5 - 0.1, "square": (0.95**2 + 0.75**2) ** 0.5 - 0.1, "round": apart, None: apart}
     for form, height, stays in (("pillar", 0.9, True), ("square", 0.05, False), ("round", 0.05, False), (None, 0.05, False)):
@@ -119,7 +119,7 @@ def brawl(engine, seed: int, ticks: int) -> bytes:
     drive, touched, gap = (
         engine.velocity_motor("robot", WHEELS, [10.0] * 4),
         engine.contact(("robot", None), ground=False),
-        engine.gap(("robot", None), ("thing#1", None)),
+        engine.clearance(("robot", None), ("thing#1", None)),
     )
     figures: list[float] = []
     for tick in range(ticks):

@@ -74,10 +74,13 @@ def deepbots(folder, script, *arguments):
 
 
 def install(folder, module, target="more_functions:FUNCTIONS"):
-    (folder / "more_functions.py").write_text(module)
-    info = folder / "more-1.0.dist-info"
+    """Installs a module of functions, under the name that `target` begins with unless there shall be no such module."""
+    name = target.partition(":")[0]
+    if name != "no_such_module":
+        (folder / f"{name}.py").write_text(module)
+    info = folder / f"{name}-1.0.dist-info"
     info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: more\nVersion: 1.0\n")
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text(f"[deepbots.functions]\nmore = {target}\n")
     (folder / "twice.yaml").write_text(
         f"deepbots: 1\nextends: {ROOT}/scenarios/cartpole.yaml\n"
@@ -101,27 +104,38 @@ def test_a_function_of_another_package_is_known_everywhere(tmp_path):
     assert "| `double(x)` | Twice x. | as given | `double(gas)` |" in deepbots(tmp_path, script).stdout
 
 
-@pytest.mark.parametrize(
-    ("module", "target", "reason"),
-    [
-        (MODULE, "no_such_module:FUNCTIONS", "ModuleNotFoundError: No module named 'no_such_module'"),
-        ("raise RuntimeError('broken\\nin two lines')", "more_functions:FUNCTIONS", "RuntimeError: broken in two lines"),
-        ("FUNCTIONS = ['double']", "more_functions:FUNCTIONS", "'double' is no Function"),
-        (MODULE.replace('"2*x"', '"x + x"'), "more_functions:FUNCTIONS", "must hold each of x once"),
-        (MODULE.replace('"2*x"', '"open(x)"'), "more_functions:FUNCTIONS", "holds open"),
-        (MODULE.replace('"2*x"', '"x ** 2"'), "more_functions:FUNCTIONS", "'x ** 2' is not part of the Python of functions"),
-        (MODULE.replace('"2*x"', '"factorial(x)"'), "more_functions:FUNCTIONS", "TypeError"),
-        (MODULE.replace("return Interval", "return Intervall"), "more_functions:FUNCTIONS", "name 'Intervall' is not defined"),
-        (MODULE.replace('"double", ', '"sin", '), "more_functions:FUNCTIONS", "the name 'sin' is taken"),
-    ],
-)
-def test_a_broken_function_of_another_package_is_one_warning(tmp_path, module, target, reason):
-    install(tmp_path, module, target)
-    lint = deepbots(tmp_path, "", "lint", "twice.yaml")
-    assert lint.returncode == 1
-    assert "unknown function `double`" in lint.stdout
-    assert lint.stderr.count("\n") == 1
-    assert reason in lint.stderr
+BROKEN = [
+    ("no_such_module:FUNCTIONS", MODULE, "ModuleNotFoundError: No module named 'no_such_module'"),
+    ("raising:FUNCTIONS", "raise RuntimeError('broken\\nin two lines')", "RuntimeError: broken in two lines"),
+    ("text:FUNCTIONS", "FUNCTIONS = ['double']", "'double' is no Function"),
+    ("twice:FUNCTIONS", MODULE.replace('"2*x"', '"x + x"'), "must hold each of x once"),
+    ("opening:FUNCTIONS", MODULE.replace('"2*x"', '"open(x)"'), "holds open"),
+    ("power:FUNCTIONS", MODULE.replace('"2*x"', '"x ** 2"'), "'x ** 2' is not part of the Python of functions"),
+    ("whole:FUNCTIONS", MODULE.replace('"2*x"', '"factorial(x)"'), "TypeError"),
+    ("typo:FUNCTIONS", MODULE.replace("return Interval", "return Intervall"), "name 'Intervall' is not defined"),
+    ("taken:FUNCTIONS", MODULE.replace('"double", ', '"sin", '), "the name 'sin' is taken"),
+]
+
+
+@pytest.fixture(scope="module")
+def linted(tmp_path_factory):
+    """What lint says of a scenario with `double` where every package that could have it is broken."""
+    folder = tmp_path_factory.mktemp("broken")
+    for target, module, _ in BROKEN:
+        install(folder, module, target)
+    return deepbots(folder, "", "lint", "twice.yaml")
+
+
+def test_a_function_of_a_broken_package_is_unknown(linted):
+    assert linted.returncode == 1
+    assert "unknown function `double`" in linted.stdout
+    assert linted.stderr.count("\n") == len(BROKEN)
+
+
+@pytest.mark.parametrize(("target", "reason"), [(target, reason) for target, _, reason in BROKEN])
+def test_a_broken_function_of_another_package_is_one_warning(linted, target, reason):
+    (told,) = [line for line in linted.stderr.splitlines() if f"({target})" in line]
+    assert reason in told
 
 
 def test_a_broken_function_of_another_package_is_no_matter_where_it_is_not_used(tmp_path):

@@ -16,7 +16,7 @@ clamp(gas - turn, -1 .. 1) * top_speed
 driven > length(track)
 duration(abs(offset) > 2 * width) > 1 s
 uniform(-20 .. 20 deg)
-smooth(atan2(-accel.x, accel.z) + tau * gyro.y, tau)
+low_pass(atan2(-accel.x, accel.z) + tau * gyro.y, tau)
 -0.1 * push^2
 -0.2 * abs(velocity(bot).x) / (m/s)
 uniform(-0.5 .. 1 m/s) every 5 s
@@ -24,9 +24,9 @@ urdf * uniform(0.8 .. 1.3)
 1 N*m*s/rad
 q - stand
 stand + swing * stride
-local(dog, angular_velocity(dog))
+to_body_frame(dog, angular_velocity(dog))
 duration(not contact(dog.feet, ground))
-rising(contact(dog.feet, ground))
+rising_edge(contact(dog.feet, ground))
 exp(-((v.x - vx)^2 + v.y^2) / (0.5 m/s)^2)
 0.5 * exp(-((w.z - wz) / (0.5 rad/s))^2)
 sum(where(landed, previous(air) - 0.3 s, 0 s)) / s
@@ -39,7 +39,7 @@ abs(cart.pole_angle) > fall_angle
 -0.4 .. 0.4 m
 -top .. top
 0 0 1 m
-local(drone, home - position(drone))
+to_body_frame(drone, home - position(drone))
 exp(-norm(error) / 30 cm)
 -0.01 * norm(angular_velocity(drone)) / (rad/s)
 normal(0 0 0 +- 0.02 0.02 0.01 N)
@@ -56,7 +56,7 @@ where(max(proximity) > 150, -0.5, 0.6 - whim - 0.2 * sin(threat)) * speed
 0.01 when visible(epuck.camera, ball)
 running_max(norm(position(roller).xy))
 hold(where(reach < radius, 0.5 * reach / radius, 0.5 + 0.5 * (time_limit - time) / time_limit), reach > previous(reach))
--0.05 when min(gap(epuck, obstacle)) < 8 mm
+-0.05 when min(clearance(epuck, obstacle)) < 8 mm
 integer(1 .. 3)
 choice(0 deg | 90 deg)
 accumulate(dl * increment, -top .. top, 0 rad/s)

@@ -45,14 +45,14 @@ def xs(*values):
         ("running_max(x)", [2, 3, 5, 5]),
         ("running_min(x)", [2, 2, 2, -1]),
         ("hold(x, x < 4 m)", [2, 3, 3, -1]),
-        ("smooth(x, 0.5 s)", [2, 2.5, 3.75, 1.375]),
-        ("smooth(x, 0)", [2, 3, 5, -1]),
+        ("low_pass(x, 0.5 s)", [2, 2.5, 3.75, 1.375]),
+        ("low_pass(x, 0)", [2, 3, 5, -1]),
         ("integral(x)", [0, 1.5, 4, 3.5]),
         ("accumulate(x, -1 .. 7 m, 1 m)", [1, 4, 7, 6]),
         ("duration(x > 2 m)", [0, 0.5, 1, 0]),
-        ("rising(x > 2 m)", [False, True, False, False]),
-        ("rising(not flag)", [False, False, False, True]),
-        ("smooth(x, where(flag, 0.5 s, 1 s))", [2, 2.5, 3.75, 13 / 6]),
+        ("rising_edge(x > 2 m)", [False, True, False, False]),
+        ("rising_edge(not flag)", [False, False, False, True]),
+        ("low_pass(x, where(flag, 0.5 s, 1 s))", [2, 2.5, 3.75, 13 / 6]),
         ("duration(where(flag, x > 2 m, false))", [0, 0.5, 1, 0]),
         ("previous(flag)", [True, True, True, True]),
     ],
@@ -67,9 +67,9 @@ def test_an_inner_state_advances_before_the_outer_one(bench):
 
 
 def test_a_complementary_filter_follows_a_constant_rate_exactly(bench):
-    """From rest, and with both readings true, smooth(measured + tau * rate, tau) has no lag."""
+    """From rest, and with both readings true, low_pass(measured + tau * rate, tau) has no lag."""
     rows = [{"x": 0.1 * k * DT, "speed": 0.1 if k else 0.0} for k in range(20)]
-    seen = run(bench, "smooth(x + 2 s * speed, 2 s)", rows)
+    seen = run(bench, "low_pass(x + 2 s * speed, 2 s)", rows)
     assert seen == pytest.approx([row["x"] for row in rows], abs=1e-12)
 
 

@@ -25,12 +25,12 @@ from deepbots_cli.expressions.unification import ANY_SHAPE, expect, expect_range
         ("integral(speed)", LENGTH, None),
         ("delta(angle)", ANGLE, None),
         ("duration(x > 0)", TIME, None),
-        ("smooth(atan2(-cart.accel.x, cart.accel.z) + 0.5 s * cart.gyro.y, 0.5 s)", ANGLE, None),
+        ("low_pass(atan2(-cart.accel.x, cart.accel.z) + 0.5 s * cart.gyro.y, 0.5 s)", ANGLE, None),
         ("home - position(cart)", LENGTH, SPACE),
         ("position(cart).xy", LENGTH, ("x", "y")),
         ("velocity(cart.tip).x", SPEED, None),
         ("angular_velocity(cart)", ANGULAR_VELOCITY, SPACE),
-        ("local(cart, velocity(cart))", SPEED, SPACE),
+        ("to_body_frame(cart, velocity(cart))", SPEED, SPACE),
         ("joint_position(cart.pole_hinge)", ANGLE, None),
         ("joint_velocity(cart.slider)", SPEED, None),
         ("joint_torque(cart.legs)", TORQUE, ("hip", "knee")),
@@ -65,7 +65,7 @@ def test_dimension_and_components_follow_from_the_parts(bench, text, dimension, 
         ("home + stride", "DB404", "home + stride"),
         ("norm(x)", "DB404", "x"),
         ("vector(home, x)", "DB404", "home"),
-        ("local(cart, stride)", "DB404", "stride"),
+        ("to_body_frame(cart, stride)", "DB404", "stride"),
         ("x + flag", "DB403", "flag"),
         ("not x", "DB403", "x"),
         ("flag and gas", "DB403", "gas"),
@@ -134,7 +134,7 @@ def test_a_joint_is_bounded_by_its_limits(bench):
         ("position(cart).x", Context.REQUIRE, []),
         ("delta(x)", Context.REQUIRE, ["DB407"]),
         ("delta(x)", Context.EMIT, []),
-        ("gap(cart, ball)", Context.EMIT, ["DB407"]),
+        ("clearance(cart, ball)", Context.EMIT, ["DB407"]),
         ("abs(x)", Context.FIXED, []),
     ],
 )
@@ -235,7 +235,7 @@ def test_both_ends_of_a_range_take_the_dimension_of_their_field(bench):
 def test_a_huge_expression_is_refused_before_it_is_written_out(bench):
     text = "norm(home / m * " * 20 + "1" + ")" * 20
     assert bench.codes(text) == ["DB005"]
-    deep = "local(cart, " * 20 + "home" + ")" * 20
+    deep = "to_body_frame(cart, " * 20 + "home" + ")" * 20
     assert bench.codes(deep) == ["DB005"]
 
 

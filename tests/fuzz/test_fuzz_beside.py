@@ -25,13 +25,13 @@ def test_fmt_changes_no_meaning_of_a_damaged_file_and_is_done_at_once() -> None:
 
 
 def test_fmt_makes_of_a_file_with_white_space_anywhere_what_it_would_leave_as_it_is() -> None:
-    chances = [random.Random(number) for number in range(400)]
+    chances = [random.Random(number) for number in range(100)]
     tidied = [check_layout(unkempt(CORPUS[chance.choice(sorted(READS))].decode("utf-8"), chance)) for chance in chances]
-    assert sum(tidied) > 100
+    assert sum(tidied) > 25
 
 
 def test_a_damaged_file_does_not_differ_from_itself_and_no_verb_fails(bench: Workbench) -> None:
-    for number in range(40):
+    for number in range(20):
         check(bench, number)
 
 

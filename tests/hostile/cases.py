@@ -172,13 +172,13 @@ def _of_numbers() -> Iterator[Hostile]:
     for what, text in (
         ("copies", "objects: {ball: {shape: sphere, radius: 1 cm, count: 1000000000}}\n"),
         ("attempts", "reset: {attempts: 1000000000000}\n"),
-        ("stack", "agent: {stack: 1000000000}\n"),
+        ("stack", "agent: {frame_stack: 1000000000}\n"),
         ("layers of a network", "train: {algorithm: PPO, total_timesteps: 10, policy: {hidden: [1000000000]}}\n"),
         ("environments", "train: {algorithm: PPO, total_timesteps: 10, environments: 1000000000}\n"),
     ):
         yield Hostile(f"a billion {what}", ("DB005", "DB105"), added(text))
     for what, text in (
-        ("rays", "sensors: {s: {type: lidar, link: cart, fan: 180 .. -180 deg, rays: 1000000000, range: 0 .. 1 m}}"),
+        ("rays", "sensors: {s: {type: lidar, link: cart, angle_range: 180 .. -180 deg, rays: 1000000000, range: 0 .. 1 m}}"),
         ("pixels", "sensors: {s: {type: camera, link: cart, resolution: 100000 100000}}"),
         ("robots", "count: 1000000000\n    spacing: 0 1 0 m"),
     ):

@@ -15,7 +15,7 @@ KINDS = {
 remove: [reward.alive, solved]
 parameters: {place: uniform(-0.3 .. 0.3 m)}
 action: {drive: -1 .. 1}
-goal: {achieved: x, desired: place, within: 2 cm, range: -0.4 .. 0.4 m}
+goal: {achieved: x, desired: place, tolerance: 2 cm, range: -0.4 .. 0.4 m}
 reward:
   near: where(goal_reached, 0, -1)
 truncation: {max_steps: 40}

@@ -50,9 +50,14 @@ def learned(tmp_path: Path, compiled: Compiled, build: Any = stand_in.build, **s
     return train(compiled, run=tmp_path / "run", build=build, **settings)
 
 
-def test_each_copy_goes_on_to_the_next_stage_when_its_episode_has_ended(tmp_path: Path) -> None:
-    result = learned(tmp_path, staged(SHORT, LONG, None))
-    log = rows(result.run)
+@pytest.fixture(scope="module")
+def through(tmp_path_factory: pytest.TempPathFactory) -> TrainingResult:
+    """A training through three stages; not to be changed."""
+    return learned(tmp_path_factory.mktemp("through"), staged(SHORT, LONG, None))
+
+
+def test_each_copy_goes_on_to_the_next_stage_when_its_episode_has_ended(through: TrainingResult) -> None:
+    result, log = through, rows(through.run)
     assert {stage: {int(row["l"]) for row in log if row["stage"] == stage} for stage in "abc"} == {"a": {5}, "b": {8}, "c": {11}}
     # The sixth episode is the second of the last copy; the other two had begun their third by then.
     assert [row["stage"] for row in log[:9]] == ["a"] * 8 + ["b"]
@@ -115,10 +120,10 @@ def test_a_stage_that_does_not_exist_is_refused_before_there_is_a_run(tmp_path: 
     assert not (tmp_path / "run").exists()
 
 
-def test_the_same_seed_goes_the_same_way(tmp_path: Path) -> None:
-    one, other = (learned(tmp_path / name, staged(SHORT, LONG, None)) for name in "ab")
-    assert one.weights_digest == other.weights_digest
-    assert one.stages == other.stages
+def test_the_same_seed_goes_the_same_way(through: TrainingResult, tmp_path: Path) -> None:
+    again = learned(tmp_path, staged(SHORT, LONG, None))
+    assert again.weights_digest == through.weights_digest
+    assert again.stages == through.stages
 
 
 def test_an_evaluation_says_when_the_training_did_not_come_to_the_last_stage(tmp_path: Path) -> None:

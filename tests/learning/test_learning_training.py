@@ -157,7 +157,7 @@ def test_resuming_takes_up_networks_and_optimiser(run_copy: Path, trained: Train
 @pytest.mark.parametrize("number", few([signal.SIGINT, signal.SIGTERM], ["SIGINT"], lambda number: number.name))
 def test_an_interrupted_training_keeps_what_was_learned_and_says_how_to_go_on(tmp_path: Path, number: int) -> None:
     handler = signal.getsignal(number)
-    told = Telling(20, lambda: os.kill(os.getpid(), number))
+    told = Telling(5, lambda: os.kill(os.getpid(), number))
     result = short(tmp_path, total=50_000, progress=told, build=stand_in.build)
     assert result.interrupted
     assert told.stopped
@@ -306,7 +306,7 @@ except deepbots_cli.learning.MissingExtraError as error:
 """
 
 
-@pytest.mark.parametrize("module", ["torch", "stable_baselines3", "tensorboard"])
+@pytest.mark.parametrize("module", few(["torch", "stable_baselines3", "tensorboard"], ["torch"]))
 def test_a_missing_extra_is_one_sentence_with_the_command(module: str, tmp_path: Path) -> None:
     said = python(NEEDS_EXTRA, module, folder=tmp_path)
     assert said == f"training needs the 'train' extra; {installing('train')}\n"

@@ -1,6 +1,8 @@
 """Trials of the networks of a moment: they decide what is kept as the best and when a solved task ends the training."""
 
+import shutil
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -71,8 +73,30 @@ def learned(folder: Path, build: Any = stand_in.build, total: int = 1_500, solve
     return train(task, runs=folder, build=build)
 
 
-def test_a_training_does_not_end_while_the_policy_by_itself_does_not_solve_the_task(tmp_path: Path) -> None:
-    result = learned(tmp_path, Builder(lambda trial: 0.0))
+@dataclass(frozen=True)
+class Learned:
+    """A training that several tests read, and its worlds."""
+
+    result: TrainingResult
+    build: Builder
+
+
+@pytest.fixture(scope="module")
+def unpaid(tmp_path_factory: pytest.TempPathFactory) -> Learned:
+    """1 500 steps, with trials that pay nothing."""
+    build = Builder(lambda trial: 0.0)
+    return Learned(learned(tmp_path_factory.mktemp("unpaid"), build), build)
+
+
+@pytest.fixture(scope="module")
+def paid_once(tmp_path_factory: pytest.TempPathFactory) -> Learned:
+    """12 000 steps, with trials of which only the second pays."""
+    build = Builder(lambda trial: 0.1 if trial == 1 else 0.0)
+    return Learned(learned(tmp_path_factory.mktemp("paid_once"), build, total=12_000), build)
+
+
+def test_a_training_does_not_end_while_the_policy_by_itself_does_not_solve_the_task(unpaid: Learned) -> None:
+    result = unpaid.result
     assert result.solved_at is not None
     assert result.solved_at.steps < 200  # by the episodes of the training
     assert (result.status, result.steps >= 1_500) == ("finished", True)
@@ -87,10 +111,9 @@ def test_a_training_ends_at_the_first_trial_that_solves_the_task(tmp_path: Path)
     assert result.best_return >= 5.0
 
 
-def test_the_best_model_is_that_of_the_best_trial_and_not_of_the_luckiest_episodes(tmp_path: Path) -> None:
-    build = Builder(lambda trial: 0.1 if trial == 1 else 0.0)
-    result = learned(tmp_path, build, total=12_000)
-    assert build.tried > 3
+def test_the_best_model_is_that_of_the_best_trial_and_not_of_the_luckiest_episodes(paid_once: Learned) -> None:
+    result = paid_once.result
+    assert paid_once.build.tried > 3
     best, last = (weights.read_state(result.run / "models" / f"{name}.npz").count("steps") for name in ("best", "last"))
     assert 0 < best < last
     assert evaluate(result.run, episodes=1, build=stand_in.build).mean_return > 0
@@ -116,7 +139,7 @@ def test_an_off_policy_algorithm_ends_after_a_longer_trial(tmp_path: Path) -> No
 
 def test_a_network_that_confirmed_the_solved_task_goes_before_one_that_shone_earlier(tmp_path: Path) -> None:
     class Late(Paying):
-        """Its episodes in training are successes from the 200th on."""
+        """Its episodes in training are successes from the 130th on."""
 
         begun = 0
 
@@ -127,7 +150,7 @@ def test_a_network_that_confirmed_the_solved_task_goes_before_one_that_shone_ear
         def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
             *outcome, info = super().step(action)
             in_trial = bool(self.seeds) and self.seeds[-1] in TRIAL_SEEDS
-            return *outcome, info | {"is_success": in_trial or self.begun >= 200}  # type: ignore[return-value]
+            return *outcome, info | {"is_success": in_trial or self.begun >= 130}  # type: ignore[return-value]
 
     worlds = []
 
@@ -142,24 +165,22 @@ def test_a_network_that_confirmed_the_solved_task_goes_before_one_that_shone_ear
     assert best >= result.solved_at.steps
 
 
-def test_of_equal_trials_the_later_network_is_kept(tmp_path: Path) -> None:
-    result = learned(tmp_path, Builder(lambda trial: 0.0))
-    best, last = (weights.read_state(result.run / "models" / f"{name}.npz").count("steps") for name in ("best", "last"))
+def test_of_equal_trials_the_later_network_is_kept(unpaid: Learned) -> None:
+    best, last = (weights.read_state(unpaid.result.run / "models" / f"{name}.npz").count("steps") for name in ("best", "last"))
     assert best == last
 
 
-def test_trials_take_at_most_their_share_of_the_steps_and_the_last_one_more(tmp_path: Path) -> None:
-    build = Builder(lambda trial: 0.0)
-    result = learned(tmp_path, build, total=12_000)
-    assert build.tried > 3
+def test_trials_take_at_most_their_share_of_the_steps_and_the_last_one_more(paid_once: Learned, tmp_path: Path) -> None:
+    result = paid_once.result
+    assert paid_once.build.tried > 3
     assert 0 < result.trial_steps <= result.steps * trials.OVERTIME_SHARE + 2 * trials.EPISODES * 200
-    again = resume(result.run, total_timesteps=14_000, build=build)
+    copy = Path(shutil.copytree(result.run, tmp_path / "copy"))
+    again = resume(copy, total_timesteps=14_000, build=Builder(lambda trial: 0.0))
     assert again.trial_steps > result.trial_steps
 
 
-def test_trials_start_where_neither_training_nor_evaluation_does(tmp_path: Path) -> None:
-    build = Builder(lambda trial: 0.0)
-    result = learned(tmp_path, build)
+def test_trials_start_where_neither_training_nor_evaluation_does(unpaid: Learned) -> None:
+    result, build = unpaid.result, unpaid.build
     seen = [seed for world in build.worlds for seed in world.seeds]
     before = len(build.worlds)
     evaluate(result.run, episodes=30, build=build)
@@ -171,8 +192,8 @@ def test_trials_start_where_neither_training_nor_evaluation_does(tmp_path: Path)
     assert all(world.closed for world in build.worlds)
 
 
-def test_what_is_learned_does_not_depend_on_the_trials(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    few = learned(tmp_path, Builder(lambda trial: 0.0))
+def test_what_is_learned_does_not_depend_on_the_trials(unpaid: Learned, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    few = unpaid.result
     monkeypatch.setattr(callbacks, "OVERTIME_SHARE", 1.0)
     many = learned(tmp_path, Builder(lambda trial: 0.0))
     assert many.trial_steps > few.trial_steps

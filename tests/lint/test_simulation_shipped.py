@@ -11,8 +11,8 @@ from deepbots_cli.cli.verbs.new import Template, from_template
 from deepbots_cli.document import shipped
 from deepbots_cli.lint import review, simulate
 
-CHEAP = ("cartpole_continuous", "balancer", "quadrotor", "find_ball_as_printed")
-"""Without teams, pictures and arms; the others are marked as slow (1 to 7 s of CPU each)."""
+CHEAP = ("balancer", "quadrotor")
+"""Wheels and thrusters; the others are marked as slow (1 to 7 s of CPU each)."""
 
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=() if name in CHEAP else pytest.mark.slow) for name in shipped.scenario_names()])

@@ -261,7 +261,7 @@ scripts:
             {"old"},
         ),
         (
-            [("action:", "objects: {crate: {shape: box, size: 1 1 1 m}}\naction:"), ("{time: 1", "{time: gap(cr¦")],
+            [("action:", "objects: {crate: {shape: box, size: 1 1 1 m}}\naction:"), ("{time: 1", "{time: clearance(cr¦")],
             {"crate", "cart"},
             {"old", "time"},
         ),

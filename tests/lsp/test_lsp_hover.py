@@ -111,7 +111,7 @@ def test_a_name_leads_to_its_definition(client, pit, around, place):
     [
         ("log(clamp(proxi¦mity", ("epuck.yaml", 3, 2)),
         ("include: ../rob¦ots/epuck.yaml", ("epuck.yaml", 0, 0)),
-        ("gap(epuck, obst¦acle)", ("find_ball_random.yaml", 7, 2)),
+        ("clearance(epuck, obst¦acle)", ("find_ball_random.yaml", 7, 2)),
         (
             "few:  {set: {reset.layout: scattered, obstacles: integer(1 .. 3),  objects.obstacle.one_of: *uns¦een}}",
             ("find_ball_random.yaml", 76, 33),

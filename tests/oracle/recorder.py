@@ -46,6 +46,7 @@ def command(*arguments: str) -> tuple[Any, str]:
 def findings(inputs: Path) -> dict[str, Any]:
     """Each input with its findings: code, severity, line, column, and the file relative to the folder of the input."""
     os.chdir(inputs)
+    columns = json.loads(Path("columns.json").read_text(encoding="utf-8")) if Path("columns.json").exists() else {}
     record: dict[str, Any] = {}
     for number, name in enumerate(json.loads(Path("inputs.json").read_text(encoding="utf-8"))):
         told, failure = command("lint", "--format", "json", "--preview", "--fail-on", "never", name)
@@ -53,12 +54,19 @@ def findings(inputs: Path) -> dict[str, Any]:
             record[name] = [["exception", failure, 0, 0, ""]]
         else:
             record[name] = sorted(
-                [entry["code"], entry["severity"], entry["start"]["line"], entry["start"]["column"], _beside(name, entry["file"])]
+                [entry["code"], entry["severity"], *_place(entry["start"], columns.get(entry["file"], {})), _beside(name, entry["file"])]
                 for entry in told["findings"]
             )
         if number % 50 == 0:
             gc.collect()
     return record
+
+
+def _place(start: dict[str, int], columns: dict[str, list[list[int]]]) -> list[int]:
+    """Line and column; of inputs under new names (`renamed.py`) the column in the old text."""
+    line, column = start["line"], start["column"]
+    new, old = max((pair for pair in columns.get(str(line), [[1, 1]]) if pair[0] <= column), default=[1, 1])
+    return [line, old + column - new]
 
 
 def _beside(name: str, file: str) -> str:

@@ -13,7 +13,7 @@ from tests.physics.lab import off, trial
 
 G = 9.81
 INERTIAL = (
-    "sensors: {accel: {type: accelerometer, link: brick}, gyro: {type: gyro, link: brick}, down: {type: inclinometer, link: brick}},"
+    "sensors: {accel: {type: accelerometer, link: brick}, gyro: {type: gyro, link: brick}, down: {type: projected_gravity, link: brick}},"
     " emit: [accel, gyro, down]"
 )
 SEEN = {"subject.accel": ("", "m/s^2"), "subject.gyro": ("", "rad/s"), "subject.down": ("", "")}
@@ -88,7 +88,7 @@ def rays() -> Iterator[Row]:
     angles = np.radians(np.linspace(15, -15, 7))
     to_wall = 1 / np.cos(angles)
     to_ball = np.cos(angles) - np.sqrt(0.3**2 - np.sin(angles) ** 2)
-    fan = "emit: [eye], sensors: {eye: {type: lidar, link: %s, fan: 15 .. -15 deg, rays: 7, range: 0 .. 5 m}}"
+    fan = "emit: [eye], sensors: {eye: {type: lidar, link: %s, angle_range: 15 .. -15 deg, rays: 7, range: 0 .. 5 m}}"
     base = "urdf: brick.urdf, base: fixed, pose: {z: 0.5 m}, " + fan % "brick"
     link = "urdf: arm.urdf, base: fixed, pose: {z: 0.5 m, yaw: -50 deg}, " + fan % "arm"
     for what, objects, expected in (("a wall", wall, to_wall), ("a ball", ball, to_ball)):

@@ -113,7 +113,8 @@ def torque_limit() -> Iterator[Row]:
 def lag() -> Iterator[Row]:
     subject = (
         "urdf: cart.urdf, base: fixed, pose: {z: 3 m},"
-        " actuators: {motor: {type: velocity_motor, joint: slider, max_torque: 100 kN, lag: 100 ms}}, apply: {motor: push * 1 m/s}"
+        " actuators: {motor: {type: velocity_motor, joint: slider, max_torque: 100 kN, time_constant: 100 ms}},"
+        " apply: {motor: push * 1 m/s}"
     )
     with trial({"v": ("joint_velocity(subject.slider)", "m/s")}, robot=subject, files={"cart.urdf": robots.CART}) as world:
         v, time = world.run(30, push=1.0)[:, 0], world.times(30)
@@ -127,7 +128,7 @@ def pushed(changes: str, disturbance: str, ticks: int = 30) -> tuple[float, floa
         {"v": ("velocity(subject).x", "m/s"), "w": ("angular_velocity(subject).z", "rad/s")},
         world=FLOATING,
         robot=f"{BRICK}, {changes}" if changes else BRICK,
-        disturbances=f"push: {{body: subject, {disturbance}, at: 0 s, lasts: 0.1 s}}",
+        disturbances=f"push: {{body: subject, {disturbance}, at: 0 s, duration: 0.1 s}}",
         files={"brick.urdf": robots.BRICK},
     ) as world:
         v, w = world.run(ticks)[-1]
@@ -144,8 +145,8 @@ def momentum() -> Iterator[Row]:
 def changed_bodies() -> Iterator[Row]:
     """Mass and inertia of a homogeneous box with other sides or another mass, felt as answers to a force and to a torque."""
     for what, changes, mass, sides in (
-        ("stretch: 2 1 1.5", "links: {brick: {stretch: 2 1 1.5}}", 3 * MASS, (0.2, 0.2, 0.45)),
-        ("stretch: 1 3 1, mass: 5 kg", "links: {brick: {stretch: 1 3 1, mass: 5 kg}}", 5.0, (0.1, 0.6, 0.3)),
+        ("scale: 2 1 1.5", "links: {brick: {scale: 2 1 1.5}}", 3 * MASS, (0.2, 0.2, 0.45)),
+        ("scale: 1 3 1, mass: 5 kg", "links: {brick: {scale: 1 3 1, mass: 5 kg}}", 5.0, (0.1, 0.6, 0.3)),
         ("mass: urdf * 0.4", "links: {brick: {mass: urdf * 0.4}}", 0.4 * MASS, SIDES),
         ("a drawn mass", "links: {brick: {mass: urdf * uniform(3 .. 3.0001)}}", 3 * MASS, SIDES),
     ):

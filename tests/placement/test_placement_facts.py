@@ -26,8 +26,8 @@ robots:
     apply: {wheels: gas * 6 rad/s}
 action: {gas: -1 .. 1}
 augment:
-  apart: gap(cart, ball)
-  between: gap(block, ball)
+  apart: clearance(cart, ball)
+  between: clearance(block, ball)
 observation: {apart: 0 .. 2 m, between: 0 .. 2 m}
 reward:
   touches: 1 when contact(cart, block)

@@ -63,7 +63,7 @@ def test_absent_copies_touch_nothing_and_are_no_gap(make: Callable[..., Supervis
     environment = make("reset.layout=row", "parameters.crates=2")
     observation, _ = environment.reset(seed=0)
     assert seen(observation)["things"] == pytest.approx(0.0, abs=1e-6)
-    assert environment.engine.gap(("cart", None), ("thing#1", None))() == math.inf
+    assert environment.engine.clearance(("cart", None), ("thing#1", None))() == math.inf
     assert [place(environment, f"crate#{number}")[:2] for number in (1, 2)] == [pytest.approx((0.1, -0.5)), pytest.approx((0.3, -0.5))]
 
 
@@ -104,7 +104,7 @@ def test_a_map_puts_each_letter_on_its_cell_and_draws_which_where_there_are_more
 
 def test_walls_of_a_map_are_there_only_in_its_layout(make: Callable[..., Supervisor]) -> None:
     environment = make()
-    gap = environment.engine.gap(("cart", None), ("drawn wall#1", None))
+    gap = environment.engine.clearance(("cart", None), ("drawn wall#1", None))
     environment.reset(seed=0)
     finite = []
     for _ in range(30):

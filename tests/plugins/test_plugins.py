@@ -24,11 +24,12 @@ def installed(folder: Path, groups: dict[str, dict[str, str]], name: str = "acme
     (info / "entry_points.txt").write_text("\n".join(lines) + "\n")
 
 
-@pytest.fixture
-def site(tmp_path):
-    """A folder in which the metadata of the package is installed."""
-    installed(tmp_path, tomllib.loads((PACKAGE / "pyproject.toml").read_text())["project"]["entry-points"])
-    return tmp_path
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """A folder in which the metadata of the package is installed; not to be changed."""
+    folder = tmp_path_factory.mktemp("site")
+    installed(folder, tomllib.loads((PACKAGE / "pyproject.toml").read_text())["project"]["entry-points"])
+    return folder
 
 
 def python(folder, *arguments):
@@ -44,15 +45,44 @@ def deepbots(folder, *arguments):
     return python(folder, "-m", "deepbots_cli", *arguments)
 
 
+ONE_AFTER_ANOTHER = """
+import contextlib, io, json, sys
+from deepbots_cli.cli import main
+for line in sys.argv[1:]:
+    with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(io.StringIO()) as err:
+        code = main(json.loads(line))
+    print(json.dumps([code, out.getvalue(), err.getvalue()]))
+"""
+
+
+@pytest.fixture(scope="module")
+def answers(site):
+    """The exit code, stdout and stderr of each command line of this module that changes nothing, all from one process."""
+    lines = [
+        *(("lint", name) for name in ("acme_spin", "acme_throttle")),
+        ("inspect", "acme_spin"),
+        ("list", "--json"),
+        *(lint("acme_spin", change) for change, _, _ in MISTAKES),
+        *(lint("acme_throttle", change) for change, _, _ in ACTUATOR_MISTAKES),
+        *(("explain", word) for word in ("ACME1", *WORDS)),
+        IGNORED,
+    ]
+    done = python(site, "-c", ONE_AFTER_ANOTHER, *map(json.dumps, lines))
+    return dict(zip(lines, map(json.loads, done.stdout.splitlines()), strict=True))
+
+
+def lint(name, change):
+    return ("lint", name, "--preview", "--set", change, "--format", "json")
+
+
 @pytest.mark.parametrize("name", ["acme_spin", "acme_throttle"])
-def test_a_scenario_of_a_plugin_is_found_by_name_and_has_no_findings(site, name):
-    done = deepbots(site, "lint", name)
-    assert (done.returncode, done.stdout, done.stderr) == (0, f"{name}: no findings\n", "")
+def test_a_scenario_of_a_plugin_is_found_by_name_and_has_no_findings(answers, name):
+    assert answers["lint", name] == [0, f"{name}: no findings\n", ""]
 
 
-def test_a_scenario_of_a_plugin_is_inspected_and_listed(site):
-    assert "AcmeSpin" in deepbots(site, "inspect", "acme_spin").stdout
-    listed = json.loads(deepbots(site, "list", "--json").stdout)
+def test_a_scenario_of_a_plugin_is_inspected_and_listed(answers):
+    assert "AcmeSpin" in answers["inspect", "acme_spin"][1]
+    listed = json.loads(answers["list", "--json"][1])
     assert "acme_spin" in [row["name"] for row in listed["scenarios"]]
 
 
@@ -61,47 +91,44 @@ def test_lint_of_a_plugin_imports_no_simulator(site):
     assert python(site, "-c", script).stdout == "set()\n"
 
 
-@pytest.mark.parametrize(
-    ("change", "code", "headline"),
-    [
-        ("robots.spinner.sensors.pulses.spacing=5 kg", "DB503", "`spacing`"),
-        ("robots.spinner.sensors.pulses.spacing=-1 deg", "DB105", "`spacing`"),
-        ("robots.spinner.sensors.pulses.direction=bth", "DB104", "unknown word `bth`"),
-        ("robots.spinner.sensors.pulses.spacng=1 deg", "DB101", "spacng"),
-        ("messages.format=pipes", "DB104", "unknown word `pipes`"),
-        ("truncation.max_steps=5", "ACME1", "episodes of 5 steps"),
-    ],
-)
-def test_mistakes_in_what_a_plugin_adds_are_found_at_their_place(site, change, code, headline):
-    done = deepbots(site, "lint", "acme_spin", "--set", change, "--format", "json")
-    found = json.loads(done.stdout)["findings"]
-    assert any(finding["code"] == code and headline in json.dumps(finding) for finding in found), done.stdout
+MISTAKES = [
+    ("robots.spinner.sensors.pulses.spacing=5 kg", "DB503", "`spacing`"),
+    ("robots.spinner.sensors.pulses.spacing=-1 deg", "DB105", "`spacing`"),
+    ("robots.spinner.sensors.pulses.direction=bth", "DB104", "unknown word `bth`"),
+    ("robots.spinner.sensors.pulses.spacng=1 deg", "DB101", "spacng"),
+    ("messages.format=pipes", "DB104", "unknown word `pipes`"),
+    ("truncation.max_steps=5", "ACME1", "episodes of 5 steps"),
+]
+ACTUATOR_MISTAKES = [
+    ("robots.spinner.actuators.axle.stall_torque=5 kg", "DB503", "`stall_torque`"),
+    ("robots.spinner.actuators.axle.idle_speed=0 rad/s", "DB105", "`idle_speed`"),
+    ("robots.spinner.actuators.axle.stall=5 N*m", "DB101", "stall"),
+    ("robots.spinner.actuators.axle.type=throtle", "DB104", "unknown type `throtle`"),
+    ("robots.spinner.actuators.axle.joint=axel", "DB302", "axel"),
+    ("robots.spinner.actuators.axle.max_torque=2 N*m", "DB304", "a limit of"),
+    ("robots.spinner.apply.axle=voltage * 5 N", "DB503", "the target of `axle`"),
+    ("action.voltage=-100 .. 100", "DB312", "`axle` is asked for"),
+]
 
 
-@pytest.mark.parametrize(
-    ("change", "code", "headline"),
-    [
-        ("robots.spinner.actuators.axle.stall_torque=5 kg", "DB503", "`stall_torque`"),
-        ("robots.spinner.actuators.axle.idle_speed=0 rad/s", "DB105", "`idle_speed`"),
-        ("robots.spinner.actuators.axle.stall=5 N*m", "DB101", "stall"),
-        ("robots.spinner.actuators.axle.type=throtle", "DB104", "unknown type `throtle`"),
-        ("robots.spinner.actuators.axle.joint=axel", "DB302", "axel"),
-        ("robots.spinner.actuators.axle.max_torque=2 N*m", "DB304", "a limit of"),
-        ("robots.spinner.apply.axle=voltage * 5 N", "DB503", "the target of `axle`"),
-        ("action.voltage=-100 .. 100", "DB312", "`axle` is asked for"),
-    ],
-)
-def test_mistakes_in_an_actuator_of_a_plugin_are_found_at_their_place(site, change, code, headline):
-    done = deepbots(site, "lint", "acme_throttle", "--preview", "--set", change, "--format", "json")
-    found = json.loads(done.stdout)["findings"]
-    assert any(finding["code"] == code and headline in json.dumps(finding) for finding in found), done.stdout
+@pytest.mark.parametrize(("change", "code", "headline"), MISTAKES)
+def test_mistakes_in_what_a_plugin_adds_are_found_at_their_place(answers, change, code, headline):
+    found = json.loads(answers[lint("acme_spin", change)][1])["findings"]
+    assert any(finding["code"] == code and headline in json.dumps(finding) for finding in found)
 
 
-def test_a_finding_of_a_plugin_is_explained_and_can_be_ignored(site):
-    assert "Most of them is the reset." in deepbots(site, "explain", "ACME1").stdout
-    assert deepbots(site, "lint", "acme_spin", "--set", "truncation.max_steps=5", "--ignore", "ACME1").stdout.startswith(
-        "acme_spin: no findings"
-    )
+@pytest.mark.parametrize(("change", "code", "headline"), ACTUATOR_MISTAKES)
+def test_mistakes_in_an_actuator_of_a_plugin_are_found_at_their_place(answers, change, code, headline):
+    found = json.loads(answers[lint("acme_throttle", change)][1])["findings"]
+    assert any(finding["code"] == code and headline in json.dumps(finding) for finding in found)
+
+
+IGNORED = ("lint", "acme_spin", "--set", "truncation.max_steps=5", "--ignore", "ACME1")
+
+
+def test_a_finding_of_a_plugin_is_explained_and_can_be_ignored(answers):
+    assert "Most of them is the reset." in answers["explain", "ACME1"][1]
+    assert answers[IGNORED][1].startswith("acme_spin: no findings")
 
 
 def test_the_schema_knows_the_kinds_and_their_parameters(site):
@@ -111,7 +138,7 @@ def test_the_schema_knows_the_kinds_and_their_parameters(site):
     assert tachometer["properties"]["direction"]["enum"] == ["both", "forward"]
     throttle = schema["$defs"]["acme.actuators.Throttle"]
     assert "without a load" in throttle["properties"]["idle_speed"]["description"]
-    assert {"joint", "joints", "max_torque", "strength", "delay", "lag"} < set(throttle["properties"])
+    assert {"joint", "joints", "max_torque", "strength", "delay", "time_constant"} < set(throttle["properties"])
     text = json.dumps(schema)
     assert "A DC motor whose torque falls" in text
     assert "Counts the pulses of a disc on a joint" in text
@@ -119,19 +146,19 @@ def test_the_schema_knows_the_kinds_and_their_parameters(site):
     assert "acme.algorithms.GentlePPO" in schema["$defs"]
 
 
-@pytest.mark.parametrize(
-    ("word", "told"),
-    [
-        ("tachometer", "Counts the pulses of a disc on a joint"),
-        ("spacing", "The way between two pulses."),
-        ("throttle", "A DC motor whose torque falls with its speed"),
-        ("idle_speed", "Speed at full voltage without a load."),
-        ("halved", "Half of x."),
-        ("GentlePPO", "PPO that makes three passes"),
-    ],
-)
-def test_explain_knows_the_words(site, word, told):
-    assert told in deepbots(site, "explain", word).stdout
+WORDS = {
+    "tachometer": "Counts the pulses of a disc on a joint",
+    "spacing": "The way between two pulses.",
+    "throttle": "A DC motor whose torque falls with its speed",
+    "idle_speed": "Speed at full voltage without a load.",
+    "halved": "Half of x.",
+    "GentlePPO": "PPO that makes three passes",
+}
+
+
+@pytest.mark.parametrize(("word", "told"), WORDS.items())
+def test_explain_knows_the_words(answers, word, told):
+    assert told in answers["explain", word][1]
 
 
 def test_editors_are_offered_kinds_and_parameters(site):
@@ -208,37 +235,52 @@ print([entry.value for entry in defaults.effective(program, 1000) if entry.name 
     assert python(site, "-c", script).stdout == "{'n_epochs': 3} None\n[3]\n"
 
 
-@pytest.mark.parametrize(
-    ("group", "entry", "reason"),
-    [
-        ("deepbots.sensors", "pulse = no_such_module:Pulse", "No module named 'no_such_module'"),
-        ("deepbots.sensors", "pulse = json:loads", "is no subclass of JointSensor, LinkSensor or ContactSensor"),
-        ("deepbots.sensors", "pulse = acme.sensors:Tachometer", 'needs the field `type: Literal["pulse"]`'),
-        ("deepbots.sensors", "gyro = deepbots_cli.scenario.sensors:Gyro", "the name 'gyro' is taken"),
-        ("deepbots.actuators", "jet = json:loads", "is no subclass of JointActuator"),
-        ("deepbots.actuators", "jet = deepbots_cli.scenario.actuators:TorqueMotor", 'needs the field `type: Literal["jet"]`'),
-        ("deepbots.formats", "pipe = json:loads", "is no MessageFormat"),
-        ("deepbots.rules", "pipe = json:loads", "TypeError"),
-        ("deepbots.algorithms", "Mine = json:loads", "is derived from none of PPO"),
-        ("deepbots.scenarios", "pipe = no_such_module", "there is no package no_such_module"),
-    ],
+BROKEN = [
+    ("deepbots.sensors", "pulse = no_such_module:Pulse", "No module named 'no_such_module'"),
+    ("deepbots.sensors", "pulse = json:loads", "is no subclass of JointSensor, LinkSensor or ContactSensor"),
+    ("deepbots.sensors", "pulse = acme.sensors:Tachometer", 'needs the field `type: Literal["pulse"]`'),
+    ("deepbots.sensors", "gyro = deepbots_cli.scenario.sensors:Gyro", "the name 'gyro' is taken"),
+    ("deepbots.actuators", "jet = json:loads", "is no subclass of JointActuator"),
+    ("deepbots.actuators", "jet = deepbots_cli.scenario.actuators:TorqueMotor", 'needs the field `type: Literal["jet"]`'),
+    ("deepbots.formats", "pipe = json:loads", "is no MessageFormat"),
+    ("deepbots.rules", "pipe = json:loads", "TypeError"),
+    ("deepbots.algorithms", "Mine = json:loads", "is derived from none of PPO"),
+    ("deepbots.scenarios", "pipe = no_such_module", "there is no package no_such_module"),
+]
+UNKNOWN = (
+    "robots.cart.sensors.pole_angle.type=pulze",
+    "robots.cart.actuators.wheels.type=jett",
+    "messages.format=pipes",
+    "train.algorithm=Own",
 )
-def test_a_broken_plugin_is_told_in_one_line_and_left_out(tmp_path, group, entry, reason):
+
+
+@pytest.fixture(scope="module")
+def warnings(tmp_path_factory):
+    """The lines about plug-ins that are not available, where all broken ones are installed; rules run where nothing else is wrong."""
+    lines = []
+    for rules in (False, True):
+        folder = tmp_path_factory.mktemp("broken")
+        for number, (group, entry, _) in enumerate(BROKEN):
+            if (group == "deepbots.rules") is rules:
+                key, _, value = entry.partition(" = ")
+                installed(folder, {group: {key: value}}, f"acme{number}")
+        done = deepbots(folder, "lint", "cartpole", *(word for change in UNKNOWN if not rules for word in ("--set", change)))
+        assert done.returncode == (0 if rules else 1)
+        lines += [line for line in done.stderr.splitlines() if "are not available" in line]
+    return lines
+
+
+def test_each_broken_plugin_has_one_warning(warnings):
+    assert len(warnings) == len(BROKEN)
+
+
+@pytest.mark.parametrize(("group", "entry", "reason"), BROKEN)
+def test_a_broken_plugin_is_told_in_one_line_and_left_out(warnings, group, entry, reason):
     key, _, value = entry.partition(" = ")
-    installed(tmp_path, {group: {key: value}})
-    unknown = (
-        "robots.cart.sensors.pole_angle.type=pulze",
-        "robots.cart.actuators.wheels.type=jett",
-        "messages.format=pipes",
-        "train.algorithm=Own",
-    )
-    wrong = () if group == "deepbots.rules" else unknown  # rules run where nothing else is wrong
-    done = deepbots(tmp_path, "lint", "cartpole", *(word for change in wrong for word in ("--set", change)))
-    told = [line for line in done.stderr.splitlines() if "are not available" in line]
-    assert len(told) == 1, done.stderr
-    assert told[0].startswith(f"warning: the {group.partition('.')[2]} '{key}' ({value}) are not available: ")
-    assert reason in told[0]
-    assert done.returncode == (1 if wrong else 0)
+    start = f"warning: the {group.partition('.')[2]} '{key}' ({value}) are not available: "
+    (told,) = [line for line in warnings if line.startswith(start)]
+    assert reason in told
 
 
 def test_a_broken_engine_is_told_in_one_line(tmp_path):

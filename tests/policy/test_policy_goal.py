@@ -15,7 +15,7 @@ from deepbots_cli.runtime import Supervisor
 Small = Callable[..., Supervisor]
 GOAL = """\
 parameters: {mark: uniform(-0.3 .. 0.3 m)}
-goal: {achieved: position(cart.cart).x, desired: mark, within: 5 cm, range: -0.4 .. 0.4 m}
+goal: {achieved: position(cart.cart).x, desired: mark, tolerance: 5 cm, range: -0.4 .. 0.4 m}
 reset: {set: {cart.slider: uniform(-0.3 .. 0.3 m)}}
 """
 SPARSE = "reward: {miss: -1 when not goal_reached}\n"
@@ -26,7 +26,7 @@ parameters: {mark: uniform(-0.3 .. 0.3 m)}
 augment:
   at: {value: position(cart.cart).x, noise: 2 cm}
   left: mark - at
-goal: {achieved: at, desired: mark, within: 5 cm, range: -0.4 .. 0.4 m}
+goal: {achieved: at, desired: mark, tolerance: 5 cm, range: -0.4 .. 0.4 m}
 reset: {set: {cart.slider: uniform(-0.3 .. 0.3 m)}}
 """
 PLANE = """\
@@ -35,7 +35,7 @@ parameters:
 goal:
   achieved: vector(position(cart.cart).x, 0.1 m, 0 m).xy
   desired: mark
-  within: 10 cm
+  tolerance: 10 cm
   range: -0.4 -0.5 .. 0.4 0.5 m
 reward:
   near: -norm(achieved - desired) / m

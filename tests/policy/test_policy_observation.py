@@ -40,7 +40,7 @@ def test_a_history_of_a_vector_keeps_its_components_together(small: Small) -> No
 
 def test_a_stack_repeats_whole_frames_oldest_first(small: Small) -> None:
     sections = "signals: {at: step}\naugment: [at]\nreward: {pay: drive}\n"
-    seen = observe(small, "{at: {range: 0 .. 10, history: 2}, previous_action: auto}", "agent={stack: 2}", sections=sections)
+    seen = observe(small, "{at: {range: 0 .. 10, history: 2}, previous_action: auto}", "agent={frame_stack: 2}", sections=sections)
     assert seen[0] == [-1, -1, 0, -1, -1, 0]
     assert seen[3] == [-0.8, -0.6, -0.5, -0.6, -0.4, 0.25]
 

@@ -53,7 +53,7 @@ def test_a_history_of_pictures_stands_side_by_side_the_newest_last(small: Small)
 
 
 def test_a_stack_holds_for_pictures_too(small: Small) -> None:
-    environment = look(small, "{cart.eye: auto, cart.place: -2 .. 2 m}", "agent={stack: 2, repeat: 2}")
+    environment = look(small, "{cart.eye: auto, cart.place: -2 .. 2 m}", "agent={frame_stack: 2, action_repeat: 2}")
     assert environment.observation_space["cart_eye"].shape == (16, 24, 6)
     environment.reset(seed=0)
     first = environment.step(np.ones(1, np.float32))[0]["cart_eye"]
@@ -72,4 +72,4 @@ def test_pictures_that_were_given_out_do_not_change(small: Small) -> None:
 @pytest.mark.parametrize("entry", ["0 .. 255", "{range: auto, noise: 0.1}", "{range: auto, history: 1000}"])
 def test_what_is_no_use_for_a_picture_is_a_finding(small: Small, entry: str) -> None:
     with pytest.raises(ScenarioError):
-        look(small, f"{{cart.place: -2 .. 2 m, cart.eye: {entry}}}", "agent={stack: 20}")
+        look(small, f"{{cart.place: -2 .. 2 m, cart.eye: {entry}}}", "agent={frame_stack: 20}")

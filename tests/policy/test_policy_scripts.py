@@ -108,7 +108,7 @@ def test_every_copy_of_a_robot_follows_the_script_by_what_it_sees_itself() -> No
 
 def test_a_script_sees_what_arrived_and_what_is_true(small: Small) -> None:
     sections = REWARD + "scripts: {told: {drive: cart.place / m}, truth: {drive: joint_position(cart.slider) / m}}\n"
-    environment = small(sections, "messages.timing=paper")
+    environment = small(sections, "messages.timing=delayed")
     environment.reset(seed=0)
     for _ in range(3):
         environment.step(np.array([1.0], np.float32))
@@ -132,7 +132,7 @@ def test_a_script_sees_signals_with_a_memory_and_its_own_last_action(small: Smal
 @pytest.mark.parametrize("repeat", [1, 3])
 def test_a_script_knows_the_reward_of_the_step_that_has_just_been(small: Small, repeat: int) -> None:
     sections = "reward: {pay: 0.01 * (step + 1)}\nscripts: {last: {drive: previous_reward}, sum: {drive: episode_return}}\n"
-    environment = small(sections, f"agent.repeat={repeat}")
+    environment = small(sections, f"agent.action_repeat={repeat}")
     environment.reset(seed=0)
     rewards = [0.0]
     for _ in range(4):
@@ -143,9 +143,9 @@ def test_a_script_knows_the_reward_of_the_step_that_has_just_been(small: Small, 
 
 def test_a_script_that_asks_what_nothing_else_asks_gets_true_answers(small: Small) -> None:
     """Contacts of the whole tick, and the way along a line."""
-    world = "world.lines={stripe: {through: [-1 0 m, 1 0 m], width: 20 mm}}"
+    world = "world.lines={stripe: {points: [-1 0 m, 1 0 m], width: 20 mm}}"
     ball = "objects={ball: {shape: sphere, radius: 5 cm, pose: {x: 0.4 m}}}"
-    way = "way: {drive: {forward: 'along(cart, stripe) > 0.05 m', backward: true}}"
+    way = "way: {drive: {forward: 'arc_length(cart, stripe) > 0.05 m', backward: true}}"
     sets = [world, ball, f"scripts={{{way}, touch: {{drive: {{backward: collided(cart), forward: true}}}}}}"]
     with closing(api.make("cartpole", sets=sets)) as environment:
         environment.reset(seed=0)
@@ -179,7 +179,7 @@ def test_a_case_may_have_a_script_of_its_own(small: Small) -> None:
 
 
 def test_asking_changes_nothing() -> None:
-    sets = ["scripts={go: {both: {apart: 'gap(left.cart, right.cart) > 1 m', still: true}, hurry: {fast: ahead > 0 m, slow: true}}}"]
+    sets = ["scripts={go: {both: {apart: 'clearance(left.cart, right.cart) > 1 m', still: true}, hurry: {fast: ahead > 0 m, slow: true}}}"]
 
     def episode(*, asking: bool) -> list[bytes]:
         with closing(api.make(DATA / "pair.yaml", sets=sets)) as environment:

@@ -136,6 +136,7 @@ def test_a_published_robot_is_read_with_warnings_at_most(library, name):
     assert again.model == robot.model
 
 
+@pytest.mark.slow
 def test_of_the_robots_of_pybullet_data_only_these_are_refused(library):
     names = sorted(str(path.relative_to(library)) for path in library.rglob("*.urdf"))
     refused = {}

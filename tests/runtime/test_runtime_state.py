@@ -32,13 +32,13 @@ def terms(environment: Supervisor, drives: Sequence[float] = DRIVES) -> dict[str
         ("running_min(drive)", [0.0, -0.25, -0.25, -0.25, -0.5]),
         ("hold(drive, drive > 0.75)", [0.0, 0.0, 1.0, 1.0, 1.0]),
         ("hold(step, drive < 0)", [0.0, 2.0, 2.0, 2.0, 5.0]),
-        ("smooth(drive, 20 ms)", [0.25, 0.0, 0.5, 0.75, 0.125]),
-        ("smooth(drive, 0 s)", [0.5, -0.25, 1.0, 1.0, -0.5]),
+        ("low_pass(drive, 20 ms)", [0.25, 0.0, 0.5, 0.75, 0.125]),
+        ("low_pass(drive, 0 s)", [0.5, -0.25, 1.0, 1.0, -0.5]),
         ("integral(drive) / s", [0.01, 0.005, 0.025, 0.045, 0.035]),
         ("accumulate(drive, -1 .. 1, 0)", [0.5, 0.25, 1.0, 1.0, 0.5]),
         ("accumulate(drive, -1 .. 1, -1)", [-0.5, -0.75, 0.25, 1.0, 0.5]),
         ("duration(drive > 0.75) / s", [0.0, 0.0, 0.02, 0.04, 0.0]),
-        ("1 when rising(drive > 0.4)", [1.0, 0.0, 1.0, 0.0, 0.0]),
+        ("1 when rising_edge(drive > 0.4)", [1.0, 0.0, 1.0, 0.0, 0.0]),
         ("1 when previous(drive > 0.4)", [0.0, 1.0, 0.0, 1.0, 1.0]),
         ("delta(delta(drive))", [0.5, -1.25, 2.0, -1.25, -1.5]),
         ("delta(integral(drive)) / s", [0.01, -0.005, 0.02, 0.02, -0.01]),
@@ -67,7 +67,8 @@ def test_a_new_episode_starts_all_memory_anew(small: Small) -> None:
 
 
 def test_rewards_may_remember_the_end_of_an_episode(small: Small) -> None:
-    sections = "termination: {failure: {fast: drive > 0.9}}\nreward: {end: 1 when rising(terminated), either: 1 when rising(ended)}"
+    endings = "termination: {failure: {fast: drive > 0.9}}"
+    sections = f"{endings}\nreward: {{end: 1 when rising_edge(terminated), either: 1 when rising_edge(ended)}}"
     assert terms(small(sections))["end"] == [0.0, 0.0, 1.0, 0.0, 0.0]
 
 
@@ -105,7 +106,7 @@ robots:
       rate:  {type: joint_velocity, joint: slider}
     actuators:
       motor: {type: velocity_motor, joint: slider, max_torque: 10 N}
-    emit: {place: place, rate: rate, soft: "smooth(rate, 60 ms)", most: "running_max(rate)"}
+    emit: {place: place, rate: rate, soft: "low_pass(rate, 60 ms)", most: "running_max(rate)"}
     apply: {motor: "APPLY"}
 """
 SEEN = "reward: {rate: cart.rate * s / m, soft: cart.soft * s / m, most: cart.most * s / m, place: cart.place / m}"
@@ -124,13 +125,13 @@ def test_what_a_robot_computes_on_board_advances_once_per_tick(small: Small, for
 
 @pytest.mark.parametrize("format", ["struct", "none"])
 def test_what_a_robot_applies_may_remember_earlier_messages(small: Small, format: str) -> None:
-    environment = small(SEEN, f"messages.format={format}", robot=ON_BOARD.replace("APPLY", "smooth(drive, 20 ms) * 0.02 m/s"))
+    environment = small(SEEN, f"messages.format={format}", robot=ON_BOARD.replace("APPLY", "low_pass(drive, 20 ms) * 0.02 m/s"))
     assert terms(environment)["rate"] == pytest.approx([0.02 * held for held in (0.25, 0.0, 0.5, 0.75, 0.125)], abs=NEARLY)
 
 
 def test_a_robot_may_apply_a_sensor_that_it_does_not_send(small: Small) -> None:
     """The sensors that it sends and those that it applies are read apart, and must not be taken for each other."""
-    robot = ON_BOARD.replace('{place: place, rate: rate, soft: "smooth(rate, 60 ms)", most: "running_max(rate)"}', "[rate]").replace(
+    robot = ON_BOARD.replace('{place: place, rate: rate, soft: "low_pass(rate, 60 ms)", most: "running_max(rate)"}', "[rate]").replace(
         "APPLY", "place / s + drive * 0.02 m/s"
     )
     environment = small(

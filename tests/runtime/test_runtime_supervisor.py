@@ -43,13 +43,13 @@ def test_immediate_timing_acts_at_once_and_sends_what_is_so_afterwards(small: Ma
 
 
 def test_paper_timing_acts_one_step_late_and_what_the_robot_sends_is_one_step_old(small: Make) -> None:
-    sent, truth = rates(small(TIMED, "messages.timing=paper"))
+    sent, truth = rates(small(TIMED, "messages.timing=delayed"))
     assert truth == pytest.approx([0.0, *DRIVES[:4]], abs=NEARLY)
     assert sent == pytest.approx([0.0, 0.0, *DRIVES[:3]], abs=NEARLY)
 
 
 def test_paper_timing_does_not_grow_later_with_each_episode(small: Make) -> None:
-    environment = small(TIMED, "messages.timing=paper")
+    environment = small(TIMED, "messages.timing=delayed")
     assert [rates(environment) for _ in range(3)] == [rates(environment)] * 3
 
 

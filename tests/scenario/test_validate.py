@@ -224,7 +224,7 @@ UNFINISHED = [
     ("reward:\n  near:\n", "near", "write it like `2 * speed`"),
     ("robots:\n  bot:\n    urdf: rover\n    emit:\n", "emit", "as in `emit: [pole_angle]`"),
     ("robots:\n  bot:\n    urdf: rover\n    sensors: {eye: }\n", "eye", "write it like `{type: joint_position}`"),
-    ("world:\n  lines: {track: }\n", "track", "its keys are `through`, `closed`, `width`"),
+    ("world:\n  lines: {track: }\n", "track", "its keys are `points`, `closed`, `width`"),
     ("robots:\n  bot:\n    urdf: rover\n    sensors:\n      eye:\n        type:\n", "type", "one of `joint_position`, `joint_velocity`"),
 ]
 

@@ -71,7 +71,7 @@ def test_latency_may_differ_between_episodes() -> None:
 
 def test_steps_and_ends_of_the_range_are_exact() -> None:
     values = iter([0.0, 0.26, 0.24, 7.0, -7.0])
-    sensor = device(NoiseModel(low=(-1.0,), high=(1.0,), quantise=(0.5,)), lambda: [next(values)])
+    sensor = device(NoiseModel(low=(-1.0,), high=(1.0,), resolution=(0.5,)), lambda: [next(values)])
     assert run(sensor, 4) == [0.0, 0.5, 0.0, 1.0, -1.0]
 
 

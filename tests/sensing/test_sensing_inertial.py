@@ -122,7 +122,7 @@ def test_a_sensor_that_is_seldom_read_feels_the_centre_of_its_circle_along_its_o
 
 def test_gravity_that_an_episode_changes_is_felt_as_it_is(scene: Build) -> None:
     world = scene(brick(), pose=Pose((0, 0, 50)))
-    down, accelerometer = world.sensor(on("inclinometer", "brick")), world.sensor(on("accelerometer", "brick"))
+    down, accelerometer = world.sensor(on("projected_gravity", "brick")), world.sensor(on("accelerometer", "brick"))
     world.engine.reset()
     world.engine.set_parameter("gravity", (), 3.0, 0.0, -4.0)
     world.begin()
@@ -139,7 +139,7 @@ def test_gravity_that_an_episode_changes_is_felt_as_it_is(scene: Build) -> None:
 def test_down_and_heading_follow_the_attitude(scene: Build, roll: float, pitch: float, yaw: float) -> None:
     rpy = (roll * DEGREE, pitch * DEGREE, yaw * DEGREE)
     world = scene(brick(), pose=Pose((0, 0, 1), rpy))
-    down, compass = world.sensor(on("inclinometer", "brick")), world.sensor(on("compass", "brick", ()))
+    down, compass = world.sensor(on("projected_gravity", "brick")), world.sensor(on("compass", "brick", ()))
     turned = world.sensor(on("compass", "brick", (), Pose(rpy=(0, 0, pi / 2))))
     attitude = world.sensor(on("orientation", "brick", ("x", "y", "z", "w"), Pose(rpy=(0.1, 0.0, 0.0))))
     world.begin()

@@ -102,7 +102,7 @@ def test_drift_grows_with_the_time_since_the_reset(make: Make) -> None:
 
 
 def test_quantise_and_range_shape_what_the_policy_sees(make: Make) -> None:
-    rows = seen(make("{type: joint_position, joint: slider, quantise: 5 cm, range: -10 .. 10 cm}"), 40)
+    rows = seen(make("{type: joint_position, joint: slider, resolution: 5 cm, range: -10 .. 10 cm}"), 40)
     assert rows[:, 1] == pytest.approx(np.clip(np.round(np.clip(rows[:, 0], -0.1, 0.1) / 0.05) * 0.05, -0.1, 0.1), abs=1e-6)
     assert np.ptp(rows[:, 0]) > 0.3
 

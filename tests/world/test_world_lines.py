@@ -103,7 +103,7 @@ parameters: {width: 20 mm}
 world:
   timestep: 32 ms
   lines:
-    track: {through: [0 0 m, 1 0 m, 1 1 m, 0 1 m], closed: true, width: width}
+    track: {points: [0 0 m, 1 0 m, 1 1 m, 0 1 m], closed: true, width: width}
 robots:
   rover:
     urdf: epuck
@@ -112,8 +112,8 @@ robots:
     apply: {wheels: gas * 5 rad/s}
 action: {gas: 0 .. 1}
 augment:
-  offset: beside(rover, track)
-  driven: along(rover, track)
+  offset: cross_track_error(rover, track)
+  driven: arc_length(rover, track)
 observation:
   offset: -1 .. 1 m
   driven: 0 m .. length(track)

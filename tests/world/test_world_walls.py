@@ -21,8 +21,8 @@ world:
   timestep: 32 ms
   arena: {size: 2 2 m}
   walls:
-    bay:  {through: [0.4 -0.3 m, 0.4 0.3 m], thickness: 2 cm, height: 20 cm}
-    nook: {through: [-0.4 -0.3 m, -0.4 0.3 m, -0.1 0.3 m], thickness: 2 cm}
+    bay:  {points: [0.4 -0.3 m, 0.4 0.3 m], thickness: 2 cm, height: 20 cm}
+    nook: {points: [-0.4 -0.3 m, -0.4 0.3 m, -0.1 0.3 m], thickness: 2 cm}
 objects:
   puck: {shape: cylinder, radius: 2 cm, height: 4 cm, mass: 0.1 kg, friction: 0}
 robots:
@@ -32,9 +32,9 @@ robots:
     pose: {x: 5 m}
 action: {idle: -1 .. 1}
 augment:
-  to_bay:   gap(puck, bay)
-  to_nook:  gap(nook, puck)
-  to_arena: gap(puck, arena)
+  to_bay:   clearance(puck, bay)
+  to_nook:  clearance(nook, puck)
+  to_arena: clearance(puck, arena)
   middle:   position(bay)
   touched:  contact(puck, bay)
   bumped:   collided(bay)

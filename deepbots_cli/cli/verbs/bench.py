@@ -126,7 +126,7 @@ def measure(
     timed = sum(episode.steps for episode in plan)
     sides = (
         lambda: _time(environment, plan, environment.step, lambda episode: episode.action),
-        lambda: _time(other, plan, other.engine.step, lambda _: program.world.substeps * program.repeat),
+        lambda: _time(other, plan, other.engine.step, lambda _: program.world.substeps * program.action_repeat),
     )
     for number in range(pairs + 1):
         show(number, pairs + 1)

@@ -143,7 +143,7 @@ _PATHS: tuple[tuple[str, str, Group], ...] = (
     (_POLICY + r"action/([^/]+)/options(?=/.*/forbidden)", r"action.\1.forbid", Group.task),
     (_POLICY + r"action/([^/]+)", r"action.\1", Group.policy),
     (_POLICY + r"copies/([^/]+)", r"robots.\1.count", Group.world),
-    (rf"(?:{_POLICY})?(repeat|stack)", r"agent.\1", Group.world),
+    (rf"(?:{_POLICY})?(action_repeat|frame_stack)", r"agent.\1", Group.world),
     (_POLICY + r"goal/achieved/noise", "goal.noise", Group.task),
     (_POLICY + r"goal/(?:low|high)", "goal.range", Group.policy),
     (_POLICY + r"goal/(\w+)", r"goal.\1", Group.task),

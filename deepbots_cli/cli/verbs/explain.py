@@ -24,6 +24,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.dimensions import UNITS
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.lint.pages import pages_of
+from deepbots_cli.renames import former
 from deepbots_cli.scenario.base import Kinds, Section, fields, noun_of, sections
 from deepbots_cli.scenario.docs import about_kind, default_of, description, example_of, unit_of
 from deepbots_cli.scenario.fields import article
@@ -52,7 +53,7 @@ def command(
       deepbots explain DB603
       deepbots explain saturates-before-termination
       deepbots explain DB7
-      deepbots explain through
+      deepbots explain clearance
       deepbots explain gyro
       deepbots explain HER
       deepbots explain domain-randomisation
@@ -170,6 +171,9 @@ def explained(word: str) -> list[str]:
     if not found and word not in _words():
         found = [topic for topic in topics() if plain in map(_plain, topic.names)]
     blocks = [*map(_of_topic, found), *blocks]
+    for new, rename in {rename.new: rename for rename in former(spelt)}.items():
+        named = _blocks(new) or _blocks(rename.key)  # a word that is no kind is explained by its key
+        blocks += [[f"{spelt}: the former name of the {rename.what} `{new}`"], *named]
     others = _others(word, {topic.name for topic in found} | {spelt}) if word.strip() else []
     if blocks and others:
         blocks.append([f"See also: {', '.join(others)}"])

@@ -64,7 +64,7 @@ def command(
     \b
       deepbots inspect cartpole
       deepbots inspect cartpole --picture world.png
-      deepbots inspect cartpole --set messages.timing=paper
+      deepbots inspect cartpole --set messages.timing=delayed
       deepbots inspect find_ball_random --stage few
       deepbots inspect runs/cartpole-0-1
       deepbots inspect package://pybullet_data/husky/husky.urdf --picture husky.png

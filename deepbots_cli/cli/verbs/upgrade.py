@@ -1,6 +1,7 @@
-"""`deepbots upgrade`: files of an older version of the language, with one step per version.
+"""`deepbots upgrade`: files of an older version of the language, with one step per version, and former names (`deepbots_cli.renames`).
 
-A step changes the text and keeps comments and layout. A file without the key `deepbots` counts as version 0.
+A step changes the text and keeps comments and layout. A file without the key `deepbots` counts as version 0. The fixes of DB109 replace
+former names, also in included files of the project.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import Annotated
 
 import typer
 
+from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.rewriting import show, write
@@ -21,7 +23,7 @@ from deepbots_cli.document import Mapping as Tree
 from deepbots_cli.document import Scalar, files
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import ScenarioError, UsageError
-from deepbots_cli.lint.fixes import Rewrite
+from deepbots_cli.lint.fixes import Fixer, Rewrite
 from deepbots_cli.scenario.scenario import VERSION
 
 Step = Callable[[str, Tree], str]
@@ -37,8 +39,8 @@ def command(
 ) -> None:
     """Upgrade a scenario file to the current version of the language.
 
-    There is only version 1 so far, so the command only adds a missing line `deepbots: 1`, which lint requires. Comments and layout stay.
-    The command refuses a file of a newer version.
+    The command adds a missing line `deepbots: 1`, and replaces former names of keys, words and functions, also in the files of the project
+    that the scenario includes. Comments and layout stay. The command refuses a file of a newer version.
 
     \b
       deepbots upgrade old.yaml --diff
@@ -47,24 +49,30 @@ def command(
     Next: `deepbots lint old.yaml` reports the other problems of the file.
     """
     found = upgraded(file)
-    if found.rewrite is None:
+    if not found.rewrites:
         terminal.say(f"{file} is up to date: version {VERSION} of the language")
     elif diff:
-        show(found.rewrite)
+        for rewrite in found.rewrites:
+            show(rewrite)
         raise typer.Exit(FAILED)
     else:
-        write(found.rewrite)
-        was = f"version {found.version}" if found.version else "no version"
-        terminal.say(f"{file} is now in version {VERSION} of the language; before, it had {was}")
+        for rewrite in found.rewrites:
+            write(rewrite)
+        if found.version != VERSION:
+            was = f"version {found.version}" if found.version else "no version"
+            terminal.say(f"{file} is now in version {VERSION} of the language; before, it had {was}")
+        for old, new in found.renamed.items():
+            terminal.say(f"{old} -> {new}")
         terminal.note(f"next: deepbots lint {quote(str(file))}")
 
 
 @dataclass(frozen=True)
 class Upgraded:
-    """The version of a file, and its rewrite; None for a file in the current version."""
+    """The version of a file, the rewrites of it and of its included files, and the former names with the present ones."""
 
     version: int
-    rewrite: Rewrite | None
+    rewrites: list[Rewrite]
+    renamed: dict[str, str]
 
 
 def upgraded(path: Path) -> Upgraded:
@@ -84,7 +92,13 @@ def upgraded(path: Path) -> Upgraded:
     changed = _tree(path, after)
     if _version(path, changed) != VERSION:
         raise UsageError(f"{path} cannot be upgraded automatically; write `deepbots: {VERSION}` as its first line")
-    return Upgraded(version, None if after == before else Rewrite(path.resolve(), before, after))
+    place = path.resolve()
+    fixer = Fixer([str(place)], api.load, wanted=lambda finding: finding.code == "DB109", drafts={place: after})
+    rewrites = {rewrite.path: rewrite for rewrite in fixer.fix()}
+    if before != (mended := fixer.drafts[place]):
+        rewrites[place] = Rewrite(place, before, mended)
+    edits = [edit for finding in fixer.fixed if finding.fix for edit in finding.fix.edits]
+    return Upgraded(version, list(rewrites.values()), {edit.span.text: edit.text for edit in edits})
 
 
 def _name_the_version(text: str, root: Tree) -> str:

@@ -31,9 +31,9 @@ if TYPE_CHECKING:
     from deepbots_cli.port import (
         CameraReader,
         Capability,
+        ClearanceReader,
         ContactReader,
         ForceReader,
-        GapReader,
         Image,
         JointReader,
         Kinematics,
@@ -213,12 +213,12 @@ class PyBulletEngine:
     def contact_force(self, one: Part) -> ForceReader:
         return self._bound(one, lambda body, link: surfaces.force(self._client, body.number, link), surfaces.ANY)
 
-    def gap(self, one: Part, other: Part) -> GapReader:
+    def clearance(self, one: Part, other: Part) -> ClearanceReader:
         pools = (self._pool(one[0]), self._pool(other[0]))
 
-        def between(body: Body, link: int) -> GapReader:
+        def between(body: Body, link: int) -> ClearanceReader:
             near = (body.number, link)
-            return self._bound(other, lambda its, its_link: surfaces.gap(self._client, near, (its.number, its_link)), surfaces.ANY)
+            return self._bound(other, lambda its, its_link: surfaces.clearance(self._client, near, (its.number, its_link)), surfaces.ANY)
 
         read = self._bound(one, between, surfaces.ANY)
         if not any(pool.pooled for pool in pools):

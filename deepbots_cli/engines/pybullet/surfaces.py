@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from deepbots_cli.engines.pybullet.body import Body
     from deepbots_cli.engines.pybullet.readers import Moments
     from deepbots_cli.frames import Frame, Triple
-    from deepbots_cli.port import ContactReader, ForceReader, GapReader, PoseReader, RayReader
+    from deepbots_cli.port import ClearanceReader, ContactReader, ForceReader, PoseReader, RayReader
 
 # Contacts and gaps
 
@@ -119,7 +119,7 @@ def force(client: int, body: int, link: int) -> ForceReader:
     return lambda: sum(point[9] for point in read())
 
 
-def gap(client: int, one: Place, other: Place) -> GapReader:
+def clearance(client: int, one: Place, other: Place) -> ClearanceReader:
     read = partial(p.getClosestPoints, one[0], other[0], FAR, one[1], other[1], physicsClientId=client)
 
     def distance() -> float:

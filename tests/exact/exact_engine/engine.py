@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from deepbots_cli.port import (
         CameraReader,
         Capability,
+        ClearanceReader,
         ContactReader,
         ForceReader,
-        GapReader,
         Image,
         JointReader,
         Kinematics,
@@ -180,7 +180,7 @@ class ExactEngine:
     def contact_force(self, one: Part) -> ForceReader:
         raise _lacks("contacts")
 
-    def gap(self, one: Part, other: Part) -> GapReader:
+    def clearance(self, one: Part, other: Part) -> ClearanceReader:
         raise _lacks("surfaces")
 
     def rays(self, part: Part, rays: Sequence[frames.Frame], reach: float) -> RayReader:
