@@ -6,7 +6,7 @@ but readers, so an episode is the same with and without it. `Layout` holds what 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from deepbots_cli import frames
 from deepbots_cli.frames import Frame, Triple
-from deepbots_cli.port import STILL, Part
+from deepbots_cli.port import STILL
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Sensor
-from deepbots_cli.program.task import ActionRange, Choices, viewed
+from deepbots_cli.program.task import Choices, viewed
 from deepbots_cli.program.world import Variant
 from deepbots_cli.robots.model import RobotModel
 from deepbots_cli.runtime import Supervisor
@@ -107,16 +107,14 @@ class WorldFrame:
     agents: Mapping[str, AgentFrame]
     ended_by: str | None
     is_success: bool
+    truncated: bool
 
     @property
     def ending(self) -> str:
-        """The end of the episode in words; empty while it goes on."""
+        """How the episode ended, in words; empty while it goes on."""
         if self.ended_by is None:
             return ""
-        return f"{'success' if self.is_success else 'ended'} by {self.ended_by}" if self.ended_by not in _LIMITS else _LIMITS[self.ended_by]
-
-
-_LIMITS = {"max_steps": "cut short after the largest number of steps", "max_time": "cut short after the longest time"}
+        return f"{'success' if self.is_success else 'time limit' if self.truncated else 'failure'}: {self.ended_by}"
 
 
 def observation_fields(program: Program) -> tuple[Field, ...]:
@@ -148,7 +146,7 @@ def action_fields(program: Program) -> tuple[Field, ...]:
 
 
 class FrameReader:
-    """Reads frames of one environment; make a new one for a new environment."""
+    """Reads frames of one environment, one after each reset and each step: it adds up the returns."""
 
     def __init__(self, env: Supervisor) -> None:
         self.env = env
@@ -191,6 +189,7 @@ class FrameReader:
         self._variants = {thing.name: thing.variants[0].name for thing in world.objects if thing.variants}
         self._numbers = _newest(program)
         self._ranges = [(f.low, f.high) for f in self.layout.observation]
+        self._returns: dict[str, float] = {}
 
     def read(self, observation: Any, action: Any = None) -> WorldFrame:
         """The frame of this moment, given the observation that `reset` or `step` returned and the action of the step."""
@@ -203,7 +202,8 @@ class FrameReader:
         agents = {}
         for row, (name, agent) in enumerate(env.agents.items()):
             seen, done = (_row(observation, row), _row(action, row)) if several else (observation, action)
-            agents[name] = self._agent(agent, seen, done)
+            self._returns[name] = self._returns[name] + agent.reward if env.step_count else 0.0
+            agents[name] = self._agent(agent, seen, done, self._returns[name])
         return WorldFrame(
             step=env.step_count,
             time=env.step_count * env.scenario.period,
@@ -217,6 +217,7 @@ class FrameReader:
             agents=agents,
             ended_by=env.ended_by,
             is_success=env.is_success,
+            truncated=env.truncated,
         )
 
     def cameras(self) -> dict[str, Image]:
@@ -237,7 +238,7 @@ class FrameReader:
                     found[f"{body}.{name}"] = tuple(float(value) for value in device.reading)
         return found
 
-    def _agent(self, agent: Supervisor, seen: Any, done: Any) -> AgentFrame:
+    def _agent(self, agent: Supervisor, seen: Any, done: Any, episode_return: float) -> AgentFrame:
         images = {}
         if isinstance(seen, dict):
             vector = seen.get("observation", np.zeros(0, np.float32))
@@ -255,7 +256,7 @@ class FrameReader:
             values,
             None if done is None else self._action(agent, done),
             agent.reward,
-            agent.episode_return,
+            episode_return,
             dict(agent.get_info()["reward_terms"]),
             images,
         )
@@ -281,7 +282,7 @@ def _row(value: Any, row: int) -> Any:
 def _newest(program: Program) -> tuple[NDArray[np.intp], list[bool]]:
     """Where the newest value of each number stands in the observation, and whether it is a truth value."""
     numbers = program.policy.numbers
-    places = [at for at, (_, age) in enumerate(viewed(numbers, program.policy.stack)) if age == 0]
+    places = [at for at, (_, age) in enumerate(viewed(numbers, program.policy.frame_stack)) if age == 0]
     return np.array(places, np.intp), [number.truth for number in numbers]
 
 
