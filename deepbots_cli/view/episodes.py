@@ -158,33 +158,31 @@ def composed(env: Supervisor, values: dict[str, float]) -> Any:
 
 
 class Trained:
-    """The policy of a run, which takes its likeliest actions. `reload` reads its newest weights."""
+    """The best policy of a run, or its last, which takes its likeliest actions."""
 
-    def __init__(self, run: Any, env: Supervisor, model: str = "best") -> None:
+    def __init__(self, run: Any, env: Supervisor) -> None:
         try:
             from deepbots_cli.learning import algorithms, evaluation
         except ModuleNotFoundError as error:
             raise MissingExtraError("train", "showing the policy of a run") from error
-        names = (model, "last") if model == "best" and not run.model("best").exists() else (model,)
-        if not run.model(names[-1]).exists():
+        if not (run.model("best").exists() or run.model("last").exists()):
             raise RunError(f"{run.path} holds no model yet; train it, or show its scenario")
-        self._model = evaluation.load(run, names[-1], env)
+        self._model = evaluation.load(run, "best" if run.model("best").exists() else "last", env)
         self._masked = algorithms.takes_masks(self._model)
         self._env = env
         self._agents = len(env.agents) if next(iter(env.agents.values())) is not env else 0
         self.begin(0)
 
     def begin(self, seed: int) -> None:
-        self._memory, self._starts = None, np.ones(self._agents or 1, dtype=bool)
+        self._memory: Any = None
+        self._starts = np.ones(self._agents or 1, dtype=bool)
 
     def act(self, observation: Any) -> Any:
         masks = {}
         if self._masked:
             allowed = self._env.action_masks()
             masks = {"action_masks": allowed.reshape(self._agents, -1) if self._agents else allowed}
-        action, self._memory = self._model.predict(
-            observation, state=self._memory, episode_start=self._starts, deterministic=True, **masks
-        )
+        action, self._memory = self._model.predict(observation, state=self._memory, episode_start=self._starts, deterministic=True, **masks)
         self._starts = np.zeros_like(self._starts)
         return action
 

@@ -194,7 +194,9 @@ class FrameReader:
     def read(self, observation: Any, action: Any = None) -> WorldFrame:
         """The frame of this moment, given the observation that `reset` or `step` returned and the action of the step."""
         env = self.env
-        arrangement = next((a for a in (getattr(agent, "bodies", None) for agent in env.agents.values()) if isinstance(a, Arrangement)), None)
+        arrangement = next(
+            (a for a in (getattr(agent, "bodies", None) for agent in env.agents.values()) if isinstance(a, Arrangement)), None
+        )
         absent = self._pooled - set(arrangement.placed) if arrangement else self._pooled
         chosen: Mapping[str, Variant] = arrangement.forms.chosen if arrangement else {}
         forces = {part: read() for part, read in self._forces.items()}

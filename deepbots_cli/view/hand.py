@@ -18,7 +18,7 @@ _WORDS = {
     "down": ("backward", "backwards", "back", "down", "reverse", "brake", "slower", "pull"),
     "left": ("left", "turn_left", "rotate_left", "ccw"),
     "right": ("right", "turn_right", "rotate_right", "cw"),
-    "": ("stop", "none", "idle", "coast", "stay", "wait", "nothing"),
+    "": ("stop", "none", "idle", "coast", "stay", "wait", "keep", "hold", "nothing"),
 }
 _KEYS_OF = {"up": ("KeyW", "ArrowUp"), "down": ("KeyS", "ArrowDown"), "left": ("KeyA", "ArrowLeft"), "right": ("KeyD", "ArrowRight")}
 
@@ -51,13 +51,15 @@ class Hand:
         keys, axes, _ = self._held
         for number, field in enumerate(self._ranges):
             pairs = [*_PAIRS[number : number + 1], *(_ARROWS if len(self._ranges) == 1 else _ARROWS[number : number + 1])]
-            pushed = sum((more in keys) - (less in keys) for more, less in pairs)
+            pushed: float = sum((more in keys) - (less in keys) for more, less in pairs)
             axis, sign = _GAMEPAD[number] if number < len(_GAMEPAD) else (len(axes), 1.0)
             pushed += sign * axes[axis] if axis < len(axes) else 0.0
             if pushed:
                 values[field.name] = min(1.0, max(-1.0, pushed))
         for field in self._choices:
-            wanted = next((found for way, codes in _KEYS_OF.items() if keys & {*codes} and (found := _option(field, way)) is not None), None)
+            wanted = next(
+                (found for way, codes in _KEYS_OF.items() if keys & {*codes} and (found := _option(field, way)) is not None), None
+            )
             if field is self._choices[0]:
                 digits = [n for n in range(len(field.options)) if f"Digit{n + 1}" in keys]
                 wanted = digits[0] if digits else wanted
@@ -74,7 +76,9 @@ class Hand:
             for number, (field, (more, less)) in enumerate(zip(self._ranges, _PAIRS, strict=False))
         ]
         for field in self._choices:
-            named = [f"{codes[0][-1]}: {field.options[found]}" for way, codes in _KEYS_OF.items() if (found := _option(field, way)) is not None]
+            named = [
+                f"{codes[0][-1]}: {field.options[found]}" for way, codes in _KEYS_OF.items() if (found := _option(field, way)) is not None
+            ]
             parts += named
         if self._choices:
             parts.append(", ".join(f"{n + 1}: {name}" for n, name in enumerate(self._choices[0].options[:9])))

@@ -5,9 +5,7 @@ What people click arrives in threads of viser, and is queued for this one.
 
 from __future__ import annotations
 
-import contextlib
 import html
-import io
 import math
 import queue
 import time
@@ -19,6 +17,7 @@ import numpy as np
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.render import render
 from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.port import STILL
 from deepbots_cli.runtime.view import overview
 from deepbots_cli.view import server
 from deepbots_cli.view.episodes import HAND, RANDOM, ZERO, Opened, Player, Source, stamps
@@ -67,6 +66,7 @@ class Page:
         self._rival: Player | None = None
         self._hand = Hand(())
         self.seed, self.episode, self.paused, self.speed = seed, episode, False, 1.0
+        self._followed_at = STILL
         self._message, self._best, self._successes, self._played = "", -math.inf, 0, 0
         opened = source.open()
         self.server, self.address = server.serve(host, port, f"deepbots {source.reference}", lambda keys, axes: self._hand.hold(keys, axes))
@@ -85,8 +85,7 @@ class Page:
             if player is not None:
                 player.close()
         self.player = self._rival = None
-        with contextlib.redirect_stdout(io.StringIO()):  # viser prints that it ends
-            self.server.stop()
+        server.stop(self.server)
 
     # What is shown
 
@@ -109,7 +108,9 @@ class Page:
 
     def _show_findings(self, findings: Sequence[Finding]) -> None:
         self.paused = True
-        self._message = f"<pre style='white-space:pre-wrap;font-size:0.75em;line-height:1.35'>{html.escape(render(findings, 'full', width=64))}</pre>"
+        self._message = (
+            f"<pre style='white-space:pre-wrap;font-size:0.75em;line-height:1.35'>{html.escape(render(findings, 'full', width=64))}</pre>"
+        )
         if self.player is None:
             self._clear()
             self._banner = self.server.gui.add_html(_framed("the scenario has errors", self._message, "#D55E00"))
@@ -244,12 +245,16 @@ class Page:
                 group = gui.add_button_group(field.name, field.options)
                 group.on_click(lambda event, f=field: self._command(f.name, f.options.index(event.target.value)))
             else:
-                slider = gui.add_slider(field.name, min=-1.0, max=1.0, step=0.01, initial_value=0.0, hint=f"{field.text(field.low)} .. {field.text(field.high)}")
+                slider = gui.add_slider(
+                    field.name, min=-1.0, max=1.0, step=0.01, initial_value=0.0, hint=f"{field.text(field.low)} .. {field.text(field.high)}"
+                )
                 slider.on_update(lambda event, f=field: self._command(f.name, event.target.value))
         ranges = [field for field in layout.action if not field.options][:2]
         for field, (more, less) in zip(ranges, (("ArrowUp", "ArrowDown"), ("ArrowRight", "ArrowLeft")), strict=False):
             for key, sign in ((more, "+"), (less, "−")):  # noqa: RUF001 - a minus
-                gui.add_button(f"hold: {field.name} {sign}").on_hold(lambda _, key=key: self._hand.hold(frozenset([key]), ()), callback_hz=10)
+                gui.add_button(f"hold: {field.name} {sign}").on_hold(
+                    lambda _, key=key: self._hand.hold(frozenset([key]), ()), callback_hz=10
+                )
 
     def _command(self, name: str, value: float) -> None:
         self._hand.base[name] = float(value)
@@ -384,7 +389,7 @@ class Page:
 
     def _draw(self, share: float, *, texts: bool) -> None:
         assert self.player is not None
-        before = self.world.followed if not hasattr(self, "_followed_at") else self._followed_at
+        before = self._followed_at
         with self.server.atomic():
             self.world.draw(share)
         self._followed_at = self.world.followed

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from deepbots_cli import frames, terrain
 from deepbots_cli.engines import objects
 from deepbots_cli.errors import EngineError
+from deepbots_cli.footprint import bounds
 from deepbots_cli.port import STILL
 from deepbots_cli.program.world import Colour, Line, WorldModel
 from deepbots_cli.robots.meshes import checked_bytes
@@ -26,7 +27,6 @@ from deepbots_cli.robots.model import Box, Capsule, Cylinder, Geometry, Mesh, Po
 from deepbots_cli.view.frames import Beams, Layout, LinkName, WorldFrame
 
 if TYPE_CHECKING:
-    import trimesh
     import viser
 
 GROUND_COLOUR: Colour = (0.86, 0.87, 0.89, 1.0)
@@ -41,7 +41,7 @@ Points = NDArray[np.float32]
 # Geometry
 
 
-def triangles(mesh: Mesh) -> trimesh.Trimesh:
+def triangles(mesh: Mesh) -> Any:
     """The triangles of a mesh file, scaled, in m.
 
     Raises:
@@ -79,7 +79,12 @@ def strokes(line: Line, height: float) -> tuple[Points, NDArray[np.int32]]:
     for (x, y), (x_end, y_end) in line.pieces:
         length = math.hypot(x_end - x, y_end - y) or 1.0
         ax, ay = (x_end - x) / length * half, (y_end - y) / length * half
-        corners += [(x - ax - ay, y - ay + ax), (x - ax + ay, y - ay - ax), (x_end + ax + ay, y_end + ay - ax), (x_end + ax - ay, y_end + ay + ax)]
+        corners += [
+            (x - ax - ay, y - ay + ax),
+            (x - ax + ay, y - ay - ax),
+            (x_end + ax + ay, y_end + ay - ax),
+            (x_end + ax - ay, y_end + ay + ax),
+        ]
     flat = np.array([(*corner, height) for corner in corners], np.float32)
     faces = np.array([(4 * n, 4 * n + a, 4 * n + a + 1) for n in range(len(line.pieces)) for a in (1, 2)], np.int32)
     return flat, faces
@@ -96,7 +101,9 @@ def _rgb(colour: Colour) -> tuple[int, int, int]:
 class WorldScene:
     """One world below the node `root`. `take` gives it a frame, `draw` shows the world between the last two frames."""
 
-    def __init__(self, scene: viser.SceneApi, world: WorldModel, layout: Layout, *, size: float, root: str = "", decorated: bool = True) -> None:
+    def __init__(
+        self, scene: viser.SceneApi, world: WorldModel, layout: Layout, *, size: float, root: str = "", decorated: bool = True
+    ) -> None:
         """`size` is the distance (m) from which the world is seen; marks are as large as it asks for."""
         self._scene, self._layout, self._root, self._size = scene, layout, root, size
         self._nodes: dict[LinkName, Any] = {}
@@ -134,14 +141,14 @@ class WorldScene:
         if world.terrain is not None:
             relief = terrain.grid(world.terrain.shape)
             if relief is not None:
-                points, faces = relief.coarser(_MAX_CELLS).triangles()
+                surface = relief.coarser(_MAX_CELLS).triangles()
             else:
                 assert isinstance(world.terrain.shape, Mesh)  # all others are grids
                 solid = triangles(world.terrain.shape)
-                points, faces = solid.vertices, solid.faces
+                surface = solid.vertices, solid.faces
             colour = world.terrain.colour or (0.72, 0.70, 0.64, 1.0)
             scene.add_mesh_simple(
-                f"{root}/terrain", np.asarray(points, np.float32), np.asarray(faces, np.int32), color=_rgb(colour), side="double"
+                f"{root}/terrain", np.asarray(surface[0], np.float32), np.asarray(surface[1], np.int32), color=_rgb(colour), side="double"
             )
         elif world.ground is not None:
             colour = world.ground.colour or GROUND_COLOUR
@@ -306,12 +313,16 @@ class WorldScene:
             self._path.colors = np.full((len(points) - 1, 2, 3), (70, 90, 200), np.uint8)
             self._path.visible = True
 
+    def _dot_radius(self, robot: str) -> float:
+        """A twentieth of the robot's size, m."""
+        return 0.05 * math.dist(*bounds(self._layout.robots[robot]))
+
     def _mark_contacts(self, frame: WorldFrame) -> None:
         touching = set(frame.forces) if self.show_contacts else set()
         for part in touching - self._dots.keys():
             head, pose = rigid_groups(self._layout.robots[part[0]])[part[1]]
             self._dots[part] = self._scene.add_icosphere(
-                f"{self._path_of((part[0], head))}/touch_{part[1]}", 0.012 * self._size, (225, 60, 40), opacity=0.6, position=pose[0],
+                f"{self._path_of((part[0], head))}/touch_{part[1]}", self._dot_radius(part[0]), (225, 60, 40), opacity=0.6, position=pose[0],
                 cast_shadow=False, visible=False,
             )  # fmt: skip
         for part, dot in self._dots.items():

@@ -89,6 +89,12 @@ def serve(host: str, port: int | None, label: str, on_drive: OnDrive) -> tuple[v
     return server, f"http://{shown}:{server.get_port()}/" + (f"?token={token}" if token else "")
 
 
+def stop(server: viser.ViserServer) -> None:
+    """End a server."""
+    with contextlib.redirect_stdout(io.StringIO()):  # viser prints that it ends
+        server.stop()
+
+
 def _is_loopback(host: str) -> bool:
     return host == "localhost" or (host.replace(".", "").isdigit() and ipaddress.ip_address(host).is_loopback) or host == "::1"
 
@@ -138,11 +144,11 @@ def _guarded(host: str, token: str, on_drive: OnDrive) -> Iterator[None]:
         options |= {"max_size": MAX_MESSAGE}
         return original(handle, host_, port, process_request=check, **options)
 
-    wire.serve = guarded  # type: ignore[assignment,misc]  # viser's thread looks it up before the constructor returns
+    wire.serve = guarded  # viser's thread looks it up before the constructor returns
     try:
         yield
     finally:
-        wire.serve = original  # type: ignore[misc]
+        wire.serve = original
 
 
 def _check(request: Any, host: str, port: int, token: str, page: bytes, protocol: str) -> Response | None:

@@ -19,10 +19,10 @@ from PIL import Image
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 FLAGS = (
-    "--headless=new --no-sandbox --disable-gpu-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader "
-    "--disable-dev-shm-usage --no-first-run --disable-background-networking --disable-component-update --disable-extensions "
-    "--hide-scrollbars --remote-debugging-port=0 --remote-allow-origins=*"
-).split()
+    *("--headless=new", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--hide-scrollbars"),
+    *("--disable-dev-shm-usage", "--no-first-run", "--disable-background-networking", "--disable-component-update"),
+    *("--remote-debugging-port=0", "--remote-allow-origins=*"),
+)
 
 
 class Tab:

@@ -18,14 +18,17 @@ EngineOrRun = Annotated[
     typer.Option("--engine", metavar="NAME", callback=known_engine, help="Physics engine; by default pybullet, or the engine of the run."),
 ]
 Host = Annotated[
-    str, typer.Option("--host", metavar="ADDRESS", help="Address to serve on; beyond this machine, such as 0.0.0.0, the page asks for a token.")
+    str,
+    typer.Option("--host", metavar="ADDRESS", help="Address to serve on; beyond this machine, such as 0.0.0.0, the page asks for a token."),
 ]
 Port = Annotated[
-    int | None, typer.Option("--port", metavar="N", parser=whole(0, 65535), help="Port of the page; by default the first free one from 8787 on.")
+    int | None,
+    typer.Option("--port", metavar="N", parser=whole(0, 65535), help="Port of the page; by default the first free one from 8787 on."),
 ]
 Open = Annotated[bool, typer.Option("--open", help="Open the page in the browser.")]
 Episode = Annotated[
-    int, typer.Option("--episode", metavar="K", parser=whole(0), help="Number of the episode, which begins as episode K of an evaluation does.")
+    int,
+    typer.Option("--episode", metavar="K", parser=whole(0), help="Number of the episode, which begins as episode K of an evaluation does."),
 ]
 
 
