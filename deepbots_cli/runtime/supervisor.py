@@ -472,7 +472,8 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         if not frames or not isinstance(error, (ArithmeticError, ValueError, NameError)):
             return error
         self.engine.require_finite()  # a world that blew up is the engine's failure, not the expression's
-        return EvaluationError(f"step {self.step_count}: no value for `{frames[-1].line}`: {error}")
+        statement = (frames[-1].line or "").partition("  # ")[0]  # without the text of the scenario, which the comment repeats
+        return EvaluationError(f"step {self.step_count}: no value for `{statement}`: {error}")
 
     def __reduce__(self) -> tuple[Any, ...]:
         if self.rebuild is None:

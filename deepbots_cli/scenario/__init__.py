@@ -6,6 +6,7 @@ world.py robot.py sensors.py actuators.py task.py training.py
                 the sections
 scenario.py     Scenario, the whole file
 validate.py     nodes to a Scenario; validation errors become findings with exact places
+renamed.py      former names, which later passes read under the present ones
 docs.py         what is said of a key: descriptions, units, defaults, examples
 json_schema.py  the JSON Schema for editors: `python -m deepbots_cli.scenario.json_schema` writes it
 """

@@ -374,7 +374,7 @@ def test_the_difference_of_a_file_with_an_odd_name_is_a_patch_without_control_ch
 
 def test_a_diff_that_has_only_guesses_names_the_options_that_show_them(deepbots, scenario):
     scenario(faulty(next(iter(UNSAFE.values()))))
-    assert deepbots("lint", "a.yaml").err.endswith("see what they would do with --diff --unsafe-fixes\n")
+    assert deepbots("lint", "a.yaml").err.endswith("show with --diff --unsafe-fixes, apply with --fix --unsafe-fixes\n")
     ran = deepbots("lint", "a.yaml", "--diff")
     assert (ran.out, ran.err.startswith("there are no changes; 1 unsafe fix available")) == ("", True)
     assert "+++ a.yaml" in deepbots("lint", "a.yaml", "--diff", "--unsafe-fixes").out

@@ -169,7 +169,7 @@ def test_settings_may_be_written_as_values_of_the_table_of_tools(deepbots, files
         ("lint = 3\n", "'lint' must be a table of settings"),
         ("[lint\n", "deepbots.toml cannot be read"),
         ("select = " + "[" * 10_000, "its values are nested too deep"),
-        ("# " + "x" * 300_000, "deepbots.toml is larger than 256 KiB"),
+        ("# " + "x" * 300_000, "deepbots.toml is larger than the limit of 256 KiB"),
         ("[lint]\nexclude = [" + "'*', " * 2000 + "]\n", "'exclude' has 2_000 entries, more than 1_000"),
     ],
 )

@@ -203,8 +203,8 @@ def test_what_is_learned_does_not_depend_on_the_trials(unpaid: Learned, tmp_path
 def test_a_trial_stops_when_somebody_wants_the_work_to_end() -> None:
     task = stand_in.scenario()
     world = stand_in.build(task)
-    assert task.training is not None
-    model = algorithms.create(task.training, copies_over([world] * 2, [0, 0]), seed=0, total_timesteps=100, longest_episode=200)
+    assert task.policy.training is not None
+    model = algorithms.create(task.policy.training, copies_over([world] * 2, [0, 0]), seed=0, total_timesteps=100, longest_episode=200)
     held, interruption = Trials(stand_in.build, seed=0), Interruption()
     state = torch.get_rng_state()
     first, second = (held.hold(model, task, interruption) for _ in range(2))

@@ -50,7 +50,7 @@ def test_a_vector_as_a_body_sees_it_is_the_transposed_rotation_times_the_vector(
     for _ in range(200):
         body, vector = pose(), [_RANDOM.uniform(-2, 2) for _ in range(3)]
         rows = [[computed(rotation("one", row, axis), {"one": body}) * vector[row] for row in range(3)] for axis in range(3)]
-        assert formulas.local(body, vector) == tuple(row[0] + row[1] + row[2] for row in rows)
+        assert formulas.to_body_frame(body, vector) == tuple(row[0] + row[1] + row[2] for row in rows)
 
 
 @pytest.mark.parametrize("helper", ["clamp", "wrap_angle"])

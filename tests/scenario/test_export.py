@@ -174,7 +174,7 @@ def test_numbers_in_groups_of_three_which_editors_take_for_text_are_no_mistake(
 FAULTS: dict[str, tuple[str, str, tuple[Step, ...]]] = {
     "an unknown key": ("timestep: 32 ms", "timestep: 32 ms\n  timestop: 32 ms", ("world",)),
     "a section that there is not": ("messages:", "mesages:", ()),
-    "a key of another kind": ("joint: pole_hinge}", "joint: pole_hinge, resolution: 64 64}", ("robots", "cart", "sensors", "pole_angle")),
+    "a key of another kind": ("joint: pole_hinge}", "joint: pole_hinge, fov: 60 deg}", ("robots", "cart", "sensors", "pole_angle")),
     "an unknown kind of sensor": ("joint_position", "joint_angle", ("robots", "cart", "sensors", "pole_angle", "type")),
     "an unknown kind of actuator": ("velocity_motor", "velocty_motor", ("robots", "cart", "actuators", "wheels", "type")),
     "an unknown algorithm": ("algorithm: PPO", "algorithm: PPOO", ("train", "algorithm")),
