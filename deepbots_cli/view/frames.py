@@ -204,7 +204,7 @@ class FrameReader:
         agents = {}
         for row, (name, agent) in enumerate(env.agents.items()):
             seen, done = (_row(observation, row), _row(action, row)) if several else (observation, action)
-            self._returns[name] = self._returns[name] + agent.reward if env.step_count else 0.0
+            self._returns[name] = self._returns.get(name, 0.0) + agent.reward if env.step_count else 0.0
             agents[name] = self._agent(agent, seen, done, self._returns[name])
         return WorldFrame(
             step=env.step_count,

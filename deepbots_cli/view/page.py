@@ -251,7 +251,7 @@ class Page:
                 slider.on_update(lambda event, f=field: self._command(f.name, event.target.value))
         ranges = [field for field in layout.action if not field.options][:2]
         for field, (more, less) in zip(ranges, (("ArrowUp", "ArrowDown"), ("ArrowRight", "ArrowLeft")), strict=False):
-            for key, sign in ((more, "+"), (less, "−")):  # noqa: RUF001 - a minus
+            for key, sign in ((more, "+"), (less, "−")):
                 gui.add_button(f"hold: {field.name} {sign}").on_hold(
                     lambda _, key=key: self._hand.hold(frozenset([key]), ()), callback_hz=10
                 )
@@ -345,6 +345,7 @@ class Page:
             agent = frame.agents[self._agent]
             self._played, self._successes = self._played + 1, self._successes + frame.is_success
             self._best = max(self._best, agent.episode_return)
+            self._tell()
 
     def _keep(self, frame: WorldFrame) -> None:
         self._past.append((frame.agents[self._agent], frame.step))
@@ -475,7 +476,8 @@ def _head(text: str) -> str:
 
 
 def _row(name: str, value: str, bar: str = "") -> str:
-    return f"<tr><td>{html.escape(name)}</td><td style='text-align:right;white-space:nowrap'>{html.escape(value)}</td><td style='width:35%'>{bar}</td></tr>"
+    cells = f"<td>{html.escape(name)}</td><td style='text-align:right;white-space:nowrap'>{html.escape(value)}</td>"
+    return f"<tr>{cells}<td style='width:35%'>{bar}</td></tr>"
 
 
 def _bar(field: Field, value: float) -> str:

@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
+from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Any
@@ -182,7 +183,7 @@ def _paint_path(draw: ImageDraw, project: Callable[[Triple], Point | None], play
         pixels = [pixel for pixel in map(project, trace) if pixel is not None]
         if not pixels:
             continue
-        for step, ends in enumerate(zip(pixels[:-1], pixels[1:], strict=True)):
+        for step, ends in enumerate(pairwise(pixels)):
             draw.line(ends, fill=_rgba(number, 90 + 165 * step // len(pixels)), width=3 * _FINE)
         radius = 5 * _FINE
         for (x, y), fill in ((pixels[0], (255, 255, 255, 255)), (pixels[-1], _rgba(number))):

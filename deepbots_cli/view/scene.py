@@ -52,7 +52,7 @@ def triangles(mesh: Mesh) -> Any:
     data, kind = checked_bytes(mesh), Path(mesh.path).suffix[1:].lower()
     try:
         loaded = trimesh.load_scene(BytesIO(data), file_type=kind, skip_materials=True).to_mesh()
-    except Exception as error:  # the readers of trimesh raise many kinds  # noqa: BLE001
+    except Exception as error:  # the readers of trimesh raise many kinds
         raise EngineError(f"mesh {mesh.path} cannot be read") from error
     unit = re.search(rb'<unit[^>]*meter="([0-9.eE+-]+)"', data[:20_000]) if kind == "dae" else None
     loaded.apply_scale(np.asarray(mesh.scale) * (float(unit[1]) if unit else 1.0))
@@ -313,18 +313,13 @@ class WorldScene:
             self._path.colors = np.full((len(points) - 1, 2, 3), (70, 90, 200), np.uint8)
             self._path.visible = True
 
-    def _dot_radius(self, robot: str) -> float:
-        """A twentieth of the robot's size, m."""
-        return 0.05 * math.dist(*bounds(self._layout.robots[robot]))
-
     def _mark_contacts(self, frame: WorldFrame) -> None:
         touching = set(frame.forces) if self.show_contacts else set()
         for part in touching - self._dots.keys():
-            head, pose = rigid_groups(self._layout.robots[part[0]])[part[1]]
-            self._dots[part] = self._scene.add_icosphere(
-                f"{self._path_of((part[0], head))}/touch_{part[1]}", self._dot_radius(part[0]), (225, 60, 40), opacity=0.6, position=pose[0],
-                cast_shadow=False, visible=False,
-            )  # fmt: skip
+            model = self._layout.robots[part[0]]
+            head, pose = rigid_groups(model)[part[1]]
+            name, radius = f"{self._path_of((part[0], head))}/touch_{part[1]}", 0.05 * math.dist(*bounds(model))
+            self._dots[part] = self._scene.add_icosphere(name, radius, (225, 60, 40), opacity=0.6, position=pose[0], visible=False)
         for part, dot in self._dots.items():
             if dot.visible != (part in touching):
                 dot.visible = part in touching

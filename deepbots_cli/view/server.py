@@ -51,11 +51,12 @@ const key = e => {
   e.type == "keydown" ? held.add(e.code) : held.delete(e.code); };
 addEventListener("keydown", key, true); addEventListener("keyup", key, true); addEventListener("blur", () => held.clear());
 setInterval(() => {
-  const pad = [...(navigator.getGamepads?.() ?? [])].find(pad => pad), axes = pad ? pad.axes.slice(0, 4).map(x => Math.abs(x) > 0.12 ? x : 0) : [];
+  const pad = [...(navigator.getGamepads?.() ?? [])].find(pad => pad);
+  const axes = pad ? pad.axes.slice(0, 4).map(x => Math.abs(x) > 0.12 ? x : 0) : [];
   const now = [...held].join("+") + "|" + (axes.some(x => x) ? axes.map(x => x.toFixed(3)).join() : "");
   if (now == "|" && last == "|") return;
-  if (!wire || wire.readyState > 1) { wire = new WebSocket((location.protocol == "https:" ? "wss://" : "ws://") + location.host + "/drive"); return; }
-  if (wire.readyState == 1) { wire.send(now); last = now; } }, 50); }</script></head>"""
+  if (!wire || wire.readyState > 1) wire = new WebSocket("/drive");
+  else if (wire.readyState == 1) { wire.send(now); last = now; } }, 50); }</script></head>"""
 
 Keys = frozenset[str]
 Axes = tuple[float, ...]

@@ -115,7 +115,9 @@ def test_what_a_scenario_prints_is_not_taken_for_what_was_measured(checked) -> N
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="children are found by way of /proc")
-@pytest.mark.parametrize(("number", "said"), [(signal.SIGKILL, "another process ended the simulation (SIGKILL)"), (signal.SIGBUS, "crashes (SIGBUS)")])
+@pytest.mark.parametrize(
+    ("number", "said"), [(signal.SIGKILL, "another process ended the simulation (SIGKILL)"), (signal.SIGBUS, "crashes (SIGBUS)")]
+)
 def test_a_process_that_is_killed_is_a_finding(checked, number: signal.Signals, said: str) -> None:
     """As the system does when memory runs out, or an engine that reads past its arrays."""
     scenario, found = checked("hang"), []

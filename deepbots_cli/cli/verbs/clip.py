@@ -57,7 +57,9 @@ def command(
     pictures.check_target(out, pictures.SUFFIXES)
     source = Source(shown, sets or (), allow_paths or (), allow_code, engine, case, stage)
     with player(source, driver) as world, terminal.passing("running the episode ..."):
-        frame = pictures.clip(world, out, pictures.Shot(size[0], size[1], eye, target), seed=seed, episode=episode, seconds=seconds, speed=speed)
+        frame = pictures.clip(
+            world, out, pictures.Shot(size[0], size[1], eye, target), seed=seed, episode=episode, seconds=seconds, speed=speed
+        )
     agent = next(iter(frame.agents.values()))
     state = frame.ending or "not ended"
     terminal.say(f"{out} ({out.stat().st_size / 1000:,.0f} kB; {state} after {frame.time:.2f} s, return {agent.episode_return:.2f})")
