@@ -413,7 +413,7 @@ class Page:
         if self._message:
             self._put(self._banner, _framed("stopped", self._message, "#D55E00"))
         else:
-            state = frame.ending or ("paused" if self.paused else "running")
+            state = (frame.ending or "running") + (" (paused)" if self.paused else "")
             colour = ("#009E73" if frame.is_success else "#E69F00" if frame.truncated else "#D55E00") if frame.ended_by else "#0072B2"
             numbers = f"episode {self.episode}, step {frame.step}, {frame.time:.2f} s, return {agent.episode_return:.2f}"
             self._put(self._banner, _framed(state, f"{numbers}{self._score()}", colour))
