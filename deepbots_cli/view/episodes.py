@@ -20,7 +20,7 @@ from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.streams import derive
 from deepbots_cli.view.frames import FrameReader, WorldFrame
 
-RANDOM, ZERO, HAND, POLICY = "random", "zero", "by hand", "policy"
+RANDOM, ZERO, HAND, POLICY = "random", "zero", "you", "policy"
 """Drivers besides the scripts of a scenario. `zero` is the middle of each range and the first option of each choice."""
 
 

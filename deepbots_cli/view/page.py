@@ -148,7 +148,7 @@ class Page:
         gui, scene = self.server.gui, self.server.scene
         self._clear()
         program, layout = player.program, player.reader.layout
-        view = overview(program, 400, 400)  # beside the panel
+        view = overview(program, 340, 400)  # beside the panel
         size = math.dist(view.eye, view.target)
         camera = self.server.initial_camera
         camera.position, camera.look_at, camera.fov = view.eye, view.target, view.fov
@@ -171,10 +171,8 @@ class Page:
         with tabs.add_tab("Show"):
             self._add_switches()
         self._cameras: dict[str, Any] = {}
-        if player.reader.cameras():
-            with gui.add_folder("Cameras"):
-                for name, image in player.reader.cameras().items():
-                    self._cameras[name] = gui.add_image(_enlarged(image), label=name)
+        if any(sensor.optics for robot in program.robots for sensor in robot.sensors):
+            self._camera_folder = gui.add_folder("Cameras")
 
     def _add_time(self, player: Player) -> None:
         gui = self.server.gui
@@ -403,7 +401,11 @@ class Page:
             self._tell()
             self._draw_plots()
             for name, image in self.player.reader.cameras().items():
-                self._cameras[name].image = _enlarged(image)
+                if name in self._cameras:
+                    self._cameras[name].image = _enlarged(image)
+                else:
+                    with self._camera_folder:
+                        self._cameras[name] = self.server.gui.add_image(_enlarged(image), label=name)
 
     def _tell(self) -> None:
         """The banner and the values."""

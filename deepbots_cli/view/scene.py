@@ -90,6 +90,14 @@ def strokes(line: Line, height: float) -> tuple[Points, NDArray[np.int32]]:
     return flat, faces
 
 
+def _contour(relief: terrain.Grid, above: float) -> Points:
+    """Line segments (n, 2, 3) along every fifth row and column of a relief, a little above it."""
+    rows, columns = relief.heights.shape
+    points = relief.triangles()[0].reshape(rows, columns, 3) + (0.0, 0.0, above)
+    parts = [np.stack([lines[:, :-1], lines[:, 1:]], 2) for lines in (points[::5], points.transpose(1, 0, 2)[::5])]
+    return np.concatenate([part.reshape(-1, 2, 3) for part in parts]).astype(np.float32)
+
+
 def wxyz(turn: frames.Quaternion) -> tuple[float, float, float, float]:
     return turn[3], turn[0], turn[1], turn[2]
 
@@ -142,11 +150,14 @@ class WorldScene:
             relief = terrain.grid(world.terrain.shape)
             if relief is not None:
                 surface = relief.coarser(_MAX_CELLS).triangles()
+                contour = _contour(relief.coarser(_MAX_CELLS), 0.001 * self._size)
+                colours = np.full(contour.shape, 110, np.uint8)  # a smooth relief of one colour is hard to see
+                scene.add_line_segments(f"{root}/contour", contour, colours, thickness=1.0, thickness_units="screen")
             else:
                 assert isinstance(world.terrain.shape, Mesh)  # all others are grids
                 solid = triangles(world.terrain.shape)
                 surface = solid.vertices, solid.faces
-            colour = world.terrain.colour or (0.72, 0.70, 0.64, 1.0)
+            colour = world.terrain.colour or (0.62, 0.58, 0.50, 1.0)
             scene.add_mesh_simple(
                 f"{root}/terrain", np.asarray(surface[0], np.float32), np.asarray(surface[1], np.int32), color=_rgb(colour), side="double"
             )

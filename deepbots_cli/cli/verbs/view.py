@@ -36,7 +36,7 @@ def command(
     shown: Shown,
     driver: Annotated[
         str | None,
-        typer.Option("--driver", "--script", metavar="NAME", help="A script of the scenario, `random`, `zero`, `policy` or `by hand`."),
+        typer.Option("--driver", "--script", metavar="NAME", help="A script of the scenario, `random`, `zero`, `policy` or `you`."),
     ] = None,
     seed: Seed = 0,
     episode: Episode = 0,
