@@ -17,7 +17,6 @@ import numpy as np
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.render import render
 from deepbots_cli.errors import DeepbotsError
-from deepbots_cli.port import STILL
 from deepbots_cli.runtime.view import overview
 from deepbots_cli.view import server
 from deepbots_cli.view.episodes import HAND, RANDOM, ZERO, Opened, Player, Source, stamps
@@ -66,7 +65,6 @@ class Page:
         self._rival: Player | None = None
         self._hand = Hand(())
         self.seed, self.episode, self.paused, self.speed = seed, episode, False, 1.0
-        self._followed_at = STILL
         self._message, self._best, self._successes, self._played = "", -math.inf, 0, 0
         opened = source.open()
         self.server, self.address = server.serve(host, port, f"deepbots {source.reference}", lambda keys, axes: self._hand.hold(keys, axes))
@@ -258,11 +256,14 @@ class Page:
         self._hand.base[name] = float(value)
 
     def _add_switches(self) -> None:
+        assert self.player is not None
         gui, shown = self.server.gui, {"rays": True, "contacts": True, "path": False, "names": False, "axes": False}
         for what, on in shown.items():
             box = gui.add_checkbox(what, on)
             box.on_update(lambda event, what=what: self._todo.put(lambda: self.world.show(what, event.target.value)))
-        self._follows = gui.add_checkbox("camera follows the robot", False)
+        world = self.player.env.world
+        strays = world.arena is None and world.terrain is None and not world.lines and any(not robot.fixed_base for robot in world.robots)
+        self._follows = gui.add_checkbox("camera follows the robot", strays)
         self._goes_on = gui.add_checkbox("next episode after the end", True)
 
     # What people do
@@ -388,15 +389,9 @@ class Page:
 
     def _draw(self, share: float, *, texts: bool) -> None:
         assert self.player is not None
-        before = self._followed_at
+        self.world.follows = self._follows.value
         with self.server.atomic():
             self.world.draw(share)
-        self._followed_at = self.world.followed
-        if self._follows.value and self._followed_at != before:
-            way = np.subtract(self._followed_at, before)
-            if np.linalg.norm(way) < 0.5 * math.dist(overview(self.player.program).eye, overview(self.player.program).target):
-                for client in self.server.get_clients().values():
-                    client.camera.position = client.camera.position + way
         if texts:
             self._tell()
             self._draw_plots()

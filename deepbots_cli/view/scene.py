@@ -93,7 +93,7 @@ def strokes(line: Line, height: float) -> tuple[Points, NDArray[np.int32]]:
 def _contour(relief: terrain.Grid, above: float) -> Points:
     """Line segments (n, 2, 3) along every fifth row and column of a relief, a little above it."""
     rows, columns = relief.heights.shape
-    points = relief.triangles()[0].reshape(rows, columns, 3) + (0.0, 0.0, above)
+    points = relief.triangles()[0].reshape(rows, columns, 3) + np.array([0.0, 0.0, above])
     parts = [np.stack([lines[:, :-1], lines[:, 1:]], 2) for lines in (points[::5], points.transpose(1, 0, 2)[::5])]
     return np.concatenate([part.reshape(-1, 2, 3) for part in parts]).astype(np.float32)
 
@@ -110,10 +110,13 @@ class WorldScene:
     """One world below the node `root`. `take` gives it a frame, `draw` shows the world between the last two frames."""
 
     def __init__(
-        self, scene: viser.SceneApi, world: WorldModel, layout: Layout, *, size: float, root: str = "", decorated: bool = True
+        self, scene: viser.SceneApi, world: WorldModel, layout: Layout, *, size: float, root: str = "/world", decorated: bool = True
     ) -> None:
         """`size` is the distance (m) from which the world is seen; marks are as large as it asks for."""
         self._scene, self._layout, self._root, self._size = scene, layout, root, size
+        self._anchor = scene.add_frame(root, show_axes=False)
+        self.follows = False
+        """Whether the robot stays in view, as the world moves below it."""
         self._nodes: dict[LinkName, Any] = {}
         self._variants: dict[tuple[str, str], Any] = {}
         self._labels: list[Any] = []
@@ -281,13 +284,8 @@ class WorldScene:
         if self._followed is not None:
             root = self._layout.robots[self._followed].root
             self._trail.append(frame.links[self._followed, root][0])
-            del self._trail[:-_MAX_PATH]
+            del self._trail[1:-_MAX_PATH]
         self._mark(frame)
-
-    @property
-    def followed(self) -> frames.Triple:
-        """Where the robot is that a camera follows."""
-        return self._trail[-1] if self._trail else STILL
 
     def draw(self, share: float) -> None:
         """Move what has moved to `share` (0 to 1) of the way from the frame before to the newest."""
@@ -298,6 +296,11 @@ class WorldScene:
             node = self._nodes[self._parts[row]]
             node.position, node.wxyz = rows[row, :3], rows[row, 3:]
         self._sent = rows
+        if self._followed is not None:
+            x, y, _ = rows[self._parts.index((self._followed, self._layout.robots[self._followed].root)), :3] - self._trail[0]
+            shift = (-x, -y, 0.0) if self.follows else STILL
+            if not np.array_equal(self._anchor.position, shift):
+                self._anchor.position = shift
 
     def _mark(self, frame: WorldFrame) -> None:
         """Rays, contacts, pushes and the path."""
@@ -329,8 +332,8 @@ class WorldScene:
         for part in touching - self._dots.keys():
             model = self._layout.robots[part[0]]
             head, pose = rigid_groups(model)[part[1]]
-            name, radius = f"{self._path_of((part[0], head))}/touch_{part[1]}", 0.05 * math.dist(*bounds(model))
-            self._dots[part] = self._scene.add_icosphere(name, radius, (225, 60, 40), opacity=0.6, position=pose[0], visible=False)
+            name, radius = f"{self._path_of((part[0], head))}/touch_{part[1]}", 0.035 * math.dist(*bounds(model))
+            self._dots[part] = self._scene.add_icosphere(name, radius, (225, 60, 40), opacity=0.5, position=pose[0], visible=False)
         for part, dot in self._dots.items():
             if dot.visible != (part in touching):
                 dot.visible = part in touching
