@@ -40,7 +40,7 @@ def command(
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
 ) -> None:
-    """Make a moving picture of an episode.
+    """Make a moving picture of an episode: MP4, GIF or an offline page.
 
     A run is driven by its policy, a scenario by its first script, or else by random actions.
 

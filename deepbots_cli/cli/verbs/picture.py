@@ -64,7 +64,9 @@ def command(
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
 ) -> None:
-    """Draw a picture of a scenario at the beginning of an episode, or after some steps.
+    """Draw a picture of a scenario.
+
+    It shows the beginning of an episode, or the world after some steps.
 
     \b
       deepbots picture find_ball

@@ -20,9 +20,9 @@ def command(
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
 ) -> None:
-    """Drive the robot of a scenario in the browser, by keys, a gamepad, or buttons and sliders.
+    """Drive the robot of a scenario in the browser.
 
-    The page shows your return, and beside it the return of the policy of a run, or of the first script of a scenario, in the same episode.
+    Keys, a gamepad, and buttons and sliders in the page command the robot. The page shows your return, and beside it the return of the policy of a run, or of the first script of a scenario, in the same episode.
 
     \b
       deepbots play find_ball
