@@ -26,7 +26,7 @@ train: setup ## train and evaluate the CartPole
 
 .PHONY: test
 test: dev ## the tests, with a few of many cases that show one fact
-	$(PYTEST) -m "not slow and not editors"
+	$(PYTEST) -m "not slow and not editors and not browser"
 
 .PHONY: nightly
 nightly: dev ## every case of every test, and a long run over damaged files; takes about an hour
@@ -44,7 +44,7 @@ check: dev ## everything that a change must pass
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(PYTEST) -m "not slow and not editors"
+	$(PYTEST) -m "not slow and not editors and not browser"
 
 .PHONY: editors
 editors: dev $(EDITORS)/installed ## what editors make of the JSON Schema and of the language server, and code scanning of SARIF; needs node and npm

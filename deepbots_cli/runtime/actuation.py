@@ -421,6 +421,11 @@ class Push:
         self._force: Triple = STILL
         self._torque: Triple = STILL
 
+    @property
+    def acting(self) -> Triple:
+        """The force (N) that pushes now; zero between two pushes."""
+        return self._force if self._left > 0.0 else STILL
+
     def _act(self) -> None:
         if self._now >= self._due:
             self._force, self._torque, duration, until_next = self._draw()

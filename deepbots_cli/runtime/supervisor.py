@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from deepbots_cli.errors import EvaluationError, MessageError, UsageError
 from deepbots_cli.frames import Triple
-from deepbots_cli.port import STILL, Engine
+from deepbots_cli.port import STILL, Engine, View
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Direction, MessageLayout, Robot
 from deepbots_cli.program.task import ActionRange, Choices
@@ -229,7 +229,11 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         """A picture of the world (uint8, height x width x 3), or None without a render mode."""
         if self.render_mode is None:
             return None
-        return self.engine.render(moved(overview(self.scenario), self._strayed()))
+        return self.engine.render(self.view())
+
+    def view(self, width: int = 480, height: int = 320) -> View:
+        """The view of `render` in another size: it holds the whole scene, and follows a robot that may leave it."""
+        return moved(overview(self.scenario, width, height), self._strayed())
 
     def _strayed(self) -> Triple:
         """How far the view follows: nowhere within an arena or on terrain, else as far as the first free robot went."""

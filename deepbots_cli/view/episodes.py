@@ -1,0 +1,270 @@
+"""Episodes to show: what is opened (a scenario or a run), who acts, and the frames of an episode step by step."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from deepbots_cli import api
+from deepbots_cli.diagnostics import Finding
+from deepbots_cli.errors import MissingExtraError, RunError, ScenarioError, UsageError
+from deepbots_cli.program import Program
+from deepbots_cli.program.task import Choices
+from deepbots_cli.runtime import Supervisor
+from deepbots_cli.runtime.streams import derive
+from deepbots_cli.view.frames import FrameReader, WorldFrame
+
+RANDOM, ZERO, HAND, POLICY = "random", "zero", "you", "policy"
+"""Drivers besides the scripts of a scenario. `zero` is the middle of each range and the first option of each choice."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """A scenario or a run on the command line, with what its compilation needs."""
+
+    reference: str
+    sets: Sequence[str] = ()
+    allow_paths: Sequence[Path] = ()
+    allow_code: bool = False
+    engine: str | None = None
+    case: str | None = None
+    stage: str | None = None
+
+    @property
+    def is_run(self) -> bool:
+        return (Path(self.reference) / "run.json").exists()
+
+    def open(self) -> Opened:
+        """Compile it; findings are returned and not raised.
+
+        Raises:
+            UsageError: There is no such file, run, case or stage.
+        """
+        if self.is_run:
+            return self._open_run()
+        checked = api.load(self.reference, sets=self.sets, allow_paths=self.allow_paths, allow_code=self.allow_code)
+        files = frozenset({checked.document.path, *checked.document.files})
+        try:
+            compiled = api.compile(checked)
+        except ScenarioError as error:
+            return Opened(None, error.findings, files, self)
+        return Opened(self._chosen(compiled.program), compiled.findings, files | frozenset(checked.inputs.names), self)
+
+    def _open_run(self) -> Opened:
+        from deepbots_cli.learning.run import Run
+
+        run = Run.open(self.reference)
+        if not self.sets:
+            return Opened(self._chosen(run.program), (), frozenset(), self, run)
+        folder = Path(self.reference)
+        options: dict[str, Any] = {"sets": self.sets, "allow_paths": self.allow_paths, "allow_code": self.allow_code}
+        program = api.compile(api.load(folder / "resolved.yaml", project=folder, **options)).program
+        return Opened(self._chosen(program), (), frozenset(), self, run)
+
+    def _chosen(self, program: Program) -> Program:
+        if self.case is not None and self.stage is not None:
+            raise UsageError("--case and --stage exclude each other")
+        return program.case(self.case).program if self.case else program.stage(self.stage).program if self.stage else program
+
+
+@dataclass(frozen=True, eq=False)
+class Opened:
+    """A source as it is now: `program` is None where `findings` at error level leave nothing to run; `files` are those that were read."""
+
+    program: Program | None
+    findings: Sequence[Finding]
+    files: frozenset[Path]
+    source: Source
+    run: Any = None
+
+    @property
+    def drivers(self) -> tuple[str, ...]:
+        """What may act, the default first."""
+        scripts = [script.name for script in self.program.policy.scripts] if self.program else []
+        return (*([POLICY] if self.run else []), *scripts, RANDOM, ZERO, HAND)
+
+    def make(self) -> Supervisor:
+        """An environment of the program.
+
+        Raises:
+            ScenarioError: There is no program.
+        """
+        if self.program is None:
+            raise ScenarioError(self.findings)
+        engine = self.source.engine or (self.run.record.engine if self.run else "pybullet")
+        return api.make(self.program, engine=engine, allow_code=self.source.allow_code)
+
+
+class Driver(Protocol):
+    """Chooses the actions of an episode."""
+
+    def begin(self, seed: int) -> None:
+        """Called before the reset of an episode."""
+
+    def act(self, observation: Any) -> Any:
+        """The next action, in the action space."""
+
+
+class Scripted:
+    """Random, zero or scripted actions."""
+
+    def __init__(self, env: Supervisor, name: str) -> None:
+        if name == RANDOM:
+            self._next = env.action_space.sample  # seeded by the reset
+        elif name == ZERO:
+            self._next = partial(composed, env, {})
+        else:
+            env.scenario.script(name)
+            self._next = partial(env.script, name)
+
+    def begin(self, seed: int) -> None:
+        """Nothing: the reset seeds the action space."""
+
+    def act(self, observation: Any) -> Any:
+        return self._next()
+
+
+class ByHand:
+    """A person: `values` holds an option by its index for each choice, and a number from -1 to 1 for each component of a range."""
+
+    def __init__(self, env: Supervisor) -> None:
+        self._env = env
+        self.values: dict[str, float] = {}
+
+    def begin(self, seed: int) -> None:
+        """Nothing is left of the last episode."""
+        self.values.clear()
+
+    def act(self, observation: Any) -> Any:
+        return composed(self._env, self.values)
+
+
+def composed(env: Supervisor, values: dict[str, float]) -> Any:
+    """The action with these values by the names of action fields; others are 0."""
+    choices, ranges = [], []
+    for part in env.scenario.policy.action:
+        if isinstance(part, Choices):
+            choices.append(int(values.get(part.name, 0)))
+        else:
+            names = [f"{part.name}.{component}" for component in part.components] or [part.name]
+            ranges += [float(values.get(name, 0.0)) for name in names]
+    return env.acting(choices, ranges)
+
+
+class Trained:
+    """The best policy of a run, or its last, which takes its likeliest actions."""
+
+    def __init__(self, run: Any, env: Supervisor) -> None:
+        try:
+            from deepbots_cli.learning import algorithms, evaluation
+        except ModuleNotFoundError as error:
+            raise MissingExtraError("train", "showing the policy of a run") from error
+        if not (run.model("best").exists() or run.model("last").exists()):
+            raise RunError(f"{run.path} holds no model yet; train it, or show its scenario")
+        self._model = evaluation.load(run, "best" if run.model("best").exists() else "last", env)
+        self._masked = algorithms.takes_masks(self._model)
+        self._env = env
+        self._agents = len(env.agents) if next(iter(env.agents.values())) is not env else 0
+        self.begin(0)
+
+    def begin(self, seed: int) -> None:
+        self._memory: Any = None
+        self._starts = np.ones(self._agents or 1, dtype=bool)
+
+    def act(self, observation: Any) -> Any:
+        masks = {}
+        if self._masked:
+            allowed = self._env.action_masks()
+            masks = {"action_masks": allowed.reshape(self._agents, -1) if self._agents else allowed}
+        action, self._memory = self._model.predict(observation, state=self._memory, episode_start=self._starts, deterministic=True, **masks)
+        self._starts = np.zeros_like(self._starts)
+        return action
+
+
+class Player:
+    """One environment, who drives it, and its newest frame.
+
+    Episode k of a seed begins as episode k of an evaluation with this seed does.
+    """
+
+    def __init__(self, opened: Opened, driver: str | None = None) -> None:
+        """Make the environment and begin nothing.
+
+        Raises:
+            ScenarioError, EngineError, UsageError: As for `api.make`, or there is no such driver.
+        """
+        self.opened = opened
+        self.env = opened.make()
+        self.program = self.env.scenario
+        self.hand = ByHand(self.env)
+        try:
+            self.reader = FrameReader(self.env)
+            self.drive(driver or opened.drivers[0])
+        except BaseException:
+            self.env.close()
+            raise
+
+    def drive(self, name: str) -> None:
+        """Let another driver act from the next step on.
+
+        Raises:
+            UsageError: There is no such script.
+        """
+        self.driver_name = name
+        self.driver: Driver = (
+            self.hand if name == HAND else Trained(self.opened.run, self.env) if name == POLICY else Scripted(self.env, name)
+        )
+
+    def begin(self, seed: int, episode: int) -> WorldFrame:
+        """Reset to an episode; its first frame."""
+        start = derive(seed, "evaluation", episode)
+        self.driver.begin(start)
+        self._observation, _ = self.env.reset(seed=start)
+        self.frame = self.reader.read(self._observation)
+        return self.frame
+
+    def step(self) -> WorldFrame:
+        """The frame after the next step of an episode that has not ended."""
+        action = self.driver.act(self._observation)
+        self._observation, *_ = self.env.step(action)
+        self.frame = self.reader.read(self._observation, action)
+        return self.frame
+
+    def episode(self, seed: int, episode: int, steps: int | None = None) -> Iterator[WorldFrame]:
+        """The frames of an episode, at most those of so many steps."""
+        yield self.begin(seed, episode)
+        while self.frame.ended_by is None and (steps is None or self.frame.step < steps):
+            yield self.step()
+
+    def close(self) -> None:
+        self.env.close()
+
+
+def player(source: Source, driver: str | None) -> closing[Player]:
+    """A player of a source, to be used in a `with` statement.
+
+    Raises:
+        ScenarioError: The scenario has errors.
+    """
+    opened = source.open()
+    if driver == POLICY and not opened.run:
+        raise UsageError("only a run has a policy")
+    return closing(Player(opened, driver))
+
+
+def stamps(files: Iterable[Path]) -> tuple[tuple[int, int] | None, ...]:
+    """Time of change and size of each file, None for a missing one: they differ when a file was saved."""
+    found: list[tuple[int, int] | None] = []
+    for file in sorted(files):
+        try:
+            status = file.stat()
+            found.append((status.st_mtime_ns, status.st_size))
+        except OSError:
+            found.append(None)
+    return tuple(found)

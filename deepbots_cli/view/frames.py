@@ -1,0 +1,303 @@
+"""Frames: what is drawn and plotted of an environment at one moment.
+
+`FrameReader` binds the readers of the engine port once, and reads a `WorldFrame` after a reset and after each step. It calls nothing
+but readers, so an episode is the same with and without it. `Layout` holds what does not change in an episode.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deepbots_cli import frames
+from deepbots_cli.frames import Frame, Triple
+from deepbots_cli.port import STILL
+from deepbots_cli.program import Program
+from deepbots_cli.program.robots import Sensor
+from deepbots_cli.program.task import Choices, viewed
+from deepbots_cli.program.world import Variant
+from deepbots_cli.robots.model import RobotModel
+from deepbots_cli.runtime import Supervisor
+from deepbots_cli.runtime.actuation import Push
+from deepbots_cli.runtime.placement import Arrangement
+
+Image = NDArray[np.uint8]
+LinkName = tuple[str, str]
+"""A body and one of its links; the root link of an object has the name of the object."""
+
+_DOWNWARD = frames.quaternion(0.0, np.pi / 2, 0.0)  # turns x to -z: the direction in which a reflectance sensor looks
+
+
+class Field(NamedTuple):
+    """A number that is plotted, with its range. `group` is the entry of the scenario that it belongs to; `options` are the names of the
+    options of a choice, whose number is the index of an option."""
+
+    name: str
+    group: str
+    low: float
+    high: float
+    unit: str
+    options: tuple[str, ...] = ()
+
+    def text(self, value: float) -> str:
+        """The value in words: the name of an option, or a number with its unit."""
+        if self.options:
+            return self.options[round(value)]
+        return f"{value:.3g}{'' if self.unit in ('', '1') else ' ' + self.unit}"
+
+
+class Beams(NamedTuple):
+    """The rays of a sensor: `starts` (n, 3) and unit vectors `directions` (n, 3) in the frame of the link, free up to `reach` m."""
+
+    part: LinkName
+    starts: NDArray[np.float64]
+    directions: NDArray[np.float64]
+    reach: float
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """What does not change: the fields of an agent, the robots as they are in the world, and the rays by `robot.sensor`."""
+
+    observation: tuple[Field, ...]
+    action: tuple[Field, ...]
+    terms: tuple[str, ...]
+    robots: Mapping[str, RobotModel]
+    beams: Mapping[str, Beams]
+
+
+@dataclass(frozen=True, eq=False)
+class AgentFrame:
+    """One agent at one moment.
+
+    `observation` holds the newest value of each field in its unit, followed by the achieved and the desired goal. `action` is None after
+    a reset. `images` are what the policy sees: uint8 (rows, columns, 1 or 3).
+    """
+
+    observation: tuple[float, ...]
+    action: tuple[float, ...] | None
+    reward: float
+    episode_return: float
+    terms: Mapping[str, float]
+    images: Mapping[str, Image] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class WorldFrame:
+    """The world at one moment, in SI units and the world frame; quaternions are (x, y, z, w).
+
+    `links` holds the pose of every link of a body that is present, `joints` the positions of the moving joints of each robot, `rays` how
+    far (m) each ray is free, `readings` what each sensor last delivered, `forces` the sum of normal forces (N) on each link that touches
+    something, and `pushes` the forces (N) of disturbances that act now. `variants` are the forms of bodies with variants.
+    """
+
+    step: int
+    time: float
+    links: Mapping[LinkName, Frame]
+    joints: Mapping[str, tuple[float, ...]]
+    rays: Mapping[str, tuple[float, ...]]
+    readings: Mapping[str, tuple[float, ...]]
+    forces: Mapping[LinkName, float]
+    pushes: tuple[tuple[LinkName, Triple], ...]
+    variants: Mapping[str, str]
+    agents: Mapping[str, AgentFrame]
+    ended_by: str | None
+    is_success: bool
+    truncated: bool
+
+    @property
+    def ending(self) -> str:
+        """How the episode ended, in words; empty while it goes on."""
+        if self.ended_by is None:
+            return ""
+        return f"{'success' if self.is_success else 'time limit' if self.truncated else 'failure'}: {self.ended_by}"
+
+
+def observation_fields(program: Program) -> tuple[Field, ...]:
+    """The numbers of the newest observation, then those of the goal."""
+    policy = program.policy
+    named = [Field(n.full_name, n.name, 0.0 if n.truth else n.low, 1.0 if n.truth else n.high, n.unit) for n in policy.numbers]
+    goal = policy.goal
+    for word in ("achieved", "desired") if goal else ():
+        parts = goal.components or ("",) if goal else ()
+        ends = zip(parts, goal.low, goal.high, strict=True) if goal else ()
+        named += [Field(f"{word}.{part}".rstrip("."), word, low, high, goal.unit if goal else "") for part, low, high in ends]
+    return tuple(named)
+
+
+def action_fields(program: Program) -> tuple[Field, ...]:
+    """A field for each choice and for each component of a range, choices and ranges in file order."""
+    found = []
+    for part in program.policy.action:
+        if isinstance(part, Choices):
+            names = tuple(option.name for option in part.options)
+            found.append(Field(part.name, part.name, 0.0, len(names) - 1.0, "", names))
+        else:
+            several = len(part.components) > 0
+            found += [
+                Field(f"{part.name}.{name}" if several else part.name, part.name, part.low, part.high, part.unit)
+                for name in part.components or ("",)
+            ]
+    return tuple(found)
+
+
+class FrameReader:
+    """Reads frames of one environment, one after each reset and each step: it adds up the returns."""
+
+    def __init__(self, env: Supervisor) -> None:
+        self.env = env
+        program, engine, world = env.scenario, env.engine, env.world
+        policy = program.policy
+        models = {robot.name: robot.model for robot in world.robots}
+        self._poses = {(name, link.name): engine.pose(name, link.name) for name, model in models.items() for link in model.links}
+        self._poses |= {(thing.name, thing.name): engine.pose(thing.name) for thing in world.objects}
+        self._joints = {
+            name: engine.joint_states(name, [joint.name for joint in model.moving_joints])
+            for name, model in models.items()
+            if model.moving_joints
+        }
+        touching = [(name, link.name) for name, model in models.items() for link in model.links if link.collisions]
+        self._forces = {part: engine.contact_force(part) for part in touching} if "contacts" in engine.capabilities else {}
+        self._controllers = {
+            copy if policy.copies and policy.copies.robot == name else name: controller
+            for copy, agent in env.agents.items()
+            for name, controller in agent.controllers.items()
+        }
+        beams = {
+            f"{body}.{sensor.name}": _beams((body, sensor.subjects[0]), sensor)
+            for body, controller in self._controllers.items()
+            for sensor in controller.spec.sensors
+            if sensor.beams and sensor.subjects[0] in {link.name for link in models[body].links}
+        }
+        self.layout = Layout(
+            observation_fields(program), action_fields(program), tuple(term.name for term in policy.reward), models,
+            {key: found for key, (found, _) in beams.items()},
+        )  # fmt: skip
+        self._rays = {key: engine.rays(found.part, rays, found.reach) for key, (found, rays) in beams.items()}
+        self._pushes: list[tuple[LinkName, Push]] = []
+        for name, agent in env.agents.items():
+            for disturbance in program.disturbances:
+                found = getattr(agent, f"push_{disturbance.name}", None)
+                if isinstance(found, Push):
+                    body = name if policy.copies and disturbance.body == policy.copies.robot else disturbance.body
+                    self._pushes.append(((body, disturbance.link or (models[body].root if body in models else body)), found))
+        self._pooled = {thing.name for thing in world.objects if thing.pooled}
+        self._variants = {thing.name: thing.variants[0].name for thing in world.objects if thing.variants}
+        self._numbers = _newest(program)
+        self._ranges = [(f.low, f.high) for f in self.layout.observation]
+        self._returns: dict[str, float] = {}
+
+    def read(self, observation: Any, action: Any = None) -> WorldFrame:
+        """The frame of this moment, given the observation that `reset` or `step` returned and the action of the step."""
+        env = self.env
+        arrangement = next(
+            (a for a in (getattr(agent, "bodies", None) for agent in env.agents.values()) if isinstance(a, Arrangement)), None
+        )
+        absent = self._pooled - set(arrangement.placed) if arrangement else self._pooled
+        chosen: Mapping[str, Variant] = arrangement.forms.chosen if arrangement else {}
+        forces = {part: read() for part, read in self._forces.items()}
+        several = len(env.agents) > 1 or next(iter(env.agents.values())) is not env
+        agents = {}
+        for row, (name, agent) in enumerate(env.agents.items()):
+            seen, done = (_row(observation, row), _row(action, row)) if several else (observation, action)
+            self._returns[name] = self._returns.get(name, 0.0) + agent.reward if env.step_count else 0.0
+            agents[name] = self._agent(agent, seen, done, self._returns[name])
+        return WorldFrame(
+            step=env.step_count,
+            time=env.step_count * env.scenario.period,
+            links={part: read() for part, read in self._poses.items() if part[0] not in absent},
+            joints={name: tuple(float(state[0]) for state in read()) for name, read in self._joints.items()},
+            rays={key: tuple(map(float, read())) for key, read in self._rays.items()},
+            readings=self._readings(),
+            forces={part: force for part, force in forces.items() if force > 0.0},
+            pushes=tuple((part, force) for part, push in self._pushes if (force := push.acting) != STILL),
+            variants=self._variants | {body: variant.name for body, variant in chosen.items() if body in self._variants},
+            agents=agents,
+            ended_by=env.ended_by,
+            is_success=env.is_success,
+            truncated=env.truncated,
+        )
+
+    def cameras(self) -> dict[str, Image]:
+        """The newest image of each camera sensor, by `robot.sensor`: uint8 (rows, columns, 1 or 3)."""
+        return {
+            f"{body}.{name}": np.asarray(device.reading[0] if isinstance(device.reading, list | tuple) else device.reading)
+            for body, controller in self._controllers.items()
+            for name, device in controller.devices.items()
+            if any(sensor.name == name and sensor.optics for sensor in controller.spec.sensors)
+        }
+
+    def _readings(self) -> dict[str, tuple[float, ...]]:
+        found = {}
+        for body, controller in self._controllers.items():
+            images = {sensor.name for sensor in controller.spec.sensors if sensor.optics}
+            for name, device in controller.devices.items():
+                if name not in images:
+                    found[f"{body}.{name}"] = tuple(float(value) for value in device.reading)
+        return found
+
+    def _agent(self, agent: Supervisor, seen: Any, done: Any, episode_return: float) -> AgentFrame:
+        images = {}
+        if isinstance(seen, dict):
+            vector = seen.get("observation", np.zeros(0, np.float32))
+            goal = [*seen["achieved_goal"], *seen["desired_goal"]] if "desired_goal" in seen else []
+            for entry in agent.scenario.policy.images:
+                images[entry.key] = seen[entry.key][..., -entry.shape[2] :]
+        else:
+            vector, goal = seen, []
+        mapped = [*np.asarray(vector)[self._numbers[0]], *goal]
+        values = tuple(
+            float(value) if truth else (low + high) / 2 + (high - low) / 2 * float(value)
+            for value, truth, (low, high) in zip(mapped, [*self._numbers[1], *[False] * len(goal)], self._ranges, strict=True)
+        )
+        return AgentFrame(
+            values,
+            None if done is None else self._action(agent, done),
+            agent.reward,
+            episode_return,
+            dict(agent.get_info()["reward_terms"]),
+            images,
+        )
+
+    def _action(self, agent: Supervisor, action: Any) -> tuple[float, ...]:
+        """One number for each action field."""
+        parts = action if isinstance(action, dict) else {"choices": action, "ranges": action}
+        choices = iter(np.atleast_1d(np.asarray(parts["choices"])).tolist())
+        ranges = iter(np.atleast_1d(np.asarray(parts["ranges"], np.float64)).tolist())
+        return tuple(
+            float(next(choices)) if f.options else (f.low + f.high) / 2 + (f.high - f.low) / 2 * min(1.0, max(-1.0, next(ranges)))
+            for f in self.layout.action
+        )
+
+
+def _row(value: Any, row: int) -> Any:
+    """The part of one agent of the observation or action of all; None stays None."""
+    if isinstance(value, dict):
+        return {key: part[row] for key, part in value.items()}
+    return None if value is None else value[row]
+
+
+def _newest(program: Program) -> tuple[NDArray[np.intp], list[bool]]:
+    """Where the newest value of each number stands in the observation, and whether it is a truth value."""
+    numbers = program.policy.numbers
+    places = [at for at, (_, age) in enumerate(viewed(numbers, program.policy.frame_stack)) if age == 0]
+    return np.array(places, np.intp), [number.truth for number in numbers]
+
+
+def _beams(part: LinkName, sensor: Sensor) -> tuple[Beams, Sequence[Frame]]:
+    """The rays of a sensor as arrays and as frames along x; those of a reflectance sensor look down."""
+    assert sensor.beams is not None
+    mount = frames.frame(sensor.mount)
+    rays = [frames.inside(mount, frames.frame(ray)) for ray in sensor.beams.rays]
+    if sensor.kind == "reflectance":
+        rays = [frames.inside(ray, (STILL, _DOWNWARD)) for ray in rays]
+    starts = np.array([origin for origin, _ in rays])
+    directions = np.array([frames.rotate(turn, (1.0, 0.0, 0.0)) for _, turn in rays])
+    return Beams(part, starts, directions, sensor.beams.reach or _LOOKS_DOWN), rays
+
+
+_LOOKS_DOWN = 0.1  # m; a reflectance sensor has no reach of its own

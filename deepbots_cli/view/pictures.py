@@ -1,0 +1,328 @@
+"""Pictures and clips: PNG, MP4 and GIF drawn by the engine, and offline pages drawn by viser in the reader's browser."""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
+from itertools import pairwise
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from deepbots_cli import frames
+from deepbots_cli.errors import EngineError, MissingExtraError, UsageError
+from deepbots_cli.files import atomic
+from deepbots_cli.footprint import bounds
+from deepbots_cli.frames import Triple
+from deepbots_cli.port import View
+from deepbots_cli.runtime.view import around, overview
+from deepbots_cli.view.episodes import Player
+from deepbots_cli.view.frames import WorldFrame
+from deepbots_cli.view.page import COLOURS
+
+if TYPE_CHECKING:
+    from PIL.Image import Image as Picture
+    from PIL.ImageDraw import ImageDraw
+
+SUFFIXES = (".mp4", ".gif", ".html")
+_GIF_RATE, _MP4_RATE, _PAGE_RATE = 12.5, 30.0, 20.0  # pictures per second
+_GIF_COLOURS = 96
+_FINE = 2  # pictures are drawn so many times as large, and reduced
+_LINE = 15  # px between two labels
+
+Point = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Shot:
+    """From where a picture is taken: `eye` and `target` (m) are None for a view that holds the scene."""
+
+    width: int = 640
+    height: int = 480
+    eye: Triple | None = None
+    target: Triple | None = None
+
+    def view(self, usual: View) -> View:
+        """The view, given the one without `eye` and `target`."""
+        if self.eye is None and self.target is None:
+            return usual
+        target = self.target or usual.target
+        return replace(usual, eye=self.eye or frames.add(target, frames.subtract(usual.eye, usual.target)), target=target)
+
+
+def check_target(path: Path, suffixes: Sequence[str]) -> None:
+    """Find out before an episode is run whether `path` can be written.
+
+    Raises:
+        UsageError: Its name has another suffix, or its directory cannot be written to.
+        MissingExtraError: A video is wanted and imageio is not installed, or an offline page and viser is not.
+    """
+    kind = path.suffix.lower()
+    if kind not in suffixes:
+        raise UsageError(f"{path} must end in {' or '.join(suffixes)}")
+    if kind == ".mp4" and (find_spec("imageio") is None or find_spec("imageio_ffmpeg") is None):
+        raise MissingExtraError("train", "writing a video")
+    if kind == ".html" and find_spec("viser") is None:
+        raise MissingExtraError("view", "an offline page")
+    if not path.parent.is_dir() or path.is_dir():
+        raise UsageError(
+            f"{path} cannot be written: there is no directory {path.parent}" if not path.is_dir() else f"{path} is a directory"
+        )
+    try:
+        with TemporaryFile(dir=path.parent):
+            pass
+    except OSError as error:
+        raise UsageError(f"{path} cannot be written: {(error.strerror or 'its directory cannot be used').lower()}") from error
+
+
+# Pictures
+
+
+def picture(player: Player, shot: Shot, *, labels: bool = False, rays: bool = False, path: Sequence[WorldFrame] = ()) -> Picture:
+    """A picture of the world as it is now.
+
+    Args:
+        labels: Whether to name the links of robots, each with the joint that moves it. Without `eye`, the view is on the robots.
+        rays: Whether to draw the rays of sensors, coloured by what they read.
+        path: Frames of an episode, whose path is painted. Without `eye`, the view is from above.
+    """
+    from PIL import Image, ImageDraw
+
+    usual = overview(player.program, shot.width, shot.height)
+    usual = _above(player, shot, path) if path else _on_robots(player, shot) if labels else usual
+    view = replace(shot.view(usual), width=_FINE * shot.width, height=_FINE * shot.height, samples=1)
+    image = Image.fromarray(_rendered(player, view))
+    draw, project = ImageDraw.Draw(image, "RGBA"), projection(view)
+    if rays:
+        _paint_rays(draw, project, player)
+    if path:
+        _paint_path(draw, project, player, path)
+    image = image.resize((shot.width, shot.height), Image.Resampling.LANCZOS)
+    draw = ImageDraw.Draw(image, "RGBA")
+    if labels:
+        _paint_labels(draw, projection(replace(view, width=shot.width, height=shot.height)), player, shot)
+    if path:
+        frame = path[-1]
+        agent = next(iter(frame.agents.values()))
+        state = frame.ending or "not ended"
+        _write(draw, (8, shot.height - 22), f"{state}, {frame.time:.1f} s, return {agent.episode_return:.2f}")
+    return image
+
+
+def _rendered(player: Player, view: View) -> Any:
+    engine = player.env.engine
+    if "rendering" not in engine.capabilities:
+        raise EngineError(f"the engine '{engine.name}' cannot draw; use the engine 'pybullet' for pictures, or an offline page (.html)")
+    return engine.render(view)
+
+
+def projection(view: View) -> Callable[[Triple], Point | None]:
+    """The pixel (from the upper left corner) of a point in the world; None behind the camera."""
+    ahead = np.subtract(view.target, view.eye) / math.dist(view.target, view.eye)
+    left = np.cross((0.0, 0.0, 1.0), ahead)
+    left = np.array((0.0, 1.0, 0.0)) if np.linalg.norm(left) < 1e-9 else left / np.linalg.norm(left)  # straight down, up is x
+    up = np.cross(ahead, left)
+    scale = view.height / 2 / math.tan(view.fov / 2)
+
+    def project(point: Triple) -> Point | None:
+        way = np.subtract(point, view.eye)
+        depth = float(way @ ahead)
+        if depth < 1e-3:
+            return None
+        return view.width / 2 - scale * float(way @ left) / depth, view.height / 2 - scale * float(way @ up) / depth
+
+    return project
+
+
+def _on_robots(player: Player, shot: Shot) -> View:
+    boxes = []
+    for robot in player.env.world.robots[:1]:
+        origin, _ = player.frame.links[robot.name, robot.model.root]
+        low, high = bounds(robot.model)
+        boxes.append((frames.add(origin, low), frames.add(origin, high)))
+    view = around(boxes, shot.width, shot.height)
+    # Room for labels on both sides.
+    return replace(view, eye=frames.add(view.target, frames.scaled(frames.subtract(view.eye, view.target), 1.5)))
+
+
+def _above(player: Player, shot: Shot, path: Sequence[WorldFrame]) -> View:
+    """From above, x upwards: the path, the arena, and objects near them."""
+    world = player.env.world
+    points = [point for trace in _traces(player, path).values() for point in trace]
+    if world.arena is not None:
+        x, y = (side / 2 + world.arena.wall_thickness for side in world.arena.size)
+        points += [(-x, -y, 0.0), (x, y, 0.0)]
+    points += [path[-1].links[thing.name, thing.name][0] for thing in world.objects if (thing.name, thing.name) in path[-1].links]
+    points += [(x, y, 0.0) for line in world.lines for x, y in line.points]
+    low, high = np.min(points, axis=0), np.max(points, axis=0)
+    middle, half = (low + high) / 2, np.maximum((high - low) / 2, 0.2)
+    tall = math.tan(View((0, 0, 0), (0, 0, 0)).fov / 2)
+    height = 1.15 * max(half[0] / tall, half[1] / tall * shot.height / shot.width) + float(high[2])
+    target = (float(middle[0]), float(middle[1]), 0.0)
+    return View((target[0], target[1], height), target, shot.width, shot.height)
+
+
+def _traces(player: Player, path: Sequence[WorldFrame]) -> dict[str, list[Triple]]:
+    """Where each robot's root link was."""
+    return {robot.name: [frame.links[robot.name, robot.model.root][0] for frame in path] for robot in player.env.world.robots}
+
+
+def _rgba(number: int, opacity: int = 255) -> tuple[int, int, int, int]:
+    text = COLOURS[number % len(COLOURS)]
+    return int(text[1:3], 16), int(text[3:5], 16), int(text[5:7], 16), opacity
+
+
+def _paint_path(draw: ImageDraw, project: Callable[[Triple], Point | None], player: Player, path: Sequence[WorldFrame]) -> None:
+    """The path of each robot, paler where it is older, with a ring at the start and a disc at the end."""
+    for number, trace in enumerate(_traces(player, path).values()):
+        pixels = [pixel for pixel in map(project, trace) if pixel is not None]
+        if not pixels:
+            continue
+        for step, ends in enumerate(pairwise(pixels)):
+            draw.line(ends, fill=_rgba(number, 90 + 165 * step // len(pixels)), width=3 * _FINE)
+        radius = 5 * _FINE
+        for (x, y), fill in ((pixels[0], (255, 255, 255, 255)), (pixels[-1], _rgba(number))):
+            draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=fill, outline=_rgba(number), width=2 * _FINE)
+
+
+def _paint_rays(draw: ImageDraw, project: Callable[[Triple], Point | None], player: Player) -> None:
+    for key, beams in player.reader.layout.beams.items():
+        origin, turn = player.frame.links[beams.part]
+        for start, way, free in zip(beams.starts, beams.directions, player.frame.rays[key], strict=True):
+            ends = [project(frames.add(origin, frames.rotate(turn, tuple(point)))) for point in (start, start + free * way)]
+            near = int(255 * max(0.0, 1.0 - free / beams.reach))
+            if None not in ends:
+                draw.line([end for end in ends if end is not None], fill=(40 + near * 3 // 4, 150 - near // 2, 60, 230), width=_FINE)
+
+
+def _paint_labels(draw: ImageDraw, project: Callable[[Triple], Point | None], player: Player, shot: Shot) -> None:
+    """Links, each with the joint that moves it, in two columns with lines to their origins."""
+    columns: tuple[list[tuple[Point, str]], list[tuple[Point, str]]] = ([], [])
+    for robot in player.env.world.robots[:1]:
+        joints = {joint.child: joint.name for joint in robot.model.joints if joint.type != "fixed"}
+        for link in robot.model.links:
+            pixel = project(player.frame.links[robot.name, link.name][0])
+            if pixel is not None:
+                moved = f" ({joints[link.name]})" if link.name in joints else ""
+                columns[pixel[0] > shot.width / 2].append((pixel, f"{link.name}{moved}"))
+    for side, column in enumerate(columns):
+        column.sort(key=lambda entry: entry[0][1])
+        line = min(_LINE, (shot.height - 10) / max(1, len(column)))
+        top = min(
+            max(5.0, float(np.mean([y for (_, y), _ in column] or [0.0])) - line * len(column) / 2), shot.height - 5 - line * len(column)
+        )
+        for row, (pixel, text) in enumerate(column):
+            y = top + row * line
+            width = draw.textlength(text, font=_font())
+            x = shot.width - 6 - width if side else 6.0
+            draw.line(((x - 4 if side else x + width + 4, y + 7), pixel), fill=(40, 60, 90, 150), width=1)
+            draw.ellipse((pixel[0] - 2, pixel[1] - 2, pixel[0] + 2, pixel[1] + 2), fill=_rgba(3))
+            _write(draw, (x, y), text)
+
+
+def _font() -> Any:
+    from PIL import ImageFont
+
+    return ImageFont.load_default(size=12)
+
+
+def _write(draw: ImageDraw, at: Point, text: str) -> None:
+    draw.text(at, text, font=_font(), fill=(20, 25, 35, 255), stroke_width=2, stroke_fill=(255, 255, 255, 220))
+
+
+# Clips
+
+
+def clip(
+    player: Player, path: Path, shot: Shot, *, seed: int, episode: int, seconds: float | None = None, speed: float = 1.0
+) -> WorldFrame:
+    """Write an episode, or its first `seconds`, as MP4, GIF or an offline page, by the suffix of `path`; the last frame.
+
+    Args:
+        speed: Seconds of the episode per second of the clip.
+
+    Raises:
+        EngineError: The engine cannot draw.
+    """
+    steps = None if seconds is None else max(1, round(seconds / player.program.period))
+    shown = player.episode(seed, episode, steps)
+    with atomic(path) as draft:
+        if path.suffix.lower() == ".html":
+            _write_page(player, draft, shown, speed)
+        elif path.suffix.lower() == ".gif":
+            _write_gif(draft, *_pictures(player, shot, shown, speed, _GIF_RATE))
+        else:
+            _write_mp4(draft, *_pictures(player, shot, shown, speed, _MP4_RATE))
+    return player.frame
+
+
+def _pictures(player: Player, shot: Shot, shown: Iterable[WorldFrame], speed: float, rate: float) -> tuple[Iterator[Any], float]:
+    """Pictures at most `rate` times a second, and how many there are in a second: every so many steps, at most each."""
+    every = max(1, math.ceil(speed / player.program.period / rate - 1e-9))
+
+    def taken() -> Iterator[Any]:
+        for frame in shown:
+            if frame.step % every == 0 or frame.ended_by is not None:
+                view = shot.view(player.env.view(shot.width, shot.height))
+                yield _rendered(player, replace(view, width=shot.width, height=shot.height))
+
+    return taken(), speed / player.program.period / every
+
+
+def _write_mp4(path: Path, pictures: Iterator[Any], rate: float) -> None:
+    import imageio.v2 as imageio
+
+    # Pictures of even height and width are all that the codec asks for; by default they would be scaled to multiples of 16.
+    writer: Any
+    with imageio.get_writer(path, format="FFMPEG", fps=rate, macro_block_size=2, quality=7) as writer:
+        for image in pictures:
+            writer.append_data(image)
+
+
+def _write_gif(path: Path, pictures: Iterator[Any], rate: float) -> None:
+    """One palette for all pictures, without dithering: what does not change is not stored again."""
+    from PIL import Image
+
+    images = [Image.fromarray(image) for image in pictures]
+    sample = Image.fromarray(np.concatenate([np.asarray(image)[::2, ::2] for image in images[:: max(1, len(images) // 8)]]))
+    palette = sample.quantize(_GIF_COLOURS, method=Image.Quantize.MEDIANCUT)
+    small = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
+    pause = [*[max(20, round(1000 / rate))] * (len(small) - 1), 1200]
+    small[0].save(path, format="GIF", save_all=True, append_images=small[1:], duration=pause, loop=0, optimize=True, disposal=1)
+
+
+def _write_page(player: Player, path: Path, shown: Iterator[WorldFrame], speed: float) -> None:
+    """A page that turns and scrubs without a server: viser's recording of its scene."""
+    from deepbots_cli.view import server
+    from deepbots_cli.view.scene import WorldScene
+
+    page, _ = server.serve(server.LOOPBACK, 0, "deepbots", lambda keys, axes: None)
+    try:
+        program, view = player.program, overview(player.program)
+        page.initial_camera.position, page.initial_camera.look_at, page.initial_camera.fov = view.eye, view.target, view.fov
+        page.scene.set_up_direction("+z")
+        page.scene.configure_default_lights(cast_shadow=False)
+        first = next(shown)
+        world = WorldScene(page.scene, player.env.world, player.reader.layout, size=math.dist(view.eye, view.target))
+        world.take(first, anew=True)
+        world.draw(1.0)
+        recording = page.get_scene_serializer()
+        pause = program.period / speed
+        parts = max(1, round(pause * _PAGE_RATE))
+        every = max(1, math.floor(1 / (pause * _PAGE_RATE)))
+        for frame in shown:
+            world.take(frame)
+            for part in range(1, parts + 1):
+                if frame.step % every == 0:
+                    world.draw(part / parts)
+                recording.insert_sleep(pause / parts)
+        text = recording.as_html()
+    finally:
+        server.stop(page)
+    title = f"<title>{html.escape(program.name)}</title>"
+    path.write_text(text.replace("<title>Viser</title>", title, 1), encoding="utf-8")

@@ -1,0 +1,339 @@
+"""The world in viser's scene: bodies are made once, and moved as frames say.
+
+Geometry is put below the frames of links, and only those frames move: a busy browser shows new poses at once and new geometry late.
+Links that fixed joints hold together are one node.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deepbots_cli import frames, terrain
+from deepbots_cli.engines import objects
+from deepbots_cli.errors import EngineError
+from deepbots_cli.footprint import bounds
+from deepbots_cli.port import STILL
+from deepbots_cli.program.world import Colour, Line, WorldModel
+from deepbots_cli.robots.meshes import checked_bytes
+from deepbots_cli.robots.model import Box, Capsule, Cylinder, Geometry, Mesh, Pose, RobotModel, Sphere
+from deepbots_cli.view.frames import Beams, Layout, LinkName, WorldFrame
+
+if TYPE_CHECKING:
+    import viser
+
+GROUND_COLOUR: Colour = (0.86, 0.87, 0.89, 1.0)
+_PLAIN: Colour = (0.72, 0.74, 0.78, 1.0)
+_MAX_CELLS = 120  # of a terrain along either side
+_MAX_PATH = 2000  # points
+_SHARP = math.radians(35)  # edges that are sharper are drawn as edges
+
+Points = NDArray[np.float32]
+
+
+# Geometry
+
+
+def triangles(mesh: Mesh) -> Any:
+    """The triangles of a mesh file, scaled, in m.
+
+    Raises:
+        EngineError: The file has gone or changed, or cannot be read.
+    """
+    import trimesh
+
+    data, kind = checked_bytes(mesh), Path(mesh.path).suffix[1:].lower()
+    try:
+        loaded = trimesh.load_scene(BytesIO(data), file_type=kind, skip_materials=True).to_mesh()
+    except Exception as error:  # the readers of trimesh raise many kinds
+        raise EngineError(f"mesh {mesh.path} cannot be read") from error
+    unit = re.search(rb'<unit[^>]*meter="([0-9.eE+-]+)"', data[:20_000]) if kind == "dae" else None
+    loaded.apply_scale(np.asarray(mesh.scale) * (float(unit[1]) if unit else 1.0))
+    loaded.merge_vertices(merge_tex=True, merge_norm=True)
+    return trimesh.graph.smooth_shade(loaded, angle=_SHARP)
+
+
+def rigid_groups(model: RobotModel) -> dict[str, tuple[str, frames.Frame]]:
+    """For each link the first link of the links that fixed joints hold together, and the pose of the link in the frame of that one."""
+    held = {joint.child: joint for joint in model.joints if joint.type == "fixed"}
+    found = {}
+    for link in model.links:
+        name, pose = link.name, frames.HERE
+        while name in held:
+            pose = frames.inside(frames.frame(held[name].origin), pose)
+            name = held[name].parent
+        found[link.name] = (name, pose)
+    return found
+
+
+def strokes(line: Line, height: float) -> tuple[Points, NDArray[np.int32]]:
+    """A painted line as triangles just above the ground: a rectangle for each piece, longer by half a width at both ends."""
+    corners, half = [], line.width / 2
+    for (x, y), (x_end, y_end) in line.pieces:
+        length = math.hypot(x_end - x, y_end - y) or 1.0
+        ax, ay = (x_end - x) / length * half, (y_end - y) / length * half
+        corners += [
+            (x - ax - ay, y - ay + ax),
+            (x - ax + ay, y - ay - ax),
+            (x_end + ax + ay, y_end + ay - ax),
+            (x_end + ax - ay, y_end + ay + ax),
+        ]
+    flat = np.array([(*corner, height) for corner in corners], np.float32)
+    faces = np.array([(4 * n, 4 * n + a, 4 * n + a + 1) for n in range(len(line.pieces)) for a in (1, 2)], np.int32)
+    return flat, faces
+
+
+def _contour(relief: terrain.Grid, above: float) -> Points:
+    """Line segments (n, 2, 3) along every fifth row and column of a relief, a little above it."""
+    rows, columns = relief.heights.shape
+    points = relief.triangles()[0].reshape(rows, columns, 3) + np.array([0.0, 0.0, above])
+    parts = [np.stack([lines[:, :-1], lines[:, 1:]], 2) for lines in (points[::5], points.transpose(1, 0, 2)[::5])]
+    return np.concatenate([part.reshape(-1, 2, 3) for part in parts]).astype(np.float32)
+
+
+def wxyz(turn: frames.Quaternion) -> tuple[float, float, float, float]:
+    return turn[3], turn[0], turn[1], turn[2]
+
+
+def _rgb(colour: Colour) -> tuple[int, int, int]:
+    return int(255 * colour[0]), int(255 * colour[1]), int(255 * colour[2])
+
+
+class WorldScene:
+    """One world below the node `root`. `take` gives it a frame, `draw` shows the world between the last two frames."""
+
+    def __init__(
+        self, scene: viser.SceneApi, world: WorldModel, layout: Layout, *, size: float, root: str = "/world", decorated: bool = True
+    ) -> None:
+        """`size` is the distance (m) from which the world is seen; marks are as large as it asks for."""
+        self._scene, self._layout, self._root, self._size = scene, layout, root, size
+        self._anchor = scene.add_frame(root, show_axes=False)
+        self.follows = False
+        """Whether the robot stays in view, as the world moves below it."""
+        self._nodes: dict[LinkName, Any] = {}
+        self._variants: dict[tuple[str, str], Any] = {}
+        self._labels: list[Any] = []
+        self._beams: dict[str, tuple[Beams, Any, Any]] = {}
+        self._dots: dict[LinkName, Any] = {}
+        self._shown: dict[str, Any] = {}
+        self.show_rays, self.show_contacts, self.show_path = decorated, decorated, False
+        self._build_surroundings(world)
+        for robot in world.robots:
+            self._build_robot(robot.name, robot.model)
+        for thing in world.objects:
+            self._build_object(thing.name, objects.forms(thing))
+        for key, beams in layout.beams.items():
+            self._build_beams(key, beams)
+        line = np.zeros((1, 2, 3), np.float32)
+        self._arrows = scene.add_arrows(
+            f"{root}/pushes", line, np.array([[230, 120, 0]], np.uint8), shaft_radius=0.006 * size, head_radius=0.016 * size,
+            head_length=0.03 * size, visible=False,
+        )  # fmt: skip
+        self._path = scene.add_line_segments(
+            f"{root}/path", line, np.full((1, 2, 3), (70, 90, 200), np.uint8), thickness=3.0, thickness_units="screen", visible=False
+        )
+        self._followed = next((r.name for r in world.robots if not r.fixed_base), world.robots[0].name if world.robots else None)
+        self._trail: list[tuple[float, float, float]] = []
+        self._parts = list(self._nodes)
+        self._now = self._before = self._sent = np.full((len(self._parts), 7), np.nan)
+        self._frame: WorldFrame | None = None
+
+    # Made once
+
+    def _build_surroundings(self, world: WorldModel) -> None:
+        scene, root, light = self._scene, self._root, min(1.0, world.light)
+        if world.terrain is not None:
+            relief = terrain.grid(world.terrain.shape)
+            if relief is not None:
+                surface = relief.coarser(_MAX_CELLS).triangles()
+                contour = _contour(relief.coarser(_MAX_CELLS), 0.001 * self._size)
+                colours = np.full(contour.shape, 110, np.uint8)  # a smooth relief of one colour is hard to see
+                scene.add_line_segments(f"{root}/contour", contour, colours, thickness=1.0, thickness_units="screen")
+            else:
+                assert isinstance(world.terrain.shape, Mesh)  # all others are grids
+                solid = triangles(world.terrain.shape)
+                surface = solid.vertices, solid.faces
+            colour = world.terrain.colour or (0.62, 0.58, 0.50, 1.0)
+            scene.add_mesh_simple(
+                f"{root}/terrain", np.asarray(surface[0], np.float32), np.asarray(surface[1], np.int32), color=_rgb(colour), side="double"
+            )
+        elif world.ground is not None:
+            colour = world.ground.colour or GROUND_COLOUR
+            cell = 10.0 ** math.floor(math.log10(max(self._size, 0.01) / 4))
+            width = 10 * cell * max(1, round(self._size / cell)) if world.arena is None else max(world.arena.size) + 4 * cell
+            lines = tuple(int(0.88 * part) for part in _rgb(colour))
+            scene.add_grid(
+                f"{root}/ground", width, width, cell_size=cell, section_size=10 * cell, cell_color=lines, section_color=lines,
+                plane_color=_rgb(colour), plane_opacity=light, position=(0.0, 0.0, -0.0002 * self._size),
+            )  # fmt: skip
+        for number, line in enumerate(world.lines):
+            points, faces = strokes(line, 0.0004 * self._size * (1 + 0.1 * number))
+            scene.add_mesh_simple(f"{root}/lines/{number}", points, faces, color=_rgb(line.colour), side="double", cast_shadow=False)
+        for wall in objects.walls(world.arena) if world.arena else ():
+            self._add(f"{root}/arena/{wall.name.replace(' ', '_')}", Geometry(wall.shape, wall.pose, wall.colour), frames.HERE)
+
+    def _build_robot(self, name: str, model: RobotModel) -> None:
+        groups = rigid_groups(model)
+        for number, link in enumerate(model.links):
+            head, pose = groups[link.name]
+            if (name, head) not in self._nodes:
+                self._node((name, head))
+            for place, visual in enumerate(link.visuals):
+                self._add(f"{self._path_of((name, head))}/{number}_{place}", visual, pose)
+        self._label((name, groups[model.root][0]), name)
+
+    def _build_object(self, name: str, forms: Mapping[str, Any]) -> None:
+        part = (name, name)
+        node = self._node(part)
+        for form, thing in forms.items():
+            self._variants[name, form] = self._add(f"{node.name}/{form}", Geometry(thing.shape, Pose(), thing.colour), frames.HERE)
+        self._label(part, name)
+
+    def _build_beams(self, key: str, beams: Beams) -> None:
+        body, link = beams.part
+        head, pose = rigid_groups(self._layout.robots[body])[link]
+        points = np.stack([beams.starts, beams.starts + beams.reach * beams.directions], 1).astype(np.float32)
+        # One colour for all lines, later replaced by an array, would hide them.
+        lines = self._scene.add_line_segments(
+            f"{self._path_of((body, head))}/rays_{key.rpartition('.')[2]}", points, np.zeros(points.shape, np.uint8), thickness=2.0,
+            thickness_units="screen", position=pose[0], wxyz=wxyz(pose[1]),
+        )  # fmt: skip
+        self._beams[key] = (beams, lines, np.full(len(points), np.nan))
+
+    def _path_of(self, part: LinkName) -> str:
+        return f"{self._root}/{'robots' if part[0] in self._layout.robots else 'objects'}/{part[0].replace('#', '_')}/{part[1]}"
+
+    def _node(self, part: LinkName) -> Any:
+        node = self._scene.add_frame(self._path_of(part), show_axes=False, axes_length=0.06 * self._size, axes_radius=0.002 * self._size)
+        self._nodes[part] = node
+        return node
+
+    def _label(self, part: LinkName, text: str) -> None:
+        label = self._scene.add_label(f"{self._path_of(part)}/label", text, visible=False, anchor="bottom-center")
+        self._labels.append(label)
+
+    def _add(self, name: str, geometry: Geometry, within: frames.Frame) -> Any:
+        """A shape at its place below a node."""
+        scene, shape, colour = self._scene, geometry.shape, geometry.colour or _PLAIN
+        place, turn = frames.inside(within, frames.frame(geometry.origin))
+        options: dict[str, Any] = {"position": place, "wxyz": wxyz(turn), "opacity": None if colour[3] >= 0.99 else colour[3]}
+        match shape:
+            case Box(size):
+                return scene.add_box(name, _rgb(colour), size, **options)
+            case Sphere(radius):
+                return scene.add_icosphere(name, radius, _rgb(colour), **options)
+            case Cylinder(radius, length):
+                return scene.add_cylinder(name, radius, length, _rgb(colour), **options)
+            case Capsule(radius, length):
+                import trimesh
+
+                solid = trimesh.creation.capsule(height=length, radius=radius)
+                solid.apply_translation((0.0, 0.0, -solid.bounds.mean(axis=0)[2]))
+            case Mesh():
+                solid = triangles(shape)
+        return scene.add_mesh_simple(
+            name, np.asarray(solid.vertices, np.float32), np.asarray(solid.faces, np.int32), color=_rgb(colour), side="double", **options
+        )
+
+    # What a person chooses to see
+
+    def show(self, what: str, visible: bool) -> None:
+        """Show or hide `rays`, `contacts`, `path`, `names` or `axes`."""
+        if what == "names":
+            for label in self._labels:
+                label.visible = visible
+        elif what == "axes":
+            for part, node in self._nodes.items():
+                node.show_axes = visible and part[0] in self._layout.robots
+        else:
+            setattr(self, f"show_{what}", visible)
+            if what == "path":
+                self._path.visible = visible and len(self._trail) > 1
+            for _, lines, _ in self._beams.values():
+                lines.visible = self.show_rays
+        if self._frame is not None:
+            self._mark(self._frame)
+
+    # Moved with every frame
+
+    def take(self, frame: WorldFrame, *, anew: bool = False) -> None:
+        """Show `frame` from now on; `anew` after a reset, where nothing moves on from the frame before."""
+        rows = np.full((len(self._parts), 7), np.nan)
+        for row, part in enumerate(self._parts):
+            found = frame.links.get(part)
+            if found is not None:
+                rows[row, :3], rows[row, 3:] = found[0], wxyz(found[1])
+        if anew or self._frame is None:
+            self._before, self._trail = rows, []
+        else:
+            self._before = np.where(np.isnan(self._now) | np.isnan(rows), rows, self._now)
+            opposite = (self._before[:, 3:] * rows[:, 3:]).sum(axis=1) < 0.0
+            self._before[opposite, 3:] *= -1.0
+        self._now, self._frame = rows, frame
+        for (body, form), node in self._variants.items():
+            wanted = (body, body) in frame.links and frame.variants.get(body, form) == form
+            if node.visible != wanted:
+                node.visible = wanted
+        if self._followed is not None:
+            root = self._layout.robots[self._followed].root
+            self._trail.append(frame.links[self._followed, root][0])
+            del self._trail[1:-_MAX_PATH]
+        self._mark(frame)
+
+    def draw(self, share: float) -> None:
+        """Move what has moved to `share` (0 to 1) of the way from the frame before to the newest."""
+        rows = self._before + share * (self._now - self._before)
+        rows[:, 3:] /= np.linalg.norm(rows[:, 3:], axis=1, keepdims=True)
+        changed = np.flatnonzero((rows != self._sent).any(axis=1) & ~np.isnan(rows[:, 0]))
+        for row in changed:
+            node = self._nodes[self._parts[row]]
+            node.position, node.wxyz = rows[row, :3], rows[row, 3:]
+        self._sent = rows
+        if self._followed is not None:
+            x, y, _ = rows[self._parts.index((self._followed, self._layout.robots[self._followed].root)), :3] - self._trail[0]
+            shift = (-x, -y, 0.0) if self.follows else STILL
+            if not np.array_equal(self._anchor.position, shift):
+                self._anchor.position = shift
+
+    def _mark(self, frame: WorldFrame) -> None:
+        """Rays, contacts, pushes and the path."""
+        if self.show_rays:
+            for key, (beams, lines, shown) in self._beams.items():
+                free = np.array(frame.rays[key])
+                if not np.array_equal(free, shown):
+                    shown[:] = free
+                    lines.points = np.stack([beams.starts, beams.starts + free[:, None] * beams.directions], 1).astype(np.float32)
+                    near = np.clip(1 - free / beams.reach, 0.0, 1.0)[:, None]  # green where nothing is near, red where something is
+                    colours = np.concatenate([20 + 200 * near, 150 - 110 * near, 60 - 20 * near], 1).astype(np.uint8)
+                    lines.colors = np.repeat(colours[:, None], 2, axis=1)
+        self._mark_contacts(frame)
+        force = next(iter(frame.pushes), None)
+        if force is not None:
+            (part, push), strength = force, max(1e-9, float(np.linalg.norm(force[1])))
+            at = np.array(frame.links.get(part, (STILL,))[0])
+            self._arrows.points = np.array([[at - np.array(push) / strength * 0.3 * self._size, at]], np.float32)
+        if self._arrows.visible != (force is not None):
+            self._arrows.visible = force is not None
+        if self.show_path and len(self._trail) > 1:
+            points = np.array(self._trail, np.float32)
+            self._path.points = np.stack([points[:-1], points[1:]], 1)
+            self._path.colors = np.full((len(points) - 1, 2, 3), (70, 90, 200), np.uint8)
+            self._path.visible = True
+
+    def _mark_contacts(self, frame: WorldFrame) -> None:
+        touching = set(frame.forces) if self.show_contacts else set()
+        for part in touching - self._dots.keys():
+            model = self._layout.robots[part[0]]
+            head, pose = rigid_groups(model)[part[1]]
+            name, radius = f"{self._path_of((part[0], head))}/touch_{part[1]}", 0.035 * math.dist(*bounds(model))
+            self._dots[part] = self._scene.add_icosphere(name, radius, (225, 60, 40), opacity=0.5, position=pose[0], visible=False)
+        for part, dot in self._dots.items():
+            if dot.visible != (part in touching):
+                dot.visible = part in touching

@@ -1,0 +1,214 @@
+"""The web server of a page: viser's, behind checks that it lacks.
+
+    Host       must be the host and port that the server listens on, so that no other site can reach it by a name of its own
+    Origin     of a web socket must be this server
+    token      asked for where the server listens beyond loopback; the first request carries it, a cookie keeps it
+    paths      `/` is the page, `/drive` takes keys and gamepads; no file is served
+    messages   at most 1 MB; what cannot be read closes the connection and is not logged
+
+viser has no place for such checks, so its websocket server is wrapped while a `ViserServer` is made. `viser` is pinned to 1.1 for this.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import io
+import ipaddress
+import logging
+import secrets
+import socket
+import urllib.parse
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from deepbots_cli.errors import MissingExtraError, UsageError
+
+if TYPE_CHECKING:
+    import viser
+    from websockets.http11 import Response
+
+MAX_MESSAGE = 1 << 20
+LOOPBACK = "127.0.0.1"
+PORT = 8787
+"""Of the first page; a page without a chosen port takes the next free one."""
+_TRIES = 20
+
+_POLICY = (
+    "default-src 'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' data: blob:; connect-src 'self' ws: data: blob:; "
+    "frame-ancestors 'none'; form-action 'none'; base-uri 'none'"
+)
+# Goes into viser's page: keys that are held, and gamepads, which viser lacks. It takes keys before viser does, whose camera would move.
+_KEYS = """<script>{
+const codes = new Set(["KeyW","KeyA","KeyS","KeyD","KeyR","KeyF","KeyT","KeyG","KeyY","KeyH","ArrowUp","ArrowDown","ArrowLeft","ArrowRight",
+  ...[..."123456789"].map(n => "Digit" + n)]), held = new Set();
+let wire = null, last = "";
+const key = e => {
+  if (!codes.has(e.code) || e.ctrlKey || e.metaKey || e.altKey || e.target.closest?.("input, textarea, select")) return;
+  e.stopImmediatePropagation(); e.preventDefault();
+  e.type == "keydown" ? held.add(e.code) : held.delete(e.code); };
+addEventListener("keydown", key, true); addEventListener("keyup", key, true); addEventListener("blur", () => held.clear());
+setInterval(() => {
+  const pad = [...(navigator.getGamepads?.() ?? [])].find(pad => pad);
+  const axes = pad ? pad.axes.slice(0, 4).map(x => Math.abs(x) > 0.12 ? x : 0) : [];
+  const now = [...held].join("+") + "|" + (axes.some(x => x) ? axes.map(x => x.toFixed(3)).join() : "");
+  if (now == "|" && last == "|") return;
+  if (!wire || wire.readyState > 1) wire = new WebSocket("/drive");
+  else if (wire.readyState == 1) { wire.send(now); last = now; } }, 50); }</script></head>"""
+
+Keys = frozenset[str]
+Axes = tuple[float, ...]
+OnDrive = Callable[[Keys, Axes], None]
+
+
+def serve(host: str, port: int | None, label: str, on_drive: OnDrive) -> tuple[viser.ViserServer, str]:
+    """Start the server in a thread of its own; it and the address of the page, with the token where there is one.
+
+    Args:
+        host: The address to listen on. Beyond loopback the page asks for a token.
+        port: None takes the first free one from `PORT` on, 0 any.
+        label: The title of the page.
+        on_drive: Called in the server's thread with the keys that are held and the axes of a gamepad.
+
+    Raises:
+        UsageError: The host is unknown, or the port is in use.
+        MissingExtraError: viser is not installed.
+    """
+    try:
+        import viser
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("view", "a page in the browser") from error
+    number = _free_port(host, port)
+    token = "" if _is_loopback(host) else secrets.token_urlsafe(16)
+    for name in ("websockets", "websockets.server", "asyncio"):
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+    with _guarded(host, token, on_drive), contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner
+        server = viser.ViserServer(host, number, label=label, verbose=False)
+    shown = socket.gethostname() if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
+    return server, f"http://{shown}:{server.get_port()}/" + (f"?token={token}" if token else "")
+
+
+def stop(server: viser.ViserServer) -> None:
+    """End a server."""
+    with contextlib.redirect_stdout(io.StringIO()):  # viser prints that it ends
+        server.stop()
+
+
+def _is_loopback(host: str) -> bool:
+    return host == "localhost" or (host.replace(".", "").isdigit() and ipaddress.ip_address(host).is_loopback) or host == "::1"
+
+
+def _free_port(host: str, port: int | None) -> int:
+    """A port that can be listened on; viser would silently take another one than the chosen one."""
+    for number in [port] if port is not None else range(PORT, PORT + _TRIES):
+        try:
+            family, kind, _, _, address = socket.getaddrinfo(host, number, type=socket.SOCK_STREAM)[0]
+            with socket.socket(family, kind) as probe:
+                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                probe.bind(address)
+                return int(probe.getsockname()[1])
+        except socket.gaierror:
+            raise UsageError(f"there is no host '{host}'; 127.0.0.1 is this machine alone, 0.0.0.0 all of its networks") from None
+        except OverflowError:
+            raise UsageError(f"{number} is no port; ports are 1 to 65535") from None
+        except OSError as error:
+            if port is not None or error.errno != errno.EADDRINUSE:
+                reason = "is in use" if error.errno == errno.EADDRINUSE else f"cannot be used ({(error.strerror or '').lower()})"
+                raise UsageError(f"port {number} of {host} {reason}; choose another one with --port") from None
+    raise UsageError(f"the ports from {PORT} to {PORT + _TRIES - 1} are in use; choose another one with --port")
+
+
+@contextlib.contextmanager
+def _guarded(host: str, token: str, on_drive: OnDrive) -> Iterator[None]:
+    """Within, a `ViserServer` is made with the checks."""
+    import viser
+    import websockets.asyncio.server as wire
+
+    page = Path(viser.__file__).parent.joinpath("client/build/index.html").read_text("utf-8").replace("</head>", _KEYS, 1).encode()
+    original = wire.serve
+
+    def guarded(handler: Any, host_: str, port: int, *, process_request: Any, **options: Any) -> Any:
+        async def handle(connection: Any) -> None:
+            asyncio.get_running_loop().set_exception_handler(lambda loop, context: None)  # rubbish from a client is no news
+            with contextlib.suppress(Exception):
+                if connection.request.path == "/drive":
+                    async for text in connection:
+                        on_drive(*_read_drive(text))
+                else:
+                    await handler(connection)
+
+        def check(connection: Any, request: Any) -> Response | None:
+            return _check(request, host, port, token, page, f"viser-v{viser.__version__}")
+
+        options |= {"max_size": MAX_MESSAGE}
+        return original(handle, host_, port, process_request=check, **options)
+
+    wire.serve = guarded  # viser's thread looks it up before the constructor returns
+    try:
+        yield
+    finally:
+        wire.serve = original
+
+
+def _check(request: Any, host: str, port: int, token: str, page: bytes, protocol: str) -> Response | None:
+    """The answer to a request; None lets a web socket open."""
+    path, _, query = request.path.partition("?")
+    asked, origin = request.headers.get("Host", ""), request.headers.get("Origin")
+    upgrade = request.headers.get("Upgrade", "").lower() == "websocket"
+    if not _may_be_called(asked, host, port) or origin not in (None, f"http://{asked}") or (upgrade and origin is None and token):
+        return _answer(403, "Forbidden", b"this page is served to its own address only\n")
+    if token:
+        cookie = f"deepbots-{port}={token}"
+        given = urllib.parse.parse_qs(query).get("token", [""])[0]
+        if secrets.compare_digest(given.encode(), token.encode()):
+            return _answer(302, "Found", b"", **{"Location": path, "Set-Cookie": f"{cookie}; Path=/; HttpOnly; SameSite=Strict"})
+        held = [part.strip() for part in request.headers.get("Cookie", "").split(";")]
+        if not any(secrets.compare_digest(part.encode(), cookie.encode()) for part in held):
+            return _answer(403, "Forbidden", b"open the address that deepbots printed, with its token\n")
+    if upgrade:
+        offered = request.headers.get("Sec-WebSocket-Protocol", "")
+        if path == "/drive" or (path == "/" and protocol in offered):
+            return None
+        return _answer(400, "Bad Request", b"this is another version of the page; load it again\n")
+    if path == "/":
+        return _answer(200, "OK", page)
+    return _answer(404, "Not Found", b"there is no such page\n")
+
+
+def _may_be_called(asked: str, host: str, port: int) -> bool:
+    """Whether a Host header names this server. Beyond loopback, where the token counts, addresses and the name of the machine do too."""
+    name, _, number = asked.rpartition(":")
+    if number != str(port):
+        return False
+    if name in (LOOPBACK, "localhost", "[::1]", host, f"[{host}]"):
+        return True
+    if _is_loopback(host):
+        return False
+    with contextlib.suppress(ValueError):
+        return bool(ipaddress.ip_address(name.strip("[]")))
+    return name in (socket.gethostname(), socket.getfqdn())
+
+
+def _answer(status: int, reason: str, body: bytes, **headers: str) -> Response:
+    from websockets.datastructures import Headers
+    from websockets.http11 import Response
+
+    kind = "text/html; charset=utf-8" if status == 200 else "text/plain; charset=utf-8"
+    known = {"Content-Type": kind, "Content-Length": str(len(body)), "Content-Security-Policy": _POLICY, "Cache-Control": "no-store"}
+    safe = {"X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer", "Connection": "close"}
+    return Response(status, reason, Headers(known | safe | headers), body)
+
+
+def _read_drive(text: Any) -> tuple[Keys, Axes]:
+    """The keys that are held and the axes of a gamepad, from -1 to 1, of a message `KeyW+KeyA|0.5,-1`.
+
+    Raises:
+        ValueError: It is no such message.
+    """
+    if not isinstance(text, str) or len(text) > 300:
+        raise ValueError(text)
+    keys, _, axes = text.partition("|")
+    values = tuple(min(1.0, max(-1.0, float(part))) for part in axes.split(",") if part)
+    return frozenset(filter(None, keys.split("+"))), values

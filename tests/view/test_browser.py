@@ -1,0 +1,150 @@
+"""The page in a real browser: seen, driven, changed. WebGL is drawn by software, so pages are small."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("viser")
+from deepbots_cli.view.episodes import Source
+from deepbots_cli.view.page import Page
+from tests.view.browser import CHROMIUM, browser
+
+pytestmark = [pytest.mark.browser, pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium")]
+CARTPOLE = Path(__file__).parents[2].joinpath("scenarios", "cartpole.yaml").read_text(encoding="utf-8")
+
+
+@contextmanager
+def served(source: str, **options: Any) -> Iterator[Page]:
+    """A page whose loop runs in a thread of its own."""
+    made, stop = [], threading.Event()
+
+    def run() -> None:
+        made.append(Page(Source(source), port=0, **options))
+        made[0].run(stop.is_set)
+        made[0].close()
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    try:
+        while not made and thread.is_alive():
+            time.sleep(0.05)
+        yield made[0]
+    finally:
+        stop.set()
+        thread.join(20)
+
+
+@pytest.fixture(scope="module")
+def new_tab():
+    with browser() as tab:
+        yield tab
+
+
+def _world(tab):
+    """The pixels of the world, without the panel."""
+    return tab.see()[:, :450].astype(int)
+
+
+def _is_world(image, colour, least=100):
+    return int((np.abs(image - colour).sum(axis=2) < 60).sum()) > least
+
+
+def test_the_world_is_seen_stands_still_and_moves(new_tab):
+    with served("find_ball", driver="around") as page:
+        tab = new_tab()
+        tab.open(page.address)
+        tab.wait("document.body.innerText.includes('reward terms of this step')")
+        _soon(lambda: _is_world(_world(tab), (215, 200, 80), 60))  # the ball
+        tab.click("pause")
+        tab.wait("document.body.innerText.includes('paused')")
+        step = page.player.frame.step
+        time.sleep(1.0)
+        still = _world(tab)
+        assert page.player.frame.step == step
+        tab.click("reset")
+        tab.wait("document.body.innerText.includes('step 0,')")
+        tab.click("step")
+        tab.wait("document.body.innerText.includes('step 1,')")
+        time.sleep(1.0)
+        assert (np.abs(_world(tab) - still).sum(axis=2) > 60).sum() > 20
+        assert {r.split("/")[2] for r in tab.requests if not r.startswith(("data:", "blob:"))} == {page.address.split("/")[2]}
+        assert tab.errors == []
+
+
+def _soon(holds, seconds=30.0):
+    end = time.monotonic() + seconds
+    while not holds() and time.monotonic() < end:
+        time.sleep(0.05)
+    assert holds()
+
+
+def _wheel(page):
+    action = page.player.frame.agents["agent"].action
+    return action[1] if action else None
+
+
+def test_keys_buttons_and_tabs_work(new_tab):
+    with served("find_ball", playing=True) as page:
+        tab = new_tab()
+        tab.open(page.address)
+        tab.wait("document.body.innerText.includes('played')")
+        tab.click("Drive")
+        tab.wait("document.body.innerText.includes('Keys:')")
+        tab.key("KeyD", down=True)
+        _soon(lambda: _wheel(page) == 1.0)
+        tab.key("KeyD", down=False)
+        _soon(lambda: _wheel(page) == 0.0)
+        for name in ("Plots", "Show"):
+            tab.click(name)
+        tab.click("names")
+        _soon(lambda: page.world._labels[0].visible)
+
+
+def test_a_saved_mistake_and_its_repair_are_seen(new_tab, tmp_path):
+    file = tmp_path / "mine.yaml"
+    text = CARTPOLE.replace("../robots/urdf/cartpole.urdf", "cartpole")
+    file.write_text(text)
+    with served(str(file), watch=True) as page:
+        tab = new_tab()
+        tab.open(page.address)
+        tab.wait("document.body.innerText.includes('reward terms of this step')")
+        file.write_text(text.replace("timestep: 32 ms", "timestep: 32 kg"))
+        tab.wait("document.body.innerText.includes('mine.yaml:11')")
+        file.write_text(text)
+        tab.wait("!document.body.innerText.includes('mine.yaml:11')")
+
+
+def test_two_browsers_see_one_world_and_closed_ones_leave_nothing(new_tab):
+    with served("cartpole", driver="zero") as page:
+        tabs = []
+        for _ in range(2):  # a tab in the background draws nothing
+            tabs.append(new_tab())
+            tabs[-1].open(page.address)
+            tabs[-1].wait("document.body.innerText.includes('reward terms of this step')")
+        _soon(lambda: len(page.server.get_clients()) == 2)
+        for tab in tabs:
+            tab.call("Page.navigate", url="about:blank")
+        _soon(lambda: not page.server.get_clients())
+
+
+def test_an_offline_page_turns_without_a_server(new_tab, tmp_path):
+    from contextlib import closing
+
+    from deepbots_cli.view.episodes import Player
+    from deepbots_cli.view.pictures import Shot, clip
+
+    out = tmp_path / "clip.html"
+    with closing(Player(Source("find_ball").open(), "around")) as player:
+        clip(player, out, Shot(), seed=0, episode=0, seconds=2.0)
+    tab = new_tab()
+    tab.open(out.as_uri())
+    _soon(lambda: _is_world(tab.see().astype(int), (215, 200, 80), 60))
+    assert not [address for address in tab.requests if address.startswith(("http", "ws"))]

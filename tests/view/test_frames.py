@@ -1,0 +1,102 @@
+"""Frames: what the engine says, read without a trace."""
+
+from __future__ import annotations
+
+from contextlib import closing
+
+import numpy as np
+import pytest
+
+import deepbots_cli
+from deepbots_cli.view.episodes import HAND, RANDOM, ZERO, Player, Source
+from deepbots_cli.view.frames import FrameReader, action_fields, observation_fields
+
+SCENARIOS = ("cartpole", "find_ball_random", "quadruped", "multi_cartpole", "see_ball", "panda_push", "line_follower")
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_an_episode_is_the_same_with_and_without_frames(name):
+    found = []
+    for read in (False, True):
+        with closing(deepbots_cli.make(name)) as env:
+            observation, _ = env.reset(seed=3)
+            reader = FrameReader(env) if read else None
+            rewards = []
+            for _ in range(15):
+                action = env.action_space.sample()
+                observation, reward, terminated, truncated, _ = env.step(action)
+                rewards.append(reward)
+                if reader is not None:
+                    reader.read(observation, action)
+                if terminated or truncated:
+                    break
+            found.append((rewards, str(observation)))
+    assert found[0] == found[1]
+
+
+def test_a_frame_holds_what_the_engine_says():
+    with closing(deepbots_cli.make("find_ball")) as env:
+        observation, _ = env.reset(seed=0)
+        reader = FrameReader(env)
+        frame = reader.read(observation)
+        assert frame.links["epuck", "base_link"] == env.engine.pose("epuck")()
+        assert frame.links["ball", "ball"][0] == pytest.approx((0.38, 0.38, 0.07))
+        assert len(frame.rays["epuck.proximity"]) == len(reader.layout.beams["epuck.proximity"].starts)
+        assert all(0 <= free <= 0.1 for free in frame.rays["epuck.proximity"])
+        assert frame.readings["epuck.proximity"] == pytest.approx(env.controllers["epuck"].devices["proximity"].reading)
+        fields = dict(zip([f.name for f in reader.layout.observation], frame.agents["agent"].observation, strict=True))
+        (x, y, _), _ = frame.links["epuck", "base_link"]
+        assert fields["apart"] == pytest.approx(np.hypot(0.38 - x, 0.38 - y), abs=1e-6)
+        assert frame.agents["agent"].action is None
+        moved = reader.read(env.step(env.action_space.sample())[0], env.action_space.sample())
+        assert {body for body, _ in moved.forces} == {"epuck"}
+        assert sum(moved.forces.values()) > 0.5
+
+
+def test_returns_and_endings_are_those_of_the_episode():
+    with closing(Player(Source("find_ball").open(), "around")) as player:
+        frames = list(player.episode(0, 0))
+    rewards = [frame.agents["agent"].reward for frame in frames[1:]]
+    assert frames[-1].agents["agent"].episode_return == pytest.approx(sum(rewards))
+    assert frames[-1].ending == "success: found"
+    assert [frame.step for frame in frames] == list(range(len(frames)))
+    assert frames[-1].time == pytest.approx(0.128 * (len(frames) - 1))
+
+
+def test_bodies_that_take_no_part_in_the_episode_are_left_out():
+    with closing(Player(Source("find_ball_random").open(), ZERO)) as player:
+        shown = [{body for body, _ in player.begin(0, episode).links if body.startswith("obstacle")} for episode in range(6)]
+        assert len({len(bodies) for bodies in shown}) > 1
+        assert set(player.frame.variants.values()) <= {"cube", "plank"}
+
+
+def test_every_copy_of_a_robot_has_frames_of_its_own():
+    with closing(Player(Source("multi_cartpole").open(), RANDOM)) as player:
+        player.begin(0, 0)
+        frame = player.step()
+        assert list(frame.agents) == [f"cart#{number}" for number in range(1, 10)]
+        assert len({agent.action for agent in frame.agents.values()}) == 2
+        poles = {frame.links[name, "pole"][0] for name in frame.agents}
+        assert len(poles) == 9
+
+
+def test_a_push_is_in_the_frames_while_it_lasts():
+    with closing(Player(Source("quadruped").open(), ZERO)) as player:
+        pushed = [bool(frame.pushes) for frame in player.episode(0, 0, 450)]
+    assert 5 <= sum(pushed) <= 18  # one or two pushes of 100 ms, in steps of 20 ms
+
+
+def test_fields_have_units_ranges_and_options():
+    program = deepbots_cli.compile("find_ball").program
+    angle = observation_fields(program)[-1]
+    assert (angle.name, angle.unit, round(angle.high, 3)) == ("angle", "rad", 3.142)
+    assert [field.name for field in action_fields(program)] == ["gas", "wheel"]
+    (choice,) = action_fields(deepbots_cli.compile("cartpole").program)
+    assert choice.text(1.0) == choice.options[1]
+
+
+def test_a_person_drives_by_the_names_of_action_fields():
+    with closing(Player(Source("find_ball").open(), HAND)) as player:
+        player.begin(0, 0)
+        player.hand.values = {"gas": 1.0, "wheel": -0.5}
+        assert player.step().agents["agent"].action == pytest.approx((1.0, -0.5))

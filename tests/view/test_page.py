@@ -1,0 +1,108 @@
+"""The page without a browser: time, drivers, and files that change."""
+
+from __future__ import annotations
+
+import os
+import time
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("viser")
+from deepbots_cli.errors import UsageError
+from deepbots_cli.view.episodes import HAND, Source
+from deepbots_cli.view.frames import Field
+from deepbots_cli.view.hand import Hand
+from deepbots_cli.view.page import Page
+
+CARTPOLE = (
+    (Path(__file__).parents[2] / "scenarios" / "cartpole.yaml")
+    .read_text(encoding="utf-8")
+    .replace("../robots/urdf/cartpole.urdf", "cartpole")
+)
+
+
+def _run(page, until, seconds=30.0):
+    """Serve the page until something holds, and say that it came to hold."""
+    end = time.monotonic() + seconds
+    page.run(lambda: until() or time.monotonic() > end)
+    assert until()
+
+
+def test_time_goes_on_stands_still_and_begins_again():
+    with closing(Page(Source("cartpole"), port=0, driver="zero")) as page:
+        _run(page, lambda: page.player.frame.step > 3)
+        page.play(False)
+        step = page.player.frame.step
+        page.run(iter([False] * 5 + [True]).__next__)
+        assert page.player.frame.step == step
+        page.step_once()
+        assert page.player.frame.step == step + 1
+        page._begin()
+        first = page.player.frame
+        page._begin(1)
+        assert first.step == page.player.frame.step == 0
+        assert first.links != page.player.frame.links
+        page.play(True)
+        _run(page, lambda: page.player.frame.ended_by is not None)
+        assert "failure: fallen" in page._banner.content
+
+
+def test_keys_drive_and_let_go():
+    with closing(Page(Source("find_ball"), port=0, playing=True)) as page:
+        assert page.player.driver_name == HAND
+        page._hand.hold(frozenset({"KeyW", "KeyD"}), ())
+        page._step()
+        assert page.player.frame.agents["agent"].action == pytest.approx((1.0, 1.0))
+        time.sleep(0.3)
+        page._step()
+        assert page.player.frame.agents["agent"].action == pytest.approx((0.625, 0.0))
+        assert "onward" in page._banner.content or page._rival.driver_name == "onward"
+
+
+def test_hands_know_options_by_their_names():
+    hand = Hand([Field("move", "move", 0, 2, "", ("left", "right", "stop"))])
+    assert hand.values() == {"move": 2.0}
+    hand.hold(frozenset({"ArrowLeft"}), ())
+    assert hand.values() == {"move": 0.0}
+    hand.hold(frozenset({"Digit2"}), ())
+    assert hand.values() == {"move": 1.0}
+    hand.hold(frozenset(), ())
+    assert hand.values() == {"move": 2.0}
+
+
+def test_a_saved_file_shows_its_findings_and_then_its_world(tmp_path):
+    file = tmp_path / "mine.yaml"
+    file.write_text(CARTPOLE)
+    with closing(Page(Source(str(file)), port=0, watch=True, seed=3)) as page:
+        _run(page, lambda: page.player.frame.step > 1)
+        world = page.player
+        file.write_text(CARTPOLE.replace("fall_angle", "fall_angel", 1))
+        _run(page, lambda: "mine.yaml" in page._message)
+        assert page.player is world
+        assert page.paused
+        assert "fall_ang" in page._banner.content
+        began = time.monotonic()
+        file.write_text(CARTPOLE.replace("timestep: ", "timestep:  ", 1))
+        _run(page, lambda: page.player is not world)
+        assert time.monotonic() - began < 2.0 or os.getloadavg()[0] > 4
+        assert (page.seed, page._message, page.paused) == (3, "", False)
+
+
+def test_a_scenario_with_errors_opens_with_its_findings(tmp_path):
+    file = tmp_path / "mine.yaml"
+    file.write_text(CARTPOLE.replace("velocity_motor", "velocity_moto<b>r", 1))
+    with closing(Page(Source(str(file)), port=0, watch=True)) as page:
+        assert page.player is None
+        assert "mine.yaml" in page._banner.content
+        assert "<b>r" not in page._banner.content
+        file.write_text(CARTPOLE)
+        _run(page, lambda: page.player is not None)
+
+
+def test_what_cannot_be_opened_is_told():
+    with pytest.raises(UsageError, match="no shipped scenario"):
+        Page(Source("nothing_here"), port=0)
+    with pytest.raises(UsageError, match="no script 'nobody'"):
+        Page(Source("find_ball"), port=0, driver="nobody")

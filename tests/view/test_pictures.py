@@ -1,0 +1,98 @@
+"""Pictures and clips: by their pixels, and read back."""
+
+from __future__ import annotations
+
+from contextlib import closing
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from deepbots_cli.cli import main
+from deepbots_cli.port import View
+from deepbots_cli.view.episodes import Player, Source
+from deepbots_cli.view.pictures import Shot, clip, picture, projection
+
+
+def _yellow(image):
+    red, green, blue = np.moveaxis(np.asarray(image.convert("RGB")).astype(int), -1, 0)
+    return (red > 150) & (green > 130) & (blue < 90)
+
+
+def test_a_point_is_projected_to_where_the_engine_draws_it():
+    with closing(Player(Source("find_ball").open(), "around")) as player:
+        player.begin(0, 0)
+        view = View((0.9, -1.2, 1.0), (0.1, 0.1, 0.0), 640, 480)
+        rows, columns = np.nonzero(_yellow(picture(player, Shot(640, 480, view.eye, view.target))))
+        assert projection(view)(player.frame.links["ball", "ball"][0]) == pytest.approx((columns.mean(), rows.mean()), abs=4)
+        assert projection(view)((3.0, -6.0, 3.0)) is None
+
+
+def test_a_path_is_painted_where_the_robot_went():
+    with closing(Player(Source("find_ball").open(), "around")) as player:
+        path = list(player.episode(0, 0))
+        bare = np.asarray(picture(player, Shot(400, 400), path=path[-1:]).convert("RGB")).astype(int)
+        painted = np.asarray(picture(player, Shot(400, 400), path=path).convert("RGB")).astype(int)
+    changed = np.abs(painted - bare).sum(axis=2) > 60
+    assert 300 < changed[:370].sum() < 6000
+
+
+def test_labels_and_rays_are_painted():
+    with closing(Player(Source("find_ball").open(), "around")) as player:
+        player.begin(0, 0)
+        shots = [picture(player, Shot(400, 300, (-0.5, -0.8, 0.4), (-0.38, -0.38, 0.0)), **{what: True}) for what in ("labels", "rays")]
+        plain = picture(player, Shot(400, 300, (-0.5, -0.8, 0.4), (-0.38, -0.38, 0.0)))
+    for shot in shots:
+        assert np.abs(np.asarray(shot).astype(int) - np.asarray(plain)).max() > 60
+
+
+@pytest.mark.parametrize("suffix", [".gif", ".mp4"])
+def test_a_clip_can_be_read_and_moves(tmp_path, suffix):
+    out = tmp_path / f"clip{suffix}"
+    with closing(Player(Source("find_ball").open(), "around")) as player:
+        last = clip(player, out, Shot(160, 120), seed=0, episode=0, seconds=2.0)
+    assert last.time == pytest.approx(2.048, abs=0.13)
+    if suffix == ".gif":
+        with Image.open(out) as image:
+            pictures = []
+            for number in range(image.n_frames):
+                image.seek(number)
+                pictures.append(np.asarray(image.convert("RGB")))
+    else:
+        imageio = pytest.importorskip("imageio.v2")
+        pictures = [np.asarray(image) for image in imageio.get_reader(out)]
+    assert len(pictures) == last.step + 1
+    assert pictures[0].shape == (120, 160, 3)
+    assert np.abs(pictures[0].astype(int) - pictures[-1]).max() > 60
+    assert out.stat().st_size < 100_000
+
+
+def test_an_offline_page_holds_the_episode(tmp_path):
+    pytest.importorskip("viser")
+    out = tmp_path / "clip.html"
+    with closing(Player(Source("cartpole").open(), "zero")) as player:
+        clip(player, out, Shot(), seed=0, episode=0, seconds=1.0)
+    text = out.read_text()
+    assert "__VISER_EMBED_DATA__" in text
+    assert "<title>CartPole</title>" in text
+    assert out.stat().st_size < 1_500_000
+
+
+def test_the_commands_write_their_files_and_refuse_what_they_cannot(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["picture", "cartpole", "--size", "120x90", "--out", "a.png"]) == 0
+    with Image.open("a.png") as image:
+        assert image.size == (120, 90)
+    assert main(["clip", "cartpole", "--size", "120x90", "--seconds", "0.3", "-o", "a.gif"]) == 0
+    assert "a.gif" in capsys.readouterr().out
+    for words, said in (
+        (["picture", "cartpole", "-o", "a.jpg"], "must end in .png"),
+        (["clip", "cartpole", "-o", "none/a.gif"], "no directory"),
+        (["picture", "cartpole", "--size", "9x9"], "is no size"),
+        (["picture", "cartpole", "--from", "1,2"], "is no point"),
+        (["picture", "cartpole", "--from", "nan,0,0"], "no number"),
+        (["clip", "find_ball", "--script", "nobody", "-o", "a.gif"], "no script 'nobody'"),
+        (["clip", "cartpole", "--script", "policy", "-o", "a.gif"], "only a run has a policy"),
+    ):
+        assert main(words) == 2
+        assert said in " ".join(capsys.readouterr().err.split())
