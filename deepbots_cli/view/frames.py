@@ -292,9 +292,9 @@ def _beams(part: LinkName, sensor: Sensor) -> tuple[Beams, Sequence[Frame]]:
     """The rays of a sensor as arrays and as frames along x; those of a reflectance sensor look down."""
     assert sensor.beams is not None
     mount = frames.frame(sensor.mount)
-    rays = [frames.inside(mount, frames.frame(ray)) for ray in sensor.beams.rays]
+    rays = [frames.compose(mount, frames.frame(ray)) for ray in sensor.beams.rays]
     if sensor.kind == "reflectance":
-        rays = [frames.inside(ray, (STILL, _DOWNWARD)) for ray in rays]
+        rays = [frames.compose(ray, (STILL, _DOWNWARD)) for ray in rays]
     starts = np.array([origin for origin, _ in rays])
     directions = np.array([frames.rotate(turn, (1.0, 0.0, 0.0)) for _, turn in rays])
     return Beams(part, starts, directions, sensor.beams.reach or _LOOKS_DOWN), rays

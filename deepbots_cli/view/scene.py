@@ -65,9 +65,9 @@ def rigid_groups(model: RobotModel) -> dict[str, tuple[str, frames.Frame]]:
     held = {joint.child: joint for joint in model.joints if joint.type == "fixed"}
     found = {}
     for link in model.links:
-        name, pose = link.name, frames.HERE
+        name, pose = link.name, frames.IDENTITY_FRAME
         while name in held:
-            pose = frames.inside(frames.frame(held[name].origin), pose)
+            pose = frames.compose(frames.frame(held[name].origin), pose)
             name = held[name].parent
         found[link.name] = (name, pose)
     return found
@@ -177,7 +177,7 @@ class WorldScene:
             points, faces = strokes(line, 0.0004 * self._size * (1 + 0.1 * number))
             scene.add_mesh_simple(f"{root}/lines/{number}", points, faces, color=_rgb(line.colour), side="double", cast_shadow=False)
         for wall in objects.walls(world.arena) if world.arena else ():
-            self._add(f"{root}/arena/{wall.name.replace(' ', '_')}", Geometry(wall.shape, wall.pose, wall.colour), frames.HERE)
+            self._add(f"{root}/arena/{wall.name.replace(' ', '_')}", Geometry(wall.shape, wall.pose, wall.colour), frames.IDENTITY_FRAME)
 
     def _build_robot(self, name: str, model: RobotModel) -> None:
         groups = rigid_groups(model)
@@ -193,7 +193,9 @@ class WorldScene:
         part = (name, name)
         node = self._node(part)
         for form, thing in forms.items():
-            self._variants[name, form] = self._add(f"{node.name}/{form}", Geometry(thing.shape, Pose(), thing.colour), frames.HERE)
+            self._variants[name, form] = self._add(
+                f"{node.name}/{form}", Geometry(thing.shape, Pose(), thing.colour), frames.IDENTITY_FRAME
+            )
         self._label(part, name)
 
     def _build_beams(self, key: str, beams: Beams) -> None:
@@ -222,7 +224,7 @@ class WorldScene:
     def _add(self, name: str, geometry: Geometry, within: frames.Frame) -> Any:
         """A shape at its place below a node."""
         scene, shape, colour = self._scene, geometry.shape, geometry.colour or _PLAIN
-        place, turn = frames.inside(within, frames.frame(geometry.origin))
+        place, turn = frames.compose(within, frames.frame(geometry.origin))
         options: dict[str, Any] = {"position": place, "wxyz": wxyz(turn), "opacity": None if colour[3] >= 0.99 else colour[3]}
         match shape:
             case Box(size):
