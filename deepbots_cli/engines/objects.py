@@ -26,8 +26,8 @@ def moves(body: ObjectBody) -> bool:
 
 def forms(body: ObjectBody) -> dict[str, ObjectBody]:
     """The object in each of its variants, by their names; by its own if it has none."""
-    figures = ("shape", "mass", "colour", "friction", "fixed")
-    shown = {v.name: replace(body, variants=(), **{what: getattr(v, what) for what in figures}) for v in body.variants}
+    fields = ("shape", "mass", "colour", "friction", "fixed")
+    shown = {v.name: replace(body, variants=(), **{what: getattr(v, what) for what in fields}) for v in body.variants}
     return shown or {body.name: body}
 
 

@@ -302,9 +302,9 @@ def _team_episode(model: BaseAlgorithm, world: World, seed: int, *, deterministi
     observation, _ = world.reset(seed=seed)
     size, accumulator = len(world.get_wrapper_attr("agents")), EpisodeAccumulator()
     memory, starts = None, np.ones(size, dtype=bool)
-    heeds_masks = algorithms.takes_masks(model) and world.has_wrapper_attr("action_masks")
+    takes_masks = algorithms.takes_masks(model) and world.has_wrapper_attr("action_masks")
     while True:
-        masks = {"action_masks": world.get_wrapper_attr("action_masks")().reshape(size, -1)} if heeds_masks else {}
+        masks = {"action_masks": world.get_wrapper_attr("action_masks")().reshape(size, -1)} if takes_masks else {}
         actions, memory = model.predict(observation, state=memory, episode_start=starts, deterministic=deterministic, **masks)
         starts = np.zeros(size, dtype=bool)
         observation, reward, terminated, truncated, info = world.step(actions)
@@ -316,7 +316,7 @@ def _team_episode(model: BaseAlgorithm, world: World, seed: int, *, deterministi
 class _Batch:
     """The observations of one forward pass; rows of worlds that do not run keep what they last held.
 
-    Where the policy heeds them, `masks` say beside them which of the agent's `choices` are allowed. A recurrent policy
+    If the policy takes action masks, `masks` holds which of the `choices` of each row are allowed. A recurrent policy
     has a `memory` for each row, which it forgets where `starts` says that an episode begins.
     """
 

@@ -267,11 +267,11 @@ class World:
         for body in (pool.chosen for pool in robots_first):
             joints = list(body.joints.values())
             places, speeds = self.model.jnt_qposadr[joints], self.model.jnt_dofadr[joints]
-            figures: Iterable[tuple[str, Figures]] = (("joints", data.qpos[places]), ("joints", data.qvel[speeds]))
+            states: Iterable[tuple[str, Figures]] = (("joints", data.qpos[places]), ("joints", data.qvel[speeds]))
             if body.position >= 0:
                 pose, speed = data.qpos[body.position : body.position + 7], data.qvel[body.velocity : body.velocity + 6]
-                figures = (("pose", pose), ("pose", speed), *figures)
-            for what, values in figures:
+                states = (("pose", pose), ("pose", speed), *states)
+            for what, values in states:
                 if not np.isfinite(values).all():
                     raise EngineError(f"the {what} of '{body.name}' left the range of numbers")
 
