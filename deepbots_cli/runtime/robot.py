@@ -9,7 +9,7 @@ from deepbots_cli.port import Engine, MotorWriter
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Actuator, CustomActuator, Motor, Robot
 from deepbots_cli.runtime.actuation import CustomMotor, Site
-from deepbots_cli.runtime.formulas import Memories, Memory
+from deepbots_cli.runtime.formulas import Memories, Memory, memory_of_vector
 from deepbots_cli.runtime.readers import sees
 from deepbots_cli.runtime.sensing import Device, instrument
 from deepbots_cli.runtime.streams import Streams
@@ -68,9 +68,9 @@ class RobotController:
         self._memories.append(made)
         return made
 
-    def memories(self, kind: type[Memory], count: int) -> Memories:
+    def memories(self, kind: type[Memory], count: int) -> Memory | Memories:
         """One memory for each component of a vector."""
-        made = Memories(kind, count, self._world.timestep)
+        made = memory_of_vector(kind, count, self._world.timestep)
         self._memories.append(made)
         return made
 

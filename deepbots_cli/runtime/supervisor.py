@@ -20,7 +20,7 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Direction, MessageLayout, Robot
 from deepbots_cli.program.task import ActionRange, Choices
 from deepbots_cli.runtime.channel import Channel, LossyChannel
-from deepbots_cli.runtime.formulas import Memories, Memory, clip
+from deepbots_cli.runtime.formulas import Memories, Memory, clip, memory_of_vector
 from deepbots_cli.runtime.messages import Wire, excerpt, explain
 from deepbots_cli.runtime.robot import RobotController
 from deepbots_cli.runtime.spaces import FrameStack, action_space, alike, composed, observation_space, recomputed, usual, views
@@ -142,9 +142,9 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         self._memories.append(made)
         return made
 
-    def memories(self, kind: type[Memory], count: int) -> Memories:
+    def memories(self, kind: type[Memory], count: int) -> Memory | Memories:
         """One memory for each component of a vector."""
-        made = Memories(kind, count, self.scenario.world.timestep)
+        made = memory_of_vector(kind, count, self.scenario.world.timestep)
         self._memories.append(made)
         return made
 

@@ -75,3 +75,31 @@ def test_a_complementary_filter_follows_a_constant_rate_exactly(bench):
 
 def test_every_stateful_function_of_the_table_has_a_rule():
     assert all(bool(function.memory) == (function.family is Family.STATEFUL) for function in FUNCTIONS.values())
+
+
+ROWS = {
+    "number": ([1.0, -2.0], [0.5, 3.0], [0.5, -1.0]),
+    "truth": ([True, False], [False, True], [True, True]),
+}
+
+
+@pytest.mark.parametrize(
+    ("kind", "arguments"),
+    [
+        (formulas.Delta, ["number"]),
+        (formulas.Delta, ["number", "number"]),
+        (formulas.Previous, ["number"]),
+        (formulas.Previous, ["truth", "truth"]),
+        (formulas.RisingEdge, ["truth"]),
+        (formulas.Duration, ["truth"]),
+        (formulas.Hold, ["number", "truth"]),
+    ],
+)
+def test_a_memory_of_a_vector_keeps_each_component_apart(kind, arguments):
+    whole, parts = formulas.memory_of_vector(kind, 2, DT), [kind(DT), kind(DT)]
+    for _ in range(2):
+        for row in zip(*(ROWS[argument] for argument in arguments), strict=True):
+            expected = [part.update(*components) for part, *components in zip(parts, *row, strict=True)]
+            assert list(whole.update(*row)) == expected
+        for memory in (whole, *parts):
+            memory.reset()
