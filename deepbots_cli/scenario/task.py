@@ -111,11 +111,11 @@ class Termination(Section):
     success: dict[SharedName, Condition] = {}
     """Conditions under which the agent has succeeded, by names of your choice."""
     failure: dict[SharedName, Condition] = {}
-    """Conditions under which it has failed; failure beats success."""
+    """Conditions under which the agent has failed, by names of your choice; failure beats success."""
 
 
 class Truncation(Section):
-    """Limits that only cut the episode short; they are no part of the task."""
+    """Limits that only cut the episode short; they are not part of the task."""
 
     key_rules: ClassVar[tuple[Keys, ...]] = (Keys(("max_steps", "max_time"), min=1, max=2),)
 
