@@ -146,7 +146,7 @@ def truncation(namespace: Namespace) -> Truncation:
         if not values.is_lost("truncation"):
             span = values.key_span(("termination",) if "termination" in namespace.scenario.model_fields_set else ("reward",))
             values.findings.add(
-                "DB803", span, "nothing is sure to end an episode", help="add `truncation: {max_steps: 1000}`, or a `max_time`"
+                "DB803", span, "no condition is certain to end an episode", help="add `truncation: {max_steps: 1000}`, or a `max_time`"
             )
         return Truncation()
     steps = namespace.fixed(limits, "max_steps")

@@ -340,7 +340,7 @@ def bounds_mismatch(context: Context) -> Iterator[Finding]:
     for number in clipped_once(analysis):
         known = analysis.ranges.of(number.node)
         if number.is_outside(known):
-            headline = f"`{number.name}` is {between(known, number.dimension)}, never within its range"
+            headline = f"`{number.name}` is {between(known, number.dimension)}, outside of its range in the observation"
             is_known = known.finite and not known.single
             help = "write the range of the value" + (f": `{range_text(known, number.dimension)}`" if is_known else "")
             fix = replace_range(context, number, known, number.dimension) if is_known else None
