@@ -50,7 +50,7 @@ class Sensing:
         )
 
     def _check_size(self) -> None:
-        """DB005 for more than a robot can send in every tick."""
+        """DB005 for more than a robot can send in every timestep."""
         rays = sum(len(sensor.beams.rays) for sensor in self._sensors.values() if sensor.beams)
         values = sum(math.prod(symbol.type.picture) for symbol in self.symbols.values() if symbol.type and symbol.type.picture)
         for count, limit, what in ((rays, MAX_SENSED_RAYS, "rays"), (values, MAX_OBSERVED_BYTES, "bytes of pictures")):
@@ -336,7 +336,7 @@ def _owner(path: Path, field: str) -> OfSensor:
 
 
 def _with_period(faults: NoiseModel | None, namespace: Namespace, spec: SensorSpec, tick: float) -> NoiseModel | None:
-    """The errors with the period of the sensor, in ticks; DB308 for a period that is no whole number of them."""
+    """The errors with the period of the sensor, in timesteps; DB308 for a period that is no whole number of them."""
     seconds, values = namespace.fixed(spec, "period"), namespace.values
     if seconds is None or values.is_lost("world.timestep"):
         return faults
