@@ -527,7 +527,7 @@ def _setting(value: object) -> object:
 
 
 Ages = dict[str, float]
-"""The age of each named value in ticks; infinite where it varies."""
+"""The age of each named value in timesteps; infinite where it varies."""
 
 
 def timing(scenario: Program) -> list[Row]:

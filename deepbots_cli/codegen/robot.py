@@ -63,7 +63,7 @@ class Controller:
 
     @property
     def _keeps_state(self) -> bool:
-        """Whether what the robot emits has a memory, which advances once per tick."""
+        """Whether what the robot emits has a memory, which advances once per timestep."""
         return any(outer_states(value) for values in self._emitted for value in values)
 
     def _reset(self) -> list[str]:
@@ -77,7 +77,7 @@ class Controller:
         return block("def reset(self) -> None:", [*lines, "self.compute()"] if self._keeps_state else lines)
 
     def _observe(self) -> list[str]:
-        """Sampling, and what advances once per tick."""
+        """Sampling, and what advances once per timestep."""
         sampling = [f"self.sense_{name}()" for name in self._devices]
         if not self._keeps_state:
             return block("def observe(self) -> None:", ['"""Read the sensors, once per tick."""', *sampling]) if sampling else []
@@ -166,7 +166,7 @@ class Controller:
 
 
 def devices(scenario: Program, robot: Robot) -> dict[str, Sensor]:
-    """The sensors that are sampled once per tick, by name: those that something reads, and that are no facts."""
+    """The sensors that are sampled once per timestep, by name: those that something reads, and that are no facts."""
     on_board = [value for entry in (*robot.emitted, *robot.commands) for value in entry.scalars]
     sent = [entry for other in scenario.robots for entry in other.receive]
     judged = [value for entry in (*scenario.signals, *sent) for value in entry.scalars]
@@ -180,7 +180,7 @@ def devices(scenario: Program, robot: Robot) -> dict[str, Sensor]:
 
 
 def observes(scenario: Program, robot: Robot) -> bool:
-    """Whether anything on board happens once per tick: a device is sampled, or a memory advances."""
+    """Whether anything on board happens once per timestep: a device is sampled, or a memory advances."""
     return bool(devices(scenario, robot)) or any(outer_states(value) for entry in robot.emitted for value in entry.scalars)
 
 

@@ -1,4 +1,4 @@
-"""Prints what a step does, and what is computed in each tick of it.
+"""Prints what a step does, and what is computed in each timestep of it.
 
 A step of the agent decodes its action, sends one message to each robot, and goes on for `action_repeat` ticks or until the episode
 ends. `_observe` computes what follows from the world and the messages, in the order of the language: signals and the goal once,
@@ -33,7 +33,7 @@ def start(space: Workspace) -> list[str]:
 
 
 def advance(space: Workspace) -> list[str]:
-    """The method of a step, and that of a tick where a step has several."""
+    """The method of a step, and that of a timestep where a step has several."""
     printer = space.printer()
     _print_acting(space, printer)
     result = "Iterator[None]" if space.shares else "None"
@@ -61,7 +61,7 @@ def advance(space: Workspace) -> list[str]:
 
 
 def observe(space: Workspace) -> list[str]:
-    """The method that computes everything, once per tick and right after a reset."""
+    """The method that computes everything, once per timestep and right after a reset."""
     printer = space.printer()
     for robot in space.scenario.robots:
         _print_receiving(space, printer, robot)
@@ -185,7 +185,7 @@ def _print_decoding(space: Workspace, printer: Printer) -> None:
 
 
 def _delivers_in_ticks(space: Workspace, robot: Robot) -> bool:
-    """Whether a message to this robot may arrive in another tick than the one that follows its sending."""
+    """Whether a message to this robot may arrive in another timestep than the one that follows its sending."""
     late = space.scenario.timing == "delayed" and space.repeats
     return space.scenario.format != "none" and (late or not robot.to_route.perfect)
 
@@ -311,13 +311,13 @@ def _print_endings(space: Workspace, printer: Printer) -> None:
 
 
 def _tick_limit(space: Workspace) -> tuple[int, str] | None:
-    """The number of ticks at which an episode is cut short, and the name of that limit; a step is cut short only by an ending."""
+    """The number of timesteps at which an episode is cut short, and the name of that limit; a step is cut short only by an ending."""
     limits = space.scenario.truncation
     ticks = []
     if limits.max_steps is not None:
         ticks.append((limits.max_steps * space.scenario.action_repeat, "max_steps"))
     if limits.max_time is not None:
-        # a limit of a whole number of ticks must not gain one by rounding
+        # a limit of a whole number of timesteps must not gain one by rounding
         ticks.append((max(1, math.ceil(limits.max_time / space.scenario.world.timestep - 1e-9)), "max_time"))
     return min(ticks) if ticks else None
 

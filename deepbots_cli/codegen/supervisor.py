@@ -140,7 +140,7 @@ def _compute_reward(space: Workspace) -> list[str]:
 
 
 def _script(space: Workspace, script: Script) -> list[str]:
-    """A method that tells the next action from what the last tick left; it is called between two steps, by who asks for it."""
+    """A method that tells the next action from what the last timestep left; it is called between two steps, by who asks for it."""
     # Between two steps the reward of the last one is known.
     printer = Printer(space, settable=space.settable, renamed={"previous_reward": "self.reward"})
     used = space.named(script.scalars)

@@ -52,7 +52,7 @@ class Workspace:
 
     @property
     def repeats(self) -> bool:
-        """Whether a step of the agent has several ticks, which are then a method of their own."""
+        """Whether a step of the agent has several timesteps, which are then a method of their own."""
         return self.scenario.action_repeat > 1
 
     @property
@@ -67,11 +67,11 @@ class Workspace:
 
     @property
     def tick(self) -> str:
-        """Code that counts the ticks of the episode."""
+        """Code that counts the timesteps of the episode."""
         return "self.tick_count" if self.repeats else "self.step_count"
 
     def is_direct(self, robot: Robot, direction: Direction) -> bool:
-        """Whether each message arrives in the tick in which it is sent: `delayed` timing makes either direction a tick longer."""
+        """Whether each message arrives in the timestep in which it is sent: `delayed` timing makes either direction a timestep longer."""
         route = robot.to_route if direction == "to_robot" else robot.from_route
         return self.scenario.format == "none" or (route.perfect and self.scenario.timing == "immediate")
 
@@ -83,20 +83,20 @@ class Workspace:
 
     @property
     def acting(self) -> list[tuple[str, Sequence[str]]]:
-        """What the expressions of a tick read of the action, with its components: variables, and what the agent itself gave."""
+        """What the expressions of a timestep read of the action, with its components: variables, and what the agent itself gave."""
         return [*(v for v in self.variables if self.uses(v[0])), *self.given]
 
     @property
     def given(self) -> list[tuple[str, Sequence[str]]]:
-        """What the agent itself gave, where an expression of every tick reads it."""
+        """What the agent itself gave, where an expression of every timestep reads it."""
         return [("previous_action", self._components["previous_action"])] if self.uses("previous_action") else []
 
     def uses(self, name: str) -> bool:
-        """Whether an expression of every tick, or a script after it, reads the named value."""
+        """Whether an expression of every timestep, or a script after it, reads the named value."""
         return name in self._used
 
     def local(self, name: str) -> str:
-        """The local variable that holds a named value during a tick."""
+        """The local variable that holds a named value during a timestep."""
         return self.names(name)
 
     def parameter(self, name: str) -> str:
@@ -108,22 +108,22 @@ class Workspace:
         return f"self.{self.names.called(f'present {group}', 'present', group)}"
 
     def told(self) -> list[str]:
-        """Locals of one tick that the messages of the next one tell: signals, and fields that robots sent."""
+        """Locals of one timestep that the messages of the next one tell: signals, and fields that robots sent."""
         named = self.named(self.sent)
         return [self.local(name) for name in self._results() if name in named]
 
     def kept(self) -> list[str]:
-        """Names of what a tick keeps: that, and what scripts read of the tick and of the action before it."""
+        """Names of what a timestep keeps: that, and what scripts read of the timestep and of the action before it."""
         told, read = self.named(self.sent), self.named(self.scripted)
         acted = [name for name, _ in (*self.variables, *self.given) if name in read]
         return [*(name for name in self._results() if name in told or name in read), *acted]
 
     def keeping(self) -> list[str]:
-        """Statements that store what the next message to a robot, or a script, tells of this tick."""
+        """Statements that store what the next message to a robot, or a script, tells of this timestep."""
         return [f"self.told_{local} = {local}" for local in map(self.local, self.kept())]
 
     def _results(self) -> list[str]:
-        """What a tick comes to: signals, and the fields that robots sent."""
+        """What a timestep comes to: signals, and the fields that robots sent."""
         sent = (f"{robot.name}.{entry.name}" for robot in self.scenario.robots for entry in robot.emitted)
         return [*(entry.name for entry in self.scenario.signals), *sent]
 
@@ -168,7 +168,7 @@ class Workspace:
         return self._arrival(leaf) if leaf.function in ARRIVALS else self.readers.code(leaf, needs)
 
     def _arrival(self, leaf: World) -> str:
-        """What the channel of a robot tells: how old the message is that the supervisor goes by, and whether it came in this tick."""
+        """What the channel of a robot tells: how old the message is that the supervisor goes by, and whether it came in this timestep."""
         name = leaf.subjects[0]
         if leaf.function == "age" and name in self._ages:
             return f"({self._arrival(World('age', (name.partition('.')[0],)))} + {self.local(self._ages[name])})"

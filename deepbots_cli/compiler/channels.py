@@ -52,7 +52,7 @@ def route(direction: Direction, namespace: Namespace) -> Route:
     given: RouteSpec = getattr(namespace.scenario.messages, direction)
     values = namespace.values
     if namespace.scenario.messages.format == "none" and given.model_fields_set:
-        help = "choose a format, such as `struct`: without messages the supervisor acts on the robot at once"
+        help = "choose a format, such as `struct`: without messages the supervisor acts on the robot directly"
         values.findings.add("DB407", values.key_span(given.path), f"`{direction}` without messages", help=help)
         return Route()
     latency, loss, range_ = (_setting(given, name, namespace) for name in ("latency", "loss", "range"))

@@ -212,11 +212,11 @@ class Namespace:
         reach, kind = typed.type.interval, text.kind
         if not isinstance(kind, Quantity) or typed.type.stage is Stage.FIXED:
             return True
-        end = "least" if kind.minimum is not None and reach.low == -math.inf else "greatest"
-        if end == "greatest" and (kind.maximum is None or reach.high < math.inf):
+        end = "minimum" if kind.minimum is not None and reach.low == -math.inf else "maximum"
+        if end == "maximum" and (kind.maximum is None or reach.high < math.inf):
             return True
         help = "keep it within bounds, as in `clamp(normal(2 +- 1), 1 .. 3)`"
-        self.values.findings.add("DB105", text.span, f"`{text.path[-1]}` is drawn without a {end} value", help=help)
+        self.values.findings.add("DB105", text.span, f"`{text.path[-1]}` is drawn without a {end}", help=help)
         return False
 
     def ends(
@@ -292,7 +292,7 @@ class Namespace:
             self.colours[:] = [each for each in self.colours if each.of != of]  # as for a link that two patterns mean
         if len(options) > 1 and of is None:
             help = "it must be the same in every episode; give one colour"
-            self.values.findings.add("DB407", text.span, "a draw of a colour that is fixed", help=help)
+            self.values.findings.add("DB407", text.span, "a random value for a colour that must be fixed", help=help)
         elif len(options) > 1 and of is not None:
             single = Type(stage=Stage.EPISODE)
             ends = tuple(Constant(single, 0, 0, (end,)) for end in (0.0, len(options) - 1.0))
@@ -360,8 +360,8 @@ class Namespace:
         circle = self._open[self._open.index(definition) :]
         way = " -> ".join(entry.name for entry in (*circle[:_SHOWN], definition))
         again = definition.origin in (Origin.AUGMENT, Origin.SIGNAL)
-        help = "break the circle" + (": `previous(...)` gives the value of the step before" if again else "")
-        headline = f"`{definition.name}` is defined by way of itself"
+        help = "define one of these values without the others" + (", or use `previous(...)`, the value of the step before" if again else "")
+        headline = f"`{definition.name}` depends on itself"
         notes = (f"the circle is {way}",) if len(circle) > 1 else ()
         self.values.findings.add("DB207", self.values.key_span(definition.path), headline, help=help, notes=notes)
         definition.symbol = Symbol(definition.name, None)

@@ -62,8 +62,8 @@ class Room:
         elif arena is not None and any(
             region.low[axis] > arena.size[axis] / 2 - needed / 2 or region.high[axis] < needed / 2 - arena.size[axis] / 2 for axis in (0, 1)
         ):
-            headline = f"no spot of the region is far enough within the walls of the arena for `{place.body}`"
-            self._values.findings.add("DB105", span, headline, help="let it reach into the arena, which lies about the origin")
+            headline = f"no position in the region is far enough from the walls of the arena for `{place.body}`"
+            self._values.findings.add("DB105", span, headline, help="move the region into the arena, whose centre is the origin")
         elif region.mesh and (cells := int(width / region.mesh + 1e-9) * int(depth / region.mesh + 1e-9)) < copies:
             headline = f"a grid of {cells} cells for {'one body' if copies == 1 else f'up to {copies} copies'}"
             self._values.findings.add(
@@ -97,10 +97,10 @@ class Room:
             return  # the circle is reported once, of the first of its bodies
         if below is not None and below.body == place.body:
             notes = (f"the circle is {' -> '.join((*stack, place.body))}",) if len(stack) > 1 else ()
-            add("DB207", span, f"`{place.body}` stands on itself", help="let one of them stand on the ground", notes=notes)
+            add("DB207", span, f"`{place.body}` stands on itself", help="place one of them on the ground", notes=notes)
             return
         if any(_coordinate(support, turn) != 0.0 for turn in ("roll", "pitch")):
-            add("DB203", span, f"the top of `{spot.of}` is not level", help="let it stand upright, without `roll` and `pitch`")
+            add("DB203", span, f"the top of `{spot.of}` is not level", help="place it upright, without `roll` and `pitch`")
             return
         kinds = self._footprints(place)
         top = footprint.of_shape(next(thing.shape for thing in self._world.objects if thing.name == spot.of))
@@ -125,7 +125,7 @@ class Room:
             (reach_x, reach_y), span = patch.extent, self._values.key_span((*path, "region"))
             sides = f"x = {patch.x - reach_x:g} .. {patch.x + reach_x:g} m and y = {patch.y - reach_y:g} .. {patch.y + reach_y:g} m"
             help = f"leave out `region` to use the whole top, which covers {sides}"
-            add("DB105", span, f"no spot of the region lies on the top of `{spot.of}`", help=help)
+            add("DB105", span, f"no position in the region is on the top of `{spot.of}`", help=help)
 
     def _check_covered(self, place: Placement, region: Region, standing: Mapping[str, Placement], path: Path) -> None:
         """DB105 where a body that stands at known coordinates covers the whole region, so that no spot of it is ever free.
@@ -144,10 +144,10 @@ class Room:
             patch = _standing_patch(thing, other)
             needed = inner + max(place.clearance, other.clearance if other else 0.0)
             if patch is not None and all(patch.distance(*corner) < needed - 1e-6 for corner in corners):
-                headline = f"`{place.body}` finds no place: what `{thing.name}` covers leaves no free spot in the region"
+                headline = f"the region has no free position for `{place.body}`: `{thing.name}` covers it"
                 onto = f"write `on: {thing.name}` to put it on the top of `{thing.name}`, or " if has_top(thing) and other else ""
                 self._values.findings.add(
-                    "DB105", self._values.key_span((*path, "region")), headline, help=f"{onto}move the region clear of it"
+                    "DB105", self._values.key_span((*path, "region")), headline, help=f"{onto}move the region away from it"
                 )
                 return
 
@@ -289,7 +289,7 @@ class Places:
             place = replace(place, spot=self._region(pose))
         elif pose.grid is not None:
             span = self._values.key_span((*pose.path, "grid"))
-            self._values.findings.add("DB102", span, "a grid without a region", help="say where its cells are: `region: arena`")
+            self._values.findings.add("DB102", span, "a grid without a region", help="give the region of the grid: `region: arena`")
         self._check_spots(place.spot, pose.path)
         if isinstance(place.spot, Region) and used:
             self._room.check_region(place, place.spot, pose.path)
@@ -395,8 +395,8 @@ class Places:
         known = [place.coordinates[axis] for axis in PLANE if axis in place.coordinates]
         is_fixed = all(constant(coordinate.typed) is not None for coordinate in known)
         if copies > 1 and is_fixed and place.spot is None and not any(place.spacing):
-            headline = f"up to {copies} copies of `{place.body}` at one spot"
-            help = "draw their spots with `region`, put them in a row with `spacing`, or place `at_most: 1`"
+            headline = f"up to {copies} copies of `{place.body}` at one position"
+            help = "draw their positions with `region`, place them in a row with `spacing`, or place `at_most: 1`"
             self._values.findings.add("DB105", self._values.key_span(path), headline, help=help)
 
 
@@ -430,7 +430,7 @@ class Layouts:
         given, layouts = self._spec.reset.layout, self._spec.reset.layouts
         shares = self._shares() if isinstance(given, dict) else {given: 1.0} if given is not None else dict.fromkeys(list(layouts)[:1], 1.0)
         if given is None and len(layouts) > 1:
-            help = f"name one, or a mixture: `layout: {next(iter(layouts))}`"
+            help = f"name one layout, or several with their shares: `layout: {next(iter(layouts))}`"
             self._values.findings.add("DB102", self._values.key_span(("reset", "layouts")), "missing key `layout`", help=help)
         for name in shares:
             if name not in layouts:
@@ -454,7 +454,7 @@ class Layouts:
         shares = {name: share for name, share in read.items() if share is not None}
         if len(shares) == len(read) and abs(sum(shares.values()) - 1.0) > 1e-6:
             headline = f"shares of {100 * sum(shares.values()):g} % together"
-            self._values.findings.add("DB105", self._values.key_span(("reset", "layout")), headline, help="let them add up to 100 %")
+            self._values.findings.add("DB105", self._values.key_span(("reset", "layout")), headline, help="make the shares add up to 100 %")
         return shares
 
     # Maps
@@ -499,7 +499,7 @@ class Layouts:
     def _is_even(self, rows: list[list[tuple[str, Span]]]) -> bool:
         for row in rows[1:]:
             if len(row) != len(rows[0]):
-                headline = f"a row of {len(row)} cells below one of {len(rows[0])}"
+                headline = f"a row of {len(row)} cells below a row of {len(rows[0])}"
                 self._values.findings.add("DB106", row[0][1], headline, help="write a dot for each empty cell, and blanks between cells")
                 return False
         return True
@@ -530,8 +530,8 @@ class Layouts:
         span = self._values.key_span(("reset", "layouts"))
         bodies = len(self._world.robots) + sum(thing.bodies for thing in self._world.objects) + len(self.walls) + count
         if bodies > MAX_BODIES:
-            headline = f"the world has {bodies:_} bodies, the walls of maps among them, more than {MAX_BODIES}"
-            self._values.findings.add("DB005", span, headline, help="put up long walls under `world.walls`, or use larger cells")
+            headline = f"the world has {bodies:_} bodies, with the walls of maps, more than {MAX_BODIES}"
+            self._values.findings.add("DB005", span, headline, help="write long walls under `world.walls`, or use larger cells")
             return
         group = Group(name, count, Expression("count", span, "", number, name))
         self._namespace.groups[name] = group

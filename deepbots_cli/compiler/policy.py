@@ -42,7 +42,7 @@ from deepbots_cli.program.world import MAX_BODIES
 from deepbots_cli.scenario.task import ContinuousAction, DiscreteAction, Observed
 from deepbots_cli.scenario.task import Goal as GoalSpec
 
-_NOT_YET = "take it out for now; the page about the language lists, at its end, what does not run yet"
+_NOT_YET = 'remove it; docs/language.md lists under "Not yet" what is not supported'
 _TOGETHER: tuple[tuple[Path, str], ...] = (
     (("goal",), "a goal"),
     (("world", "terrain"), "terrain"),
@@ -71,7 +71,7 @@ def copies(namespace: Namespace) -> RobotCopies | None:
     if robot_spec.spacing is None and values.is_lost("spacing"):
         return None
     if robot_spec.spacing is None:
-        help = f"say how far they stand apart, as in `robots.{name}.spacing: 0 0.5 0 m`"
+        help = f"give the distance between copies, as in `robots.{name}.spacing: 0 0.5 0 m`"
         values.findings.add("DB102", values.span(("agent", "each")), f"the copies of `{name}` have no `spacing`", help=help)
         return None
     spacing = namespace.triple(robot_spec, "spacing")
@@ -183,8 +183,8 @@ class Actions:
         number = partial(self._namespace.fixed, part, "choices", option, dimension=NUMBER)
         if not isinstance(given, dict):
             if named:
-                help = f"write what it sets, as in `{{{variables[0]}: 1}}`"
-                self._values.findings.add("DB103", self._values.span(place), "a number, where other choices set variables", help=help)
+                help = f"write the variables that it sets, as in `{{{variables[0]}: 1}}`"
+                self._values.findings.add("DB103", self._values.span(place), "a number, but other choices set variables", help=help)
                 self._values.lose(str(place[1]))
                 return (0.0,) * len(variables)
             return (number() or 0.0,)
@@ -285,7 +285,9 @@ class Observations:
         count = len(typed.type.components or ("",))
         if typed.type.picture:
             if text.text != "auto":
-                self._values.findings.add("DB403", text.span, "a range for a picture", help="write `auto`: its pixels are seen as 0 to 255")
+                self._values.findings.add(
+                    "DB403", text.span, "a range for a picture", help="write `auto`: a pixel is a number from 0 to 255"
+                )
                 return None
             return (), ()
         if typed.type.boolean:
@@ -380,8 +382,8 @@ class Goals:
     def _check_repeat(self) -> None:
         if self._spec.agent.action_repeat > 1:
             span = self._values.field(self._spec.agent, "action_repeat").span
-            help = "take `action_repeat` out, and make the timestep longer"
-            self._values.findings.add("DB709", span, "a reward over several ticks, which hindsight cannot recompute", help=help)
+            help = "remove `action_repeat`, and make the timestep longer"
+            self._values.findings.add("DB709", span, "a reward over several timesteps, which hindsight cannot recompute", help=help)
 
     def _part(self, spec: GoalSpec, name: str) -> Symbol:
         """What is achieved or desired; what is desired has the dimension and the components of what is achieved."""
@@ -550,13 +552,15 @@ class _Reader:
         always = next((index for index, (_, holds) in enumerate(branches) if constant(holds.typed) == (True,)), None)
         if always is None:
             headline = f"`{part.name}` may be left undecided: none of the conditions always holds"
-            help = f"let the last one hold always: `{branches[-1][0]}: true`"
+            help = f"make the last condition true: `{branches[-1][0]}: true`"
             self._values.findings.add("DB102", self._values.key_span(place), headline, help=help)
             return None
         otherwise = branches[always][0]
         for option, _ in branches[always + 1 :]:
-            headline = f"`{option}` is never taken, as `{otherwise}` before it always is"
-            self._values.findings.add("DB205", self._values.key_span((*place, option)), headline, help="take it out, or put it before")
+            headline = f"`{option}` is never chosen: the condition of `{otherwise}` before it is always true"
+            self._values.findings.add(
+                "DB205", self._values.key_span((*place, option)), headline, help=f"remove it, or move it before `{otherwise}`"
+            )
         return ScriptedChoice(tuple(branches[:always]), otherwise)
 
     def _condition(self, place: Path, given: object) -> Expression | None:

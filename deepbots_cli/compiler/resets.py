@@ -67,7 +67,7 @@ def _start_value(
         return None
     reach, limits = typed.type.interval, subject.interval
     if dimension == subject.dimension and reach.finite and not reach.inside(limits):
-        help = "an engine pushes the joint back at once; keep to its limits"
+        help = "set a position within the limits: an engine pushes the joint back at once"
         warn_beyond(values, text, dimension, limits, "a start at", reach, help)
     return text.expression(typed, key, spread=joints if len(joints) > 1 else None)
 
@@ -75,7 +75,7 @@ def _start_value(
 # Before the first step nothing has touched or acted, and no picture was taken.
 _UNMOVED = {
     **dict.fromkeys(("contact", "collided"), "before the first step nothing has touched; ask for `clearance(...) > 1 cm`"),
-    "joint_torque": "before the first step no motor has acted; take it out",
+    "joint_torque": "before the first step no motor has acted; remove it",
     "visible": "the start is chosen before the first picture is taken; use the position of the body, as in `abs(bearing(...)) < 30 deg`",
 }
 
@@ -117,7 +117,7 @@ def _require_places(namespace: Namespace) -> None:
     }
     for name, group in namespace.groups.items():
         if name not in mentioned and namespace.origin(name) is Origin.OBJECT and not namespace.values.is_lost(name):
-            help = f"say where they stand under `reset.place`, such as `{name}: {{region: arena}}`"
+            help = f"place them under `reset.place`, as in `{name}: {{region: arena}}`"
             namespace.values.findings.add("DB102", group.count.span, f"no place for the copies of `{name}`", help=help)
 
 
@@ -136,7 +136,7 @@ def _requirement(namespace: Namespace) -> Expression | None:
             headline = f"`{call.function}` in a requirement on the start"
             values.findings.add("DB407", span, headline, help=_UNMOVED[call.function])
     if constant(typed) == (False,):
-        values.findings.add("DB105", text.span, "a requirement that no start meets", help="let it depend on where things are")
+        values.findings.add("DB105", text.span, "no start can meet this requirement", help="use a condition on positions or distances")
     return text.expression(typed)
 
 
@@ -145,8 +145,8 @@ def settling_time(namespace: Namespace, tick: float) -> float:
     values, settle = namespace.values, namespace.fixed(namespace.scenario.reset, "settle") or 0.0
     span = values.field(namespace.scenario.reset, "settle").span
     if abs(settle - round(settle / tick) * tick) > 1e-9 * settle and not values.is_lost("world.timestep"):
-        headline = f"a settling time of {settle:g} s, which is no multiple of the timestep of {tick:g} s"
-        values.findings.add("DB308", span, headline, help="the world moves on in whole timesteps")
+        headline = f"a settling time of {settle:g} s, which is not a multiple of the timestep of {tick:g} s"
+        values.findings.add("DB308", span, headline, help="write a multiple of the timestep")
     if settle / tick * namespace.scenario.world.substeps > MAX_SETTLING_STEPS:
         headline = f"a settling time of {settle:g} s, which is more than {MAX_SETTLING_STEPS:_} physics steps in every reset"
         values.findings.add("DB105", span, headline, help="a few seconds are usual")

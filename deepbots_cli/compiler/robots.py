@@ -418,7 +418,7 @@ def located(reference: str, span: Span, document: Document, values: Values, *, r
     if reference.startswith("package://"):
         found = meshes.in_package(reference)
         if found is None:
-            help = "the package must be installed, and hold such a file"
+            help = "the package must be installed and contain this file"
             values.findings.add("DB204", span, f"`{reference}` does not exist", help=help)
         return found
     beside = files.resolve(reference, document.directory_of(span), document.roots)
@@ -446,7 +446,12 @@ def _groups(model: RobotModel, spec: RobotSpec, values: Values) -> dict[str, Gro
         as_joints, not_joints = expand(joints, patterns, groups)
         as_links, not_links = expand(links, patterns, groups)
         if not not_joints and len({joint_dimension(model.joint(joint)) for joint in as_joints}) > 1:
-            values.findings.add("DB404", values.span(place), "turning and sliding joints in one group", help="make a group of each")
+            values.findings.add(
+                "DB404",
+                values.span(place),
+                "turning and sliding joints in one group",
+                help="make one group of turning joints, and one of sliding joints",
+            )
         elif not not_joints:
             groups[name] = (Kind.JOINTS, as_joints)
             continue
@@ -457,6 +462,8 @@ def _groups(model: RobotModel, spec: RobotSpec, values: Values) -> dict[str, Gro
             span = values.span((*place, patterns.index(odd[0])))
             unmatched(values, span, odd[0], "joint or link", list(dict.fromkeys([*joints, *links])))
         else:
-            values.findings.add("DB203", values.span(place), "joints and links in one group", help="make a group of each")
+            values.findings.add(
+                "DB203", values.span(place), "joints and links in one group", help="make one group of joints, and one of links"
+            )
         values.lose(name)
     return groups

@@ -39,7 +39,7 @@ def foreign(name: str, given: PythonTerm, namespace: Namespace, *, boolean: bool
 _SHOWN = 60
 MAX_ENDINGS = 200
 """Whatever is paid is held against every one of them."""
-NO_SUCCESS = "a success rate, where nothing counts as success"
+NO_SUCCESS = "a success rate, but the scenario defines no success"
 
 
 class Signals:
@@ -132,7 +132,7 @@ def _amount(text: Text, namespace: Namespace) -> Typed | None:
     report = namespace.values.report(text)
     typed = namespace.values.expression(text, SupervisorScope(namespace, Context.REWARD))
     if typed is not None and typed.type.boolean:
-        help = f"say what it is worth, as in `1 when {text.text if len(text.text) <= _SHOWN else '...'}`"
+        help = f"give it a value, as in `1 when {text.text if len(text.text) <= _SHOWN else '...'}`"
         worth = "a truth value where a number belongs"
         report("DB403", 0, len(text.text), worth, help, Meant(f"1 when {text.text}", safe=False))
         return None
@@ -146,7 +146,7 @@ def truncation(namespace: Namespace) -> Truncation:
         if not values.is_lost("truncation"):
             span = values.key_span(("termination",) if "termination" in namespace.scenario.model_fields_set else ("reward",))
             values.findings.add(
-                "DB803", span, "nothing is sure to end an episode", help="add `truncation: {max_steps: 1000}`, or a `max_time`"
+                "DB803", span, "no condition is certain to end an episode", help="add `truncation: {max_steps: 1000}`, or a `max_time`"
             )
         return Truncation()
     steps = namespace.fixed(limits, "max_steps")
@@ -161,7 +161,7 @@ def solved(namespace: Namespace) -> Solved | None:
     rate = namespace.fixed(spec.solved, "success_rate")
     known = spec.termination.success or spec.goal or any(map(values.is_lost, ("success", "termination", "goal")))
     if rate is not None and not known:
-        help = "add a condition under `termination.success`, or ask for a `mean_return`"
+        help = "add a condition under `termination.success`, or require a `mean_return`"
         values.findings.add("DB407", values.field(spec.solved, "success_rate").span, NO_SUCCESS, help=help)
     mean_return = None if spec.solved.mean_return is None else float(spec.solved.mean_return)
     return Solved(spec.solved.episodes, mean_return, rate)

@@ -50,14 +50,14 @@ class Sensing:
         )
 
     def _check_size(self) -> None:
-        """DB005 for more than a robot can send in every tick."""
+        """DB005 for more than a robot can send in every timestep."""
         rays = sum(len(sensor.beams.rays) for sensor in self._sensors.values() if sensor.beams)
         values = sum(math.prod(symbol.type.picture) for symbol in self.symbols.values() if symbol.type and symbol.type.picture)
         for count, limit, what in ((rays, MAX_SENSED_RAYS, "rays"), (values, MAX_OBSERVED_BYTES, "bytes of pictures")):
             if count > limit:
                 span = self._values.key_span((*self._scene.spec.path, "sensors"))
                 headline = f"`{self._scene.name}` senses {count:_} {what}, more than {limit:_}"
-                self._values.findings.add("DB005", span, headline, help="every one is read in every timestep")
+                self._values.findings.add("DB005", span, headline, help="use fewer: the robot reads all of them in every timestep")
 
     def _add(self, name: str, spec: SensorSpec) -> None:
         made = self._read(name, spec)
@@ -118,12 +118,12 @@ class Sensing:
     def _reaching(self, sensor: Sensor, spec: RaySensor, faults: NoiseModel | None) -> Sensor:
         """The sensor with rays that go to the end of its range."""
         if "range" not in spec.model_fields_set:
-            headline = f"how far `{sensor.name}` sees is not known"
+            headline = f"the range of `{sensor.name}` is not known"
             self._values.findings.add("DB102", self._values.key_span(spec.path), headline, help="give its `range: 0 .. 1 m`, or a `lookup`")
         reach = max(faults.high) if faults and faults.high else 0.0
         if faults and faults.high and reach <= 0.0:
             span, headline = self._values.span((*spec.path, "range")), f"a range that ends at {reach:g} m"
-            self._values.findings.add("DB105", span, headline, help="distances are more than 0")
+            self._values.findings.add("DB105", span, headline, help="end the range above 0 m: distances are positive")
         return replace(sensor, beams=replace(sensor.beams, reach=reach) if sensor.beams else None)
 
     def _against(self, spec: Touch) -> tuple[str, ...]:
@@ -243,12 +243,14 @@ def _lookup(namespace: Namespace, spec: TableSpec) -> tuple[CalibrationTable, Di
     distance = columns["distance"]
     for key, column in columns.items():
         if len(column) != len(distance):
-            headline = f"`{key}` has {len(column)} figures, `distance` {len(distance)}"
+            headline = f"`{key}` has {len(column)} numbers, and `distance` has {len(distance)}"
             values.findings.add("DB106", values.span((*spec.path, key)), headline, help="give one for each distance")
     falling = [b for a, b in pairwise(distance) if b <= a]
     distances, noises = values.span((*spec.path, "distance")), columns.get("noise", ())
     if falling:
-        values.findings.add("DB105", distances, f"the distances do not rise at {falling[0]:g} m", help="give the nearest first")
+        values.findings.add(
+            "DB105", distances, f"the distances do not increase at {falling[0]:g} m", help="give the smallest distance first"
+        )
     elif distance[0] < 0.0 or distance[-1] <= 0.0:
         headline, help = f"a distance of {min(distance[0], distance[-1]):g} m", "distances are 0 or more, the last more than 0"
         values.findings.add("DB105", distances, headline, help=help)
@@ -286,10 +288,10 @@ def _noise_model(namespace: Namespace, spec: SensorSpec, known: Type) -> tuple[N
 
 
 def _refuse_errors(values: Values, spec: SensorSpec, known: Type) -> None:
-    tells, keys = ("takes pictures", _OF_NUMBERS[:-2]) if known.picture else ("tells true or false", _OF_NUMBERS)
+    tells, keys = ("takes pictures", _OF_NUMBERS[:-2]) if known.picture else ("reads true or false", _OF_NUMBERS)
     for key in keys:
         if key in spec.model_fields_set:
-            values.findings.add("DB403", values.key_span((*spec.path, key)), f"`{key}` of a sensor that {tells}", help="take it out")
+            values.findings.add("DB403", values.key_span((*spec.path, key)), f"`{key}` of a sensor that {tells}", help="remove it")
 
 
 def _latency(namespace: Namespace, spec: SensorSpec) -> float:
@@ -317,7 +319,7 @@ def _resolution(namespace: Namespace, spec: SensorSpec, known: Type) -> tuple[fl
     steps = namespace.numbers(spec, "resolution", dimension=known.dimension, components=known.components)
     if steps and any(0.0 < step < MIN_RESOLUTION for step in steps):
         values, headline = namespace.values, f"a step of {min(steps):g} between two readings"
-        help = f"give at least {MIN_RESOLUTION:g}, or take it out"
+        help = f"give at least {MIN_RESOLUTION:g}, or remove it"
         values.findings.add("DB105", values.span((*spec.path, "resolution")), headline, help=help)
     return steps if steps and all(steps) else ()
 
@@ -334,14 +336,14 @@ def _owner(path: Path, field: str) -> OfSensor:
 
 
 def _with_period(faults: NoiseModel | None, namespace: Namespace, spec: SensorSpec, tick: float) -> NoiseModel | None:
-    """The errors with the period of the sensor, in ticks; DB308 for a period that is no whole number of them."""
+    """The errors with the period of the sensor, in timesteps; DB308 for a period that is no whole number of them."""
     seconds, values = namespace.fixed(spec, "period"), namespace.values
     if seconds is None or values.is_lost("world.timestep"):
         return faults
     ticks, span = round(seconds / tick), values.span((*spec.path, "period"))
     if ticks < 1 or abs(seconds - ticks * tick) > 1e-9 * seconds:
-        headline = f"a period of {seconds:g} s, which is no multiple of the timestep of {tick:g} s"
-        values.findings.add("DB308", span, headline, help="a sensor is read in whole timesteps")
+        headline = f"a period of {seconds:g} s, which is not a multiple of the timestep of {tick:g} s"
+        values.findings.add("DB308", span, headline, help="write a multiple of the timestep")
     elif ticks > MAX_TICKS:
         values.findings.add("DB105", span, f"a period of {ticks:_} timesteps", help="give a shorter one")
     return replace(faults or NoiseModel(), period=ticks) if ticks > 1 else faults

@@ -195,7 +195,7 @@ class Values:
     def unknown(self, span: Span, what: str, name: str, known: Sequence[str], code: str = "DB201") -> None:
         """A finding that `name` is none of the `known`, unless its definition had one."""
         if not self.is_lost(name):
-            help = choose_from(name, known) if known else "there is none to choose from"
+            help = choose_from(name, known) if known else "the scenario has none"
             near = meant(name, known)
             fix = Fix.replacing(span, name, near.text, safe=near.safe) if near else None
             self.findings.add(code, span, f"there is no {what} `{name}`", help=help, fix=fix)
@@ -335,7 +335,7 @@ class Values:
         count = len(components) if components else 1
         lows, highs = (tuple(map(float, ends * count if len(ends) == 1 else ends)) for ends in (low, high))
         if not falling and any(high <= low for low, high in zip(lows, highs, strict=True)):
-            self.findings.add("DB105", text.span, "an empty range", help="let its ends differ")
+            self.findings.add("DB105", text.span, "an empty range", help="give two different ends")
             return None
         return Ends((bounds.high if zero(bounds.low) else bounds.low).type.dimension, lows, highs)
 

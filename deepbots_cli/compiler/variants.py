@@ -68,7 +68,7 @@ def training(namespace: Namespace, action: Action, copies: RobotCopies | None, l
         longest = longest_episode * spec.train.environments * (copies.count if copies else 1)
         if starts < longest:
             headline = (
-                f"learning begins after {starts:_} steps, when possibly no episode is complete:"
+                f"learning begins after {starts:_} steps, and possibly no episode is complete by then:"
                 " hindsight samples goals from complete episodes"
             )
             values.findings.add("DB105", values.span(("train", "learning_starts")), headline, help=f"give at least {longest:_}")
@@ -107,7 +107,7 @@ def _check_algorithm(algorithm: str, action: Action, namespace: Namespace) -> No
     if algorithm in _ONE_CHOICE and (intervals or len(action) > 1):
         headline, help = f"{algorithm} needs one choice as its action", "use PPO, or give the action as `choices`"
     elif algorithm in _CHOICES and intervals:
-        headline, help = "a range, where `MaskablePPO` can only choose between options", "use PPO, or give the action as `choices`"
+        headline, help = "`MaskablePPO` cannot use a range: it chooses between options", "use PPO, or give the action as `choices`"
     elif algorithm in _INTERVALS and len(intervals) < len(action):
         headline, help = f"{algorithm} cannot choose between options", "use PPO or DQN, or give the action as a range"
     elif intervals and len(intervals) < len(action):
@@ -194,14 +194,14 @@ class _Maker:
             last = index == len(spec.curriculum) - 1
             found = read_until(stage.until)
             if found and found[0] == "success_rate" and not (spec.termination.success or spec.goal):
-                help = "add a condition under `termination.success`, or ask for a `mean_return`"
+                help = "add a condition under `termination.success`, or require a `mean_return`"
                 self.report("DB407", (*path, "until"), NO_SUCCESS, help)
             if stage.until is None and not last:
                 help = "add `until: success_rate >= 0.7 over 40 episodes`"
-                self._findings.add("DB102", here, f"the stage `{stage.name}` never ends, and others follow", help=help)
+                self._findings.add("DB102", here, f"the stage `{stage.name}` never ends, so the next stage never begins", help=help)
             elif stage.until is not None and last:
-                help = "take it out; `solved` says when the training may end"
-                self.report("DB407", (*path, "until"), "nothing follows the last stage", help)
+                help = "remove it; `solved` determines when the training ends"
+                self.report("DB407", (*path, "until"), "the last stage has an `until`", help)
 
     def program(self, word: Word, name: str, path: Path) -> Program | None:
         """The task under the `set` at `path`; None after a finding."""
@@ -246,7 +246,7 @@ class _Maker:
         if word == "stage" and program.world.timestep != self._base.world.timestep:
             lines.append(f"timestep: elsewhere {self._base.world.timestep:g} s, here {program.world.timestep:g} s")
         if lines:
-            headline = f"in the {word} `{name}` the policy would see, do or send something else"
-            help = f"a {word} may change the world; write observation, action and messages with values that it does not set"
+            headline = f"the {word} `{name}` changes the interface of the policy"
+            help = f"a {word} may change the world, but not the observation, action or messages: they must not depend on its `set`"
             self._findings.add("DB613", here, headline, help=help, notes=tuple(lines[:5]))
         return not lines

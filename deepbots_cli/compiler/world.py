@@ -83,10 +83,10 @@ def _group(name: str, thing: world_spec.Placed, namespace: Namespace) -> Group |
         return None
     highest = count.typed.type.interval.high
     if not math.isfinite(highest):
-        findings.add("DB105", count.span, "a count without a greatest value", help="draw it from a range: `integer(1 .. 10)`")
+        findings.add("DB105", count.span, "a count without a maximum", help="draw it from a range: `integer(1 .. 10)`")
         return None
     if highest > MAX_BODIES:
-        help = "an engine would take minutes to build it"
+        help = "use fewer: an engine would take minutes to build this world"
         findings.add("DB005", count.span, f"{highest:_.0f} copies, more than {MAX_BODIES}", help=help)
         return None
     return Group(name, max(1, int(highest)), count)
@@ -180,7 +180,7 @@ def _points(spec: world_spec.Line | world_spec.Wall, namespace: Namespace) -> tu
     for index, (one, other) in enumerate(zip(points, [*points[1:], points[0]] if spec.closed else points[1:], strict=False)):
         if one == other:
             after = (index + 1) % len(points)
-            headline = "two points in a row are the same" if after else "the last point is the first one again"
+            headline = "two points in a row are the same" if after else "the last point repeats the first point"
             help = "leave one of them out" if after else "leave it out; `closed: true` joins the ends"
             span = namespace.values.span((*spec.path, "points", after or index))
             namespace.values.findings.add("DB105", span, headline, help=help)
@@ -267,7 +267,9 @@ def _formula(given: world_spec.Formula, size: tuple[float, float], namespace: Na
         found = _at(heights, {"x": x, "y": y})
         if not (isinstance(found, Const) and abs(found.value) < _HIGHEST):
             headline = f"the ground has no height, or one beyond 10 km, at x = {x:g} m, y = {y:g} m"
-            values.findings.add("DB105", text.span, headline, help="it divides by zero, leaves the domain of a function, or is too large")
+            values.findings.add(
+                "DB105", text.span, headline, help="correct `heights`: it divides by zero, leaves the domain of a function, or is too large"
+            )
             return None
     return Formula(heights, size)
 
@@ -437,7 +439,7 @@ def _check_bodies(robots: int, objects: int, pieces: int, namespace: Namespace) 
     if sum(counts.values()) > MAX_BODIES:
         span = namespace.values.key_span(max(counts, key=lambda section: counts[section]))
         headline = f"the world has {sum(counts.values()):_} robots, objects and pieces of walls, more than {MAX_BODIES}"
-        namespace.values.findings.add("DB005", span, headline, help="an engine would take minutes to build it")
+        namespace.values.findings.add("DB005", span, headline, help="use fewer: an engine would take minutes to build this world")
 
 
 def _ground(spec: world_spec.Ground, namespace: Namespace) -> Ground:

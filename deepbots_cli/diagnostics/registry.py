@@ -82,7 +82,7 @@ _CATALOGUE = (
     Rule("DB305", "missing-inertial", "warning", "a link without inertia, which has no mass"),
     Rule("DB306", "implausible-inertia", "warning", "an inertia that no rigid body can have"),
     Rule("DB307", "missing-joint-limits", "warning", "a revolute or prismatic joint without limits"),
-    Rule("DB308", "rate-mismatch", "error", "a period that is no multiple of the timestep"),
+    Rule("DB308", "rate-mismatch", "error", "a period that is not a multiple of the timestep"),
     Rule("DB309", "unstable-simulation", "error", "a world that the engine cannot simulate", deep="only"),
     Rule("DB310", "spawn-overlap", "error", "bodies that overlap when an episode begins", deep="only"),
     Rule("DB311", "odd-urdf", "warning", "a robot file with a harmless oddity"),

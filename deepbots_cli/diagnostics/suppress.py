@@ -173,7 +173,7 @@ def _unused(entry: _Suppression) -> Finding:
         help = f"did you mean {near}?" if near else "a code has the form DB603"
         guess = Fix((Edit(entry.span, near),), safe=False) if near else None
         return Finding("DB901", entry.span, f"there is no rule `{entry.code}`", help=help, fix=guess)
-    headline, help = f"no finding {entry.code} is suppressed here", "remove the comment"
+    headline, help = f"this comment suppresses no finding {entry.code}", "remove the comment"
     if rule.severity == "error":
         headline, help = f"{entry.code} is an error, which cannot be suppressed", "correct the error"
     return Finding("DB901", entry.span, headline, help=help, fix=Fix((entry.removal,), safe=True))

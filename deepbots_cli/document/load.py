@@ -266,7 +266,7 @@ class _Reader:
                 _, key, found = descend(own, steps)
                 if found == len(steps) and key is not None and key.span.source is item.span.source:
                     headline = f"`{item.text}` is defined here, and removed by `remove`"
-                    help = "remove one of the two; a new value needs no `remove`"
+                    help = "remove one of the two; a new value replaces the old one without `remove`"
                     self.findings.add("DB205", key.span, headline, help=help, also=(Label(item.span, "removed here"),))
             else:
                 here = item.part(len(item.text) - len(rest), len(item.text))

@@ -61,8 +61,8 @@ _COMPARISONS = {"<": "less", "<=": "less_equal", ">": "greater", ">=": "greater_
 _MAX_EXPONENT = 12
 # Roots that physics meets: halves, thirds and quarters. A float stands for one if it is the nearest.
 _MAX_DENOMINATOR = 4
-_NO_ZERO = "bound it away from zero, as in `max(x, 0.01 m)`"
-_KEEP_ABOVE = "bound it from below with `max(x, ...)`"
+_NO_ZERO = "keep it away from zero, as in `max(x, 0.01 m)`"
+_KEEP_ABOVE = "keep it above a minimum with `max(x, ...)`"
 _FAMILY_HELP = {
     Family.DRAW: "draw it as a parameter, and use the parameter here",
     Family.STATEFUL: "define it as a signal, and use the signal where signals are known",
@@ -582,7 +582,7 @@ def _with_owner(name: str, known: list[str]) -> Meant | None:
 
 
 def _known(names: list[str]) -> str:
-    return f"known names: {shown((f'`{name}`' for name in sorted(names)), 20)}" if names else "there is none to choose from"
+    return f"known names: {shown((f'`{name}`' for name in sorted(names)), 20)}" if names else "the scenario has none"
 
 
 def _one_of(kinds: frozenset[Kind]) -> str:

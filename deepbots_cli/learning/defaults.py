@@ -49,7 +49,7 @@ _PPO = {
     "n_steps": Default(lambda training, *_: _roll_out(training), "256 / `environments`, rounded down to a multiple of 32, at least 32"),
     "batch_size": Default(
         lambda training, *_: 64 if _roll_out(training) * training.environments % 64 == 0 else 32,
-        "64, or 32 where a default roll-out of all environments is no multiple of 64",
+        "64, or 32 where a default roll-out of all environments is not a multiple of 64",
     ),
     "gae_lambda": Default(lambda *_: 0.9, "0.9"),
     # Narrow layers bear, and need, larger steps; 64x64 learns as fast at a third of the rate and is steadier there.

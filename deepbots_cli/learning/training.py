@@ -205,7 +205,7 @@ def _training_of(program: Program, total_timesteps: int | None) -> Training:
     if training.total_timesteps < 1:
         raise UsageError(f"total_timesteps must be at least 1, and is {training.total_timesteps}")
     if training.total_timesteps > MAX_STEPS:
-        raise UsageError(f"a training of {training.total_timesteps} steps would never end; ask for at most {MAX_STEPS}")
+        raise UsageError(f"a training of {training.total_timesteps} steps would never end; write at most {MAX_STEPS}")
     algorithms.check(training)
     algorithms.check_memory(training.environments)
     return training

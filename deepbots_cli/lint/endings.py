@@ -98,7 +98,7 @@ def always_true(context: Context) -> Iterator[Finding]:
     for ending in context.program.endings:
         if _truth_over_episode(context.analysis, ending) == ALWAYS:
             headline = f"`{ending.value.name}` holds in every step"
-            yield Finding("DB802", ending.value.span, headline, help="write a limit that an episode can respect")
+            yield Finding("DB802", ending.value.span, headline, help="write a condition that does not always hold")
 
 
 def shadowed_limit(context: Context) -> Iterator[Finding]:
@@ -281,7 +281,7 @@ def after_the_end(context: Context) -> Iterator[Finding]:
     for what, time, path in _delays(context.analysis):
         if time >= end and all(known.get(path, time) >= end for known in times):
             headline = f"{what} {with_unit(time, TIME)} or more, and no episode lasts longer than {with_unit(end, TIME)}"
-            yield Finding("DB811", context.values.span(path), headline, help="write an earlier time, or longer episodes under `truncation`")
+            yield Finding("DB811", context.values.span(path), headline, help="write a shorter time, or longer episodes under `truncation`")
 
 
 def _delays(analysis: Analysis) -> Iterator[tuple[str, float, Path]]:

@@ -75,12 +75,12 @@ def _unused_parts(context: Context) -> Iterator[Finding]:
             if sensor.name not in used and f"{robot.name}.{sensor.name}" not in read
         ]
         unused += [
-            (("receive", value.name), "sent to a robot that does not use it", "use it under `apply`, or take it out")
+            (("receive", value.name), "sent to a robot that does not use it", "use it under `apply`, or remove it")
             for value in robot.receive
             if value.name not in used
         ]
         unused += [
-            (("actuators", actuator.name), "an actuator that nothing drives", "give it a command under `apply`, or take it out")
+            (("actuators", actuator.name), "an actuator that nothing drives", "give it a command under `apply`, or remove it")
             for actuator in robot.actuators
             if actuator.name not in driven
         ]

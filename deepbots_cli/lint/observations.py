@@ -340,7 +340,7 @@ def bounds_mismatch(context: Context) -> Iterator[Finding]:
     for number in clipped_once(analysis):
         known = analysis.ranges.of(number.node)
         if number.is_outside(known):
-            headline = f"`{number.name}` is {between(known, number.dimension)}, never within its range"
+            headline = f"`{number.name}` is {between(known, number.dimension)}, outside of its range in the observation"
             is_known = known.finite and not known.single
             help = "write the range of the value" + (f": `{range_text(known, number.dimension)}`" if is_known else "")
             fix = replace_range(context, number, known, number.dimension) if is_known else None
@@ -420,9 +420,9 @@ def often_saturated(simulation: Simulation) -> Iterator[Finding]:
             if is_beyond and min(shares.values()) >= _OFTEN:
                 met.add(id(entry))
                 at = with_unit(end, entry.value.typed.type.dimension)
-                headline = f"`{number.name}` is at the end of its range, {at}, in at least {100 * min(shares.values()):.0f} % of all steps"
+                headline = f"`{number.name}` is at the end of its range, {at}, in most of the simulated steps"
                 notes = tuple(f"{100 * share:.0f} % of the steps of {by}" for by, share in shares.items())
-                help = "widen the range to the ordinary values"
+                help = "widen the range to the usual values"
                 yield Finding("DB611", simulation.range_span(entry), headline, help=help, notes=notes)
                 break
 

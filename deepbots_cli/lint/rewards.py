@@ -70,7 +70,7 @@ def _unbounded(context: Context, term: Expression, found: Pole) -> Finding:
     if found.is_divisor:
         headline = f"`{term.name}` grows without bound as `{part}` approaches zero"
         return Finding(
-            "DB701", place, headline, help="bound the divisor away from zero, as in `max(x, 1 cm)`, or use `exp(-x / 10 cm)`", also=also
+            "DB701", place, headline, help="keep the divisor away from zero, as in `max(x, 1 cm)`, or use `exp(-x / 10 cm)`", also=also
         )
     headline = f"`{term.name}` grows with the exponential of `{part}`, which has no upper bound"
     return Finding("DB701", place, headline, help="bound the argument, as in `min(x, 3)`", also=also)
@@ -155,7 +155,7 @@ def term_dominates(context: Context) -> Iterator[Finding]:
         if low > _DOMINATES * prize:
             headline = f"`{term.name}` adds up to at least {low:.4g} over an episode, and an ending pays at most {prize:.4g}"
             also = tuple(Label(paid.span, "paid at the end") for paid, _ in final)
-            yield Finding("DB702", term.span, headline, help=f"scale `{term.name}` down, or increase what the endings pay", also=also)
+            yield Finding("DB702", term.span, headline, help=f"scale `{term.name}` down, or increase the rewards of the endings", also=also)
 
 
 def _smallest_sum(reward: RewardTerms, node: Scalar) -> float:
@@ -419,7 +419,8 @@ def other_policy_pays_more(simulation: Simulation) -> Iterator[Finding]:
         best, success = found
         also = (Label(successes[0].value.span, "ends these payments"),)
         headline = (
-            f"the return of {best.by} to the time limit is {best.worth:.3g}, and that of the success by {success.by} {success.worth:.3g}"
+            f"the return of {best.by} until the time limit is {best.worth:.3g}, "
+            f"and the return of {success.by} until success is {success.worth:.3g}"
         )
         notes = (f"both are discounted returns of the episode with seed {best.seed}",)
         yield Finding("DB708", _most_paid(simulation, best.by).span, headline, help=_PAY_FOR_PROGRESS, notes=notes, also=also)
@@ -427,7 +428,9 @@ def other_policy_pays_more(simulation: Simulation) -> Iterator[Finding]:
         yield from _idle_pays(simulation, successes[0])
 
 
-_PAY_FOR_PROGRESS = "pay for progress, as in `-10 * delta(distance) / m`, or pay more for the success than for the steps that it ends"
+_PAY_FOR_PROGRESS = (
+    "pay for progress, as in `-10 * delta(distance) / m`, or pay more for the success than an episode without success can collect"
+)
 
 
 def _better_than_success(episodes: list[Episode]) -> tuple[Episode, Episode] | None:

@@ -206,8 +206,8 @@ def hidden_state_reward(context: Context) -> Iterator[Finding]:
     for term, node in analysis.reward.terms:
         hidden = sorted((analysis.sources(node) - seen) & (drawn | bodies))
         if hidden:
-            what = f"`{hidden[0]}`, {'a parameter that is drawn' if hidden[0] in drawn else 'a body'}"
-            help = "add it to the observation, by a value under `augment`"
+            what = f"the {'drawn parameter' if hidden[0] in drawn else 'body'} `{hidden[0]}`"
+            help = "add a value of it under `augment`, and observe this value"
             yield Finding("DB706", term.span, f"`{term.name}` depends on {what}, which the observation does not show", help=help)
 
 

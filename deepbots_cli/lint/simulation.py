@@ -35,7 +35,7 @@ from deepbots_cli.program.world import ARENA_WALLS, GROUND
 
 # What is simulated
 
-RANDOM, HELD, IDLE = "random actions", "random actions, each held", "doing nothing"
+RANDOM, HELD, IDLE = "random actions", "random actions, each held for several steps", "doing nothing"
 HOLD = 8
 """Steps for which a random action is held. Actions that are new in every step cancel each other, and move little."""
 

@@ -274,7 +274,7 @@ def identical_episodes(context: Context) -> Iterator[Finding]:
         yield Finding("DB809", start.position.span, headline, help=f"draw the initial state, as in `uniform({spread})`")
     else:
         section = next((key for key in ("reset", "evaluation", "train") if context.values.stands((key,))), "train")
-        help = f"draw the initial place, as in `{program.world.robots[0].name}: {{x: uniform(-5 .. 5 cm)}}` under `reset.place`"
+        help = f"draw the initial position, as in `{program.world.robots[0].name}: {{x: uniform(-5 .. 5 cm)}}` under `reset.place`"
         yield Finding("DB809", context.values.key_span((section,)), headline, help=help)
 
 
@@ -346,7 +346,7 @@ def requirement_not_redrawn(context: Context) -> Iterator[Finding]:
     sources = sorted((analysis.sources(node) | names) & drawn)
     bent = {subject.partition(".")[0] for fact in facts if not _is_of_root(program, fact) for subject in fact.subjects}
     if sources and not _is_drawn_again(program, places, bent) and analysis.start.of(node) != ALWAYS:
-        headline = f"a new attempt does not change the requirement: `{sources[0]}` is drawn once per episode"
+        headline = f"a new attempt cannot meet the requirement: `{sources[0]}` is drawn once per episode"
         yield Finding(
             "DB812", require.span, headline, help=f"draw `{sources[0]}` from values that meet it, or draw places under `reset.place`"
         )

@@ -173,7 +173,7 @@ class RobotBody:
 
 @dataclass(frozen=True)
 class WorldModel:
-    """All that an engine needs. `timestep` (s) is one control tick, made of `substeps` engine steps.
+    """All that an engine needs. `timestep` (s) is one control timestep, made of `substeps` engine steps.
 
     Where there is a terrain there is no plane. `light` is the brightness of pictures, 1 the ordinary one.
     """

@@ -574,7 +574,12 @@ def _check_inertia(model: RobotModel, elements: Mapping[str, Element]) -> None:
             elements[still[0]].warn(headline, attribute="name", help=help, notes=(f"they are: {shown}",), code=code)
 
     missing = [link for link in model.links if link.inertial is None and (link.name in moving or link.visuals or link.collisions)]
-    warn("DB305", missing, "no inertial", "add an <inertial>; without one a link weighs nothing, which is right for a mere frame")
+    warn(
+        "DB305",
+        missing,
+        "no inertial",
+        "add an <inertial>; without one the link has no mass, which is correct only for a link that is just a frame",
+    )
     massless = [link for link in model.links if link.inertial and link.inertial.mass == 0]
     warn("DB306", massless, "mass 0", "give it a mass; an engine may treat such a link as immovable")
     for link in model.links:

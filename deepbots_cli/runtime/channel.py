@@ -15,7 +15,7 @@ from deepbots_cli.runtime.messages import Wire
 from deepbots_cli.runtime.streams import Streams
 
 _ROUNDING = 1e-9
-"""In ticks: a latency of a whole number of ticks must not become one more by rounding."""
+"""In timesteps: a latency of a whole number of timesteps must not become one more by rounding."""
 
 Where = Callable[[], tuple[Triple, Any]]
 
@@ -36,9 +36,9 @@ class LossyChannel:
     loss: float
     range: float
     message_received: bool
-    """Whether a message arrived in this tick."""
+    """Whether a message arrived in this timestep."""
     measured: int
-    """The tick at whose end the message that arrived last was made."""
+    """The timestep at whose end the message that arrived last was made."""
     latest: Any
     """The encoded message that the receiver acts on: the one that arrived last, or zeros."""
 
@@ -53,7 +53,7 @@ class LossyChannel:
         *,
         first_at_once: bool = False,
     ) -> None:
-        """Each message takes `delay` ticks besides its latency, but for the first one of an episode where that arrives `first_at_once`.
+        """Each message takes `delay` timesteps besides its latency, but for the first one of an episode where that arrives `first_at_once`.
 
         `where` gives the position of the robot (m), `wire` encodes and decodes; without, messages go as they are.
         """
@@ -88,7 +88,7 @@ class LossyChannel:
 
     @property
     def age(self) -> float:
-        """Time (s) since the message that arrived last was made, at the end of a tick."""
+        """Time (s) since the message that arrived last was made, at the end of a timestep."""
         return (self._tick - self.measured) * self._timestep
 
     def send(self, message: Any) -> None:
@@ -119,12 +119,12 @@ class LossyChannel:
         return lost or (route.range is not None and self._where is not None and hypot(*self._where()[0]) > self.range)
 
     def receive(self) -> list[Any]:
-        """What the receiver takes in this tick, in order."""
+        """What the receiver takes in this timestep, in order."""
         taken = self._arrived()
         return [self.wire.decode(message) for message in taken] if self.wire else taken
 
     def newest(self) -> Any:
-        """The message that the receiver goes by in this tick: it arrived in this one or in an earlier one."""
+        """The message that the receiver goes by in this timestep: it arrived in this one or in an earlier one."""
         if self._begins:
             self._begins = False
         else:

@@ -238,8 +238,8 @@ def _complaint(lacking: Counter[str], attempts: int) -> str:
     if lacking:
         body = lacking.most_common(1)[0][0]
         if 2 * lacking.total() >= attempts:
-            return f"'{body}' finds no place; ask for fewer or smaller bodies, less clearance, or a larger region"
-    return "what `reset.require` asks for does not hold; let it ask for less, or allow more `attempts`"
+            return f"there is no free position for '{body}'; use fewer or smaller bodies, less clearance, or a larger region"
+    return "`reset.require` does not hold; weaken the condition, or allow more `attempts`"
 
 
 class Floor:

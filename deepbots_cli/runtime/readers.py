@@ -200,7 +200,7 @@ class Accelerometer:
 
 
 def touch(site: Site) -> Instrument:
-    """Whether each link touched something in any engine step since the tick before."""
+    """Whether each link touched something in any engine step since the timestep before."""
     others = None if site.sensor.against is None else [_part(name) for name in site.sensor.against]
     readers = [site.engine.contact((site.robot, link), others) for link in site.sensor.subjects]
     if len(readers) == 1:

@@ -90,7 +90,7 @@ class RobotController:
         """Begin what is computed on board with the first readings, and with messages of zeros."""
 
     def observe(self) -> None:
-        """Sample what is sampled once per tick."""
+        """Sample what is sampled once per timestep."""
 
     def release(self) -> None:
         """Let the actuators take the figures of this episode and forget their commands: they exert nothing until `hold`."""

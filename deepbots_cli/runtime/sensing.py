@@ -173,7 +173,7 @@ def instrument(sensor: Sensor, robot: str, world: WorldModel, engine: Engine) ->
 
 
 class Device:
-    """Called once per tick. `reading` is the newest that was delivered, `measured` the tick at which it was taken."""
+    """Called once per timestep. `reading` is the newest that was delivered, `measured` the timestep at which it was taken."""
 
     reading: Reading
     measured: int

@@ -193,7 +193,7 @@ class Supervisor(gym.Env[Observation, Any], ABC):
             raise self._no_value(error) from error
         if self.terminated:
             raise EvaluationError(
-                f"the ending '{self.ended_by}' already holds at reset (seed {self.streams.root}); place the robots clear of it or widen it"
+                f"the ending '{self.ended_by}' already holds at reset (seed {self.streams.root}); change the start or the ending"
             )
         self._go_on = self._advance
         return self.get_observations(), self.get_info()

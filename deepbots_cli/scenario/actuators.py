@@ -53,7 +53,7 @@ class Actuator(Section):
     type: Prose
     """The kind of actuator."""
     strength: RandomizableFactor = 1
-    """Factor on the torque, force or thrust that it exerts; below 1 it is worn."""
+    """Factor on the torque, force or thrust of the actuator; below 1 for a worn one."""
     delay: RandomizableDelay = "0 ms"
     """Time from a command to its effect."""
     time_constant: RandomizableDelay = "0 ms"
@@ -111,7 +111,7 @@ class PositionMotor(JointActuator):
 
 
 class TorqueMotor(JointActuator):
-    """Puts a commanded torque or force on a joint."""
+    """Applies a commanded torque or force to a joint."""
 
     dimension = TORQUE
     sliding = FORCE

@@ -46,7 +46,7 @@ class Keys:
         """The errors of the keys of a section."""
         given = [name for name in self.names if name in data]
         if len(given) > self.max:
-            refused = error("DB101", f"`{given[-1]}` cannot stand beside `{given[0]}`", "keep one of the two")
+            refused = error("DB101", f"`{given[-1]}` cannot be combined with `{given[0]}`", "keep one of the two")
             yield InitErrorDetails(type=refused, loc=(given[-1],), input=data[given[-1]])
         elif len(given) < self.min:
             names = " or ".join(f"`{name}`" for name in self.names)

@@ -506,7 +506,7 @@ class Column(FieldType):
 
     dimension: str
 
-    noun = "a column of figures"
+    noun = "a column of numbers"
     example = "0 5 10"
     takes = (str, int, float)
 

@@ -276,7 +276,7 @@ def _excluding(pair: tuple[str, str]) -> Json:
     first, second = pair
     return {
         "if": {"required": [first, second]},
-        "then": {"properties": {second: False}, "errorMessage": f"`{second}` cannot stand beside `{first}`"},
+        "then": {"properties": {second: False}, "errorMessage": f"`{second}` cannot be combined with `{first}`"},
     }
 
 

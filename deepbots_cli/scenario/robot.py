@@ -31,11 +31,11 @@ class LinkOverride(Section):
     """Overrides of a link; `urdf` stands for the value in the robot file."""
 
     mass: Annotated[Scalar, Quantity("mass", stage="episode", minimum=0, urdf=True)] | None = None
-    """Mass, kg; the inertia goes with it. `urdf * 1.2` scales that of the robot file."""
+    """Mass, kg; it also scales the inertia. `urdf * 1.2` is 1.2 times the mass in the robot file."""
     density: Annotated[Scalar, Quantity("density", minimum=0, exclusive=True)] | None = None
     """In place of `mass`: mass, centre and inertia of a homogeneous body of the shape of the link."""
     scale: Annotated[Scalar, Quantity("number", components=3, minimum=0, exclusive=True)] | None = None
-    """Factors along x, y and z on shapes, centre of mass and child joints; mass goes with the volume."""
+    """Factors along x, y and z on shapes, centre of mass and child joints; the mass scales with the volume."""
     friction: Annotated[Scalar, Quantity("number", stage="episode", minimum=0)] | None = None
     """Coulomb's coefficient of friction."""
     spinning_friction: RandomizableFactor | None = None
@@ -67,18 +67,18 @@ Emitted = Annotated[Many[Annotated[str, Reference("sensor")]] | dict[LocalName, 
 
 
 class Robot(Section):
-    """A body from a robot file, with sensors, actuators, and a controller that answers to messages."""
+    """A body from a robot file, with sensors, actuators, and a controller that acts on messages."""
 
     urdf: Annotated[str, FilePath("robot file")]
     """The robot file: a path relative to this file, the name of a shipped robot, or `package://name/path`."""
     base: Literal["free", "fixed"] = "free"
-    """Whether the root link moves or is bolted to the world."""
+    """Whether the root link moves or is fixed to the world."""
     pose: Pose = Field(default_factory=Pose)
     """Where it stands unless `reset` places it."""
     count: RandomizableCount = 1
-    """How many copies there are; the name then names a group."""
+    """Number of copies; the name then stands for the group."""
     spacing: Annotated[Scalar, Quantity("length", components=3)] | None = None
-    """The way from each copy to the next, x y z; the copies stand in a row around the place of the robot."""
+    """Offset from each copy to the next, x y z; the row is centred on the position of the robot."""
     links: dict[Annotated[str, Pattern("link")], LinkOverride] = {}
     """Changes of links, by name or pattern such as `wheel_*`."""
     joints: dict[JointPattern, JointOverride] = {}
@@ -94,7 +94,7 @@ class Robot(Section):
     receive: dict[LocalName, Annotated[Scalar, Expression("receive")]] | None = None
     """Values that the supervisor sends besides the action: a name and an expression each."""
     emit: Emitted = ()
-    """Values that it sends in every timestep: a list of sensors, or names with expressions over its sensors."""
+    """Values that the robot sends in every timestep: a list of sensors, or names with expressions over its sensors."""
     apply: dict[Annotated[str, Reference("actuator")], Annotated[Scalar, Expression("apply", boolean=False)]] = {}
     """The command of each actuator, from received values and sensors."""
 
@@ -109,7 +109,7 @@ class Route(Section):
     burst: Annotated[Scalar, Quantity("number", minimum=1)] | None = None
     """Mean number of messages that are lost in a row; without it, losses are independent of each other."""
     range: Annotated[Scalar, Quantity("length", stage="episode", minimum=0)] | None = None
-    """Distance from the origin of the world to the robot's root link beyond which nothing arrives."""
+    """Maximum distance from the origin of the world to the robot's root link; beyond it no message arrives."""
     order: Literal["sent", "arrival", "newest"] = "sent"
     """Which message counts when several are on their way: in the order sent, as they arrive, or only the newest."""
     on_loss: Literal["hold", "zero", "skip"] = "hold"
@@ -120,10 +120,10 @@ class Messages(Section):
     """Messages between supervisor and robots."""
 
     format: Annotated[str, Word(FORMATS)] = "struct"
-    """How a message is written; `none` lets the supervisor act on the robot without messages."""
+    """Encoding of messages; with `none`, the supervisor acts on the robot without messages."""
     timing: Literal["immediate", "delayed"] = "immediate"
     """`immediate`: an action takes effect in its timestep; `delayed`: one timestep later, and the robot's messages are one timestep old."""
     to_robot: Route = Field(default_factory=Route)
-    """The way from the supervisor to the robots."""
+    """The channel from the supervisor to the robots."""
     from_robot: Route = Field(default_factory=Route)
-    """The way from the robots to the supervisor."""
+    """The channel from the robots to the supervisor."""

@@ -89,7 +89,7 @@ class Scenario(Section):
     scripts: dict[LocalName, Script] = {}
     """Hand-written policies by names of your choice: an expression for every part of the action."""
     curriculum: Annotated[Many[Stage], Size(1, "stage")] = ()
-    """Stages of rising difficulty."""
+    """Stages of increasing difficulty."""
     evaluation: Evaluation = Field(default_factory=Evaluation)
     """Evaluation of a trained policy."""
     solved: Solved | None = None

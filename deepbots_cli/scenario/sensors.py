@@ -85,7 +85,7 @@ class Sensor(Section):
     drift: Annotated[Scalar, Quantity("any", stage="episode")] = 0
     """Growth of the bias per second."""
     resolution: Annotated[Scalar, Quantity("reading", minimum=0)] = 0
-    """Step between two readings that can be told apart."""
+    """Smallest difference between two readings; readings are rounded to a multiple of it."""
     range: Annotated[str, Range("reading")] | None = None
     """Measurable range; readings are clipped to it."""
 
@@ -151,12 +151,12 @@ class JointTorque(JointSensor):
 
 
 class LinkSensor(Sensor):
-    """Sits on one link."""
+    """Is mounted on one link."""
 
     link: LinkName
-    """The link that it sits on."""
+    """The link on which the sensor is mounted."""
     pose: SensorFrame = Field(default_factory=SensorFrame)
-    """Where it sits on the link, and how it is turned."""
+    """Position and attitude of the sensor on the link."""
 
 
 class Gyro(LinkSensor):
@@ -244,15 +244,15 @@ class AngularVelocity(LinkSensor):
 
 
 class ContactSensor(Sensor):
-    """Feels with one link, or with several under their names."""
+    """Measures contacts of one link, or of several under their names."""
 
     perceives = True
     key_rules: ClassVar[tuple[Keys, ...]] = (Keys(("link", "links"), min=1),)
 
     link: LinkName | None = None
-    """The link that feels."""
+    """The link whose contacts are measured."""
     links: LinkNames | None = None
-    """The links that feel: names, patterns such as `*_toe`, or a group."""
+    """The links whose contacts are measured: names, patterns such as `*_toe`, or a group."""
 
 
 class Touch(ContactSensor):
@@ -263,7 +263,7 @@ class Touch(ContactSensor):
 
     type: Literal["touch"]
     against: Annotated[str | tuple[str, ...], Reference("bodies or links")] | None = None
-    """Feels only these bodies or links, or the `ground`."""
+    """Counts only contacts with these bodies or links, or with the `ground`."""
 
 
 class Force(ContactSensor):
@@ -280,7 +280,7 @@ class CalibrationTable(Section):
     """Readings by distance, as columns of equal length, with linear interpolation."""
 
     distance: Annotated[Scalar, Column("length")]
-    """Distances in rising order, such as `0 5 10 mm`."""
+    """Distances in increasing order, such as `0 5 10 mm`."""
     value: Annotated[Scalar, Column("any")]
     """The reading at each distance."""
     noise: Annotated[Scalar, Column("any")] | None = None
@@ -309,7 +309,7 @@ class RaySensor(RayScan):
     measure: Literal["each", "nearest", "mean"] = "each"
     """Each ray by its name, or one value for all rays: the nearest distance, or the mean."""
     lookup: CalibrationTable | None = None
-    """Readings by distance; without it, the distance itself."""
+    """Table of readings by distance; without it, the reading is the distance."""
 
 
 class Infrared(RaySensor):
@@ -344,7 +344,7 @@ class Reflectance(RayScan):
 
     type: Literal["reflectance"]
     spot: Annotated[Scalar, Quantity("length", minimum=0, maximum=1)] = "4 mm"
-    """Diameter of the spot that it sees."""
+    """Diameter of the spot on the ground that is measured."""
 
 
 class Camera(LinkSensor):

@@ -57,14 +57,14 @@ class DiscreteAction(Section):
     choices: Annotated[dict[LocalName, Annotated[dict[SharedName, Choice] | Choice, FORMS]], Size(2, "choice")]
     """The options by name, each with a number, or with the variables that it sets: `{forward: {left: 1, right: 1}}`."""
     forbid: dict[Annotated[str, Reference("choice")], Annotated[str, Expression("forbid", boolean=True)]] = {}
-    """When an option may not be chosen."""
+    """For each option, the condition under which it may not be chosen."""
 
 
 Action = Annotated[DiscreteAction | ContinuousAction | Annotated[str, Range("any")], FORMS]
 
 
 class Agent(Section):
-    """How the policy is joined to the scenario."""
+    """How the policy acts in the scenario."""
 
     action_repeat: SmallInt = 1
     """Timesteps for which one action of the agent is held."""
@@ -95,9 +95,9 @@ class Goal(Section):
     desired: Annotated[Scalar, Expression("goal", boolean=False)]
     """The value to reach."""
     tolerance: Annotated[Scalar, Quantity("any", minimum=0)]
-    """Distance between the two at which the goal counts as reached."""
+    """Largest distance between `achieved` and `desired` at which the goal counts as reached."""
     range: Annotated[str, Range("any")]
-    """Bounds of both, for the observation."""
+    """Range of `achieved` and `desired`, which is mapped to [-1, 1] in the observation."""
     noise: Noise = 0
     """Standard deviation of the noise on `achieved`: in its unit, such as `5 mm`, or as `2 %` of the value."""
 
@@ -111,11 +111,11 @@ class Termination(Section):
     success: dict[SharedName, Condition] = {}
     """Conditions under which the agent has succeeded, by names of your choice."""
     failure: dict[SharedName, Condition] = {}
-    """Conditions under which it has failed; failure beats success."""
+    """Conditions under which the agent has failed, by names of your choice; failure beats success."""
 
 
 class Truncation(Section):
-    """Limits that only cut the episode short; they are no part of the task."""
+    """Limits that only cut the episode short; they are not part of the task."""
 
     key_rules: ClassVar[tuple[Keys, ...]] = (Keys(("max_steps", "max_time"), min=1, max=2),)
 
@@ -162,7 +162,7 @@ class Evaluation(Section):
     episodes: PositiveInt = 100
     """Episodes, or episodes per case."""
     cases: dict[LocalName, Case] = {}
-    """Further conditions to examine it under, by names of your choice."""
+    """Further conditions under which the policy is evaluated, by names of your choice."""
 
 
 class Solved(Section):
@@ -171,11 +171,11 @@ class Solved(Section):
     key_rules: ClassVar[tuple[Keys, ...]] = (Keys(("mean_return", "success_rate"), min=1, max=2),)
 
     mean_return: Annotated[float, Number()] | None = None
-    """Least mean return over the episodes."""
+    """Minimum of the mean return over the episodes."""
     success_rate: Share | None = None
-    """Least share of successful episodes, 0 to 1."""
+    """Minimum of the share of successful episodes, 0 to 1."""
     episodes: PositiveInt = 100
-    """Over how many episodes in a row."""
+    """Number of consecutive episodes."""
 
 
 class Measured(Section):
@@ -201,7 +201,7 @@ JointAngle = Annotated[Scalar, Quantity("angle or length", stage="episode")]
 
 
 class JointState(Section):
-    """Where a joint is at the start, and how fast."""
+    """Position and velocity of a joint at the start."""
 
     position: JointAngle
     """Position, an angle or a length."""
@@ -213,9 +213,9 @@ class Region(Section):
     """A rectangle in the ground plane."""
 
     x: Annotated[str, Range("length")]
-    """From where to where along x, such as `-1 .. 1 m`."""
+    """Range along x, such as `-1 .. 1 m`."""
     y: Annotated[str, Range("length")]
-    """From where to where along y."""
+    """Range along y."""
 
 
 class Placement(Pose):
@@ -229,19 +229,19 @@ class Placement(Pose):
     )
 
     region: Annotated[Region | Annotated[str, Reference("region")], FORMS] | None = None
-    """Draws a free spot: `arena`, or a rectangle `{x: -1 .. 1 m, y: -1 .. 1 m}`."""
+    """Draws a free position: `arena`, or a rectangle `{x: -1 .. 1 m, y: -1 .. 1 m}`."""
     on: Annotated[str, Reference("object")] | None = None
-    """Draws a free spot on the flat top of this object, a box or a cylinder: anywhere on it, or where `region` lies on it."""
+    """Draws a free position on the flat top of this object, a box or a cylinder: on the whole top, or on its part within `region`."""
     clearance: Length = 0
-    """Minimum distance to other bodies, m; of a movable body also to the walls of the arena and the edge of the surface it stands on."""
+    """Minimum distance to other bodies, m; a movable body also keeps it to the walls of the arena and to the edge of its surface."""
     grid: Thickness | None = None
-    """Draws the spot from a grid with this spacing, m."""
+    """Draws the position from a grid with this spacing, m."""
     line: Annotated[str, Reference("line")] | None = None
     """Stands at the beginning of this painted line, along it."""
     at_most: PositiveInt | None = None
-    """How many copies of a group are placed; the others are absent."""
+    """Maximum number of copies of a group that are placed; the others are absent."""
     spacing: Annotated[Scalar, Quantity("length", 2)] | None = None
-    """Offset from each copy of a group to the next, along x and y, such as `0 1.5 m`; the row is centred on the spot."""
+    """Offset from each copy of a group to the next, along x and y, such as `0 1.5 m`; the row is centred on the position."""
     velocity: Annotated[Scalar, Quantity("speed", 3, "episode")] | None = None
     """Velocity at the start, world frame."""
     angular_velocity: Annotated[Scalar, Quantity("angular speed", 3, "episode")] | None = None
@@ -252,7 +252,7 @@ Places = dict[BodyName, Placement]
 
 
 class MapLayout(Section):
-    """A layout drawn in letters: each cell of the map holds one letter of the legend, or a dot for nothing."""
+    """A layout as a map of letters: each cell holds one letter of the legend, or a dot if it is empty."""
 
     marks: ClassVar[frozenset[str]] = frozenset({"map", "cell"})
 
@@ -261,7 +261,7 @@ class MapLayout(Section):
     legend: Annotated[dict[Annotated[str, Reference("letter")], BodyName], Size(1, "letter")]
     """The meaning of each letter: a robot, an object, or `wall`."""
     map: Prose
-    """The rows of the map, cells apart by blanks; the first row is the farthest along y."""
+    """The rows of the map; blanks separate the cells, and the first row has the largest y."""
 
 
 LayoutName = Annotated[str, Reference("layout")]
@@ -278,19 +278,19 @@ class Reset(Section):
     set: dict[Annotated[str, Reference("joints")], Annotated[JointState | JointAngle, FORMS]] = {}
     """Positions of joints, such as `cart.pole_hinge: uniform(-1 .. 1 deg)`, or of a group."""
     layout: Annotated[Mixture | LayoutName, FORMS] | None = None
-    """The layout to use, or a mixture with shares such as `{scattered: 88 %, paper: 12 %}`."""
+    """The layout to use, or several layouts with their shares, such as `{scattered: 88 %, paper: 12 %}`."""
     layouts: dict[SharedName, Annotated[MapLayout | Places, FORMS]] = {}
     """Arrangements by names of your choice: a place for each body, or a map in letters."""
     require: Annotated[str, Expression("require", boolean=True)] | None = None
     """A condition at the start; while it is false, everything is drawn again."""
     attempts: Annotated[int, Whole(1, 100_000)] = 100
-    """How often to draw before giving up."""
+    """Maximum number of draws; then the reset fails."""
     settle: Annotated[Scalar, Quantity("time", minimum=0)] = "0 s"
     """Simulated time for things to come to rest before the episode begins."""
 
 
 class Disturbance(Section):
-    """A force or a torque that acts on a body now and then."""
+    """A force or a torque that acts on a body for a short time."""
 
     key_rules: ClassVar[tuple[Keys, ...]] = (Keys(("force", "torque"), min=1, max=2), Keys(("every", "at"), min=1, max=2))
 

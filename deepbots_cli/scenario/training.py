@@ -248,7 +248,7 @@ class DDPG(_Deterministic):
 
 
 class MaskablePPO(_Proximal):
-    """PPO that heeds forbidden choices."""
+    """PPO that never takes forbidden choices."""
 
     place = "sb3_contrib:MaskablePPO"
 

@@ -109,7 +109,7 @@ class Pit(Terrain):
     radius: Thickness | None = None
     """Radius of the rim, m; 3.18 m unless given."""
     noise: Share = 0
-    """Share of the height that random bumps take away; they are the same in every world."""
+    """Largest share of the height that random bumps remove; the bumps are the same in every world."""
 
 
 class Heightfield(Terrain):
@@ -169,7 +169,7 @@ class World(Section):
     lines: dict[SharedName, Line] = {}
     """Lines painted on the ground, by names of your choice."""
     light: RandomizableFactor = 1.0
-    """Brightness of the light in pictures; 1 is ordinary."""
+    """Brightness of the light in pictures; 1 is normal."""
 
 
 # Poses
@@ -181,7 +181,7 @@ Angle = Annotated[Scalar, Quantity("angle")]
 
 
 class SensorFrame(Section):
-    """A frame on a link, fixed once and for all."""
+    """A frame on a link; it is fixed."""
 
     key_rules: ClassVar[tuple[Keys, ...]] = _ONE_WAY
 
@@ -233,7 +233,7 @@ class Material(Section):
     """Material of a body; a variant of `one_of` overrides it."""
 
     mass: Annotated[Scalar, Quantity("mass", stage="episode", minimum=0, exclusive=True)] | None = None
-    """Mass, kg; by default as much as water has in this shape. A mesh that can move needs one."""
+    """Mass, kg; by default the mass of water in this shape. A mesh that can move needs a mass."""
     colour: Colour | None = None
     """Colour: a word, `'#rrggbb'`, or `choice(red | green)`."""
     friction: RandomizableFactor | None = None
@@ -307,12 +307,12 @@ SHAPES: dict[str, type[Shaped]] = {"box": Box, "sphere": Sphere, "cylinder": Cyl
 
 
 class Placed(Section):
-    """Pose and number of an object."""
+    """Pose and number of copies of an object."""
 
     pose: Pose = Field(default_factory=Pose)
     """Where it stands unless `reset` places it."""
     count: RandomizableCount = 1
-    """How many copies there are; the name then names a group."""
+    """Number of copies; the name then stands for the group."""
 
 
 class BoxObject(Placed, Box):

@@ -47,7 +47,7 @@ def test_a_circle_is_told_once_and_in_full(workshop, cartpole) -> None:
 
 def test_previous_does_not_break_a_circle_of_parameters(workshop, cartpole) -> None:
     (finding,) = workshop.lint(cartpole(("fall_angle:  15 deg", "fall_angle:  fall_angle")))
-    assert finding.help == "break the circle"
+    assert finding.help == "define one of these values without the others"
 
 
 @pytest.mark.parametrize("count", [60, 3000])

@@ -33,9 +33,9 @@ def test_a_comment_on_the_line_or_above_it_suppresses_a_warning(text: str) -> No
 @pytest.mark.parametrize(
     ("text", "marked", "headline"),
     [
-        ("b: 1 # deepbots: ignore[DB003]\na: on\n", "DB003", "no finding DB003 is suppressed here"),
-        ("# deepbots: ignore[DB003]\n\na: on\n", "DB003", "no finding DB003 is suppressed here"),
-        ("a: on # deepbots: ignore[DB004]\n", "DB004", "no finding DB004 is suppressed here"),
+        ("b: 1 # deepbots: ignore[DB003]\na: on\n", "DB003", "this comment suppresses no finding DB003"),
+        ("# deepbots: ignore[DB003]\n\na: on\n", "DB003", "this comment suppresses no finding DB003"),
+        ("a: on # deepbots: ignore[DB004]\n", "DB004", "this comment suppresses no finding DB004"),
         ("a: on # deepbots: ignore\n", "# deepbots: ignore", "a suppression without a code"),
         ("a: on # deepbots: ignore[ ]\n", "# deepbots: ignore[ ]", "a suppression without a code"),
         ("a: on # deepbots: ignore[DB0O3]\n", "DB0O3", "there is no rule `DB0O3`"),

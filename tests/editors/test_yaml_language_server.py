@@ -174,7 +174,7 @@ def test_the_joints_of_the_robot_are_explained(typed_for: Type) -> None:
         ("gamma: 0.98", "gamma: 1.98", ("1.98", "Value is above the maximum of 1.")),
         ("-20 .. 20 deg", "20 deg", ("20 deg", "write it like `-1 .. 1`, or `auto`")),
         ("-20 .. 20 deg", "{range: 20 deg}", ("20 deg", "write it like `-1 .. 1`, or `auto`")),
-        (", joint: pole_hinge", ", joint: pole_hinge, joints: all", ("joints", "`joints` cannot stand beside `joint`")),
+        (", joint: pole_hinge", ", joint: pole_hinge, joints: all", ("joints", "`joints` cannot be combined with `joint`")),
         ("joint: pole_hinge", "joint: pole_hinge, resolution: 64 64", ("resolution", "Property resolution is not allowed.")),
     ],
 )

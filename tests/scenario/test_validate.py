@@ -19,7 +19,7 @@ FAULTS = [
     ("PPO,", "PPO, tau: 0.9,", "DB101", "tau", "unknown key `tau` in `train`", "it is a key of `DQN`, `SAC`"),
     ("PPO,", "PPO, seed: 1,", "DB101", "seed", "unknown key `seed` in `train`", "--seed 1"),
     ("joint: pole_hinge", "joint: p, rays: 3", "DB101", "rays", "unknown key `rays` in `pole_angle`", "it is a key of `infrared`, `sonar`"),
-    ("joint: pole_hinge", "joint: p, joints: q", "DB101", "joints", "`joints` cannot stand beside `joint`", "keep one"),
+    ("joint: pole_hinge", "joint: p, joints: q", "DB101", "joints", "`joints` cannot be combined with `joint`", "keep one"),
     ("x:               -0.4 .. 0.4 m", "x: {range: 0 .. 1 m, histori: 2}", "DB101", "histori", "unknown key `histori` in `x`", "`history`"),
     # missing keys
     ("deepbots: 1\n", "", "DB102", "name: CartPole", "missing key `deepbots` at the top level", "version"),

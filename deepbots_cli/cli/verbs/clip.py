@@ -18,7 +18,7 @@ def command(
     out: Annotated[
         Path,
         typer.Option(
-            "--out", "-o", metavar="FILE", help="File to write; .mp4, .gif, or .html for a page that turns and scrubs without a server."
+            "--out", "-o", metavar="FILE", help="File to write: .mp4, .gif, or .html for an interactive page that needs no server."
         ),
     ] = Path("clip.mp4"),
     driver: Driver = None,
@@ -42,7 +42,7 @@ def command(
 ) -> None:
     """Make a moving picture of an episode: MP4, GIF or an offline page.
 
-    A run is driven by its policy, a scenario by its first script, or else by random actions.
+    In a run, the policy acts. In a scenario, the first script acts; without a script, actions are random.
 
     \b
       deepbots clip find_ball --script around --out find_ball.gif

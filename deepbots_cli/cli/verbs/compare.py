@@ -32,7 +32,8 @@ def command(
     ] = 0,
     last: Annotated[bool, typer.Option("--last", help="Compare the last models instead of the best ones.")] = False,
     scenario: Annotated[
-        str | None, typer.Option("--scenario", metavar="SCENARIO", help="Evaluate in this scenario; by default in that of the first run.")
+        str | None,
+        typer.Option("--scenario", metavar="SCENARIO", help="Evaluate in this scenario; by default in the scenario of the first run."),
     ] = None,
     case: Annotated[str | None, typer.Option("--case", metavar="NAME", help="Evaluate in this case of the scenario.")] = None,
     as_json: Json = False,
@@ -41,7 +42,7 @@ def command(
 ) -> None:
     """Compare policies on the same starts.
 
-    Runs of the same scenario with other seeds are a group. Every run is evaluated in the scenario of the first run, on the same held-out
+    Runs that differ only in their seed form a group. Every run is evaluated in the scenario of the first run, on the same held-out
     starts, and every group is compared with the first group. The table shows the difference of the mean returns over seeds with Welch's
     95 % confidence interval, and the probability that a run of the group is better than a run of the first group. If all runs have the
     same scenario, or each group is one run, the policies themselves are compared, episode by episode.

@@ -19,7 +19,7 @@ def command(
     sets: Sets = None,
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", metavar="FILE", help="Write to this file, which is replaced; by default to standard output."),
+        typer.Option("--output", "-o", metavar="FILE", help="Write to this file, and replace it if it exists; by default, print."),
     ] = None,
     program: Annotated[bool, typer.Option("--program", help="Print the compiled scenario as canonical JSON instead of Python.")] = False,
     as_json: Json = False,

@@ -46,7 +46,7 @@ def command(
     last: Annotated[bool, typer.Option("--last", help="Evaluate the last model instead of the best one.")] = False,
     video: Annotated[Path | None, typer.Option("--video", metavar="MP4", help="Record a video of the first episode.")] = None,
     scenario: Annotated[
-        str | None, typer.Option("--scenario", metavar="SCENARIO", help="Evaluate in this scenario; by default in that of the run.")
+        str | None, typer.Option("--scenario", metavar="SCENARIO", help="Evaluate in this scenario; by default in the scenario of the run.")
     ] = None,
     sets: Sets = None,
     case: Annotated[
@@ -73,13 +73,13 @@ def command(
     """Evaluate the policy of a run on held-out episodes.
 
     The episodes begin with starts that the training does not use. The cases in `evaluation.cases` are evaluated too, with the same starts.
-    --require-solved, --min-success and --min-return apply to the result in the scenario, or in the case given by --case.
+    The options --min-success, --min-return and --require-solved apply to the result in the scenario, or in the case given by --case.
 
     --min-success and --min-return stop the evaluation as soon as the answer is certain: when the remaining episodes cannot change it, or
     when a 95 % confidence sequence (beta-binomial mixture; for returns, an anytime-valid t-test) excludes the required value.
 
-    --set overrides values of the scenario of the run, or of the scenario that --scenario names. The observation, action and messages of
-    this scenario must be equal to those of the training; its world may differ. --engine runs the episodes in another engine.
+    --set overrides values of the scenario of the run, or of the scenario that --scenario names. This scenario must have the
+    observation, action and messages of the training; its world may differ. --engine runs the episodes in another engine.
 
     \b
       deepbots eval runs/cartpole-0-1

@@ -49,7 +49,9 @@ def command(
     stage: Stage = None,
     picture: Annotated[
         Path | None,
-        typer.Option("--picture", metavar="PNG", help="Also render the world at the start of an episode to this file, which is replaced."),
+        typer.Option(
+            "--picture", metavar="PNG", help="Also write a picture of the start of an episode to this file, and replace it if it exists."
+        ),
     ] = None,
     engine: Engine = "pybullet",
     as_json: Json = False,

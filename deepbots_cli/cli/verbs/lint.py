@@ -66,7 +66,7 @@ def command(
     ignore: Annotated[
         Codes,
         typer.Option(
-            "--ignore", metavar="CODES", help="Do not report these findings; between --select and --ignore, the longer prefix wins."
+            "--ignore", metavar="CODES", help="Do not report these findings; if --select also matches, the longer prefix applies."
         ),
     ] = None,
     fail_on: Annotated[
@@ -77,7 +77,7 @@ def command(
         bool | None,
         typer.Option("--preview/--no-preview", help="Also run the rules in preview, which can report false findings; off by default."),
     ] = None,
-    deep: Annotated[bool, typer.Option("--deep", help="Also simulate each scenario without errors for a short time.")] = False,
+    deep: Annotated[bool, typer.Option("--deep", help="Also simulate each scenario that has no errors for a short time.")] = False,
     fix: Annotated[bool, typer.Option("--fix", help="Apply the safe fixes to the files.")] = False,
     unsafe_fixes: Annotated[
         bool, typer.Option("--unsafe-fixes", help="Also apply the unsafe fixes, which are guesses; with --fix or --diff.")
@@ -92,8 +92,8 @@ def command(
 ) -> None:
     """Check scenarios and report every problem.
 
-    Each finding shows its place and a way to repair it. Linting runs nothing and needs no simulator. Only --deep simulates scenarios
-    without errors, in a separate process, and reports what it measures.
+    Each finding shows its place and a way to repair it. Linting runs nothing and needs no simulator. With --deep, lint also
+    simulates each scenario that has no errors, in a separate process, and reports problems that it measures.
     In a folder, lint reads every .yaml or .yml file with a `deepbots:` key, also in subfolders. A project sets its defaults under [lint] in
     deepbots.toml, or under [tool.deepbots.lint] in pyproject.toml.
 

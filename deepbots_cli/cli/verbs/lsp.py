@@ -15,7 +15,11 @@ def command(
     port: Annotated[
         int | None,
         typer.Option(
-            "--tcp", metavar="PORT", min=1, max=65535, help="Listen on this port of this machine; by default standard input and output."
+            "--tcp",
+            metavar="PORT",
+            min=1,
+            max=65535,
+            help="Listen on this port of this machine; by default, use standard input and output.",
         ),
     ] = None,
     allow_paths: AllowPaths = None,

@@ -47,7 +47,7 @@ def command(
     \b
       cartpole  a cart that balances a pole
       wheeled   a robot on two wheels that drives to a ball
-      arm       an arm of three joints that reaches for a place, with a robot file to change
+      arm       an arm with three joints that reaches for a position; its robot file is written too
       pit       a ball that rocks itself out of a pit
 
     \b

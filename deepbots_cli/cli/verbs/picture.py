@@ -40,7 +40,7 @@ From = Annotated[
 ]
 At = Annotated[Any, typer.Option("--at", metavar="X,Y,Z", parser=point, help="Point in m that the camera looks at.")]
 Driver = Annotated[
-    str | None, typer.Option("--script", metavar="NAME", help="A script of the scenario, `random`, `zero` or `policy`, which acts.")
+    str | None, typer.Option("--script", metavar="NAME", help="What acts: a script of the scenario, `random`, `zero` or `policy`.")
 ]
 
 
@@ -52,7 +52,7 @@ def command(
     target: At = None,
     labels: Annotated[bool, typer.Option("--labels", help="Name the links and joints of the first robot.")] = False,
     rays: Annotated[bool, typer.Option("--rays", help="Draw the rays of sensors.")] = False,
-    path: Annotated[bool, typer.Option("--path", help="Run the episode, and paint its path from above.")] = False,
+    path: Annotated[bool, typer.Option("--path", help="Run the episode, and draw the path of the robot, seen from above.")] = False,
     steps: Annotated[int, typer.Option("--steps", metavar="N", parser=whole(0), help="Run this number of steps first.")] = 0,
     driver: Driver = None,
     seed: Seed = 0,

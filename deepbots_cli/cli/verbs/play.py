@@ -22,8 +22,8 @@ def command(
 ) -> None:
     """Drive the robot of a scenario in the browser.
 
-    Keys, a gamepad, and buttons and sliders in the page command the robot. The page shows your return, and beside it the return of the
-    policy of a run, or of the first script of a scenario, in the same episode.
+    You command the robot with keys, a gamepad, or buttons and sliders in the page. The page compares your return with that of another
+    driver in the same episode: the policy of a run, or the first script of a scenario.
 
     \b
       deepbots play find_ball

@@ -27,7 +27,7 @@ def command(
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output", "-o", metavar="FILE", help="Write to this file, which is replaced; by default, and with -, to standard output."
+            "--output", "-o", metavar="FILE", help="Write to this file, and replace it if it exists; by default, and with -, print."
         ),
     ] = None,
     allow_paths: AllowPaths = None,

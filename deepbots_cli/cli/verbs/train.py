@@ -50,11 +50,11 @@ def command(
     keep_checkpoints: Annotated[
         int | None,
         typer.Option(
-            "--keep-checkpoints", metavar="N", parser=whole(0, 10_000), help="Keep N models at equal distances of timesteps; 0 by default."
+            "--keep-checkpoints", metavar="N", parser=whole(0, 10_000), help="Keep N models, saved at equal intervals; 0 by default."
         ),
     ] = None,
     initialize_from: Annotated[
-        Path | None, typer.Option("--initialize-from", metavar="RUN", help="Begin with the best policy of this run, where it fits.")
+        Path | None, typer.Option("--initialize-from", metavar="RUN", help="Begin with the weights of the best policy of this run.")
     ] = None,
     engine: Annotated[
         str | None, typer.Option("--engine", metavar="NAME", callback=known_engine, help="Physics engine; pybullet by default.")
@@ -79,8 +79,8 @@ def command(
       deepbots train longer_pole.yaml --initialize-from runs/cartpole-0-1
 
     Timesteps are counted over all parallel environments. A resumed training gives the same weights and logs, bit for bit, as a training
-    without interruption; --timesteps is its new total, which includes the timesteps before. --initialize-from takes the tensors of the
-    policy that have the same name and shape, and initializes the others as usual.
+    without interruption. With --resume, --timesteps is the new total, which includes the timesteps so far. --initialize-from copies the
+    tensors of the policy that have the same name and shape, and initializes the others as usual.
 
     Next: `deepbots eval RUN --video film.mp4` records an episode of the policy.
     """

@@ -39,8 +39,8 @@ def command(
 ) -> None:
     """Upgrade a scenario file to the current version of the language.
 
-    The command adds a missing line `deepbots: 1`, and replaces former names of keys, functions and values, such as the type of a sensor,
-    also in the files of the project that the scenario includes. Comments and layout stay. The command refuses a file of a newer version.
+    The command adds a missing line `deepbots: 1`, and replaces old names of keys, functions and values, such as the type of a sensor.
+    It also upgrades the files of the project that the scenario includes. Comments and layout stay. A file of a newer version is an error.
 
     \b
       deepbots upgrade old.yaml --diff

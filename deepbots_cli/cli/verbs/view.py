@@ -19,16 +19,20 @@ EngineOrRun = Annotated[
 ]
 Host = Annotated[
     str,
-    typer.Option("--host", metavar="ADDRESS", help="Address to serve on; beyond this machine, such as 0.0.0.0, the page asks for a token."),
+    typer.Option(
+        "--host",
+        metavar="ADDRESS",
+        help="Address to serve on. On an address that other machines reach, such as 0.0.0.0, a token is needed.",
+    ),
 ]
 Port = Annotated[
     int | None,
-    typer.Option("--port", metavar="N", parser=whole(0, 65535), help="Port of the page; by default the first free one from 8787 on."),
+    typer.Option("--port", metavar="N", parser=whole(0, 65535), help="Port of the page; by default the first free port from 8787."),
 ]
 Open = Annotated[bool, typer.Option("--open", help="Open the page in the browser.")]
 Episode = Annotated[
     int,
-    typer.Option("--episode", metavar="K", parser=whole(0), help="Number of the episode, which begins as episode K of an evaluation does."),
+    typer.Option("--episode", metavar="K", parser=whole(0), help="Use the start of episode K of an evaluation."),
 ]
 
 
@@ -36,11 +40,13 @@ def command(
     shown: Shown,
     driver: Annotated[
         str | None,
-        typer.Option("--driver", "--script", metavar="NAME", help="A script of the scenario, `random`, `zero`, `policy` or `you`."),
+        typer.Option(
+            "--driver", "--script", metavar="NAME", help="What acts: a script of the scenario, `random`, `zero`, `policy` or `you`."
+        ),
     ] = None,
     seed: Seed = 0,
     episode: Episode = 0,
-    watch: Annotated[bool, typer.Option("--watch", help="Read the files again when they are saved, and begin again.")] = False,
+    watch: Annotated[bool, typer.Option("--watch", help="Restart with the new files when a file is saved.")] = False,
     sets: Sets = None,
     case: Case = None,
     stage: Stage = None,
@@ -56,7 +62,7 @@ def command(
     The command prints the address of the page, and serves it until Ctrl-C. The page shows robots, objects, sensor rays and contacts,
     with pause, single steps, speed and seed, and plots the observation, the action and every reward term.
 
-    A run is driven by its policy, a scenario by its first script, or else by random actions.
+    In a run, the policy acts. In a scenario, the first script acts; without a script, actions are random.
 
     \b
       deepbots view find_ball
