@@ -1,7 +1,7 @@
 """The worlds of the contract: each shipped scenario and some of tests/data.
 
 `make test` tries the whole contract on the few worlds of `FULL`, which differ most, and `make nightly` on all of them. The
-environment checkers take every shipped scenario in both, and the comparison with a fresh process every world.
+environment checkers take every shipped scenario in both.
 """
 
 from __future__ import annotations
@@ -69,6 +69,9 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
         shipped_too = metafunc.definition.get_closest_marker("every_scenario") is not None
         chosen = {*FULL, *shipped.scenario_names()} if shipped_too else FULL
         metafunc.parametrize("case", few(CASES, chosen), indirect=True, scope="session")
+    if "cases" in metafunc.fixturenames:
+        full = [case for case in CASES if str(case) in FULL]
+        metafunc.parametrize("cases", [pytest.param(full, id="full"), pytest.param(CASES, id="all", marks=pytest.mark.slow)])
 
 
 @pytest.fixture(scope="session")
@@ -96,8 +99,3 @@ def make(case: Case) -> Iterator[Callable[..., Supervisor]]:
     yield make_one
     for environment in opened:
         environment.close()
-
-
-@pytest.fixture(scope="session")
-def cases() -> list[Case]:
-    return CASES

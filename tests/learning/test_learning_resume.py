@@ -132,11 +132,11 @@ def survives(name: str, folder: Path, kills: int, seed: int = 0, number: int = s
 
 OFF_POLICY = {"learning_starts": 100}
 CASES: dict[str, dict[str, Any]] = {
-    "PPO": {"training": Training("PPO", 3_000, 3, hyper(n_steps=32, batch_size=32, learning_rate=Schedule(3e-3, 0.0)))},
+    "PPO": {"training": Training("PPO", 1_500, 3, hyper(n_steps=32, batch_size=32, learning_rate=Schedule(3e-3, 0.0)))},
     "TD3": {
         "training": Training(
             "TD3",
-            700,
+            400,
             2,
             hyper(**OFF_POLICY, buffer_size=500),
             SMALL,
@@ -159,7 +159,7 @@ CASES: dict[str, dict[str, Any]] = {
         "more": "goal: {achieved: x, desired: 0.1 m, within: 2 cm, range: -0.4 .. 0.4 m}\n",
     },
     "curriculum": {
-        "training": Training("PPO", 2_000, 3, hyper(n_steps=32, batch_size=32)),
+        "training": Training("PPO", 1_200, 3, hyper(n_steps=32, batch_size=32)),
         "more": "curriculum:\n"
         "  - {name: a, set: {truncation.max_steps: 5}, until: mean_return >= 4.5 over 20 episodes}\n"
         "  - {name: b, set: {truncation.max_steps: 20}, until: 500 steps}\n"
@@ -240,7 +240,7 @@ def test_the_generated_environment_is_brought_back_in_the_middle_of_an_episode(t
             if 200 < progress.steps < 300:
                 os.kill(os.getpid(), signal.SIGINT)
 
-    compiled = api.compile("find_ball_random", sets=changes)
+    compiled = api.compile("cartpole", sets=changes)
     train(compiled, run=tmp_path / "whole")
     assert train(compiled, run=tmp_path / "parts", progress=Stop()).interrupted
     assert resume(tmp_path / "parts").inexact == ()

@@ -51,6 +51,7 @@ def stop_when_there_is_a_checkpoint(commands: Commands, places: Places) -> None:
     commands.stop()
 
 
+@pytest.mark.slow
 def test_a_measurement_that_is_stopped_goes_on_and_ends_on_the_page(places: Places):
     commands = Commands()
     stopping = threading.Thread(target=stop_when_there_is_a_checkpoint, args=(commands, places))
