@@ -1,7 +1,8 @@
-"""`deepbots schema`."""
+"""For editors: `lsp` serves findings and completion, `schema` prints the JSON Schema."""
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from pathlib import Path
 from shlex import quote
 from typing import Annotated
@@ -10,17 +11,43 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import AllowPaths
-from deepbots_cli.cli.rewriting import modeline
+from deepbots_cli.cli.command import AllowCode, AllowPaths
+from deepbots_cli.cli.verbs.new import modeline
 from deepbots_cli.compiler import Checked
 from deepbots_cli.compiler.inventory import known
 from deepbots_cli.diagnostics.render import summary
-from deepbots_cli.errors import UsageError
+from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.files import atomic
 from deepbots_cli.scenario.json_schema import to_text
 
 
-def command(
+def lsp(
+    port: Annotated[
+        int | None,
+        typer.Option(
+            "--tcp", metavar="PORT", min=1, max=65535, help="Listen on this port of this machine; by default standard input and output."
+        ),
+    ] = None,
+    allow_paths: AllowPaths = None,
+    allow_code: AllowCode = False,
+) -> None:
+    """Run the language server: findings, completion, hover, fixes.
+
+    An editor that supports the language server protocol starts this command itself. The server completes keys, names and functions, shows
+    types, units and ranges, and finds definitions. docs/editors.md has the settings of Neovim, Helix and VS Code.
+
+    \b
+      deepbots lsp
+      deepbots lsp --tcp 2087
+    """
+    if find_spec("pygls") is None:
+        raise MissingExtraError("editor", "the language server")
+    from deepbots_cli.lsp.server import serve
+
+    raise typer.Exit(serve(port, allow_paths=allow_paths or (), allow_code=allow_code))
+
+
+def schema(
     scenario: Annotated[
         str | None, typer.Option("--for", metavar="SCENARIO", help="Also list the joints, links, sensors and other names of this scenario.")
     ] = None,
