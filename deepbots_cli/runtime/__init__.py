@@ -1,11 +1,10 @@
 """What generated code runs on.
 
-supervisor.py  base of the generated supervisor, a Gymnasium environment
-robot.py       base of the generated robot controllers
+supervisor.py  bases of the generated classes: the supervisor, a Gymnasium environment, and the robot controllers
 copies.py      copies of a robot in one world: a supervisor for each, and one that holds them
 spaces.py      action and observation spaces, actions in their forms, frame stacks, rewards for other goals
 formulas.py    functions that generated code calls: pure ones, ones with memory, terms in Python
-channel.py     channels of messages; messages.py their formats
+messages.py    channels of messages, and their formats
 streams.py     named random streams under one root seed, and values that `reset` is given in place of draws
 placement.py   where bodies stand when an episode begins; ways.py shortest ways around solid objects
 lines.py       painted lines: places beside and along them, light
@@ -49,8 +48,7 @@ from deepbots_cli.runtime.formulas import (
 )
 from deepbots_cli.runtime.lines import Follower
 from deepbots_cli.runtime.placement import Arrangement
-from deepbots_cli.runtime.robot import RobotController
-from deepbots_cli.runtime.supervisor import Supervisor
+from deepbots_cli.runtime.supervisor import RobotController, Supervisor
 from deepbots_cli.runtime.ways import Ways
 
 __all__ = [

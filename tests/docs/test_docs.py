@@ -20,8 +20,8 @@ from deepbots_cli.compiler import check
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.suppress import suppress
 from deepbots_cli.document import loads
+from deepbots_cli.lint import pages_of
 from deepbots_cli.lint import run as run_rules
-from deepbots_cli.lint.pages import pages_of
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = sorted(path.parent for path in (ROOT / "deepbots_cli").rglob("__init__.py"))

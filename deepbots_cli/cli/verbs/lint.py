@@ -368,7 +368,7 @@ def report(findings: Sequence[Finding], format: Format, names: Sequence[str], fa
 
 
 def _page(code: str) -> tuple[str, str]:
-    from deepbots_cli.lint.pages import pages_of
+    from deepbots_cli.lint import pages_of
 
     pages = pages_of(code)
     return "\n\n".join(page.text() for page in pages), "\n\n".join(page.markdown() for page in pages)
