@@ -93,10 +93,14 @@ def test_a_misspelt_scenario_is_suggested(deepbots):
 @pytest.mark.parametrize(
     ("gone", "said"),
     [
-        (("pygls",), "everything works except the language server, which needs the missing extra"),
+        (("pygls",), "everything works except what needs a missing extra: the language server"),
         ((), "everything works"),
-        (("torch",), "linting and simulating work; training needs the missing extra"),
-        (("pybullet", "torch"), "linting works; simulating and training need the missing extras"),
+        (("torch",), "everything works except what needs a missing extra: training, MaskablePPO, RecurrentPPO and TQC"),
+        (
+            ("pybullet",),
+            "everything works except what needs a missing extra:"
+            " simulation, training, MaskablePPO, RecurrentPPO and TQC, the page of view and play",
+        ),
     ],
 )
 def test_the_doctor_does_not_say_that_everything_works_where_an_extra_is_missing(deepbots, monkeypatch, gone, said):
@@ -235,7 +239,7 @@ def test_the_doctor_finds_this_installation_in_order(deepbots):
     report = json.loads(ran.out)
     assert ran.code == 0
     assert report["ok"]
-    assert {"pybullet", "scenarios", "physics", "learning"} <= {look["what"] for look in report["checks"]}
+    assert {"pybullet", "scenarios", "engine pybullet", "engine mujoco", "learning"} <= {look["what"] for look in report["checks"]}
     assert {look["state"] for look in report["checks"]} == {"ok"}
 
 

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import os
 import platform
+import re
 import sys
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import asdict, dataclass
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import typer
 
 import deepbots_cli
-from deepbots_cli import api
+from deepbots_cli import api, engines
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import Json
 from deepbots_cli.cli.exits import FAILED
@@ -96,16 +96,17 @@ def _run(path: Path) -> Row:
 
 State = Literal["ok", "missing", "broken"]
 
-_PACKAGES = {
-    "base": ("jinja2", "pydantic", "pyyaml", "rich", "typer"),
-    "sim": ("gymnasium", "msgspec", "mujoco", "numpy", "pybullet"),
-    "train": ("imageio", "imageio-ffmpeg", "stable-baselines3", "tensorboard", "torch"),
-    "editor": ("pygls",),
+_EXTRAS = {
+    "sim": "simulation",
+    "train": "training",
+    "contrib": "MaskablePPO, RecurrentPPO and TQC",
+    "view": "the page of view and play",
+    "editor": "the language server",
 }
+"""What each extra is for. The metadata of the installation name its packages."""
 
 
-@dataclass(frozen=True)
-class Check:
+class Check(NamedTuple):
     """The state of one part: a missing part can be installed, a broken part needs repair."""
 
     what: str
@@ -116,7 +117,7 @@ class Check:
 def doctor(as_json: Json = False) -> None:
     """Check the installation.
 
-    The command shows the versions, the extras and the shipped data, and takes one step in a simulated world. A missing extra is not an
+    The command shows the versions, the extras and the shipped data, and takes one step in each engine. A missing extra is not an
     error; the exit code is 1 if a part is broken.
 
     \b
@@ -125,30 +126,19 @@ def doctor(as_json: Json = False) -> None:
 
     Next: install a missing extra with the command that the table shows.
     """
-    found = [asdict(check) for check in checks()]
+    found = [check._asdict() for check in checks()]
     broken = [check["what"] for check in found if check["state"] == "broken"]
-    extras = [check for check in found if check["what"].startswith("extra ")]
-    missing = [check["what"].removeprefix("extra ") for check in extras if check["state"] == "missing"]
+    missing = [
+        purpose for extra, purpose in _EXTRAS.items() for check in found if check["what"] == f"extra {extra}" and check["state"] != "ok"
+    ]
     if as_json:
         terminal.show_json({"ok": not broken, "checks": found})
     else:
         terminal.say(table(found, indent=""))
-        terminal.note(_verdict(broken, missing))
+        without = f" except what needs a missing extra: {', '.join(missing)}" if missing else ""
+        terminal.note(f"broken: {', '.join(broken)}" if broken else f"everything works{without}")
     if broken:
         raise typer.Exit(FAILED)
-
-
-def _verdict(broken: list[str], missing: list[str]) -> str:
-    """The result in a sentence: what works, and what needs an extra."""
-    if broken:
-        return f"broken: {', '.join(broken)}"
-    if "sim" in missing:
-        return "linting works; simulating and training need the missing extras"
-    if "train" in missing:
-        return "linting and simulating work; training needs the missing extra"
-    if "editor" in missing:
-        return "everything works except the language server, which needs the missing extra"
-    return "everything works"
 
 
 def checks() -> Iterator[Check]:
@@ -156,33 +146,39 @@ def checks() -> Iterator[Check]:
     yield Check("deepbots", "ok", deepbots_cli.__version__)
     yield Check("python", "ok" if sys.version_info >= (3, 11) else "broken", f"{platform.python_version()} at {sys.executable}")
     yield Check("machine", "ok", f"{platform.platform()}, {os.cpu_count()} processors")
-    extras = [check for extra, names in _PACKAGES.items() for check in _extra(extra, names)]
-    yield from extras
-    yield _data()
+    needed = _requirements()
+    versions = {name: _version(name) for names in needed.values() for name in names}
+    for name, found in versions.items():
+        absent: State = "broken" if name in needed[""] else "missing"
+        yield Check(name, "ok" if found else absent, found or "not installed")
+    complete = {extra: all(versions[name] for name in needed[extra]) for extra in _EXTRAS}
+    for extra, is_complete in complete.items():
+        yield Check(f"extra {extra}", "ok" if is_complete else "missing", "complete" if is_complete else installing(extra))
+    names = shipped.scenario_names()
+    yield Check("scenarios", "ok" if names else "broken", f"{len(names)} in {shipped.data_dir()}")
     yield _linting()
-    present = {check.what: check.state == "ok" for check in extras}
-    if present["extra sim"]:
-        yield _stepping()
-    if present["extra train"]:
+    if complete["sim"]:
+        yield from map(_stepping, engines.names())
+    if complete["train"]:
         yield _threads()
 
 
-def _extra(extra: str, names: tuple[str, ...]) -> Iterator[Check]:
-    missing = []
-    for name in names:
-        try:
-            yield Check(name, "ok", version(name))
-        except PackageNotFoundError:
-            missing.append(name)
-            yield Check(name, "broken" if extra == "base" else "missing", "not installed")
-    if extra != "base":
-        found = installing(extra) if missing else "complete"
-        yield Check(f"extra {extra}", "missing" if missing else "ok", found)
+def _requirements() -> dict[str, list[str]]:
+    """The required packages by extra; those that are always required, under an empty name."""
+    found: dict[str, list[str]] = {"": [], **{extra: [] for extra in _EXTRAS}}
+    for requirement in requires("deepbots-cli") or ():
+        extra = re.search(r"extra == .([\w-]+)", requirement)
+        name = re.match(r"[\w.-]+", requirement)
+        if name and (extra is None or extra[1] in _EXTRAS):
+            found[extra[1] if extra else ""].append(name[0])
+    return found
 
 
-def _data() -> Check:
-    names = shipped.scenario_names()
-    return Check("scenarios", "ok" if names else "broken", f"{len(names)} in {shipped.data_dir()}")
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
 
 
 def _linting() -> Check:
@@ -193,15 +189,14 @@ def _linting() -> Check:
     return Check("linting", "broken" if errors else "ok", f"cartpole: {len(errors)} errors")
 
 
-def _stepping() -> Check:
+def _stepping(engine: str) -> Check:
     try:
-        with closing(api.make("cartpole")) as environment:
+        with closing(api.make("cartpole", engine=engine)) as environment:
             environment.reset(seed=0)
             environment.step(environment.action_space.sample())
-            name = environment.engine.name
     except (DeepbotsError, ImportError, OSError) as error:
-        return Check("physics", "broken", str(error))
-    return Check("physics", "ok", f"one step of cartpole on {name}")
+        return Check(f"engine {engine}", "broken", str(error))
+    return Check(f"engine {engine}", "ok", "one step of cartpole")
 
 
 def _threads() -> Check:
