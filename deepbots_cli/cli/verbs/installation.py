@@ -128,9 +128,8 @@ def doctor(as_json: Json = False) -> None:
     """
     found = [check._asdict() for check in checks()]
     broken = [check["what"] for check in found if check["state"] == "broken"]
-    missing = [
-        purpose for extra, purpose in _EXTRAS.items() for check in found if check["what"] == f"extra {extra}" and check["state"] != "ok"
-    ]
+    states = {check["what"]: check["state"] for check in found}
+    missing = [purpose for extra, purpose in _EXTRAS.items() if states[f"extra {extra}"] != "ok"]
     if as_json:
         terminal.show_json({"ok": not broken, "checks": found})
     else:
@@ -158,7 +157,7 @@ def checks() -> Iterator[Check]:
     yield Check("scenarios", "ok" if names else "broken", f"{len(names)} in {shipped.data_dir()}")
     yield _linting()
     if complete["sim"]:
-        yield from map(_stepping, engines.names())
+        yield from map(_stepping, engines.ENGINES)
     if complete["train"]:
         yield _threads()
 
