@@ -1,4 +1,4 @@
-"""A scenario as Python: `compile` prints the generated module, `eject` writes a project around it."""
+"""What a scenario generates: `compile` prints a Python module, `eject` writes a project around it, `schema` prints a JSON Schema."""
 
 from __future__ import annotations
 
@@ -12,11 +12,15 @@ import deepbots_cli
 from deepbots_cli import api, canonical
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Scenario, Sets
-from deepbots_cli.cli.verbs.new import Files, write_new
+from deepbots_cli.cli.verbs.new import Files, modeline, write_new
 from deepbots_cli.codegen.names import class_name
+from deepbots_cli.compiler import Checked
 from deepbots_cli.compiler.inputs import FOLDER, RESOLVED
+from deepbots_cli.compiler.inventory import known
+from deepbots_cli.diagnostics.render import summary
 from deepbots_cli.errors import UsageError, install_source
 from deepbots_cli.files import atomic
+from deepbots_cli.scenario.json_schema import to_text
 
 
 def compile_(
@@ -53,11 +57,7 @@ def compile_(
         text = terminal.json_text(data)
     else:
         text = f"{canonical.to_json(compiled.program)}\n" if program else compiled.code
-    if output is None:
-        print(text, end="")
-    else:
-        with atomic(output) as draft:
-            draft.write_text(text, encoding="utf-8")
+    _write(text, output)
 
 
 def eject(
@@ -114,9 +114,9 @@ def project(compiled: api.Compiled) -> Files:
 def _requirements() -> str:
     """The requirements of the project: the clone that deepbots was installed from, if pip knows it; no package index has deepbots."""
     clone = install_source()
-    known = clone != "deepbots-cli"
-    here = f"deepbots-cli[train] @ {Path(clone).as_uri()}" if known else "# deepbots-cli[train] @ file:///PATH/TO/THE/CLONE"
-    moved = " if it has moved" if known else ""
+    is_clone = clone != "deepbots-cli"
+    here = f"deepbots-cli[train] @ {Path(clone).as_uri()}" if is_clone else "# deepbots-cli[train] @ file:///PATH/TO/THE/CLONE"
+    moved = " if it has moved" if is_clone else ""
     return f"# deepbots {deepbots_cli.__version__} is installed from a clone; write its path here{moved}\n{here}\n"
 
 
@@ -124,3 +124,56 @@ def _check(folder: Path) -> None:
     """Raises: UsageError: The folder exists and is not empty."""
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise UsageError(f"{folder} exists and is not an empty folder; name another folder")
+
+
+def schema(
+    scenario: Annotated[
+        str | None, typer.Option("--for", metavar="SCENARIO", help="Also list the joints, links, sensors and other names of this scenario.")
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", metavar="FILE", help="Write to this file, which is replaced; by default, and with -, to standard output."
+        ),
+    ] = None,
+    allow_paths: AllowPaths = None,
+) -> None:
+    """Print the JSON Schema of scenario files, for editors.
+
+    With the schema, an editor with a YAML language server completes keys, shows their descriptions and marks mistakes. With --for, the
+    schema also lists the names of one scenario.
+
+    \b
+      deepbots schema -o deepbots.schema.json
+      deepbots schema --for mine.yaml -o mine.schema.json
+
+    Next: make this the first line of mine.yaml: # yaml-language-server: $schema=mine.schema.json
+    """
+    if output == Path("-"):
+        output = None
+    if scenario is None:
+        _write(to_text(), output)
+        return
+    checked = api.load(scenario, allow_paths=allow_paths or ())
+    if output is not None and _is_read(checked, output):
+        raise UsageError(f"{output} is an input of the scenario; name another output file")
+    _write(to_text(known(checked)), output)
+    if checked.findings.errors:
+        terminal.note(f"{summary(checked.findings.errors)}: names in unreadable parts are missing; see: deepbots lint {quote(scenario)}")
+    if output is not None and Path(scenario).is_file():
+        terminal.note(f"write as the first line of {checked.document.path.name}: {modeline(checked.document.path, output)}")
+
+
+def _is_read(checked: Checked, output: Path) -> bool:
+    """Whether the file is an input of the scenario, by its path or its content."""
+    if output.resolve() in checked.document.files:
+        return True
+    return output.is_file() and output.read_bytes() in checked.inputs.contents().values()
+
+
+def _write(text: str, output: Path | None) -> None:
+    if output is None:
+        print(text, end="")
+    else:
+        with atomic(output) as draft:
+            draft.write_text(text, encoding="utf-8")

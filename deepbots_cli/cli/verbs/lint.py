@@ -1,4 +1,4 @@
-"""`deepbots lint`: files, folders and standard input, one after the other or in several processes."""
+"""Findings: `lint` reports those of files, folders and standard input, `lsp` serves them to an editor."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -22,7 +23,7 @@ from deepbots_cli.diagnostics import Edit, Finding, Severity, Source, formats
 from deepbots_cli.diagnostics.findings import failure
 from deepbots_cli.diagnostics.render import inert, render, summary
 from deepbots_cli.diagnostics.suppress import Selection, Words
-from deepbots_cli.errors import DeepbotsError, UsageError
+from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
 from deepbots_cli.lint import review
 from deepbots_cli.lint.fixes import Fixer
 from deepbots_cli.lint.settings import Settings, scenarios_in, settings
@@ -48,7 +49,7 @@ _FAILING: dict[str, tuple[Severity, ...]] = {"error": ("error",), "warning": ("e
 Codes = list[str] | None
 
 
-def command(
+def lint(
     scenarios: Annotated[
         list[str] | None,
         typer.Argument(
@@ -372,3 +373,32 @@ def _page(code: str) -> tuple[str, str]:
 
     pages = pages_of(code)
     return "\n\n".join(page.text() for page in pages), "\n\n".join(page.markdown() for page in pages)
+
+
+# In an editor
+
+
+def lsp(
+    port: Annotated[
+        int | None,
+        typer.Option(
+            "--tcp", metavar="PORT", min=1, max=65535, help="Listen on this port of this machine; by default standard input and output."
+        ),
+    ] = None,
+    allow_paths: AllowPaths = None,
+    allow_code: AllowCode = False,
+) -> None:
+    """Run the language server: findings, completion, hover, fixes.
+
+    An editor that supports the language server protocol starts this command itself. The server completes keys, names and functions, shows
+    types, units and ranges, and finds definitions. docs/editors.md has the settings of Neovim, Helix and VS Code.
+
+    \b
+      deepbots lsp
+      deepbots lsp --tcp 2087
+    """
+    if find_spec("pygls") is None:
+        raise MissingExtraError("editor", "the language server")
+    from deepbots_cli.lsp.server import serve
+
+    raise typer.Exit(serve(port, allow_paths=allow_paths or (), allow_code=allow_code))
