@@ -24,7 +24,7 @@ from deepbots_cli.diagnostics.findings import failure
 from deepbots_cli.diagnostics.render import inert, render, summary
 from deepbots_cli.diagnostics.suppress import Selection, Words
 from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
-from deepbots_cli.lint import review
+from deepbots_cli.lint import review, simulate
 from deepbots_cli.lint.fixes import Fixer
 from deepbots_cli.lint.settings import Settings, scenarios_in, settings
 
@@ -272,26 +272,21 @@ class Look:
         return self._reviewed(check(replace(document, allow_code=self.allow_code)), display)
 
     def _reviewed(self, checked: Checked, called: str) -> list[Finding]:
+        """The findings from the text and then from a simulation; a scenario with errors cannot be simulated."""
         try:
-            return self._found(checked, called)
+            found = review(checked, preview=self.preview)
+            if not self.deep:
+                return found
+            if any(finding.severity == "error" and not finding.is_fault for finding in found):
+                terminal.note(f"{called}: not simulated because it has errors")
+                return found
+            with terminal.passing(f"{called}: simulating"):
+                simulated = simulate(checked, preview=self.preview)
+            if simulated.left:
+                terminal.note(f"{called}: the simulation was stopped {simulated.left}; its further findings are missing")
+            return review(checked, preview=self.preview, measured=simulated.findings)
         finally:
             checked.release()
-
-    def _found(self, checked: Checked, called: str) -> list[Finding]:
-        """The findings from the text and then from a simulation; a scenario with errors cannot be simulated."""
-        found = review(checked, preview=self.preview)
-        if not self.deep:
-            return found
-        if any(finding.severity == "error" and not finding.is_fault for finding in found):
-            terminal.note(f"{called}: not simulated because it has errors")
-            return found
-        from deepbots_cli.lint import simulate
-
-        with terminal.passing(f"{called}: simulating"):
-            simulated = simulate(checked, preview=self.preview)
-        if simulated.left:
-            terminal.note(f"{called}: the simulation was stopped {simulated.left}; its further findings are missing")
-        return review(checked, preview=self.preview, measured=simulated.findings)
 
     def called(self, name: str) -> str:
         """The name of the scenario `name` in findings."""

@@ -79,9 +79,7 @@ def _scenario_files(paths: Sequence[Path]) -> Iterator[Path]:
 
 def _tidied(path: Path) -> Rewrite | None:
     """The file in the canonical layout; None after an error message if it cannot be formatted."""
-    if not path.is_file():
-        raise UsageError(f"{path} is not a regular file")
-    data, findings = files.read(path), Findings()
+    data, findings = _read(path), Findings()
     source, readable = files.decode(data, str(path), findings)
     root = parse(source, findings) if readable else None
     if root is None or findings.errors:
