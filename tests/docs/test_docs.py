@@ -98,7 +98,7 @@ def command_lines() -> list[tuple[str, str]]:
         found += [(str(block), line.removeprefix("$ ")) for line in block.text.splitlines() if line.startswith("$ ")]
     for page in PAGES:
         quoted = re.findall(r"`(deepbots [a-z][^`]*)`", page.read_text(encoding="utf-8"))
-        found += [(page.name, line) for line in quoted if "COMMAND" not in line and "NAME" not in line]
+        found += [(page.name, line) for line in quoted if not re.search("COMMAND|VERB|NAME", line)]
     return sorted(set(found))
 
 

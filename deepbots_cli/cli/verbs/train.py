@@ -100,10 +100,10 @@ def command(
     else:
         compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
         terminal.mention(compiled.findings, scenario)
-        if told:
-            _announce(compiled.program, seed or 0, timesteps, full=full)
         with terminal.passing("loading PyTorch ..." if told else ""):
             train = learning.train  # which imports torch
+        if told:
+            _announce(compiled.program, seed or 0, timesteps, full=full)
         result = train(
             compiled,
             run=run,
