@@ -19,7 +19,7 @@ from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, TIME, UNI
 from deepbots_cli.expressions.functions import ALLOWED, FUNCTIONS, Family, Function
 from deepbots_cli.expressions.types import Context, Kind
 from deepbots_cli.learning.defaults import OURS, library_defaults, library_of
-from deepbots_cli.lint.pages import Page, every_page
+from deepbots_cli.lint import Page, every_page
 from deepbots_cli.renames import RENAMES
 from deepbots_cli.scenario.base import Forms, Kinds, ListOf, MappingOf, Section, Shape, fields
 from deepbots_cli.scenario.docs import about, default_of, description, example_of, unit_of

@@ -1,13 +1,12 @@
 """The command `deepbots`.
 
-command.py     the verbs as one command; arguments that several verbs share
-verbs/         one module per verb, imported when the verb is called
+command.py     the commands as one program; arguments that several commands share
+verbs/         the commands, a module per topic, imported when one of its commands is called
 sources.py     scenarios, runs and robots as arguments
 exits.py       exceptions to exit codes
 terminal.py    output, colour, progress
 tables.py      tables as text
 inspection.py  the tables of `inspect`
-rewriting.py   files that commands write
 starters/      the scenarios that `new` writes
 glossary.yaml  the glossary: what `explain` prints and docs/reference/glossary.md holds
 project/       templates of `eject`

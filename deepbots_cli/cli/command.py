@@ -1,4 +1,4 @@
-"""The command `deepbots`, and the arguments and options that several verbs share."""
+"""The program `deepbots`, and the arguments and options that several commands share."""
 
 from __future__ import annotations
 
@@ -118,8 +118,8 @@ Engine = Annotated[
 _SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
 
-class Verbs(TyperGroup):
-    """The group of the verbs; imports the module of a verb when the verb is called."""
+class Commands(TyperGroup):
+    """The group of the commands; imports the module of a command when the command is called."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         return list(VERBS)
@@ -127,14 +127,16 @@ class Verbs(TyperGroup):
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         if cmd_name not in VERBS:
             near = nearest(cmd_name, VERBS)
-            ctx.fail(f"there is no verb '{cmd_name}'" + (f"; did you mean '{near}'?" if near else f"; the verbs are: {', '.join(VERBS)}"))
+            hint = f"did you mean '{near}'?" if near else f"the commands are: {', '.join(VERBS)}"
+            ctx.fail(f"there is no command '{cmd_name}'; {hint}")
+        module, _, function = VERBS[cmd_name][0].partition(".")
         app = typer.Typer(add_completion=False, rich_markup_mode=None, context_settings=_SETTINGS)
-        app.command(cmd_name)(import_module(f"deepbots_cli.cli.verbs.{cmd_name}").command)
+        app.command(cmd_name)(getattr(import_module(f"deepbots_cli.cli.verbs.{module}"), function))
         return typer.main.get_command(app)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        with formatter.section("Verbs"):
-            formatter.write_dl(list(VERBS.items()))
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, summary) for name, (_, summary) in VERBS.items()])
 
     def invoke(self, ctx: Any) -> Any:
         try:
@@ -145,13 +147,13 @@ class Verbs(TyperGroup):
 
 
 def run_command(arguments: Sequence[str] | None) -> None:
-    """Parse the arguments and run the verb; ends with SystemExit, or with the exception of the verb."""
+    """Parse the arguments and run the command; ends with SystemExit, or with the exception of the command."""
     app = typer.Typer(
-        cls=Verbs,
+        cls=Commands,
         add_completion=False,
         rich_markup_mode=None,
         no_args_is_help=True,
-        subcommand_metavar="VERB ...",
+        subcommand_metavar="COMMAND ...",
         context_settings=_SETTINGS,
     )
     app.callback()(_deepbots)
@@ -169,7 +171,7 @@ def _deepbots(
 ) -> None:
     """Train robot policies from one YAML scenario and one URDF robot.
 
-    A command takes the path of a scenario file, or the name of a scenario that comes with deepbots.
+    A scenario is the path of a file, or the name of a scenario that comes with deepbots.
 
     \b
       deepbots new mine --template wheeled      write a first scenario with comments
@@ -178,5 +180,5 @@ def _deepbots(
       deepbots train mine.yaml                  train a policy and evaluate it
       deepbots explain "reward shaping"         explain a term
 
-    `deepbots VERB --help` shows the options, defaults and examples of a verb.
+    `deepbots COMMAND --help` shows the options, defaults and examples of a command.
     """

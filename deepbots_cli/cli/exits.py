@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
 FAILED, WRONG, FAULT, INTERRUPTED = 1, 2, 3, 130
-"""The same for every verb: findings or a result that was not met; wrong usage or a missing file; a fault of deepbots itself, which
+"""The same for every command: findings or a result that was not met; wrong usage or a missing file; a fault of deepbots itself, which
 `lint` also reports as DB903 of the file; Ctrl-C or SIGTERM."""
 
 _DISK_ERRORS = (errno.ENOSPC, errno.EFBIG, errno.EIO, errno.EROFS)

@@ -234,7 +234,7 @@ def _scenario(scenario: Program) -> Row:
         "max_steps": scenario.truncation.max_steps,
         "max_time_s": scenario.truncation.max_time,
         "copies": f"{copies.count} of {copies.robot}" if (copies := scenario.policy.copies) else None,
-        "solved": _solved(scenario),
+        "solved": scenario.solved.words if scenario.solved else "",
     }
 
 
@@ -259,15 +259,6 @@ def _space(scenario: Program) -> str:
     if sizes:
         spaces.append(f"Discrete({sizes[0]})" if len(sizes) == 1 else f"MultiDiscrete({', '.join(map(str, sizes))})")
     return " and ".join(spaces)
-
-
-def _solved(scenario: Program) -> str:
-    solved = scenario.solved
-    if solved is None:
-        return ""
-    wanted = [f"mean return {solved.mean_return:g}"] if solved.mean_return is not None else []
-    wanted += [f"success rate {solved.success_rate:g}"] if solved.success_rate is not None else []
-    return f"{' and '.join(wanted)} over {solved.episodes} episodes"
 
 
 def _objects(scenario: Program) -> list[Row]:

@@ -13,7 +13,7 @@ endings.py       when episodes end, goals that cannot be reached                
 
 analysis.py      what rules ask about a program: definitions, equal quantities, thresholds; ranges.py interval analysis
 simulation.py    plan, process and report of a simulation; child.py and rollouts.py run in that process
-fixes.py         applies fixes; settings.py which files are linted, and how; pages.py the page of each finding
+fixes.py         applies fixes; settings.py which files are linted, and how
 """
 
 from __future__ import annotations
@@ -22,12 +22,17 @@ from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
+from inspect import cleandoc
+from pathlib import Path
+from textwrap import dedent, fill, indent
 
 from deepbots_cli.compiler import Checked
-from deepbots_cli.diagnostics import MAX_FINDINGS, RULES, Finding, Source, Span, shielded
+from deepbots_cli.diagnostics import MAX_FINDINGS, RULES, Finding, Findings, Source, Span, shielded
 from deepbots_cli.diagnostics.findings import fault
 from deepbots_cli.diagnostics.suppress import suppress
+from deepbots_cli.document.nodes import to_data
+from deepbots_cli.document.parse import parse
 from deepbots_cli.lint import endings, names, observations, rewards, robots, saturation, shaping, world
 from deepbots_cli.lint.analysis import Context, StaticRule, names_in
 from deepbots_cli.lint.simulation import Limits, Simulation, measure
@@ -201,3 +206,78 @@ def _depending_on(checked: Checked, doubtful: list[Span]) -> set[Span]:
             found.add(text)
             waiting += [user for name in (defined[place] if place else ()) for user in users.pop(name, ())]
     return found
+
+
+# Pages
+
+PAGES = Path(__file__).with_name("pages.yaml")
+
+
+@dataclass(frozen=True)
+class Page:
+    """The page of a finding, for the reference and for `deepbots explain`: why it matters, an example, and what to write instead.
+
+    The page of a static rule is the docstring of its function. Pages of the compiler's findings and of simulated rules are in
+    `pages.yaml`. `about` holds paragraphs with blank lines between; `example` and `instead` are both given or both empty.
+
+    A `deep` page is about a simulated rule.
+    """
+
+    code: str
+    about: str
+    example: str = ""
+    instead: str = ""
+    deep: bool = False
+
+    @property
+    def language(self) -> str:
+        """`yaml`, to be laid upon CartPole, or `xml`, a whole robot file."""
+        return "xml" if self.example.startswith("<") else "yaml"
+
+    def text(self, width: int = 100) -> str:
+        """For a terminal: paragraphs of at most `width` columns, examples indented."""
+        parts = [fill(" ".join(part.split()), width, break_long_words=False, break_on_hyphens=False) for part in self.about.split("\n\n")]
+        if self.example:
+            parts += ["For example:", indent(self.example, "    "), "Instead:", indent(self.instead, "    ")]
+        return "\n\n".join(parts)
+
+    def markdown(self) -> str:
+        """For code scanning."""
+        if not self.example:
+            return self.about
+        example, instead = (f"```{self.language}\n{part}\n```" for part in (self.example, self.instead))
+        return f"{self.about}\n\n{example}\n\nInstead:\n\n{instead}"
+
+
+@cache
+def every_page() -> tuple[Page, ...]:
+    """All pages in the order of their codes; of two pages of a code, the one about static analysis comes first."""
+    return tuple(sorted([*(_of_rule(rule.__doc__) for rule in STATIC_RULES), *_of_file()], key=lambda page: page.code))
+
+
+def pages_of(code: str) -> tuple[Page, ...]:
+    """The pages of one code."""
+    check = RULES[code].check
+    return tuple(page for page in every_page() if page.code == code) if check is None else (_page(code, cleandoc(check.__doc__ or "")),)
+
+
+def _of_rule(docstring: str | None) -> Page:
+    code, _, text = cleandoc(docstring or "").partition(": ")
+    return _page(code, text)
+
+
+def _page(code: str, text: str) -> Page:
+    about, _, rest = text.partition("\n\nExample::\n\n")
+    example, _, instead = rest.partition("\n\nInstead::\n\n")
+    return Page(code, about[0].upper() + about[1:], dedent(example), dedent(instead))
+
+
+def _of_file() -> Iterator[Page]:
+    findings = Findings()
+    root = parse(Source(PAGES.name, PAGES.read_text(encoding="utf-8")), findings)
+    table = to_data(root) if root else None
+    if not isinstance(table, dict) or len(findings):
+        raise ValueError(f"{PAGES} is broken: {findings}")
+    for code, page in table.items():
+        texts = {part: text.strip() for part, text in page.items() if isinstance(text, str)}
+        yield Page(code, deep=page.get("deep") is True, **texts)

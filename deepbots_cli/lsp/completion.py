@@ -24,8 +24,15 @@ from deepbots_cli.expressions.dimensions import UNITS, Unit
 from deepbots_cli.expressions.functions import ALLOWED, FUNCTIONS, Family, Form, Param
 from deepbots_cli.expressions.types import Context, Kind, Scope, Type
 from deepbots_cli.lsp.cursor import value_at
-from deepbots_cli.lsp.hover import describe_function, describe_shape, describe_symbol, summary
-from deepbots_cli.lsp.lookup import ignore_finding, section_of, shapes_at
+from deepbots_cli.lsp.lookup import (
+    describe_function,
+    describe_shape,
+    describe_symbol,
+    ignore_finding,
+    section_of,
+    shapes_at,
+    summary,
+)
 from deepbots_cli.lsp.workspace import Analysis, View
 from deepbots_cli.scenario.base import Kinds, MappingOf, Section, fields
 from deepbots_cli.scenario.docs import about_kind, example_of

@@ -21,8 +21,7 @@ from deepbots_cli.document.load import allowed_folders
 from deepbots_cli.errors import UsageError
 from deepbots_cli.lsp.completion import completion
 from deepbots_cli.lsp.diagnostics import KINDS, Checker, CodeActions, formatting
-from deepbots_cli.lsp.hover import hover
-from deepbots_cli.lsp.lookup import definitions, document_symbols
+from deepbots_cli.lsp.lookup import definitions, document_symbols, hover
 from deepbots_cli.lsp.workspace import Document, Workspace, analyse, path_of
 
 _WATCHED = ("**/*.{yaml,yml,urdf}", "**/*.{obj,stl,dae,png}", "**/{deepbots,pyproject}.toml")

@@ -407,6 +407,13 @@ class Solved:
     mean_return: float | None = None
     success_rate: float | None = None
 
+    @property
+    def words(self) -> str:
+        """`mean return 195 over 100 episodes`."""
+        wanted = [f"mean return {self.mean_return:g}"] if self.mean_return is not None else []
+        wanted += [f"success rate {self.success_rate:g}"] if self.success_rate is not None else []
+        return f"{' and '.join(wanted)} over {self.episodes} episodes"
+
 
 @dataclass(frozen=True)
 class Evaluation:

@@ -1,14 +1,13 @@
 """What generated code runs on.
 
-supervisor.py  base of the generated supervisor, a Gymnasium environment
-robot.py       base of the generated robot controllers
+supervisor.py  bases of the generated classes: the supervisor, a Gymnasium environment, and the robot controllers
 copies.py      copies of a robot in one world: a supervisor for each, and one that holds them
 spaces.py      action and observation spaces, actions in their forms, frame stacks, rewards for other goals
 formulas.py    functions that generated code calls: pure ones, ones with memory, terms in Python
-channel.py     channels of messages; messages.py their formats
+messages.py    channels of messages, and their formats
 streams.py     named random streams under one root seed, and values that `reset` is given in place of draws
-placement.py   where bodies stand when an episode begins; ways.py shortest ways around solid objects
-lines.py       painted lines: places beside and along them, light
+placement.py   where bodies stand when an episode begins
+ways.py        shortest ways around solid objects; painted lines: places beside and along them, light
 view.py        a camera that sees the whole scene
 actuation.py   actuators that are more than a motor of the engine, and pushes
 sensing.py     sensors that are sampled once per tick, with their faults; readers.py what each kind measures
@@ -47,11 +46,9 @@ from deepbots_cli.runtime.formulas import (
     wrap_angle,
     yaw,
 )
-from deepbots_cli.runtime.lines import Follower
 from deepbots_cli.runtime.placement import Arrangement
-from deepbots_cli.runtime.robot import RobotController
-from deepbots_cli.runtime.supervisor import Supervisor
-from deepbots_cli.runtime.ways import Ways
+from deepbots_cli.runtime.supervisor import RobotController, Supervisor
+from deepbots_cli.runtime.ways import Follower, Ways
 
 __all__ = [
     "Accumulate",

@@ -137,7 +137,7 @@ class Arrangement:
         if spacing != (0.0, 0.0):
             x, y = x + self._rank[body] * spacing[0], y + self._rank[body] * spacing[1]
         patch = self.forms.footprint(body, rpy).at(x, y, rpy[2])
-        self._settle(body, patch, (x, y, z), rpy, velocity, angular_velocity, rests, clearance, self._height(x, y))
+        self._settle(body, patch, (x, y, z), rpy, (velocity, angular_velocity), rests, clearance, self._height(x, y))
 
     def find(
         self,
@@ -180,7 +180,7 @@ class Arrangement:
                 patch = covered.at(x, y, rpy[2])
                 if (surface is None or surface.holds(patch, margin)) and self._floor.is_free(patch, clearance, base):
                     ground = surface.height if surface else self._height(x, y)
-                    self._settle(body, patch, (x, y, z), rpy, velocity, angular_velocity, rests, clearance, ground)
+                    self._settle(body, patch, (x, y, z), rpy, (velocity, angular_velocity), rests, clearance, ground)
                     return
         raise NoPlaceError(body)
 
@@ -206,16 +206,7 @@ class Arrangement:
             self._engine.place(body, xyz, quaternion(*rpy), *motion)
 
     def _settle(
-        self,
-        body: str,
-        patch: Patch,
-        xyz: Triple,
-        rpy: Triple,
-        velocity: Triple,
-        angular_velocity: Triple,
-        rests: bool,
-        clearance: float,
-        ground: float,
+        self, body: str, patch: Patch, xyz: Triple, rpy: Triple, motion: tuple[Triple, Triple], rests: bool, clearance: float, ground: float
     ) -> None:
         """Note the place of a body whose height counts from `ground` (m)."""
         x, y, z = xyz
@@ -223,8 +214,7 @@ class Arrangement:
         top = self.forms.top(body, z, rpy)
         if top > ground + TOUCHING:  # a table top level with the ground is nothing to keep clear of
             self._floor.take(patch, clearance, top)
-        moving = velocity is not STILL or angular_velocity is not STILL
-        self._poses[body] = ((x, y, z), rpy, *((velocity, angular_velocity) if moving else ()))
+        self._poses[body] = ((x, y, z), rpy, *(() if motion == (STILL, STILL) else motion))
 
 
 def _placed(scenario: Program) -> set[str]:

@@ -1,4 +1,8 @@
-"""The supervisor: a Gymnasium environment that sees and resets the whole world, scores, and talks to robots."""
+"""The bases of generated classes: the supervisor and the robot controllers.
+
+The supervisor is a Gymnasium environment: it sees and resets the whole world, scores, and exchanges messages with robots. A robot
+controller reads its own sensors and acts on messages.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +11,7 @@ import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from struct import Struct
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import gymnasium as gym
 import numpy as np
@@ -15,27 +19,51 @@ from numpy.typing import NDArray
 
 from deepbots_cli.errors import EvaluationError, MessageError, UsageError
 from deepbots_cli.frames import Triple
-from deepbots_cli.port import STILL, Engine, View
+from deepbots_cli.port import STILL, Engine, MotorWriter, View
 from deepbots_cli.program import Program
-from deepbots_cli.program.robots import Direction, MessageLayout, Robot
+from deepbots_cli.program.robots import Actuator, CustomActuator, Direction, MessageLayout, Motor, Robot
 from deepbots_cli.program.task import ActionRange, Choices
-from deepbots_cli.runtime.channel import Channel, LossyChannel
+from deepbots_cli.runtime.actuation import CustomMotor, Site
 from deepbots_cli.runtime.formulas import Memories, Memory, clip, memory_of_vector
-from deepbots_cli.runtime.messages import Wire, excerpt, explain
-from deepbots_cli.runtime.robot import RobotController
+from deepbots_cli.runtime.messages import Channel, LossyChannel, Wire, excerpt, explain
+from deepbots_cli.runtime.readers import sees
+from deepbots_cli.runtime.sensing import Device, instrument
 from deepbots_cli.runtime.spaces import FrameStack, action_space, alike, composed, observation_space, recomputed, usual, views
 from deepbots_cli.runtime.streams import Streams, episode_values
 from deepbots_cli.runtime.view import moved, overview
 
 Observation = NDArray[np.float32]
 Info = dict[str, Any]
-C = TypeVar("C", bound=RobotController)
+C = TypeVar("C", bound="RobotController")
 M = TypeVar("M", bound=Memory)
 
 _CLOSED = "the environment is closed; make a new one"
 
 
-class Supervisor(gym.Env[Observation, Any], ABC):
+class _WithMemories:
+    """Memories of stateful functions, which a new episode clears; `timestep` is in s."""
+
+    def __init__(self, timestep: float) -> None:
+        self._timestep = timestep
+        self._memories: list[Memory | Memories] = []
+
+    def memory(self, kind: type[M]) -> M:
+        made = kind(self._timestep)
+        self._memories.append(made)
+        return made
+
+    def memories(self, kind: type[Memory], count: int) -> Memory | Memories:
+        """One memory for each component of a vector."""
+        made = memory_of_vector(kind, count, self._timestep)
+        self._memories.append(made)
+        return made
+
+    def clear_memories(self) -> None:
+        for memory in self._memories:
+            memory.reset()
+
+
+class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
     """Base of the generated supervisor classes.
 
     A generated class adds `bind` (robots, channels, and readers from the engine), `_begin` (draws and placing at reset),
@@ -68,6 +96,7 @@ class Supervisor(gym.Env[Observation, Any], ABC):
             raise UsageError(f"render mode {render_mode!r} is unknown; use 'rgb_array' or none")
         if render_mode and "rendering" not in engine.capabilities:
             raise UsageError(f"the engine '{engine.name}' cannot draw; use the engine 'pybullet' for pictures")
+        super().__init__(scenario.world.timestep)
         self.scenario = scenario
         self.engine = engine
         self.render_mode = render_mode
@@ -102,7 +131,6 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         self._forget()
         self.controllers: dict[str, RobotController] = {}
         self._channels: list[Channel | LossyChannel] = []
-        self._memories: list[Memory | Memories] = []
         self.bind(engine)
 
     # What `bind` makes
@@ -136,18 +164,6 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         self._channels.append(made)
         return made
 
-    def memory(self, kind: type[M]) -> M:
-        """A memory of a stateful function, which a new episode clears."""
-        made = kind(self.scenario.world.timestep)
-        self._memories.append(made)
-        return made
-
-    def memories(self, kind: type[Memory], count: int) -> Memory | Memories:
-        """One memory for each component of a vector."""
-        made = memory_of_vector(kind, count, self.scenario.world.timestep)
-        self._memories.append(made)
-        return made
-
     def _spec(self, name: str) -> Robot:
         return next(robot for robot in self.scenario.robots if robot.name == name)
 
@@ -155,8 +171,7 @@ class Supervisor(gym.Env[Observation, Any], ABC):
         """Controllers, channels and memories forget the last episode."""
         for part in (*self.controllers.values(), *self._channels):
             part.begin(self.streams)
-        for memory in self._memories:
-            memory.reset()
+        self.clear_memories()
 
     # Gymnasium
 
@@ -494,3 +509,90 @@ class Supervisor(gym.Env[Observation, Any], ABC):
 
 def _rebuild(rebuild: Callable[[], Supervisor]) -> Supervisor:
     return rebuild()
+
+
+# Robot controllers
+
+
+@runtime_checkable
+class Drive(Protocol):
+    """An actuator with a state of its own."""
+
+    def reset(self) -> None:
+        """As before the first command: it exerts nothing."""
+
+    def hold(self) -> None:
+        """Keep what it drives where it is, as far as it can."""
+
+
+class RobotController(_WithMemories):
+    """Base of the generated robot classes.
+
+    A generated class adds `bind`, which takes its readers and writers from the engine, and the paper's
+    pair: `use_message_data(message)` drives the actuators by the fields of a message, and `create_message()`
+    reads the sensors into the fields of one. Channels encode and decode.
+    """
+
+    def __init__(self, spec: Robot, scenario: Program, engine: Engine) -> None:
+        super().__init__(scenario.world.timestep)
+        self.spec = spec
+        self.devices: dict[str, Device] = {}
+        self._world, self._engine = scenario.world, engine
+        self.bind(engine)
+        drives = [(actuator, getattr(self, f"drive_{actuator.name}", None)) for actuator in spec.actuators]
+        self._drives = [(actuator, drive) for actuator, drive in drives if drive is not None]
+
+    def bind(self, engine: Engine) -> None:
+        """Take readers and writers from the engine; called once."""
+
+    def device(self, name: str) -> Device:
+        """The device behind a sensor, made when it is first asked for."""
+        if name not in self.devices:
+            sensor = next(sensor for sensor in self.spec.sensors if sensor.name == name)
+            made = instrument(sensor, self.spec.name, self._world, self._engine)
+            self.devices[name] = Device(sensor, self.spec.name, made, self._world.timestep)
+        return self.devices[name]
+
+    def actuator(self, name: str) -> CustomMotor:
+        """An actuator of a plug-in's kind."""
+        actuator = next(actuator for actuator in self.spec.actuators if actuator.name == name)
+        assert isinstance(actuator, CustomActuator)  # generated code asks for no other
+        return CustomMotor(Site(self._engine, self.spec.name, actuator, self._world.timestep / self._world.substeps))
+
+    def sees(self, sensor: str, body: str) -> Callable[[], bool]:
+        """Whether the newest picture of a camera shows the body."""
+        return sees(self.device(sensor), body)
+
+    def begin(self, streams: Streams) -> None:
+        """Begin an episode: first readings are taken, and nothing is left of earlier ones."""
+        for device in self.devices.values():
+            device.reset(streams)
+        self.clear_memories()
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin what is computed on board with the first readings, and with messages of zeros."""
+
+    def observe(self) -> None:
+        """Sample what is sampled once per timestep."""
+
+    def release(self) -> None:
+        """Let the actuators take the figures of this episode and forget their commands: they exert nothing until `hold`."""
+        for _, drive in self._drives:
+            if isinstance(drive, Drive):
+                drive.reset()
+
+    def hold(self) -> None:
+        """Hold everything that is driven in its reset state until the first command takes effect."""
+        for actuator, drive in self._drives:
+            _hold(self._engine, self.spec.name, actuator, drive)
+
+
+def _hold(engine: Engine, robot: str, actuator: Actuator, drive: MotorWriter | Drive) -> None:
+    """Keep what an actuator drives where it is; a motor that commands torques lets its joints go."""
+    if isinstance(drive, Drive):
+        drive.hold()
+    elif isinstance(actuator, Motor) and actuator.kind == "velocity_motor":
+        drive((0.0,) * len(actuator.joints))
+    elif isinstance(actuator, Motor) and actuator.kind == "position_motor":
+        drive([state[0] for state in engine.joint_states(robot, actuator.joints)()])

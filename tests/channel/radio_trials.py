@@ -9,7 +9,7 @@ from math import erfc, exp, gamma, sqrt
 from typing import Any
 
 from deepbots_cli.program.robots import Route
-from deepbots_cli.runtime.channel import LossyChannel
+from deepbots_cli.runtime.messages import LossyChannel
 from deepbots_cli.runtime.streams import Streams
 from tests.named import constant
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from deepbots_cli.program.robots import Route
-from deepbots_cli.runtime.channel import LossyChannel
+from deepbots_cli.runtime.messages import LossyChannel
 from deepbots_cli.runtime.streams import Streams
 from tests.channel.radio_trials import (
     BURSTS,

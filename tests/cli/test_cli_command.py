@@ -6,7 +6,6 @@ import json
 import os
 import subprocess
 import sys
-from importlib import import_module
 from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 
@@ -14,8 +13,8 @@ import pytest
 
 import deepbots_cli
 from deepbots_cli import api
-from deepbots_cli.cli.command import Verbs
-from deepbots_cli.cli.verbs import VERBS, doctor
+from deepbots_cli.cli.command import Commands
+from deepbots_cli.cli.verbs import VERBS, installation
 from deepbots_cli.errors import installing
 from tests.few import few
 
@@ -31,15 +30,14 @@ def in_process_of_its_own(code: str) -> str:
 def test_every_verb_explains_itself_with_examples(deepbots, verb):
     shown = deepbots(verb, "--help")
     assert shown.code == 0
-    assert VERBS[verb] in shown.out
+    assert VERBS[verb][1] in shown.out
     assert f"  deepbots {verb} " in shown.out or f"  deepbots {verb}\n" in shown.out
 
 
 @pytest.mark.parametrize("verb", VERBS)
 def test_every_example_in_the_help_is_a_command_line_that_parses(deepbots, verb):
-    text = import_module(f"deepbots_cli.cli.verbs.{verb}").command.__doc__
-    command = Verbs().get_command(None, verb)
-    examples = [line.split("  ")[0].split(" && ")[0].split() for line in text.replace("      ", "").splitlines()]
+    command = Commands().get_command(None, verb)
+    examples = [line.strip().split("  ")[0].split(" && ")[0].split() for line in command.help.splitlines()]
     for words in [words for words in examples if words[:2] == ["deepbots", verb]]:
         command.make_context(verb, words[2:]).close()
 
@@ -47,7 +45,7 @@ def test_every_example_in_the_help_is_a_command_line_that_parses(deepbots, verb)
 def test_the_overview_lists_every_verb(deepbots):
     shown = deepbots("--help")
     assert shown.code == 0
-    assert all(verb in shown.out and summary in shown.out for verb, summary in VERBS.items())
+    assert all(verb in shown.out and summary in shown.out for verb, (_, summary) in VERBS.items())
 
 
 def test_the_version_is_that_of_the_package(deepbots):
@@ -95,10 +93,14 @@ def test_a_misspelt_scenario_is_suggested(deepbots):
 @pytest.mark.parametrize(
     ("gone", "said"),
     [
-        (("pygls",), "everything works except the language server, which needs the missing extra"),
+        (("pygls",), "everything works except what needs a missing extra: the language server"),
         ((), "everything works"),
-        (("torch",), "linting and simulating work; training needs the missing extra"),
-        (("pybullet", "torch"), "linting works; simulating and training need the missing extras"),
+        (("torch",), "everything works except what needs a missing extra: training, MaskablePPO, RecurrentPPO and TQC"),
+        (
+            ("pybullet",),
+            "everything works except what needs a missing extra:"
+            " simulation, training, MaskablePPO, RecurrentPPO and TQC, the page of view and play",
+        ),
     ],
 )
 def test_the_doctor_does_not_say_that_everything_works_where_an_extra_is_missing(deepbots, monkeypatch, gone, said):
@@ -107,7 +109,7 @@ def test_the_doctor_does_not_say_that_everything_works_where_an_extra_is_missing
             raise PackageNotFoundError(name)
         return "1.0"
 
-    monkeypatch.setattr(doctor, "version", version)
+    monkeypatch.setattr(installation, "version", version)
     ran = deepbots("doctor")
     assert (ran.code, ran.err) == (0, f"{said}\n")
 
@@ -237,7 +239,7 @@ def test_the_doctor_finds_this_installation_in_order(deepbots):
     report = json.loads(ran.out)
     assert ran.code == 0
     assert report["ok"]
-    assert {"pybullet", "scenarios", "physics", "learning"} <= {look["what"] for look in report["checks"]}
+    assert {"pybullet", "scenarios", "engine pybullet", "engine mujoco", "learning"} <= {look["what"] for look in report["checks"]}
     assert {look["state"] for look in report["checks"]} == {"ok"}
 
 

@@ -14,8 +14,7 @@ from deepbots_cli.cli.verbs.explain import Topic, topics
 from deepbots_cli.compiler import check
 from deepbots_cli.diagnostics import RULES
 from deepbots_cli.document import loads
-from deepbots_cli.lint import review
-from deepbots_cli.lint.pages import every_page
+from deepbots_cli.lint import every_page, review
 
 ROOT = Path(__file__).parents[2]
 

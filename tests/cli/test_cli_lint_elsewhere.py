@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from deepbots_cli.cli.command import Verbs
+from deepbots_cli.cli.command import Commands
 from deepbots_cli.document import shipped
 
 ROOT = Path(__file__).parents[2]
@@ -71,4 +71,4 @@ def test_the_command_lines_of_the_page_on_linting_parse():
     lines = re.findall(r"deepbots (lint [^`|\n]*?)(?: <.*| >.*)?$", page, re.MULTILINE)
     assert len(lines) >= 4
     for line in lines:
-        Verbs().get_command(None, "lint").make_context("lint", shlex.split(line)[1:]).close()
+        Commands().get_command(None, "lint").make_context("lint", shlex.split(line)[1:]).close()

@@ -39,7 +39,7 @@ def test_every_section_of_a_template_has_a_comment(deepbots, tmp_path, template)
 
 
 def test_the_help_lists_every_template():
-    assert all(f"      {name:<8}  a" in new.command.__doc__ for name in Template)
+    assert all(f"      {name:<8}  a" in new.new.__doc__ for name in Template)
 
 
 def test_the_script_of_the_wheeled_template_finds_its_ball(deepbots):

@@ -13,9 +13,8 @@ from deepbots_cli.diagnostics import RULES, Findings
 from deepbots_cli.diagnostics.findings import Source
 from deepbots_cli.diagnostics.suppress import suppress
 from deepbots_cli.document import loads
-from deepbots_cli.lint import SIMULATED_RULES, STATIC_RULES, code_of, run, simulate
+from deepbots_cli.lint import SIMULATED_RULES, STATIC_RULES, Page, code_of, every_page, run, simulate
 from deepbots_cli.lint.analysis import StaticRule
-from deepbots_cli.lint.pages import Page, every_page
 from deepbots_cli.robots.reader import read
 from tests.few import few
 

@@ -6,22 +6,22 @@ import ast
 import re
 import shlex
 from collections.abc import Iterator
-from importlib import import_module, util
+from importlib import util
 from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
 
 import pytest
-import typer
 
 from deepbots_cli import api
+from deepbots_cli.cli.command import Commands
 from deepbots_cli.cli.verbs import VERBS
 from deepbots_cli.compiler import check
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.suppress import suppress
 from deepbots_cli.document import loads
+from deepbots_cli.lint import pages_of
 from deepbots_cli.lint import run as run_rules
-from deepbots_cli.lint.pages import pages_of
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = sorted(path.parent for path in (ROOT / "deepbots_cli").rglob("__init__.py"))
@@ -98,7 +98,7 @@ def command_lines() -> list[tuple[str, str]]:
         found += [(str(block), line.removeprefix("$ ")) for line in block.text.splitlines() if line.startswith("$ ")]
     for page in PAGES:
         quoted = re.findall(r"`(deepbots [a-z][^`]*)`", page.read_text(encoding="utf-8"))
-        found += [(page.name, line) for line in quoted if "VERB" not in line and "NAME" not in line]
+        found += [(page.name, line) for line in quoted if not re.search("COMMAND|VERB|NAME", line)]
     return sorted(set(found))
 
 
@@ -114,9 +114,7 @@ def test_a_command_in_the_docs_is_one(place: str, line: str):
         return
     verb, *arguments = words[1:]
     assert verb in VERBS
-    app = typer.Typer(add_completion=False)
-    app.command(verb)(import_module(f"deepbots_cli.cli.verbs.{verb}").command)
-    options = {option for parameter in typer.main.get_command(app).params for option in parameter.opts}
+    options = {option for parameter in Commands().get_command(None, verb).params for option in parameter.opts}
     assert {word.partition("=")[0] for word in arguments if word.startswith("-")} <= options
 
 
@@ -172,7 +170,11 @@ def test_a_page_speaks_of_nothing_that_a_reader_cannot_see(page: Path):
 def test_the_map_of_a_package_names_its_modules_and_no_others(package: Path):
     shown = ast.get_docstring(ast.parse((package / "__init__.py").read_text(encoding="utf-8"))) or ""
     modules = {path.name for path in package.glob("*.py")} - {"__init__.py", "__main__.py"}
-    named = {f"{verb}.py" for verb in VERBS} if package.name == "verbs" else set(re.findall(r"\b[a-z_]+\.py\b", shown))
+    named = (
+        {f"{place.partition('.')[0]}.py" for place, _ in VERBS.values()}
+        if package.name == "verbs"
+        else set(re.findall(r"\b[a-z_]+\.py\b", shown))
+    )
     assert named == modules
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from deepbots_cli import frames
-from deepbots_cli.engines.pybullet.parameters import Parameters
+from deepbots_cli.engines.pybullet.state import Parameters
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import quaternion
 from deepbots_cli.port import STILL, View

@@ -7,8 +7,7 @@ import pytest
 from deepbots_cli.errors import MessageError
 from deepbots_cli.message_formats import FORMATS
 from deepbots_cli.program.robots import MessageField, MessageLayout
-from deepbots_cli.runtime.channel import Channel
-from deepbots_cli.runtime.messages import Wire
+from deepbots_cli.runtime.messages import Channel, Wire
 from deepbots_cli.runtime.streams import Streams
 
 FIELDS = (MessageField("angle", "rad"), MessageField("gyro", "rad/s", ("x", "y", "z")), MessageField("touch", "", (), "bool"))

@@ -23,7 +23,7 @@ from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.dimensions import UNITS
 from deepbots_cli.expressions.functions import FUNCTIONS
-from deepbots_cli.lint.pages import pages_of
+from deepbots_cli.lint import pages_of
 from deepbots_cli.renames import former
 from deepbots_cli.scenario.base import Kinds, Section, fields, noun_of, sections
 from deepbots_cli.scenario.docs import about_kind, default_of, description, example_of, unit_of

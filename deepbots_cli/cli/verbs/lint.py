@@ -1,4 +1,4 @@
-"""`deepbots lint`: files, folders and standard input, one after the other or in several processes."""
+"""Findings: `lint` reports those of files, folders and standard input, `lsp` serves them to an editor."""
 
 from __future__ import annotations
 
@@ -7,22 +7,24 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
 from deepbots_cli import api
-from deepbots_cli.cli import rewriting, terminal
+from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import AllowCode, AllowPaths, Sets, whole
 from deepbots_cli.cli.exits import FAILED, FAULT
+from deepbots_cli.cli.verbs import rewriting
 from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Edit, Finding, Severity, Source, formats
 from deepbots_cli.diagnostics.findings import failure
 from deepbots_cli.diagnostics.render import inert, render, summary
 from deepbots_cli.diagnostics.suppress import Selection, Words
-from deepbots_cli.errors import DeepbotsError, UsageError
-from deepbots_cli.lint import review
+from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
+from deepbots_cli.lint import review, simulate
 from deepbots_cli.lint.fixes import Fixer
 from deepbots_cli.lint.settings import Settings, scenarios_in, settings
 
@@ -47,7 +49,7 @@ _FAILING: dict[str, tuple[Severity, ...]] = {"error": ("error",), "warning": ("e
 Codes = list[str] | None
 
 
-def command(
+def lint(
     scenarios: Annotated[
         list[str] | None,
         typer.Argument(
@@ -270,26 +272,21 @@ class Look:
         return self._reviewed(check(replace(document, allow_code=self.allow_code)), display)
 
     def _reviewed(self, checked: Checked, called: str) -> list[Finding]:
+        """The findings from the text and then from a simulation; a scenario with errors cannot be simulated."""
         try:
-            return self._found(checked, called)
+            found = review(checked, preview=self.preview)
+            if not self.deep:
+                return found
+            if any(finding.severity == "error" and not finding.is_fault for finding in found):
+                terminal.note(f"{called}: not simulated because it has errors")
+                return found
+            with terminal.passing(f"{called}: simulating"):
+                simulated = simulate(checked, preview=self.preview)
+            if simulated.left:
+                terminal.note(f"{called}: the simulation was stopped {simulated.left}; its further findings are missing")
+            return review(checked, preview=self.preview, measured=simulated.findings)
         finally:
             checked.release()
-
-    def _found(self, checked: Checked, called: str) -> list[Finding]:
-        """The findings from the text and then from a simulation; a scenario with errors cannot be simulated."""
-        found = review(checked, preview=self.preview)
-        if not self.deep:
-            return found
-        if any(finding.severity == "error" and not finding.is_fault for finding in found):
-            terminal.note(f"{called}: not simulated because it has errors")
-            return found
-        from deepbots_cli.lint import simulate
-
-        with terminal.passing(f"{called}: simulating"):
-            simulated = simulate(checked, preview=self.preview)
-        if simulated.left:
-            terminal.note(f"{called}: the simulation was stopped {simulated.left}; its further findings are missing")
-        return review(checked, preview=self.preview, measured=simulated.findings)
 
     def called(self, name: str) -> str:
         """The name of the scenario `name` in findings."""
@@ -367,7 +364,34 @@ def report(findings: Sequence[Finding], format: Format, names: Sequence[str], fa
 
 
 def _page(code: str) -> tuple[str, str]:
-    from deepbots_cli.lint.pages import pages_of
+    from deepbots_cli.lint import pages_of
 
     pages = pages_of(code)
     return "\n\n".join(page.text() for page in pages), "\n\n".join(page.markdown() for page in pages)
+
+
+# In an editor
+
+
+def lsp(
+    port: Annotated[
+        int | None,
+        typer.Option("--tcp", metavar="PORT", min=1, max=65535, help="Listen on this port; by default, use standard input and output."),
+    ] = None,
+    allow_paths: AllowPaths = None,
+    allow_code: AllowCode = False,
+) -> None:
+    """Run the language server: findings, completion, hover, fixes.
+
+    An editor that supports the language server protocol starts this command itself. The server completes keys, names and functions, shows
+    types, units and ranges, and finds definitions. docs/editors.md has the settings of Neovim, Helix and VS Code.
+
+    \b
+      deepbots lsp
+      deepbots lsp --tcp 2087
+    """
+    if find_spec("pygls") is None:
+        raise MissingExtraError("editor", "the language server")
+    from deepbots_cli.lsp.server import serve
+
+    raise typer.Exit(serve(port, allow_paths=allow_paths or (), allow_code=allow_code))

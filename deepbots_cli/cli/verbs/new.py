@@ -1,9 +1,14 @@
-"""`deepbots new`: a first scenario from a template in `starters/`, or for a robot file."""
+"""New files, which never replace others: `new` writes a first scenario, `copy` a shipped one with the files that it reads.
+
+The scenarios of `new` come from the templates and the robots of `starters/`.
+"""
 
 from __future__ import annotations
 
+import json
 import os
 import re
+from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path, PurePosixPath
 from shlex import quote
@@ -14,11 +19,19 @@ import typer
 from deepbots_cli import api
 from deepbots_cli.cli import starters, terminal
 from deepbots_cli.cli.command import Json
-from deepbots_cli.cli.rewriting import Files, write_new, write_with_schema
 from deepbots_cli.cli.sources import opened_robot
-from deepbots_cli.document import shipped
+from deepbots_cli.compiler.inventory import known
+from deepbots_cli.diagnostics import Findings, Source
+from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.document import Scalar, files, shipped, walk
 from deepbots_cli.document.files import Refused, project_root, resolve
+from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
+from deepbots_cli.robots import reader
+from deepbots_cli.scenario.json_schema import to_text
+
+Files = dict[PurePosixPath, bytes]
+"""Contents by path below the folder that they are written to."""
 
 
 class Template(StrEnum):
@@ -28,7 +41,7 @@ class Template(StrEnum):
     pit = "pit"
 
 
-def command(
+def new(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the scenario; the file is NAME.yaml.")],
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the files.")] = Path("."),
     template: Annotated[Template | None, typer.Option("--template", help="Template to begin with.")] = None,
@@ -142,3 +155,143 @@ def _reference(robot: str, folder: Path) -> str:
 def _title(name: str) -> str:
     """The name of a scenario in the file of this name: `my_robot` becomes `MyRobot`."""
     return "".join(part[0].upper() + part[1:] for part in re.split("[_-]+", name) if part)
+
+
+# Copies of shipped scenarios
+
+_PLAIN = re.compile(r"[A-Za-z0-9_./-]+")
+
+
+def copy(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of a scenario that comes with deepbots; see: deepbots list")],
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the files.")] = Path("."),
+    as_json: Json = False,
+) -> None:
+    """Copy a scenario that comes with deepbots, and its files.
+
+    The command rewrites the paths in the scenario so that they fit the new folder. Existing files are not overwritten.
+
+    \b
+      deepbots copy cartpole               writes ./cartpole.yaml and ./robots/urdf/cartpole.urdf
+      deepbots copy cartpole experiments
+
+    Next: change the copy, then run `deepbots lint cartpole.yaml` and `deepbots train cartpole.yaml`.
+    """
+    written = write_new(collect(name), folder)
+    if as_json:
+        terminal.show_json({"scenario": written[0], "files": written})
+        return
+    for path in written:
+        terminal.say(str(path))
+    scenario = quote(str(written[0]))
+    terminal.note(f"\nnext:\n  deepbots lint {scenario}\n  deepbots train {scenario}")
+
+
+def collect(name: str) -> Files:
+    """The files of the shipped scenario `name`, the scenario first, by their paths in the new folder.
+
+    Files of `scenarios/` move to the top of the folder. The paths in scenarios are rewritten; comments stay.
+
+    Raises:
+        UsageError: There is no shipped scenario of this name.
+    """
+    first = shipped.scenario_path(name)
+    if first is None:
+        names = shipped.scenario_names()
+        near = nearest(name, names)
+        hint = f" (did you mean {near}?)" if near else ""
+        raise UsageError(f"there is no shipped scenario '{name}'{hint}; shipped scenarios are: {', '.join(names)}")
+    found: Files = {}
+    waiting = [first.resolve()]
+    while waiting:
+        file = waiting.pop(0)
+        if _target(file) not in found:
+            found[_target(file)], needed = _moved(file)
+            waiting += needed
+    return found
+
+
+def _target(file: Path) -> PurePosixPath:
+    data = shipped.data_dir().resolve()
+    scenarios = data / "scenarios"
+    return PurePosixPath(file.relative_to(scenarios if file.is_relative_to(scenarios) else data))
+
+
+def _moved(file: Path) -> tuple[bytes, list[Path]]:
+    """The content of `file` for its new place, and the files that it needs."""
+    content = file.read_bytes()
+    if file.suffix == ".yaml":
+        return _rewritten(file, content.decode("utf-8"))
+    if file.suffix == ".urdf":
+        robot = reader.read(file, file.name, Findings())
+        return content, [Path(mesh) for mesh in robot.meshes] if robot else []
+    return content, []
+
+
+def _rewritten(file: Path, text: str) -> tuple[bytes, list[Path]]:
+    needed = []
+    for scalar, path in reversed(list(_references(file, text))):
+        needed.append(path)
+        there = os.path.relpath(_target(path), _target(file).parent).replace(os.sep, "/")
+        written = there if _PLAIN.fullmatch(there) else json.dumps(there)
+        text = text[: scalar.span.start] + written + text[scalar.span.end :]
+    return text.encode(), needed[::-1]
+
+
+def _references(file: Path, text: str) -> Iterator[tuple[Scalar, Path]]:
+    """Every value that names a shipped file, in file order: a path, or the name of a robot as the value of `urdf`."""
+    root = parse(Source(file.name, text), Findings())
+    if root is None:
+        return
+    for path, node in walk(root):
+        if isinstance(node, Scalar) and isinstance(node.value, str):
+            found = files.resolve(node.text, file.parent, shipped.data_roots())
+            robot = shipped.robot_path(node.text) if path[-1:] == ("urdf",) else None
+            if isinstance(found, Path):
+                yield node, found
+            elif robot is not None:
+                yield node, robot.resolve()
+
+
+# Writing
+
+
+def write_new(files: Files, folder: Path) -> list[Path]:
+    """Write the files into `folder`; one that is already there with the same content is left alone.
+
+    Raises:
+        UsageError: Other files are in the way; lists them, and nothing is written.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise UsageError(f"{folder} is a file; name a folder, which need not be there yet")
+    wanted = {folder / target: content for target, content in files.items()}
+    present = {path for path in wanted if path.exists() or path.is_symlink()}
+    in_the_way = [path for path in present if not path.is_file() or path.read_bytes() != wanted[path]]
+    if in_the_way:
+        raise UsageError(f"nothing was written, since there are already: {', '.join(sorted(map(str, in_the_way)))}")
+    for path in wanted.keys() - present:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("xb") as file:
+            file.write(wanted[path])
+    return list(wanted)
+
+
+def modeline(scenario: Path, schema: Path) -> str:
+    """The first line of a scenario, from which a YAML language server finds the schema."""
+    way = os.path.relpath(schema.resolve(), scenario.resolve().parent)
+    return f"# yaml-language-server: $schema={Path(way).as_posix()}"
+
+
+def write_with_schema(files: Files, folder: Path) -> list[Path]:
+    """Write the files into `folder`, the first of them a scenario, with a schema for that one; the files that were written.
+
+    Raises:
+        UsageError: Other files are in the way; nothing is written.
+    """
+    (target, text), *others = files.items()
+    schema = target.with_suffix(".schema.json")
+    if os.path.lexists(folder / schema):
+        raise UsageError(f"nothing was written, since there is already: {folder / schema}")
+    led = f"{modeline(folder / target, folder / schema)}\n\n".encode() + text
+    written = write_new({target: led, **dict(others)}, folder)
+    return [*written, *write_new({PurePosixPath(schema): to_text(known(api.load(written[0]))).encode()}, folder)]

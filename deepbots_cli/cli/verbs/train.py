@@ -20,6 +20,7 @@ from deepbots_cli.learning.run import Run
 
 if TYPE_CHECKING:
     from deepbots_cli.learning import TrainingResult
+    from deepbots_cli.program import Program
 
 
 def command(
@@ -99,8 +100,10 @@ def command(
     else:
         compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
         terminal.mention(compiled.findings, scenario)
-        with terminal.passing("" if quiet else f"training {compiled.program.name} from seed {seed or 0} ..."):
+        with terminal.passing("loading PyTorch ..." if told else ""):
             train = learning.train  # which imports torch
+        if told:
+            _announce(compiled.program, seed or 0, timesteps, full=full)
         result = train(
             compiled,
             run=run,
@@ -115,6 +118,15 @@ def command(
             engine=engine or "pybullet",
         )
     _finish(result, quiet=quiet, as_json=as_json, allow_code=allow_code)
+
+
+def _announce(program: Program, seed: int, timesteps: int | None, *, full: bool) -> None:
+    """Say what is trained, when it ends, and how to end it earlier."""
+    training, solved = program.policy.training, program.solved
+    if training is not None:
+        until = f", or until it is solved ({solved.words})" if solved and not full else ""
+        terminal.note(f"training {program.name} with {training.algorithm} from seed {seed}")
+        terminal.note(f"at most {timesteps or training.total_timesteps:,} timesteps{until}; Ctrl-C ends it and keeps the policy")
 
 
 def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, allow_code: bool) -> None:

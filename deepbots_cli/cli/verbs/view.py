@@ -1,16 +1,41 @@
-"""`deepbots view`: a world in the browser."""
+"""What people see of a world: `view` and `play` serve a page in the browser, `picture` and `clip` write files."""
 
 from __future__ import annotations
 
 import sys
 import webbrowser
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Seed, Sets, Stage, known_engine, whole
+
+if TYPE_CHECKING:
+    from deepbots_cli.view.episodes import Source
+
+MAX_SIDE = 4096
+
+
+def size(text: str) -> tuple[int, int]:
+    """A parser of `640x480`, the width and height of a picture in pixels."""
+    wide, _, tall = text.lower().partition("x")
+    if not (wide.isdecimal() and tall.isdecimal() and 16 <= int(wide) <= MAX_SIDE and 16 <= int(tall) <= MAX_SIDE):
+        raise typer.BadParameter(f"'{text}' is no size; write width x height in pixels, such as 640x480, from 16 to {MAX_SIDE}")
+    return int(wide), int(tall)
+
+
+def point(text: str) -> tuple[float, float, float]:
+    """A parser of `x,y,z` in m, world frame."""
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        raise typer.BadParameter(f"'{text}' is no point; write x,y,z in m, such as 1,-0.5,0.8") from None
+    if not all(abs(part) < 1e6 for part in (x, y, z)):
+        raise typer.BadParameter(f"'{text}' is farther than 1000 km away, or no number")
+    return x, y, z
+
 
 Shown = Annotated[str, typer.Argument(metavar="SCENARIO|RUN", help="A scenario file, the name of a shipped scenario, or a run directory.")]
 EngineOrRun = Annotated[
@@ -34,9 +59,18 @@ Episode = Annotated[
     int,
     typer.Option("--episode", metavar="K", parser=whole(0), help="Use the start of episode K of an evaluation."),
 ]
+# Any: typer would parse each part of a tuple alone.
+Size = Annotated[Any, typer.Option("--size", metavar="WxH", parser=size, help="Width and height in pixels.")]
+From = Annotated[
+    Any, typer.Option("--from", metavar="X,Y,Z", parser=point, help="Position of the camera in m; by default it sees the whole scene.")
+]
+At = Annotated[Any, typer.Option("--at", metavar="X,Y,Z", parser=point, help="Point in m that the camera looks at.")]
+Driver = Annotated[
+    str | None, typer.Option("--script", metavar="NAME", help="What acts: a script of the scenario, `random`, `zero` or `policy`.")
+]
 
 
-def command(
+def view(
     shown: Shown,
     driver: Annotated[
         str | None,
@@ -72,33 +106,59 @@ def command(
 
     Next: `deepbots play SCENARIO` lets you drive.
     """
-    serve(shown, driver, seed, episode, watch, sets, case, stage, engine, host, port, open_, allow_paths, allow_code, playing=False)
+    source = _source(shown, sets, case, stage, engine, allow_paths, allow_code)
+    _serve(source, open_, host=host, port=port, driver=driver, seed=seed, episode=episode, watch=watch)
 
 
-def serve(
-    shown: str,
-    driver: str | None,
-    seed: int,
-    episode: int,
-    watch: bool,
-    sets: list[str] | None,
-    case: str | None,
-    stage: str | None,
-    engine: str | None,
-    host: str,
-    port: int | None,
-    open_: bool,
-    allow_paths: list[Path] | None,
-    allow_code: bool,
-    *,
-    playing: bool,
+def play(
+    shown: Shown,
+    seed: Seed = 0,
+    episode: Episode = 0,
+    sets: Sets = None,
+    case: Case = None,
+    stage: Stage = None,
+    engine: EngineOrRun = None,
+    host: Host = "127.0.0.1",
+    port: Port = None,
+    open_: Open = False,
+    allow_paths: AllowPaths = None,
+    allow_code: AllowCode = False,
 ) -> None:
-    """Serve a page until Ctrl-C; the arguments are those of the verbs."""
+    """Drive the robot of a scenario in the browser.
+
+    You command the robot with keys, a gamepad, or buttons and sliders in the page. The page compares your return with that of another
+    driver in the same episode: the policy of a run, or the first script of a scenario.
+
+    \b
+      deepbots play find_ball
+      deepbots play runs/find_ball-0-1
+      deepbots play cartpole --set world.timestep=64ms
+
+    Next: `deepbots train SCENARIO` trains a policy.
+    """
+    source = _source(shown, sets, case, stage, engine, allow_paths, allow_code)
+    _serve(source, open_, host=host, port=port, seed=seed, episode=episode, playing=True)
+
+
+def _source(
+    shown: str,
+    sets: Sets,
+    case: Case,
+    stage: Stage,
+    engine: EngineOrRun,
+    allow_paths: AllowPaths,
+    allow_code: AllowCode,
+) -> Source:
     from deepbots_cli.view.episodes import Source
+
+    return Source(shown, sets or (), allow_paths or (), allow_code, engine, case, stage)
+
+
+def _serve(source: Source, open_: bool, **options: Any) -> None:
+    """Serve a page until Ctrl-C; `options` are those of `Page`."""
     from deepbots_cli.view.page import Page
 
-    source = Source(shown, sets or (), allow_paths or (), allow_code, engine, case, stage)
-    page = Page(source, host=host, port=port, driver=driver, seed=seed, episode=episode, watch=watch, playing=playing)
+    page = Page(source, **options)
     try:
         terminal.say(page.address)
         sys.stdout.flush()  # programs that read it wait for it
@@ -108,3 +168,101 @@ def serve(
         page.run()
     finally:
         page.close()
+
+
+def picture(
+    shown: Shown,
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="PNG", help="File to write.")] = Path("picture.png"),
+    size: Size = "640x480",
+    eye: From = None,
+    target: At = None,
+    labels: Annotated[bool, typer.Option("--labels", help="Name the links and joints of the first robot.")] = False,
+    rays: Annotated[bool, typer.Option("--rays", help="Draw the rays of sensors.")] = False,
+    path: Annotated[bool, typer.Option("--path", help="Run the episode, and draw the path of the robot, seen from above.")] = False,
+    steps: Annotated[int, typer.Option("--steps", metavar="N", parser=whole(0), help="Run this number of steps first.")] = 0,
+    driver: Driver = None,
+    seed: Seed = 0,
+    episode: Episode = 0,
+    sets: Sets = None,
+    case: Case = None,
+    stage: Stage = None,
+    engine: EngineOrRun = None,
+    allow_paths: AllowPaths = None,
+    allow_code: AllowCode = False,
+) -> None:
+    """Draw a picture of a scenario.
+
+    It shows the beginning of an episode, or the world after some steps.
+
+    \b
+      deepbots picture find_ball
+      deepbots picture quadruped --labels --size 960x640 --out links.png
+      deepbots picture find_ball --from 0,-1.5,1 --at 0,0,0 --rays
+      deepbots picture find_ball --path --script around
+      deepbots picture runs/find_ball-0-1 --path --episode 3
+
+    Next: `deepbots clip SCENARIO` makes a moving picture.
+    """
+    from deepbots_cli.view import pictures
+    from deepbots_cli.view.episodes import player
+
+    pictures.check_target(out, (".png",))
+    source = _source(shown, sets, case, stage, engine, allow_paths, allow_code)
+    shot = pictures.Shot(size[0], size[1], eye, target)
+    with player(source, driver) as world:
+        trace = list(world.episode(seed, episode, None if path and not steps else steps))
+        image = pictures.picture(world, shot, labels=labels, rays=rays, path=trace if path else ())
+    image.save(out)
+    terminal.say(str(out))
+
+
+def clip(
+    shown: Shown,
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", "-o", metavar="FILE", help="File to write: .mp4, .gif, or .html for an interactive page that needs no server."
+        ),
+    ] = Path("clip.mp4"),
+    driver: Driver = None,
+    seconds: Annotated[
+        float | None, typer.Option("--seconds", metavar="S", min=0.01, max=3600, help="Simulated seconds; by default the whole episode.")
+    ] = None,
+    speed: Annotated[
+        float, typer.Option("--speed", metavar="X", min=0.01, max=100, help="Seconds of the episode in a second of the clip.")
+    ] = 1.0,
+    size: Size = "480x320",
+    eye: From = None,
+    target: At = None,
+    seed: Seed = 0,
+    episode: Episode = 0,
+    sets: Sets = None,
+    case: Case = None,
+    stage: Stage = None,
+    engine: EngineOrRun = None,
+    allow_paths: AllowPaths = None,
+    allow_code: AllowCode = False,
+) -> None:
+    """Make a moving picture of an episode: MP4, GIF or an offline page.
+
+    In a run, the policy acts. In a scenario, the first script acts; without a script, actions are random.
+
+    \b
+      deepbots clip find_ball --script around --out find_ball.gif
+      deepbots clip runs/cartpole-0-1 --episode 3 --out cartpole.mp4
+      deepbots clip quadruped --out quadruped.html --seconds 10
+
+    Next: `deepbots view SCENARIO` shows it live.
+    """
+    from deepbots_cli.view import pictures
+    from deepbots_cli.view.episodes import player
+
+    pictures.check_target(out, pictures.SUFFIXES)
+    source = _source(shown, sets, case, stage, engine, allow_paths, allow_code)
+    with player(source, driver) as world, terminal.passing("running the episode ..."):
+        frame = pictures.clip(
+            world, out, pictures.Shot(size[0], size[1], eye, target), seed=seed, episode=episode, seconds=seconds, speed=speed
+        )
+    agent = next(iter(frame.agents.values()))
+    state = frame.ending or "not ended"
+    terminal.say(f"{out} ({out.stat().st_size / 1000:,.0f} kB; {state} after {frame.time:.2f} s, return {agent.episode_return:.2f})")

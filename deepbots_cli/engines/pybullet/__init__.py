@@ -2,11 +2,9 @@
 
 engine.py      the engine: one world in a client of its own
 loading.py     ground, walls, objects and robots, built from the world model
-body.py        a robot or an object: links and joints by name, frames of links and of inertia; pooled bodies
-readers.py     joints, poses and velocities, kept while the world stands still
+state.py       bodies with links and joints by name; joints, poses and velocities; masses, friction, colours that an episode varies
 motors.py      motors and springs on joints, and forces on links
 surfaces.py    what touches what and how hard, distances between surfaces and along rays
-parameters.py  masses, friction, colours that an episode varies, and their way back
 cameras.py     pictures: bodies, floor and sky
 
 What PyBullet leaves to its callers, and is settled here:

@@ -14,11 +14,10 @@ import numpy as np
 from deepbots_cli import frames
 from deepbots_cli.engines.kinematics import Chain
 from deepbots_cli.engines.objects import find
-from deepbots_cli.engines.pybullet import BASE, FAINT, GAINS, cameras, loading, motors, readers, surfaces
+from deepbots_cli.engines.pybullet import BASE, FAINT, GAINS, cameras, loading, motors, state, surfaces
 from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.engines.pybullet.cameras import Floor, lit, smoothed
-from deepbots_cli.engines.pybullet.parameters import Parameters
-from deepbots_cli.engines.pybullet.readers import Moments
+from deepbots_cli.engines.pybullet.state import Moments, Parameters
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import STILL, Overlap, Sight
 from deepbots_cli.program.world import GROUND
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from deepbots_cli.engines.objects import Pool
-    from deepbots_cli.engines.pybullet.body import Body
+    from deepbots_cli.engines.pybullet.state import Body
     from deepbots_cli.frames import Frame, Quaternion, Triple
     from deepbots_cli.port import (
         CameraReader,
@@ -267,20 +266,20 @@ class PyBulletEngine:
                     raise EngineError(f"the {what} of '{body.name}' left the range of numbers")
 
     def joint_states(self, robot: str, joints: Sequence[str]) -> JointReader:
-        return readers.joints(self._client, *self._joints(robot, joints), self._moments)
+        return state.joints(self._client, *self._joints(robot, joints), self._moments)
 
     def joint_torques(self, robot: str, joints: Sequence[str]) -> TorqueReader:
         body, indices = self._joints(robot, joints)
         return motors.torques(self.joint_states(robot, joints), body, indices, self._springs)
 
     def pose(self, body: str, link: str | None = None) -> PoseReader:
-        return self._bound((body, link), lambda owner, index: readers.pose(self._client, owner, index, self._moments))
+        return self._bound((body, link), lambda owner, index: state.pose(self._client, owner, index, self._moments))
 
     def velocity(self, body: str, link: str | None = None) -> VelocityReader:
-        return self._bound((body, link), lambda owner, index: readers.velocity(self._client, owner, index, self._moments))
+        return self._bound((body, link), lambda owner, index: state.velocity(self._client, owner, index, self._moments))
 
     def motion(self, body: str, link: str | None = None) -> MotionReader:
-        return self._bound((body, link), lambda owner, index: readers.motion(self._client, owner, index, self._moments))
+        return self._bound((body, link), lambda owner, index: state.motion(self._client, owner, index, self._moments))
 
     def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
         return motors.velocity_motor(self._client, *self._joints(robot, joints), max_torque)

@@ -14,8 +14,7 @@ from deepbots_cli import frames
 from deepbots_cli.engines.objects import PALETTE, Pool, as_robot, forms, moves, walls, with_explicit_masses
 from deepbots_cli.engines.pybullet import BASE, UNREACHABLE, hushed
 from deepbots_cli.engines.pybullet import pybullet as p
-from deepbots_cli.engines.pybullet.body import Body
-from deepbots_cli.engines.pybullet.parameters import contact_parameters
+from deepbots_cli.engines.pybullet.state import Body, contact_parameters
 from deepbots_cli.errors import EngineError
 from deepbots_cli.geometry import triangles
 from deepbots_cli.port import STILL

@@ -9,14 +9,13 @@ from math import inf, sqrt
 from typing import TYPE_CHECKING, Any
 
 from deepbots_cli import frames
-from deepbots_cli.engines.pybullet import BASE, readers
+from deepbots_cli.engines.pybullet import BASE, state
 from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.errors import EngineError
 from deepbots_cli.robots.model import Capsule, Cylinder, Sphere
 
 if TYPE_CHECKING:
-    from deepbots_cli.engines.pybullet.body import Body
-    from deepbots_cli.engines.pybullet.readers import Moments
+    from deepbots_cli.engines.pybullet.state import Body, Moments
     from deepbots_cli.frames import Frame, Triple
     from deepbots_cli.port import ClearanceReader, ContactReader, ForceReader, PoseReader, RayReader
 
@@ -163,7 +162,7 @@ class Rays:
             physicsClientId=self._client,
         )
         refresh = None if index == BASE else partial(p.getLinkState, body.number, index, 0, 1, self._client)
-        pose, rounded = readers.pose(self._client, body, index, self._moments), self._rounded
+        pose, rounded = state.pose(self._client, body, index, self._moments), self._rounded
 
         def read() -> list[float]:
             if refresh is not None:
@@ -248,4 +247,4 @@ def _rounded(client: int, body: Body, index: int, moments: Moments) -> Surface |
     geometry = link.collisions[0]
     if not isinstance(geometry.shape, Round):
         return None
-    return Surface(geometry.shape, readers.pose(client, body, index, moments), frames.frame(geometry.origin))
+    return Surface(geometry.shape, state.pose(client, body, index, moments), frames.frame(geometry.origin))

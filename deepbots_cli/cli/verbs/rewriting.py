@@ -1,13 +1,18 @@
-"""`deepbots upgrade`: files of an older version of the language, with one step per version, and former names (`deepbots_cli.renames`).
+"""Changes of the user's files: `fmt`, `upgrade`, and the fixes of `lint`, shown as a difference or written.
 
-A step changes the text and keeps comments and layout. A file without the key `deepbots` counts as version 0. The fixes of DB109 replace
-former names, also in included files of the project.
+`upgrade` has one step per version of the language. A step changes the text and keeps comments and layout. A file without the key
+`deepbots` counts as version 0. The fixes of DB109 replace former names (`deepbots_cli.renames`), also in included files of the project.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import os
+import sys
+from codecs import BOM_UTF8
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from difflib import unified_diff
+from io import StringIO
 from pathlib import Path
 from shlex import quote
 from typing import Annotated
@@ -17,14 +22,75 @@ import typer
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.exits import FAILED
-from deepbots_cli.cli.rewriting import show, write
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.document import Mapping as Tree
 from deepbots_cli.document import Scalar, files
+from deepbots_cli.document.layout import tidy
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import ScenarioError, UsageError
+from deepbots_cli.files import atomic
 from deepbots_cli.lint.fixes import Fixer, Rewrite
+from deepbots_cli.lint.settings import scenarios_in, settings
 from deepbots_cli.scenario.scenario import VERSION
+
+
+def fmt(
+    paths: Annotated[list[Path], typer.Argument(metavar="FILE", help="Scenario files, or folders of them.")],
+    check: Annotated[bool, typer.Option("--check", help="Write nothing, and exit with 1 if a file would change.")] = False,
+    diff: Annotated[bool, typer.Option("--diff", help="Like --check, and show the changes.")] = False,
+) -> None:
+    """Format scenario files in the canonical layout.
+
+    Formatting keeps all values, comments and aligned columns. In a folder, fmt formats every .yaml or .yml file with a `deepbots:` key,
+    also in subfolders, except the files that the project excludes from linting.
+
+    \b
+      deepbots fmt cartpole.yaml
+      deepbots fmt cartpole.yaml --diff
+      deepbots fmt scenarios/ --check
+    """
+    rewrites, refused = [], False
+    for path in _scenario_files(paths):
+        rewrite = _tidied(path)
+        refused = refused or rewrite is None
+        if rewrite is not None and rewrite.after != rewrite.before:
+            rewrites.append(rewrite)
+            if diff:
+                show(rewrite)
+            elif not check:
+                write(rewrite)
+            terminal.note(f"{'would change' if check or diff else 'changed'} {path}")
+    if refused or (rewrites and (check or diff)):
+        raise typer.Exit(FAILED)
+
+
+def _scenario_files(paths: Sequence[Path]) -> Iterator[Path]:
+    """The named files, and the scenarios in named folders that the project does not exclude."""
+    for given in paths:
+        if not given.exists():
+            raise UsageError(f"there is no file {given}")
+    project = settings() if any(given.is_dir() for given in paths) else None
+    for given in paths:
+        if project is not None and given.is_dir():
+            yield from scenarios_in(given, project)
+        else:
+            yield given
+
+
+def _tidied(path: Path) -> Rewrite | None:
+    """The file in the canonical layout; None after an error message if it cannot be formatted."""
+    data, findings = _read(path), Findings()
+    source, readable = files.decode(data, str(path), findings)
+    root = parse(source, findings) if readable else None
+    if root is None or findings.errors:
+        terminal.complain(f"{path} is not changed because it cannot be read; see: deepbots lint {quote(str(path))}")
+        return None
+    done = tidy(source.text)
+    if done is None:
+        terminal.complain(f"{path} is not changed because a new layout would change its values")
+        return None
+    return Rewrite(path.resolve(), data, (BOM_UTF8 if data.startswith(BOM_UTF8) else b"") + done.encode())
+
 
 Step = Callable[[str, Tree], str]
 """From a text and its tree to the text in the next version of the language."""
@@ -33,7 +99,7 @@ _TELLING = frozenset({"extends", "action", "observation", "reward", "robots"})
 _BOM = "\ufeff"
 
 
-def command(
+def upgrade(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A scenario file.")],
     diff: Annotated[bool, typer.Option("--diff", help="Show the changes and write nothing; exit with 1 if the file would change.")] = False,
 ) -> None:
@@ -149,3 +215,44 @@ def _version(path: Path, root: Tree) -> int:
             "install a newer one: pip install --upgrade deepbots-cli"
         )
     return version
+
+
+# Showing and writing
+
+
+def show(rewrite: Rewrite) -> None:
+    """Print what would change; to a file or a pipe byte for byte, so that `patch -p0` and `git apply -p0` can read it."""
+    text = _difference(rewrite)
+    print(terminal.printable(text) if sys.stdout.isatty() else text, end="")
+
+
+def _difference(rewrite: Rewrite) -> str:
+    """A unified diff."""
+    name = files.display(rewrite.path)
+    if name.isprintable():
+        name += "\t" if " " in name else ""  # without it `patch` takes the name to end there
+    else:
+        name = f'"{"".join(map(_quoted, os.fsencode(name)))}"'
+    before, after = (list(StringIO(data.decode("utf-8", "replace"))) for data in (rewrite.before, rewrite.after))  # parted by \n alone
+    lines = unified_diff(before, after, name, name)
+    return "".join(line if line.endswith("\n") else f"{line}\n\\ No newline at end of file\n" for line in lines)
+
+
+def _quoted(byte: int) -> str:
+    """A byte of an odd file name, as `git` and `patch` write it."""
+    return chr(byte) if chr(byte).isprintable() and byte < 128 and chr(byte) not in '"\\' else f"\\{byte:03o}"
+
+
+def write(rewrite: Rewrite) -> None:
+    """Replace the file as a whole.
+
+    Raises:
+        UsageError: It has changed since it was read, or the system refuses it; nothing is written.
+    """
+    path = rewrite.path
+    with atomic(path) as draft:
+        if path.read_bytes() != rewrite.before:
+            raise UsageError(f"{files.display(path)} was changed by someone else meanwhile, and is left alone")
+        with path.open("r+b"):  # a file that its owner made read-only stays as it is, though its folder would let it be replaced
+            pass
+        draft.write_bytes(rewrite.after)

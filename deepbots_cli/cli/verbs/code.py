@@ -1,0 +1,179 @@
+"""What a scenario generates: `compile` prints a Python module, `eject` writes a project around it, `schema` prints a JSON Schema."""
+
+from __future__ import annotations
+
+from pathlib import Path, PurePosixPath
+from shlex import quote
+from typing import Annotated
+
+import typer
+
+import deepbots_cli
+from deepbots_cli import api, canonical
+from deepbots_cli.cli import terminal
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Scenario, Sets
+from deepbots_cli.cli.verbs.new import Files, modeline, write_new
+from deepbots_cli.codegen.names import class_name
+from deepbots_cli.compiler import Checked
+from deepbots_cli.compiler.inputs import FOLDER, RESOLVED
+from deepbots_cli.compiler.inventory import known
+from deepbots_cli.diagnostics.render import summary
+from deepbots_cli.errors import UsageError, install_source
+from deepbots_cli.files import atomic
+from deepbots_cli.scenario.json_schema import to_text
+
+
+def compile_(
+    scenario: Scenario,
+    sets: Sets = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="FILE", help="Write to this file, and replace it if it exists; by default, print."),
+    ] = None,
+    program: Annotated[bool, typer.Option("--program", help="Print the compiled scenario as canonical JSON instead of Python.")] = False,
+    as_json: Json = False,
+    allow_paths: AllowPaths = None,
+    allow_code: AllowCode = False,
+) -> None:
+    """Print the Python module that a scenario compiles to.
+
+    deepbots runs exactly this module. It has a controller class for each robot, and a supervisor, which is a Gymnasium environment.
+
+    \b
+      deepbots compile cartpole
+      deepbots compile cartpole -o environment.py
+      deepbots compile cartpole --program
+
+    Next: `deepbots eject SCENARIO DIR` writes the module with scripts that run and train it.
+    """
+    if program and as_json:
+        raise UsageError("--program and --json exclude each other; --program prints JSON already")
+    compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
+    if output is not None and output.is_file() and output.read_bytes() in compiled.inputs.values():
+        raise UsageError(f"{output} is an input of the scenario; name another output file")
+    terminal.mention(compiled.findings, scenario)
+    if as_json:
+        data = {"name": compiled.program.name, "digest": compiled.digest, "code": compiled.code, "inputs": list(compiled.inputs)}
+        text = terminal.json_text(data)
+    else:
+        text = f"{canonical.to_json(compiled.program)}\n" if program else compiled.code
+    _write(text, output)
+
+
+def eject(
+    scenario: Scenario,
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A new or empty folder.")],
+    sets: Sets = None,
+    as_json: Json = False,
+    allow_paths: AllowPaths = None,
+    allow_code: AllowCode = False,
+) -> None:
+    """Write a scenario as a Python project that you can edit.
+
+    The project holds the generated classes, the scenario with its files, and scripts that run and train it. It needs deepbots as a library.
+    Change the classes only where the scenario cannot express the change.
+
+    \b
+      deepbots eject cartpole my_cartpole
+      cd my_cartpole && python run.py
+    """
+    _check(folder)
+    compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
+    terminal.mention(compiled.findings, scenario)
+    written = write_new(project(compiled), folder)
+    if as_json:
+        terminal.show_json({"project": folder, "files": written})
+        return
+    for path in written:
+        terminal.say(str(path))
+    terminal.note(f"\nnext: cd {quote(str(folder))} && python run.py")
+
+
+def project(compiled: api.Compiled) -> Files:
+    """The files of the project, README first; the templates are in `project/`."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    folder = Path(__file__).parents[1] / "project"
+    templates = Environment(loader=FileSystemLoader(folder), undefined=StrictUndefined, keep_trailing_newline=True, autoescape=False)
+    words = {
+        "name": compiled.program.name,
+        "summary": compiled.program.summary,
+        "version": deepbots_cli.__version__,
+        "digest": compiled.digest[:12],
+        "supervisor": f"{class_name(compiled.program.name)}Supervisor",
+        "resolved": RESOLVED,
+        "inputs": FOLDER,
+        "options": ", allow_code=True" if compiled.allow_code else "",
+    }
+    made = {name: templates.get_template(f"{name}.j2").render(words) for name in ("README.md", "task.py", "run.py", "train.py")}
+    made |= {"environment.py": compiled.code, RESOLVED: compiled.resolved, "requirements.txt": _requirements()}
+    copies = {PurePosixPath(FOLDER, path): content for path, content in compiled.inputs.items()}
+    return {PurePosixPath(path): text.encode() for path, text in made.items()} | copies
+
+
+def _requirements() -> str:
+    """The requirements of the project: the clone that deepbots was installed from, if pip knows it; no package index has deepbots."""
+    clone = install_source()
+    is_clone = clone != "deepbots-cli"
+    here = f"deepbots-cli[train] @ {Path(clone).as_uri()}" if is_clone else "# deepbots-cli[train] @ file:///PATH/TO/THE/CLONE"
+    moved = " if it has moved" if is_clone else ""
+    return f"# deepbots {deepbots_cli.__version__} is installed from a clone; write its path here{moved}\n{here}\n"
+
+
+def _check(folder: Path) -> None:
+    """Raises: UsageError: The folder exists and is not empty."""
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise UsageError(f"{folder} exists and is not an empty folder; name another folder")
+
+
+def schema(
+    scenario: Annotated[
+        str | None, typer.Option("--for", metavar="SCENARIO", help="Also list the joints, links, sensors and other names of this scenario.")
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", metavar="FILE", help="Write to this file, and replace it if it exists; by default, and with -, print."
+        ),
+    ] = None,
+    allow_paths: AllowPaths = None,
+) -> None:
+    """Print the JSON Schema of scenario files, for editors.
+
+    With the schema, an editor with a YAML language server completes keys, shows their descriptions and marks mistakes. With --for, the
+    schema also lists the names of one scenario.
+
+    \b
+      deepbots schema -o deepbots.schema.json
+      deepbots schema --for mine.yaml -o mine.schema.json
+
+    Next: make this the first line of mine.yaml: # yaml-language-server: $schema=mine.schema.json
+    """
+    if output == Path("-"):
+        output = None
+    if scenario is None:
+        _write(to_text(), output)
+        return
+    checked = api.load(scenario, allow_paths=allow_paths or ())
+    if output is not None and _is_read(checked, output):
+        raise UsageError(f"{output} is an input of the scenario; name another output file")
+    _write(to_text(known(checked)), output)
+    if checked.findings.errors:
+        terminal.note(f"{summary(checked.findings.errors)}: names in unreadable parts are missing; see: deepbots lint {quote(scenario)}")
+    if output is not None and Path(scenario).is_file():
+        terminal.note(f"write as the first line of {checked.document.path.name}: {modeline(checked.document.path, output)}")
+
+
+def _is_read(checked: Checked, output: Path) -> bool:
+    """Whether the file is an input of the scenario, by its path or its content."""
+    if output.resolve() in checked.document.files:
+        return True
+    return output.is_file() and output.read_bytes() in checked.inputs.contents().values()
+
+
+def _write(text: str, output: Path | None) -> None:
+    if output is None:
+        print(text, end="")
+    else:
+        with atomic(output) as draft:
+            draft.write_text(text, encoding="utf-8")

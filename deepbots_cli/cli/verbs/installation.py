@@ -1,0 +1,206 @@
+"""What is installed: `list` names scenarios and runs, `doctor` checks packages and the simulator."""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import sys
+from collections.abc import Iterator
+from contextlib import closing
+from importlib.metadata import PackageNotFoundError, requires, version
+from pathlib import Path
+from typing import Annotated, Literal, NamedTuple
+
+import typer
+
+import deepbots_cli
+from deepbots_cli import api, engines
+from deepbots_cli.cli import terminal
+from deepbots_cli.cli.command import Json
+from deepbots_cli.cli.exits import FAILED
+from deepbots_cli.cli.tables import Row, table
+from deepbots_cli.document import Scalar, load, shipped
+from deepbots_cli.errors import DeepbotsError, RunError, installing
+from deepbots_cli.learning.report import solved_text
+from deepbots_cli.learning.run import NAME, Record
+
+
+def list_(
+    runs: Annotated[Path, typer.Option("--runs", metavar="DIR", help="Folder of your runs.")] = Path("runs"),
+    as_json: Json = False,
+) -> None:
+    """List the scenarios that come with deepbots, and your runs.
+
+    Two runs with the same digest have the same scenario; `deepbots diff` compares the scenarios of two runs.
+
+    \b
+      deepbots list
+      deepbots list --runs /data/runs --json
+
+    Next: `deepbots inspect NAME` shows a scenario, and `deepbots copy NAME` copies it to a folder of yours.
+    """
+    scenarios, known = _scenarios(), _runs(runs)
+    if as_json:
+        terminal.show_json({"scenarios": scenarios, "runs": known})
+        return
+    terminal.say("scenarios\n" + table(scenarios))
+    if known:
+        terminal.say(f"\nruns in {runs}\n" + table([{**row, "digest": str(row["digest"])[:8]} for row in known]))
+    else:
+        terminal.note(f"\nthere are no runs in {runs}; next: deepbots train cartpole")
+
+
+def _scenarios() -> list[Row]:
+    rows: list[Row] = []
+    for name in shipped.scenario_names():
+        path = shipped.scenario_path(name)
+        root = load(path).root if path else None
+        summary = root.get("summary") if root else None
+        rows.append({"name": name, "summary": summary.text if isinstance(summary, Scalar) else ""})
+    return rows
+
+
+def _runs(folder: Path) -> list[Row]:
+    if not folder.is_dir():
+        return []
+    found = [path for path in folder.iterdir() if (path / NAME).is_file()]
+    return [_run(path) for path in sorted(found, key=lambda path: ((path / NAME).stat().st_mtime, path.name))]
+
+
+def _run(path: Path) -> Row:
+    try:
+        record = Record.read(path)
+    except RunError as error:
+        return {
+            "run": path.name,
+            "scenario": "?",
+            "digest": "",
+            "status": "damaged",
+            "steps": None,
+            "mean_return": None,
+            "solved": str(error),
+        }
+    result = record.result
+    return {
+        "run": path.name,
+        "scenario": record.scenario,
+        "digest": record.digest,
+        "status": record.status,
+        "steps": result and result.steps,
+        "mean_return": result and result.mean_return,
+        "solved": solved_text(result.solved_at if result else None),
+        "trained": record.updated,
+    }
+
+
+State = Literal["ok", "missing", "broken"]
+
+_EXTRAS = {
+    "sim": "simulation",
+    "train": "training",
+    "contrib": "MaskablePPO, RecurrentPPO and TQC",
+    "view": "the page of view and play",
+    "editor": "the language server",
+}
+"""What each extra is for. The metadata of the installation name its packages."""
+
+
+class Check(NamedTuple):
+    """The state of one part: a missing part can be installed, a broken part needs repair."""
+
+    what: str
+    state: State
+    found: str
+
+
+def doctor(as_json: Json = False) -> None:
+    """Check the installation.
+
+    The command shows the versions, the extras and the shipped data, and takes one step in each engine. A missing extra is not an
+    error; the exit code is 1 if a part is broken.
+
+    \b
+      deepbots doctor
+      deepbots doctor --json
+
+    Next: install a missing extra with the command that the table shows.
+    """
+    found = [check._asdict() for check in checks()]
+    broken = [check["what"] for check in found if check["state"] == "broken"]
+    states = {check["what"]: check["state"] for check in found}
+    missing = [purpose for extra, purpose in _EXTRAS.items() if states[f"extra {extra}"] != "ok"]
+    if as_json:
+        terminal.show_json({"ok": not broken, "checks": found})
+    else:
+        terminal.say(table(found, indent=""))
+        without = f" except what needs a missing extra: {', '.join(missing)}" if missing else ""
+        terminal.note(f"broken: {', '.join(broken)}" if broken else f"everything works{without}")
+    if broken:
+        raise typer.Exit(FAILED)
+
+
+def checks() -> Iterator[Check]:
+    """The checks of everything that deepbots depends on, in the order of dependence."""
+    yield Check("deepbots", "ok", deepbots_cli.__version__)
+    yield Check("python", "ok" if sys.version_info >= (3, 11) else "broken", f"{platform.python_version()} at {sys.executable}")
+    yield Check("machine", "ok", f"{platform.platform()}, {os.cpu_count()} processors")
+    needed = _requirements()
+    versions = {name: _version(name) for names in needed.values() for name in names}
+    for name, found in versions.items():
+        absent: State = "broken" if name in needed[""] else "missing"
+        yield Check(name, "ok" if found else absent, found or "not installed")
+    complete = {extra: all(versions[name] for name in needed[extra]) for extra in _EXTRAS}
+    for extra, is_complete in complete.items():
+        yield Check(f"extra {extra}", "ok" if is_complete else "missing", "complete" if is_complete else installing(extra))
+    names = shipped.scenario_names()
+    yield Check("scenarios", "ok" if names else "broken", f"{len(names)} in {shipped.data_dir()}")
+    yield _linting()
+    if complete["sim"]:
+        yield from map(_stepping, engines.ENGINES)
+    if complete["train"]:
+        yield _threads()
+
+
+def _requirements() -> dict[str, list[str]]:
+    """The required packages by extra; those that are always required, under an empty name."""
+    found: dict[str, list[str]] = {"": [], **{extra: [] for extra in _EXTRAS}}
+    for requirement in requires("deepbots-cli") or ():
+        extra = re.search(r"extra == .([\w-]+)", requirement)
+        name = re.match(r"[\w.-]+", requirement)
+        if name and (extra is None or extra[1] in _EXTRAS):
+            found[extra[1] if extra else ""].append(name[0])
+    return found
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def _linting() -> Check:
+    try:
+        errors = [finding for finding in api.lint("cartpole") if finding.severity == "error"]
+    except DeepbotsError as error:
+        return Check("linting", "broken", str(error))
+    return Check("linting", "broken" if errors else "ok", f"cartpole: {len(errors)} errors")
+
+
+def _stepping(engine: str) -> Check:
+    try:
+        with closing(api.make("cartpole", engine=engine)) as environment:
+            environment.reset(seed=0)
+            environment.step(environment.action_space.sample())
+    except (DeepbotsError, ImportError, OSError) as error:
+        return Check(f"engine {engine}", "broken", str(error))
+    return Check(f"engine {engine}", "ok", "one step of cartpole")
+
+
+def _threads() -> Check:
+    try:
+        import torch
+    except (ImportError, OSError) as error:
+        return Check("learning", "broken", str(error))
+    return Check("learning", "ok", f"torch with {torch.get_num_threads()} threads; training uses one")

@@ -1,0 +1,340 @@
+"""The state of a PyBullet world: bodies by name, what is read of them, and the parameters that an episode varies.
+
+A reading is kept while the world stands still. A change of a parameter notes its way back, for the next reset.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from deepbots_cli import frames
+from deepbots_cli.engines.objects import find, held_by
+from deepbots_cli.engines.pybullet import BASE, GAINS
+from deepbots_cli.engines.pybullet import pybullet as p
+from deepbots_cli.errors import EngineError
+from deepbots_cli.frames import IDENTITY_FRAME, Frame
+from deepbots_cli.port import STILL
+from deepbots_cli.program.world import GROUND
+
+if TYPE_CHECKING:
+    from deepbots_cli.engines.objects import Pool
+    from deepbots_cli.engines.pybullet.cameras import Floor
+    from deepbots_cli.frames import Quaternion, Triple
+    from deepbots_cli.port import JointReader, Motion, MotionReader, PoseReader, VelocityReader
+    from deepbots_cli.program.world import Colour, EngineParameter, WorldModel
+    from deepbots_cli.robots.model import Friction, Link, RobotModel
+
+
+@dataclass(frozen=True)
+class Dynamics:
+    """What the world model says of a link: mass (kg), principal moments (kg m^2), and its frame of inertia in its own frame."""
+
+    mass: float
+    moments: Triple
+    inertia_frame: Frame
+
+
+class Body:
+    """One PyBullet body.
+
+    `brakes` is the friction (N m or N) of each joint by index, `anchor` a link that moves and touches, `still` the links
+    that never move.
+    """
+
+    def __init__(self, name: str, number: int, model: RobotModel, fixed: bool, client: int) -> None:
+        self.name = name
+        self.suspended = False
+        self.number = number
+        self.model = model
+        self.fixed = fixed
+        self.links = {model.root: BASE}
+        self.joints: dict[str, int] = {}
+        for index in range(p.getNumJoints(number, client)):
+            info = p.getJointInfo(number, index, client)
+            self.joints[info[1].decode()] = index
+            self.links[info[12].decode()] = index
+        self.brakes = {self.joints[joint.name]: joint.friction for joint in model.moving_joints}
+        self.still = frozenset(held_by(model, model.root) if fixed else ())
+        touching = [self.links[link.name] for link in model.links if link.collisions and link.name not in self.still]
+        self.anchor = touching[0] if touching else None
+        self._client = client
+        self._dynamics: dict[int, Dynamics] = {}
+        self.centre, self.principal = self.dynamics(BASE).inertia_frame
+        self._back = frames.inverse(self.principal)
+        self._parallel = self.principal == frames.IDENTITY_ROTATION
+        self.home: Frame = IDENTITY_FRAME
+        self._weights: dict[int, tuple[float, Triple]] = {}
+
+    def dynamics(self, index: int) -> Dynamics:
+        """Of a link as it was loaded: first asked for, and so kept, before anything may vary."""
+        if index not in self._dynamics:
+            info = p.getDynamicsInfo(self.number, index, self._client)
+            self._dynamics[index] = Dynamics(info[0], info[2], (info[3], info[4]))
+        return self._dynamics[index]
+
+    def link(self, index: int) -> Link:
+        return self.model.link(next(name for name, its in self.links.items() if its == index))
+
+    def weigh(self, index: int, factor: float) -> None:
+        """So many times the mass that a link was loaded with, and the inertia."""
+        loaded = self.dynamics(index)
+        self._weights[index] = loaded.mass * factor, frames.scaled(loaded.moments, factor)
+        if not self.suspended:
+            self._apply_weight(index)
+
+    def _apply_weight(self, index: int) -> None:
+        """One call for both: a mass alone would get the inertia of the link's shape."""
+        mass, moments = self._weights[index]
+        p.changeDynamics(self.number, index, mass=mass, localInertiaDiagonal=moments, physicsClientId=self._client)
+
+    def suspend(self) -> None:
+        """Stay where it is put, at no cost: PyBullet takes a body without mass for a fixed one. Nothing for a fixed body."""
+        if not self.fixed and not self.suspended:
+            self.suspended = True
+            p.changeDynamics(self.number, BASE, mass=0.0, physicsClientId=self._client)
+
+    def wake(self) -> None:
+        """Move again, as heavy as it was told to be."""
+        if self.suspended:
+            self.suspended = False
+            if BASE not in self._weights:
+                self.weigh(BASE, 1.0)
+            self._apply_weight(BASE)
+
+    @property
+    def centred(self) -> bool:
+        """Whether the root link's frame is that of its inertia, so that PyBullet's figures are ours."""
+        return self.centre == STILL and self._parallel
+
+    def of_centre(self, position: Triple, orientation: Quaternion) -> Frame:
+        """The pose of the inertia, from that of the root link."""
+        if self.centred:
+            return position, orientation
+        return frames.add(position, frames.rotate(orientation, self.centre)), frames.multiply(orientation, self.principal)
+
+    def of_origin(self, position: Triple, orientation: Quaternion) -> Frame:
+        """The pose of the root link, from that of the inertia."""
+        turned = orientation if self._parallel else frames.multiply(orientation, self._back)
+        return frames.subtract(position, frames.rotate(turned, self.centre)), turned
+
+
+# Readings
+
+Told = TypeVar("Told")
+FEW = 3  # joints, which are read for less than it takes to ask whether they were
+
+
+class Moments:
+    """Counts the states of a world. Several sensors, a signal and a reward may ask for the same pose in one of them.
+
+    `now` holds the number of the present one as its only item; whatever changes what may be read goes on to the next.
+    """
+
+    def __init__(self) -> None:
+        self.now = [0]
+        self._readers: dict[Hashable, Callable[[], Any]] = {}
+
+    def go_on(self) -> None:
+        self.now[0] += 1
+
+    def kept(self, key: Hashable, read: Callable[[], Told]) -> Callable[[], Told]:
+        """A reader that calls `read` once per moment, however many ask; all that go by one key are one.
+
+        Asking costs 0.07 us, so it is for what takes several times as long.
+        """
+        if key not in self._readers:
+            self._readers[key] = _keeping(self.now, read)
+        return self._readers[key]
+
+
+def _keeping(now: list[int], read: Callable[[], Told]) -> Callable[[], Told]:
+    moment, told = -1, None
+
+    def reader() -> Told | None:
+        nonlocal moment, told
+        if moment != now[0]:
+            told = read()
+            moment = now[0]
+        return told
+
+    return reader  # type: ignore[return-value]
+
+
+def joints(client: int, number: int, indices: tuple[int, ...], moments: Moments) -> JointReader:
+    read: JointReader = partial(p.getJointStates, number, indices, client)
+    return read if len(indices) <= FEW else moments.kept(("joints", number, indices), read)
+
+
+def pose(client: int, owner: Body, index: int, moments: Moments) -> PoseReader:
+    number = owner.number
+    if index != BASE:
+        read_link: Callable[[], tuple[Triple, ...]] = partial(p.getLinkState, number, index, 0, 1, client)
+        return moments.kept(("pose", number, index), lambda: read_link()[4:6])  # type: ignore[return-value, arg-type]
+    if owner.centred:
+        return partial(p.getBasePositionAndOrientation, number, client)
+    placed = _placed(client, owner, moments)
+    return lambda: placed()[1]
+
+
+def velocity(client: int, owner: Body, index: int, moments: Moments) -> VelocityReader:
+    if index == BASE and owner.centre == STILL:
+        read: VelocityReader = partial(p.getBaseVelocity, owner.number, client)
+        return read
+    read_motion = motion(client, owner, index, moments)
+    return lambda: read_motion()[1]
+
+
+def motion(client: int, owner: Body, index: int, moments: Moments) -> MotionReader:
+    number = owner.number
+    if index != BASE:
+        return moments.kept(("motion", number, index), _link_motion(partial(p.getLinkState, number, index, 1, 1, client)))
+    read_velocity = partial(p.getBaseVelocity, number, client)
+    if owner.centred:
+        read_pose = partial(p.getBasePositionAndOrientation, number, client)
+        return moments.kept(("motion", number, index), lambda: (read_pose(), read_velocity()))
+    placed = _placed(client, owner, moments)
+
+    def of_origin() -> Motion:
+        centre, pose = placed()
+        linear, angular = read_velocity()
+        return pose, (frames.add(linear, frames.cross(angular, frames.subtract(pose[0], centre))), angular)
+
+    return moments.kept(("motion", number, index), of_origin)
+
+
+def _placed(client: int, owner: Body, moments: Moments) -> Callable[[], tuple[Triple, Frame]]:
+    """Where the centre of mass of a root link is, and the pose of the link."""
+    read = partial(p.getBasePositionAndOrientation, owner.number, client)
+
+    def placed() -> tuple[Triple, Frame]:
+        centre, turned = read()
+        return centre, owner.of_origin(centre, turned)
+
+    return moments.kept(("placed", owner.number), placed)
+
+
+def _link_motion(read: Callable[[], tuple[Any, ...]]) -> MotionReader:
+    def of_origin() -> Motion:
+        centre, _, _, _, origin, turned, linear, angular = read()
+        return (origin, turned), (frames.add(linear, frames.cross(angular, frames.subtract(origin, centre))), angular)
+
+    return of_origin
+
+
+# Parameters
+
+_CONTACT = {
+    "lateral_friction": "lateralFriction",
+    "spinning_friction": "spinningFriction",
+    "rolling_friction": "rollingFriction",
+    "restitution": "restitution",
+}
+"""PyBullet's names of the parameters of contacts."""
+
+
+class Parameters:
+    """Sets a parameter by the method of its name, with whose it is and the values.
+
+    `light`, the brightness of pictures, and `gravity` (m/s^2) are as they are now; at first those of the world model.
+    """
+
+    def __init__(self, client: int, world: WorldModel, pools: dict[str, Pool[Body]], floor: Floor | None) -> None:
+        self.light, self.gravity = world.light, world.gravity
+        self._client, self._pools, self._floor = client, pools, floor
+        self._ways_back: dict[object, Callable[[], object]] = {}
+
+    def restore(self) -> None:
+        """Bring back every parameter of the world model."""
+        for back in self._ways_back.values():
+            back()
+        self._ways_back.clear()
+
+    def set(self, what: EngineParameter, of: tuple[str, ...], values: Sequence[float]) -> None:
+        """See `Engine.set_parameter`."""
+        if what in _CONTACT:
+            self._set_contact(_CONTACT[what], *of, *values)  # type: ignore[arg-type]
+        else:
+            getattr(self, f"_set_{what}")(*of, *values)
+
+    def _body(self, name: str) -> Body:
+        return find(self._pools, name, "the world has no body").chosen
+
+    def _link(self, body: str, link: str) -> tuple[Body, int]:
+        owner = self._body(body)
+        return owner, find(owner.links, link, f"'{body}' has no link") if link else BASE
+
+    def _joint(self, robot: str, joint: str) -> tuple[Body, int]:
+        owner = self._body(robot)
+        return owner, find(owner.joints, joint, f"'{robot}' has no joint")
+
+    def _set_mass(self, body: str, link: str, mass: float) -> None:
+        """That of the base of a fixed body means nothing, and would set it loose."""
+        owner, index = self._link(body, link)
+        if index == BASE and owner.fixed:
+            return
+        usual = owner.dynamics(index).mass
+        if not (usual > 0.0 and mass > 0.0):
+            raise EngineError(f"the mass of a link of '{owner.name}' cannot go from {usual:g} kg to {mass:g} kg")
+        owner.weigh(index, mass / usual)
+        self._ways_back["mass", owner.number, index] = partial(owner.weigh, index, 1.0)
+
+    def _set_contact(self, name: str, body: str, link: str, value: float) -> None:
+        """One call per property: two in one went to the root link."""
+        owner, index = self._link(body, link)
+        change = partial(p.changeDynamics, owner.number, index, physicsClientId=self._client)
+        usual = contact_parameters(owner.model.link(link or owner.model.root).friction)
+        change(**{name: value})
+        self._ways_back[name, owner.number, index] = partial(change, **{name: usual[name]})
+
+    def _set_joint_damping(self, robot: str, joint: str, damping: float) -> None:
+        owner, index = self._joint(robot, joint)
+        change = partial(p.changeDynamics, owner.number, index, physicsClientId=self._client)
+        change(jointDamping=damping)
+        self._ways_back["damping", owner.number, index] = partial(change, jointDamping=owner.model.joint(joint).damping)
+
+    def _set_joint_friction(self, robot: str, joint: str, friction: float) -> None:
+        """A reset brakes every joint anew, so there is no way back to note."""
+        owner, index = self._joint(robot, joint)
+        p.setJointMotorControl2(owner.number, index, p.VELOCITY_CONTROL, 0.0, 0.0, friction, *GAINS, self._client)
+
+    def _set_gravity(self, x: float, y: float, z: float) -> None:
+        self._ways_back.setdefault("gravity", partial(self._pull, self.gravity))
+        self._pull((x, y, z))
+
+    def _pull(self, gravity: Triple) -> None:
+        self.gravity = gravity
+        p.setGravity(*gravity, self._client)
+
+    def _set_colour(self, body: str, link: str, *colour: float) -> None:
+        if body == GROUND and self._floor is not None:
+            self._floor.colour(colour)  # type: ignore[arg-type]
+            self._ways_back["floor"] = partial(self._floor.colour, self._floor.usual)
+            return
+        owner, index = self._link(body, link)
+        key = ("colour", owner.number, index)
+        if key not in self._ways_back:
+            shapes = p.getVisualShapeData(owner.number, physicsClientId=self._client)
+            usual = [shape[7] for shape in shapes if shape[1] == index]
+            self._ways_back[key] = partial(self._paint, owner.number, index, usual)
+        p.changeVisualShape(owner.number, index, rgbaColor=colour, physicsClientId=self._client)
+
+    def _paint(self, number: int, index: int, colours: list[Colour]) -> None:
+        for place, colour in enumerate(colours):
+            p.changeVisualShape(number, index, shapeIndex=place, rgbaColor=colour, physicsClientId=self._client)
+
+    def _set_light(self, brightness: float) -> None:
+        self._ways_back.setdefault("light", partial(setattr, self, "light", self.light))
+        self.light = brightness
+
+
+def contact_parameters(friction: Friction) -> dict[str, float]:
+    """By PyBullet's names. The friction of a pair is a product, so silence means 1 for `lateral`, and 0 for the others."""
+    return {
+        "lateralFriction": 1.0 if friction.lateral is None else friction.lateral,
+        "spinningFriction": friction.spinning or 0.0,
+        "rollingFriction": friction.rolling or 0.0,
+        "restitution": friction.restitution or 0.0,
+    }
