@@ -41,9 +41,8 @@ from deepbots_cli.document.hints import as_a_number
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Evaluation, Policy, Truncation
 from deepbots_cli.scenario.base import visit
-from deepbots_cli.scenario.renamed import with_new_names
 from deepbots_cli.scenario.scenario import Scenario
-from deepbots_cli.scenario.validate import validate
+from deepbots_cli.scenario.validate import validate, with_new_names
 
 __all__ = ["Checked", "check"]
 

@@ -7,11 +7,12 @@ from typing import Annotated
 
 import typer
 
-from deepbots_cli import api, canonical
+from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Scenario, Sets
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import atomic
+from deepbots_cli.program import identity
 
 
 def command(
@@ -47,7 +48,7 @@ def command(
         data = {"name": compiled.program.name, "digest": compiled.digest, "code": compiled.code, "inputs": list(compiled.inputs)}
         text = terminal.json_text(data)
     else:
-        text = f"{canonical.to_json(compiled.program)}\n" if program else compiled.code
+        text = f"{identity.to_json(compiled.program)}\n" if program else compiled.code
     if output is None:
         print(text, end="")
     else:
