@@ -95,7 +95,7 @@ def _hindsight(given: HindsightSpec | str | None, namespace: Namespace) -> Hinds
     if given is None or given == "uniform":
         return None
     values = namespace.values
-    if namespace.scenario.goal is None and not values.is_lost("goal"):
+    if namespace.scenario.goal is None and not values.is_invalid("goal"):
         help = "add a `goal` with `achieved` and `desired`, or remove `replay`"
         values.findings.add("DB102", values.span(("train", "replay")), "hindsight replay without a `goal`", help=help)
     return Hindsight(given.n_sampled_goal, given.goal_selection_strategy) if isinstance(given, HindsightSpec) else Hindsight()

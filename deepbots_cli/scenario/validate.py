@@ -32,11 +32,11 @@ from deepbots_cli.scenario.base import (
     MappingOf,
     Section,
     Shape,
+    chosen_shape,
     fields,
     locate,
     noun_of,
     sections,
-    settle,
     shape_at,
 )
 from deepbots_cli.scenario.fields import FieldType, error, mismatch
@@ -301,7 +301,7 @@ def _wanted(data: object, path: Path) -> str:
     told = about_key(data, path)
     if told is not None and told.startswith(f"`{path[-1]}`"):
         return told
-    holder = shape_at(Scenario, data, path[:-1], settled=False)
+    holder = shape_at(Scenario, data, path[:-1], choose=False)
     if isinstance(holder, Kinds) and path[-1] == holder.key:
         return f"it is one of {_listed(holder.names)}"
     holder = shape_at(Scenario, data, path[:-1])
@@ -377,7 +377,7 @@ def _help_for_unknown(data: object, path: Path) -> str | None:
         return ELSEWHERE[key]
     known = tuple(section.model_fields)
     here = f"here the keys are {_listed(known)}"
-    kinds = shape_at(Scenario, data, parent, settled=False)
+    kinds = shape_at(Scenario, data, parent, choose=False)
     others = [name for name, model in kinds.models.items() if key in model.model_fields] if isinstance(kinds, Kinds) else []
     if others:
         return f"it is a key of {_listed(others)}; {here}"
@@ -454,7 +454,7 @@ def _holds_old_word(node: Node) -> bool:
 def _with_new_names(node: Node, shape: Shape | None, findings: Findings) -> Node:
     if isinstance(node, nodes.Mapping) and isinstance(shape, Kinds):
         node = _with_new_kind(node, shape, findings)
-    shape = None if shape is None else settle(shape, to_data(node))
+    shape = None if shape is None else chosen_shape(shape, to_data(node))
     match shape, node:
         case ListOf(item=item), nodes.Sequence():
             return nodes.Sequence(node.span, tuple(_with_new_names(each, item, findings) for each in node.items))
