@@ -117,8 +117,9 @@ def json_schema(known: Known | None = None) -> Json:
         "if": {"not": {"anyOf": [{"required": ["extends"]}, {"required": ["include"]}]}},
         "then": {
             "required": _required(Scenario),
-            "properties": {
-                name: {"if": {"not": {"required": ["include"]}}, "then": {"required": required}}
+            # The YAML language server would offer keys under `properties` a second time.
+            "patternProperties": {
+                f"^{name}$": {"if": {"not": {"required": ["include"]}}, "then": {"required": required}}
                 for name, required in below.items()
                 if required
             },
@@ -213,8 +214,13 @@ class _Writer:
         schema = plain.pop()
         for option, form in zip(reversed(shape.options[:-1]), reversed(plain), strict=True):
             schema = {"if": _form_of(option), "then": form, "else": self._with_marks(option, schema)}
-        if not any(isinstance(option, FieldType) for option in shape.options):
-            schema = {"type": [_form_of(option)["type"] for option in shape.options], **schema}
+        types = (
+            {}
+            if any(isinstance(option, FieldType) for option in shape.options)
+            else {_form_of(option)["type"]: 0 for option in shape.options}
+        )
+        if len(types) > 1:
+            schema = {"type": list(types), **schema}
         offers = [self._names[topic] for option in shape.options if (topic := topic_of(option)) in self._names]
         offers += [Offer(dict.fromkeys(option.words, "")) for option in shape.options if isinstance(option, Word)]
         return schema | (offers[0].added_to({}, noun_of(shape)) if offers else {})
