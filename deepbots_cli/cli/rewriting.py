@@ -9,12 +9,10 @@ from pathlib import Path, PurePosixPath
 
 from deepbots_cli import api
 from deepbots_cli.cli.terminal import printable
-from deepbots_cli.compiler.inventory import known
 from deepbots_cli.document.files import display
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import atomic
 from deepbots_cli.lint.fixes import Rewrite
-from deepbots_cli.scenario.json_schema import to_text
 
 Files = dict[PurePosixPath, bytes]
 """Contents by path below the folder that they are written to."""
@@ -101,4 +99,7 @@ def write_with_schema(files: Files, folder: Path) -> list[Path]:
         raise UsageError(f"nothing was written, since there is already: {folder / schema}")
     led = f"{modeline(folder / target, folder / schema)}\n\n".encode() + text
     written = write_new({target: led, **dict(others)}, folder)
+    from deepbots_cli.compiler.inventory import known  # lint, which uses other parts of this module, starts without the schema
+    from deepbots_cli.scenario.json_schema import to_text
+
     return [*written, *write_new({PurePosixPath(schema): to_text(known(api.load(written[0]))).encode()}, folder)]

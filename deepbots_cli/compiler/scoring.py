@@ -174,7 +174,8 @@ def with_reading_ages(program: Program) -> Program:
     """
     if all(sensor.is_direct for robot in program.robots for sensor in robot.sensors):
         return program
-    calls = (node for value in _judged(program) for node in walk(value.typed) if isinstance(node, Invocation) and node.function == "age")
+    judged = (value for value in _judged(program) if "age" in value.text)
+    calls = (node for value in judged for node in walk(value.typed) if isinstance(node, Invocation) and node.function == "age")
     asked = dict.fromkeys(call.subjects[0].name for call in calls)
     return replace(program, robots=tuple(_with_ages(robot, asked) for robot in program.robots)) if asked else program
 
