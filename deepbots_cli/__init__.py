@@ -5,13 +5,12 @@ The way of the data, and the packages along it:
     text ─▶ nodes ─▶ Scenario ─▶ typed trees ─▶ Program ─▶ generated Python ─▶ environment ─▶ run
     document    scenario    compiler, expressions   program   codegen             runtime         learning
 
-program/      the compiled scenario     canonical.py  its JSON and its digest
-lint/         rules about scenarios     cli/, lsp/    the command and the language server
-interface.py  observation, action and messages, by which a policy fits a scenario
+program/      the compiled scenario     lint/         rules about scenarios
+cli/, lsp/    the command and the language server
 port.py       the interface of engines  engines/      the engines behind it
 frames.py     rotations and frames        footprint.py  footprints, link frames, bounding boxes
-geometry.py   meshes at simulation time
-arrays.py     expressions over arrays    terrain.py    heights of the ground
+geometry.py   terrain and meshes at simulation time
+arrays.py     expressions over arrays
 api.py        from scenario to environment
 envs.py       shipped scenarios for Gymnasium
 errors.py     the exceptions, as a tree   files.py      files read up to a limit, or written whole

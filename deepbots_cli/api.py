@@ -140,8 +140,8 @@ def compile(
         ScenarioError: The scenario has findings at error level.
         UsageError: There is no such file.
     """
-    from deepbots_cli.canonical import digest
     from deepbots_cli.codegen import emit
+    from deepbots_cli.program.identity import digest
 
     checked = source if isinstance(source, Checked) else load(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code)
     findings = review(checked)
@@ -208,7 +208,7 @@ class Builder:
         return build(self.program, allow_code=self.allow_code, fixed=self.fixed, **options)
 
     def __repr__(self) -> str:
-        from deepbots_cli.canonical import digest
+        from deepbots_cli.program.identity import digest
 
         return f"<deepbots scenario {self.program.name} {digest(self.program)[:12]}>"
 
@@ -232,9 +232,9 @@ def build(
         from deepbots_cli.runtime import assemble
     except ModuleNotFoundError as error:
         raise MissingExtraError("sim", "running a scenario") from error
-    from deepbots_cli.canonical import digest
     from deepbots_cli.codegen import emit, load_module
     from deepbots_cli.codegen.names import class_name
+    from deepbots_cli.program.identity import digest
 
     code = emit(program)
     name = class_name(program.name)

@@ -20,7 +20,8 @@ IDENTITY_ROTATION: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
 def quaternion(roll: float, pitch: float, yaw: float) -> Quaternion:
     """The rotation by roll about x, then pitch about y, then yaw about z (rad), all of them fixed axes."""
-    (sr, cr), (sp, cp), (sy, cy) = ((sin(angle / 2), cos(angle / 2)) for angle in (roll, pitch, yaw))
+    roll, pitch, yaw = roll / 2, pitch / 2, yaw / 2
+    sr, cr, sp, cp, sy, cy = sin(roll), cos(roll), sin(pitch), cos(pitch), sin(yaw), cos(yaw)
     return (sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy)
 
 

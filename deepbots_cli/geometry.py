@@ -1,6 +1,7 @@
-"""Meshes at simulation time, read by trimesh and yourdfpy: triangles of the ground, masses of links with a density.
+"""Shapes at simulation time: terrain as a grid of heights or as triangles, the height of the ground, and what meshes weigh.
 
-Importing the two libraries takes 0.57 s of CPU. Each function imports them when it is called, so a world without
+Engines and the placement of bodies use the same surface. trimesh and yourdfpy read meshes: the triangles of a terrain, and the masses of
+links with a density. Importing the two libraries takes 0.57 s of CPU. Each function imports them when it is called, so a world without
 such a mesh starts as fast as before, and lint never needs them.
 
 COLLADA files stay with the engine. Of 13 files in pybullet_data, trimesh and PyBullet build 3 differently: trimesh
@@ -9,14 +10,21 @@ leaves the unit to the caller (duck.dae comes out 100 times as large), and PyBul
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from hashlib import sha256
 from io import BytesIO
+from math import floor, inf, log, sqrt
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deepbots_cli.errors import EngineError
+from deepbots_cli.arrays import evaluate
+from deepbots_cli.errors import DeepbotsError, EngineError
+from deepbots_cli.expressions.scalar import Name
+from deepbots_cli.files import MAX_PICTURE_BYTES, picture_fault
+from deepbots_cli.program.world import Formula, Picture, Pit, Terrain, TerrainShape
 from deepbots_cli.robots.edits import with_link
 from deepbots_cli.robots.meshes import checked_bytes
 from deepbots_cli.robots.model import Inertial, Link, Mesh, Pose, RobotModel
@@ -25,6 +33,190 @@ from deepbots_cli.robots.writer import write
 if TYPE_CHECKING:
     import trimesh
     from numpy.typing import NDArray
+
+# Terrain
+
+Height = Callable[[float, float], float]
+"""The height (m) of the ground at x, y (m); beyond the terrain, the height of its nearest edge."""
+
+RIM_RADIUS_PER_SIGMA = sqrt(2.0 * log(2.0))  # the radius of a pit's rim over the width of its bell
+_PIT_CELLS = 200  # along either side
+_PIT_WIDTH = 0.135  # of the bell, as a share of the side
+_LUMPS = 20  # of the noise, along either side
+_HIGHEST = 1e4  # m; higher ground is a mistake, and engines lose their digits
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Heights (m) over a rectangle around the origin: `heights[row, column]`, rows along y and columns along x, both upwards.
+
+    Each cell is two triangles; they meet along the diagonal from its corner at the greater x to that at the greater y.
+    """
+
+    heights: NDArray[np.float64]
+    size: tuple[float, float]
+
+    @property
+    def cell(self) -> tuple[float, float]:
+        """Along x and y, m."""
+        rows, columns = self.heights.shape
+        return self.size[0] / (columns - 1), self.size[1] / (rows - 1)
+
+    def triangles(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Vertices (n, 3) in m, and for each triangle three of them, counter-clockwise from above."""
+        rows, columns = self.heights.shape
+        x, y = np.meshgrid(np.linspace(-0.5, 0.5, columns) * self.size[0], np.linspace(-0.5, 0.5, rows) * self.size[1])
+        first = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
+        lower = np.stack([first, first + 1, first + columns], axis=1)
+        upper = np.stack([first + 1, first + columns + 1, first + columns], axis=1)
+        return np.stack([x.ravel(), y.ravel(), self.heights.ravel()], axis=1), np.concatenate([lower, upper])
+
+    def coarser(self, most: int) -> Grid:
+        """The same surface in at most so many cells along either side."""
+        heights = self.heights
+        for _ in range(2):  # along y, then along x
+            at = np.linspace(0.0, len(heights) - 1, min(len(heights) - 1, most) + 1)
+            first = np.minimum(at.astype(int), len(heights) - 2)
+            part = (at - first)[:, None]
+            heights = (heights[first] * (1 - part) + heights[first + 1] * part).T
+        return Grid(heights, self.size)
+
+    def height(self) -> Height:
+        """A function of plain floats, for use in a loop."""
+        rows, columns = self.heights.shape
+        z = self.heights.tolist()
+        (dx, dy), (half_x, half_y) = self.cell, (self.size[0] / 2, self.size[1] / 2)
+
+        def at(x: float, y: float) -> float:
+            u, v = min(max((x + half_x) / dx, 0.0), columns - 1.0), min(max((y + half_y) / dy, 0.0), rows - 1.0)
+            column, row = min(floor(u), columns - 2), min(floor(v), rows - 2)
+            u, v = u - column, v - row
+            here, there = z[row], z[row + 1]
+            if u + v <= 1.0:
+                corner = here[column]
+                return float(corner + u * (here[column + 1] - corner) + v * (there[column] - corner))
+            corner = there[column + 1]
+            return float(corner + (1.0 - u) * (there[column] - corner) + (1.0 - v) * (here[column + 1] - corner))
+
+        return at
+
+
+def grid(relief: TerrainShape) -> Grid | None:
+    """The heights of a relief; None for a mesh, which is not a grid.
+
+    Raises:
+        EngineError: A picture has gone or changed; a formula has no height somewhere.
+    """
+    match relief:
+        case Pit():
+            found = _pit(relief)
+        case Picture():
+            found = _picture(relief)
+        case Formula():
+            found = _formula(relief)
+        case _:
+            return None
+    if not np.all(np.abs(found.heights) < _HIGHEST):  # which NaN is not
+        raise EngineError("the terrain has no height, or one beyond 10 km, somewhere within its size")
+    return found
+
+
+def height(terrain: Terrain | None) -> Height:
+    """Of the ground: 0 where it is a plane."""
+    if terrain is None:
+        return lambda x, y: 0.0
+    found = grid(terrain.shape)
+    if found is not None:
+        return found.height()
+    assert isinstance(terrain.shape, Mesh)  # all others are grids
+    return _mesh_height(triangles(terrain.shape))
+
+
+def _pit(pit: Pit) -> Grid:
+    """Heights `height * g * (1 - g)` with a Gaussian g around the origin; 0 beyond three standard deviations.
+
+    The rim is a quarter of `height` high. Noise takes a share of the height away where it is low; it is the same in
+    every world. The figures are those of a published world (Kirtas et al., AIAI 2020).
+    """
+    share = np.linspace(-0.5, 0.5, _PIT_CELLS + 1)
+    squared = (share[:, None] ** 2 + share[None, :] ** 2) / _PIT_WIDTH**2
+    bell = np.exp(-squared / 2)
+    heights = pit.height * bell * (1 - bell) * (1 - pit.noise + pit.noise * _value_noise())
+    side = pit.radius / (RIM_RADIUS_PER_SIGMA * _PIT_WIDTH)
+    return Grid(np.where(squared < 9.0, heights, 0.0), (side, side))
+
+
+def _value_noise() -> NDArray[np.float64]:
+    """Fixed noise from 0 to 1 over the grid of a pit: random values a twentieth of the side apart, smoothly joined."""
+    values = np.random.Generator(np.random.PCG64(0)).random((_LUMPS + 1, _LUMPS + 1))
+    at = np.arange(_PIT_CELLS + 1) * _LUMPS / _PIT_CELLS
+    first = np.minimum(at.astype(int), _LUMPS - 1)
+    part = at - first
+    part = part * part * (3 - 2 * part)
+    along = values[:, first] * (1 - part) + values[:, first + 1] * part
+    return np.asarray(along[first] * (1 - part)[:, None] + along[first + 1] * part[:, None])
+
+
+def _picture(picture: Picture) -> Grid:
+    try:
+        path = Path(picture.path)
+        data = path.read_bytes() if path.is_file() and path.stat().st_size <= MAX_PICTURE_BYTES else b""
+    except (OSError, ValueError) as error:
+        raise EngineError(f"picture {picture.path} cannot be read") from error
+    if sha256(data).hexdigest() != picture.digest:
+        raise EngineError(f"picture {picture.path} has changed since the scenario was compiled")
+    wrong = picture_fault(data)
+    if wrong is not None:
+        raise EngineError(f"picture {picture.path} cannot be read: {wrong}")
+    bits = data[24]  # of a pixel, by the header
+    return Grid(pixels(data)[::-1] * (picture.height / (2**bits - 1)), picture.size)
+
+
+def pixels(data: bytes) -> NDArray[np.integer]:
+    """The pixels of a PNG picture without fault, shape (height, width), rows from the top.
+
+    Raises:
+        EngineError: A chunk of the file is damaged.
+    """
+    from PIL import Image
+
+    try:
+        with Image.open(BytesIO(data), formats=("PNG",)) as image:
+            return np.asarray(image)
+    except (OSError, ValueError, SyntaxError) as error:  # PIL raises SyntaxError for a wrong checksum
+        raise EngineError(f"the picture cannot be read: {error}") from error
+
+
+def _formula(formula: Formula) -> Grid:
+    """As fine as a pit along the longer side, and square cells as far as they go."""
+    longer = max(formula.size)
+    columns, rows = (max(2, round(_PIT_CELLS * side / longer)) + 1 for side in formula.size)
+    x, y = np.meshgrid(np.linspace(-0.5, 0.5, columns) * formula.size[0], np.linspace(-0.5, 0.5, rows) * formula.size[1])
+    try:
+        heights = evaluate(formula.heights, {Name("x"): x, Name("y"): y})
+    except DeepbotsError as error:
+        raise EngineError(f"the heights of the terrain cannot be computed: {error}") from error
+    return Grid(np.broadcast_to(np.asarray(heights, np.float64), x.shape).copy(), formula.size)
+
+
+def _mesh_height(corners: NDArray[np.float64]) -> Height:
+    """The highest point of any triangle above or below a place; 0 where there is none."""
+    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = (corners[:, corner].T for corner in range(3))
+    area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
+    level = np.abs(area) > 1e-12
+    area = np.where(level, area, 1.0)
+
+    def at(x: float, y: float) -> float:
+        b = ((x - ax) * (cy - ay) - (cx - ax) * (y - ay)) / area
+        c = ((bx - ax) * (y - ay) - (x - ax) * (by - ay)) / area
+        under = level & (b >= -1e-9) & (c >= -1e-9) & (b + c <= 1 + 1e-9)
+        top = np.max(np.where(under, az + b * (bz - az) + c * (cz - az), -inf), initial=-inf)
+        return float(top) if top > -inf else 0.0
+
+    return at
+
+
+# Meshes
 
 
 def triangles(mesh: Mesh) -> NDArray[np.float64]:

@@ -13,7 +13,6 @@ from collections.abc import Mapping as Dictionary
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deepbots_cli import canonical
 from deepbots_cli.cli.sources import wording
 from deepbots_cli.cli.tables import Row, formula
 from deepbots_cli.compiler.robots import carries
@@ -26,7 +25,7 @@ from deepbots_cli.frames import roll_pitch_yaw
 from deepbots_cli.learning.defaults import Effective, effective
 from deepbots_cli.learning.report import solved_text
 from deepbots_cli.learning.run import Run
-from deepbots_cli.program import Program
+from deepbots_cli.program import Program, identity
 from deepbots_cli.program.resets import OfSensor, RandomizedParameter
 from deepbots_cli.program.robots import Actuator, Cartesian, MessageField, MessageLayout, NoiseModel, Robot, Route, Thrust
 from deepbots_cli.program.task import ActionNoise, ActionRange, Choices, Hindsight, ImageObservation, Schedule, viewed
@@ -222,7 +221,7 @@ def _scenario(scenario: Program) -> Row:
     return {
         "name": scenario.name,
         "summary": scenario.summary,
-        "digest": canonical.digest(scenario),
+        "digest": identity.digest(scenario),
         "timestep_s": world.timestep,
         "substeps": world.substeps,
         "physics_step_s": world.timestep / world.substeps,

@@ -23,13 +23,13 @@ from functools import lru_cache
 from types import CodeType, ModuleType
 from typing import Any
 
-from deepbots_cli.canonical import digest
 from deepbots_cli.codegen.layout import filled, wrapped
 from deepbots_cli.codegen.names import RUNTIME, Constants, class_name
 from deepbots_cli.codegen.robot import Controller
 from deepbots_cli.codegen.supervisor import supervisor
 from deepbots_cli.expressions.functions import math_names
 from deepbots_cli.program import Program
+from deepbots_cli.program.identity import digest
 
 _MODULE = '''
 """{name}, compiled by deepbots; scenario {digest}.

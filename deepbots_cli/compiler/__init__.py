@@ -32,7 +32,7 @@ from deepbots_cli.compiler.policy import Actions, Goals, Observations, copies, s
 from deepbots_cli.compiler.resets import arrangement, joint_starts, settling_time
 from deepbots_cli.compiler.robots import RobotScene, load_robot
 from deepbots_cli.compiler.scoring import Signals, reward_terms, solved, truncation, with_reading_ages
-from deepbots_cli.compiler.values import Values, lost_names
+from deepbots_cli.compiler.values import Values, invalid_names
 from deepbots_cli.compiler.variants import training
 from deepbots_cli.compiler.world import define_bodies, lines, world
 from deepbots_cli.diagnostics import Finding, Findings, TooManyFindings
@@ -41,9 +41,8 @@ from deepbots_cli.document.hints import as_a_number
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Evaluation, Policy, Truncation
 from deepbots_cli.scenario.base import visit
-from deepbots_cli.scenario.renamed import with_new_names
 from deepbots_cli.scenario.scenario import Scenario
-from deepbots_cli.scenario.validate import validate
+from deepbots_cli.scenario.validate import validate, with_new_names
 
 __all__ = ["Checked", "check"]
 
@@ -106,7 +105,7 @@ def _check(document: Document) -> Checked:
     spec = validate(document.root, findings) if document.root is not None else None
     if document.root is None or spec is None:
         return Checked(document, findings)
-    invalid = lost_names(document.root, spec.pruned, (found.span for found in findings.errors))
+    invalid = invalid_names(document.root, spec.pruned, (found.span for found in findings.errors))
     namespace = Namespace(Values(document.root, findings, {path: kind for path, kind, _ in visit(spec)}, invalid), document, spec)
     program = _program(namespace)
     robots = {name: robot for name, robot in namespace.robots.items() if robot is not None}
@@ -126,8 +125,8 @@ def _program(namespace: Namespace) -> Program:
     builders = [RobotBuilder(scene, namespace) for scene in scenes]
     signals = Signals(namespace)
 
-    for name in namespace.named(Origin.PARAMETER, Origin.FIELD):
-        namespace.settle(name)
+    for name in namespace.names_of(Origin.PARAMETER, Origin.FIELD):
+        namespace.resolve(name)
     bare = world(namespace, scenes, painted)
     tick = bare.timestep
     reset, walls = arrangement(namespace, bare)

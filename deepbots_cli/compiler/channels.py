@@ -140,7 +140,7 @@ def _pushed(given: DisturbanceSpec, namespace: Namespace) -> tuple[str, str | No
     subject = namespace.subject(called, frozenset({Kind.LINK}))
     if subject is None:
         links = [f"{scene.name}.{link}" for scene in scenes for link in scene.link_names]
-        values.unknown(span, "robot, link or object", called, [*namespace.named(Origin.ROBOT, Origin.OBJECT), *links])
+        values.report_unknown(span, "robot, link or object", called, [*namespace.names_of(Origin.ROBOT, Origin.OBJECT), *links])
         return None
     if subject.kind is Kind.BROKEN:
         return None

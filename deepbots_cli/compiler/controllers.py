@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple, Unpack
 
-from deepbots_cli.compiler.namespace import Default, Known, Namespace, Origin, RobotScope, SupervisorScope
+from deepbots_cli.compiler.namespace import Default, FieldContext, Namespace, Origin, RobotScope, SupervisorScope
 from deepbots_cli.compiler.robots import (
     RobotScene,
     carries,
@@ -99,8 +99,8 @@ class Actuators:
                 )
             case specs.PositionMotor():
                 effort = effort_of(joints[0])
-                stiffness = self._varied(spec, "stiffness", None, dimension=effort / dimension, spread=names)
-                damping = self._varied(spec, "damping", None, dimension=effort * TIME / dimension, spread=names)
+                stiffness = self._scalar_or_randomized(spec, "stiffness", None, dimension=effort / dimension, per_component=names)
+                damping = self._scalar_or_randomized(spec, "damping", None, dimension=effort * TIME / dimension, per_component=names)
                 if spec.damping is not None and spec.stiffness is None:
                     span, help = (
                         self._values.key_span((*spec.path, "damping")),
@@ -198,13 +198,13 @@ class Actuators:
 
     def _response(self, spec: specs.Actuator, parts: tuple[str, ...]) -> Response:
         """Strength is drawn for each of the parts, delay and time constant for all of them together."""
-        strength = self._varied(spec, "strength", 1.0, spread=parts)
-        return Response(strength, self._varied(spec, "delay", 0.0), self._varied(spec, "time_constant", 0.0))
+        strength = self._scalar_or_randomized(spec, "strength", 1.0, per_component=parts)
+        return Response(strength, self._scalar_or_randomized(spec, "delay", 0.0), self._scalar_or_randomized(spec, "time_constant", 0.0))
 
     def _max_torque(self, spec: specs.Actuator, joints: tuple[Joint, ...]) -> Limits:
         """The largest torque or force of each joint: the tighter of the scenario's and that of the robot file."""
         own, known, effort = tuple(joint.limit.effort for joint in joints), len(self._namespace.variations), effort_of(joints[0])
-        found = self._varied(spec, "max_torque", None, dimension=effort, spread=tuple(joint.name for joint in joints))
+        found = self._scalar_or_randomized(spec, "max_torque", None, dimension=effort, per_component=tuple(joint.name for joint in joints))
         if found is None:
             return own
         drawn = self._namespace.variations[known:]
@@ -225,10 +225,10 @@ class Actuators:
         self._compare(spec, "max_velocity", found, rate, own)
         return _tighter(own, found)
 
-    def _varied(self, spec: specs.Actuator, key: str, default: Default, **known: Unpack[Known]) -> float | Default:
+    def _scalar_or_randomized(self, spec: specs.Actuator, key: str, default: Default, **context: Unpack[FieldContext]) -> float | Default:
         """A value that an episode may draw."""
         of = OfActuator(self._scene.name, str(spec.path[-1]))
-        return self._namespace.varied(spec, key, f"actuator_{key}", of, default, **known)  # type: ignore[arg-type]
+        return self._namespace.scalar_or_randomized(spec, key, f"actuator_{key}", of, default, **context)  # type: ignore[arg-type]
 
     def _compare(self, spec: specs.Actuator, key: str, limit: float, dimension: Dimension, own: Limits) -> None:
         """DB304 for a limit that the robot file undercuts for every joint."""
@@ -294,18 +294,18 @@ class RobotBuilder:
         """No name on board may mean two things, also not one here and another in the scenario."""
         spec = self.scene.spec
         taken: dict[str, tuple[str, Path]] = {}
-        for name in self.namespace.named(Origin.PARAMETER, Origin.ACTION):
+        for name in self.namespace.names_of(Origin.PARAMETER, Origin.ACTION):
             definition = self.namespace.definitions[name]
             taken[name] = (definition.origin.value, definition.path)
         for what, section, names in (("a pose", "poses", spec.poses), ("a sensor", "sensors", spec.sensors)):
             for name in names:
                 place = (*self.path, section, name)
                 if name in taken:
-                    self.values.taken(place, name, *taken[name])
+                    self.values.report_duplicate(place, name, *taken[name])
                 taken[name] = (what, place)
         for name in spec.receive or {}:
             if name in spec.poses or name in spec.sensors:
-                self.values.taken((*self.path, "receive", name), name, *taken[name])
+                self.values.report_duplicate((*self.path, "receive", name), name, *taken[name])
 
     # What it sends
 
@@ -325,9 +325,9 @@ class RobotBuilder:
         text = self.values.text(place, emit[name] if isinstance(emit, dict) else name)
         if not isinstance(emit, dict) and name not in self.own:
             sensors = list(self.scene.spec.sensors)
-            self.values.unknown(text.span, "sensor", name, sensors)
+            self.values.report_unknown(text.span, "sensor", name, sensors)
             if meant := nearest(name, sensors):
-                self.values.lose(f"{self.scene.name}.{meant}")
+                self.values.mark_invalid(f"{self.scene.name}.{meant}")
             return Symbol(full, None)
         typed = self.values.expression(text, RobotScope(self.namespace, Context.EMIT, self.scene.name, self.own))
         if typed is None:
@@ -340,7 +340,7 @@ class RobotBuilder:
     def _receive(self) -> dict[str, Symbol]:
         """Action variables, and what `receive` adds to them."""
         spec = self.scene.spec
-        symbols = {name: self.namespace.settle(name) or Symbol(name, None) for name in self.namespace.named(Origin.ACTION)}
+        symbols = {name: self.namespace.resolve(name) or Symbol(name, None) for name in self.namespace.names_of(Origin.ACTION)}
         for name, given in (spec.receive or {}).items():
             place = (*self.path, "receive", name)
             text = self.values.text(place, given)
@@ -361,7 +361,7 @@ class RobotBuilder:
         for name, given in self.scene.spec.apply.items():
             place = (*self.path, "apply", name)
             if name not in self.scene.spec.actuators:
-                self.values.unknown(self.values.key_span(place), "actuator", name, list(self.scene.spec.actuators))
+                self.values.report_unknown(self.values.key_span(place), "actuator", name, list(self.scene.spec.actuators))
                 continue
             command = self._command(name, given, place, driven.get(name), scope)
             if command:

@@ -86,7 +86,7 @@ def _keys(namespace: Namespace, kind: str, path: Path) -> list[Named]:
         return [_keyed(namespace, ("action", name, "choices", option), "an option") for option in part.choices]
     if kind == "option":
         return []
-    symbol = namespace.settle(name) if part is not None else None  # a range for each member of a group
+    symbol = namespace.resolve(name) if part is not None else None  # a range for each member of a group
     components = symbol.type.components if symbol is not None and symbol.type is not None else None
     return [_keyed(namespace, ("action", name), f"a component of `{name}`", component) for component in components or ()]
 
@@ -94,7 +94,7 @@ def _keys(namespace: Namespace, kind: str, path: Path) -> list[Named]:
 def _of_namespace(namespace: Namespace, kind: str, path: Path) -> list[Named]:
     if kind == "value":
         return _defined(namespace, SupervisorScope(namespace, Context.OBSERVATION).names())
-    return _defined(namespace, namespace.named(*_ORIGINS.get(kind, ())))
+    return _defined(namespace, namespace.names_of(*_ORIGINS.get(kind, ())))
 
 
 def definition(checked: Checked, name: str, robot: str | None = None) -> Named | None:
@@ -163,7 +163,7 @@ def _keyed(namespace: Namespace, path: Path, what: str, name: str | None = None)
 
 
 def _bodies(namespace: Namespace) -> list[Named]:
-    return _defined(namespace, namespace.named(Origin.ROBOT, Origin.OBJECT))
+    return _defined(namespace, namespace.names_of(Origin.ROBOT, Origin.OBJECT))
 
 
 def _parts(namespace: Namespace, robot: str | None, sections: tuple[str, ...]) -> Iterator[Named]:
@@ -240,7 +240,7 @@ def _offer(said: Mapping[str, str], *, only: bool = False) -> Offer:
 def _expressions(namespace: Namespace) -> Names:
     """Where an expression of the supervisor is due, the names that may stand in it."""
     scopes = {word: SupervisorScope(namespace, context).names() for word, context in _SUPERVISED.items()}
-    parameters = dict.fromkeys(("require", "parameter"), namespace.named(Origin.PARAMETER))
+    parameters = dict.fromkeys(("require", "parameter"), namespace.names_of(Origin.PARAMETER))
     return {f"{word} expression": _offer(_said(namespace, found)) for word, found in (scopes | parameters).items()}
 
 

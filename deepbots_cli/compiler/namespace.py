@@ -2,7 +2,7 @@
 
 Parameters, action variables, augmentation, signals and endings live here, with the fields that robots
 send (`cart.pole_angle`). Typing on demand makes the order of the file irrelevant; what is asked for
-while it is itself being typed closes a circle, which is a finding.
+while it is itself being typed closes a cycle, which is a finding.
 
 Fields of the scenario are read here, since their values may use names: `namespace.fixed(arena, "wall_height")` takes the path from the
 section, and dimension, components and stage from the annotation.
@@ -47,18 +47,21 @@ from deepbots_cli.scenario.base import Section
 from deepbots_cli.scenario.fields import COLOURS, Column, FieldType, Quantity, Range, colour_options, dimension_of, si
 from deepbots_cli.scenario.scenario import Scenario
 
-_SHOWN = 12
+_MAX_NAMES_IN_CYCLE = 12
 Default = TypeVar("Default")
 
 
-class Known(TypedDict, total=False):
-    """What a reader of a field knows that its annotation leaves open: a joint turns or slides, a sensor has components."""
+class FieldContext(TypedDict, total=False):
+    """What the annotation of a field leaves open, given by the caller: a joint turns or slides, a sensor has components.
+
+    With `per_component`, a value is drawn anew for each of these components.
+    """
 
     dimension: Dimension | None
     components: Components | None
     scope: Scope
     stage: Stage
-    spread: Components | None
+    per_component: Components | None
 
 
 class Origin(Enum):
@@ -77,7 +80,7 @@ class Origin(Enum):
     LINE = "a line"
 
 
-_WHOLE = {Origin.OBJECT: Kind.OBJECT, Origin.LINE: Kind.LINE}
+_KIND_OF = {Origin.OBJECT: Kind.OBJECT, Origin.LINE: Kind.LINE}
 
 
 @dataclass(eq=False)
@@ -116,7 +119,7 @@ class Namespace:
         """The same for colours."""
         self.built_in: dict[str, Callable[[Context], Symbol]] = {}
         """Names that the language gives, and whose type the scenario decides."""
-        self._open: list[Definition] = []
+        self._being_resolved: list[Definition] = []
 
     def release(self) -> None:
         """Forget all definitions."""
@@ -129,40 +132,40 @@ class Namespace:
     def scope(self, context: Context, own: Mapping[str, Symbol] | None = None) -> ParameterScope:
         return ParameterScope(self, context, own or {})
 
-    def typed(self, text: Text, what: str | None = None, **known: Unpack[Known]) -> Typed | None:
+    def typed(self, text: Text, what: str | None = None, **context: Unpack[FieldContext]) -> Typed | None:
         """The tree of a quantity; None after a finding, which calls the field `what`."""
-        return self.values.quantity(text, what or f"`{text.path[-1]}`", *self._asked(text, known))
+        return self.values.quantity(text, what or f"`{text.path[-1]}`", *self._expected_type(text, context))
 
-    def expression(self, section: Section, *steps: str | int, **known: Unpack[Known]) -> Expression | None:
+    def expression(self, section: Section, *steps: str | int, **context: Unpack[FieldContext]) -> Expression | None:
         """A field that is computed anew in an episode or in a step; None where none is given, and after a finding."""
-        text = self._given(section, steps)
-        typed = self.typed(text, **known) if text else None
+        text = self._text_of(section, steps)
+        typed = self.typed(text, **context) if text else None
         return text.expression(typed) if text and typed else None
 
-    def numbers(self, section: Section, *steps: str | int, **known: Unpack[Known]) -> tuple[float, ...] | None:
+    def numbers(self, section: Section, *steps: str | int, **context: Unpack[FieldContext]) -> tuple[float, ...] | None:
         """The SI values of a fixed field; None where none is given, and after a finding.
 
         With a later `stage` the language lets the field vary, and a finding says that this does not run yet.
         """
-        text = self._given(section, steps)
+        text = self._text_of(section, steps)
         if text is None:
             return None
-        scope, dimension, components, stage = self._asked(text, {"stage": Stage.FIXED, **known})
+        scope, dimension, components, stage = self._expected_type(text, {"stage": Stage.FIXED, **context})
         called = f"`{text.path[-1]}`"
         typed = self.values.quantity(text, called, scope, dimension, components, stage)
         if typed is not None and typed.type.stage is not Stage.FIXED:
             self.values.findings.add("DB108", text.span, f"{called} that is drawn anew is not supported yet", help="give a fixed figure")
             return None
-        return self._folded(typed, text, len(components or ("",))) if typed else None
+        return self._si_values(typed, text, len(components or ("",))) if typed else None
 
-    def _folded(self, typed: Typed, text: Text, count: int) -> tuple[float, ...] | None:
+    def _si_values(self, typed: Typed, text: Text, count: int) -> tuple[float, ...] | None:
         """The values of a fixed tree; a single one stands for all of `count`."""
         fixed = self.values.fixed(typed, text, f"`{text.path[-1]}`")
         return None if fixed is None else tuple(map(float, fixed * count if len(fixed) == 1 else fixed))
 
-    def fixed(self, section: Section, *steps: str | int, **known: Unpack[Known]) -> float | None:
+    def fixed(self, section: Section, *steps: str | int, **context: Unpack[FieldContext]) -> float | None:
         """The same for a single value."""
-        found = self.numbers(section, *steps, **known)
+        found = self.numbers(section, *steps, **context)
         return found[0] if found else None
 
     def pair(self, section: Section, *steps: str | int) -> tuple[float, float] | None:
@@ -170,30 +173,32 @@ class Namespace:
         found = self.numbers(section, *steps)
         return (found[0], found[1]) if found else None
 
-    def triple(self, section: Section, *steps: str | int, **known: Unpack[Known]) -> tuple[float, float, float] | None:
+    def triple(self, section: Section, *steps: str | int, **context: Unpack[FieldContext]) -> tuple[float, float, float] | None:
         """The same in space."""
-        found = self.numbers(section, *steps, **known)
+        found = self.numbers(section, *steps, **context)
         return (found[0], found[1], found[2]) if found else None
 
-    def varied(
-        self, section: Section, key: str, what: Randomizable, of: Owner, default: Default, **known: Unpack[Known]
+    def scalar_or_randomized(
+        self, section: Section, key: str, what: Randomizable, of: Owner, default: Default, **context: Unpack[FieldContext]
     ) -> float | Default:
         """The SI value of a field that an episode may draw; `default` where none is given, and after a finding.
 
-        A drawn value becomes a randomized parameter, and the middle
-        of its interval is returned. With `spread` it is drawn anew for each of these components.
+        A drawn value becomes a randomized parameter, and the middle of its interval is returned. With `per_component`
+        it is drawn anew for each component.
         """
-        found = self.all_varied(section, key, what, of, **known)
+        found = self.vector_or_randomized(section, key, what, of, **context)
         return found[0] if found else default
 
-    def all_varied(self, section: Section, key: str, what: Randomizable, of: Owner, **known: Unpack[Known]) -> tuple[float, ...] | None:
+    def vector_or_randomized(
+        self, section: Section, key: str, what: Randomizable, of: Owner, **context: Unpack[FieldContext]
+    ) -> tuple[float, ...] | None:
         """The same for a vector."""
-        text = self._given(section, (key,))
+        text = self._text_of(section, (key,))
         if text is None:
             return None
-        called, spread = f"`{key}`", known.get("spread")
-        scope, dimension, components, _ = self._asked(text, {"stage": Stage.EPISODE, **known})
-        components = components or spread
+        called, per_component = f"`{key}`", context.get("per_component")
+        scope, dimension, components, _ = self._expected_type(text, {"stage": Stage.EPISODE, **context})
+        components = components or per_component
         typed = self.values.quantity(text, called, scope, dimension, components, Stage.EPISODE)
         if typed is None or not self._is_bounded(typed, text):
             return None
@@ -201,8 +206,8 @@ class Namespace:
         # A value that is given again, as for a link that two patterns mean, replaces what was to be drawn.
         self.variations[:] = [each for each in self.variations if (each.what, each.of) != (what, of)]
         if typed.type.stage is Stage.FIXED:
-            return self._folded(typed, text, count)
-        value = replace(text.expression(typed, spread=spread), owner=_owner(text, of))
+            return self._si_values(typed, text, count)
+        value = replace(text.expression(typed, per_component=per_component), owner=_owner(text, of))
         self.variations.append(RandomizedParameter(what, of, value, count))
         ends = [end for end in typed.type.interval if math.isfinite(end)]
         return (sum(ends) / len(ends) if ends else 0.0,) * count
@@ -220,12 +225,12 @@ class Namespace:
         return False
 
     def ends(
-        self, section: Section, *steps: str | int, what: str | None = None, falling: bool = False, **known: Unpack[Known]
+        self, section: Section, *steps: str | int, what: str | None = None, falling: bool = False, **context: Unpack[FieldContext]
     ) -> Ends | None:
         """The ends of a fixed range, in any order where it may be `falling`; None after a finding."""
         text = self.values.field(section, *steps)
-        dimension = known.get("dimension") or (si(text.kind.dimension) if isinstance(text.kind, Range) else None)
-        scope, components = known.get("scope") or self.scope(Context.FIXED), known.get("components")
+        dimension = context.get("dimension") or (si(text.kind.dimension) if isinstance(text.kind, Range) else None)
+        scope, components = context.get("scope") or self.scope(Context.FIXED), context.get("components")
         return self.values.ends(text, what or f"`{text.path[-1]}`", scope, dimension=dimension, components=components, falling=falling)
 
     def parameters(
@@ -276,7 +281,7 @@ class Namespace:
         relative = std.type.dimension == NUMBER and (of.type.dimension != NUMBER or "%" in text.text)
         if not relative:
             std = expect(std, self.values.report(text), "the noise", dimension=of.type.dimension, components=components)
-        return Noise(text.expression(std, spread=components), relative) if std else None
+        return Noise(text.expression(std, per_component=components), relative) if std else None
 
     def colour(self, section: Section, of: OfLink | None = None) -> Colour | None:
         """The `colour` of a section, None where none is given.
@@ -302,20 +307,20 @@ class Namespace:
             self.colours.append(RandomizedParameter("colour", of, replace(drawn, owner=_owner(text, of))))
         return options[0]
 
-    def _given(self, section: Section, steps: tuple[str | int, ...]) -> Text | None:
+    def _text_of(self, section: Section, steps: tuple[str | int, ...]) -> Text | None:
         return None if getattr(section, str(steps[0])) is None else self.values.field(section, *steps)
 
-    def _asked(self, text: Text, known: Known) -> tuple[Scope, Dimension | None, Components | None, Stage]:
+    def _expected_type(self, text: Text, context: FieldContext) -> tuple[Scope, Dimension | None, Components | None, Stage]:
         kind = text.kind
         assert isinstance(kind, (Quantity, Column))  # of nothing else numbers are asked for
         axes, own = (kind.axes, kind.stage) if isinstance(kind, Quantity) else (ANY_SHAPE, "fixed")
-        stage = known.get("stage", Stage[own.upper()])
-        scope = known.get("scope") or self.scope(Context.FIELD if stage else Context.FIXED)
-        return scope, known.get("dimension") or si(kind.dimension), known.get("components") or axes, stage
+        stage = context.get("stage", Stage[own.upper()])
+        scope = context.get("scope") or self.scope(Context.FIELD if stage else Context.FIXED)
+        return scope, context.get("dimension") or si(kind.dimension), context.get("components") or axes, stage
 
     def varies(self, what: Randomizable, of: Owner) -> bool:
         """Whether an episode draws this value."""
-        return any((known.what, known.of) == (what, of) for known in self.variations)
+        return any((variation.what, variation.of) == (what, of) for variation in self.variations)
 
     def define(self, name: str, origin: Origin, path: Path, make: Callable[[], Symbol] | None = None) -> None:
         """Add a name; a second definition is a finding, and the first one stays."""
@@ -323,70 +328,70 @@ class Namespace:
         if first is None:
             self.definitions[name] = Definition(name, origin, path, make)
             return
-        self.values.taken(path, name, first.origin.value, first.path)
+        self.values.report_duplicate(path, name, first.origin.value, first.path)
 
     def symbol(self, name: str) -> Symbol | None:
-        """The typed symbol of a name that an expression uses; None where there is no such value."""
-        self.touch(name)
-        return self.settle(name) or (Symbol(name, None) if self.is_broken(name) else None)
+        """The symbol of a name that an expression uses; None where there is no such value."""
+        self.mark_used(name)
+        return self.resolve(name) or (Symbol(name, None) if self.is_invalid(name) else None)
 
-    def touch(self, name: str) -> None:
+    def mark_used(self, name: str) -> None:
         """Note that an expression uses `name`."""
         if name in self.definitions:
             self.definitions[name].uses += 1
 
-    def settle(self, name: str) -> Symbol | None:
-        """The same, where the name is only asked for so that it is typed."""
+    def resolve(self, name: str) -> Symbol | None:
+        """Type a name if it is not typed yet; None where there is no such value. This does not count as a use."""
         definition = self.definitions.get(name)
         if definition is None or definition.make is None:
             return None
-        if definition.symbol is None and definition in self._open:
-            self._report_circle(definition)
+        if definition.symbol is None and definition in self._being_resolved:
+            self._report_cycle(definition)
         elif definition.symbol is None:
-            self._open.append(definition)
+            self._being_resolved.append(definition)
             try:
                 made = definition.make()
             except RecursionError:
-                if self._open[0] is not definition:
+                if self._being_resolved[0] is not definition:
                     raise
-                self._give_up(definition)
+                self._report_too_deep(definition)
             else:
-                self._open.pop()
+                self._being_resolved.pop()
                 definition.symbol = definition.symbol or made
                 self.order.append(name)
         return definition.symbol
 
-    def _report_circle(self, definition: Definition) -> None:
-        circle = self._open[self._open.index(definition) :]
-        way = " -> ".join(entry.name for entry in (*circle[:_SHOWN], definition))
+    def _report_cycle(self, definition: Definition) -> None:
+        cycle = self._being_resolved[self._being_resolved.index(definition) :]
+        way = " -> ".join(entry.name for entry in (*cycle[:_MAX_NAMES_IN_CYCLE], definition))
         again = definition.origin in (Origin.AUGMENT, Origin.SIGNAL)
         help = "define one of these values without the others" + (", or use `previous(...)`, the value of the step before" if again else "")
         headline = f"`{definition.name}` depends on itself"
-        notes = (f"the circle is {way}",) if len(circle) > 1 else ()
+        notes = (f"the circle is {way}",) if len(cycle) > 1 else ()
         self.values.findings.add("DB207", self.values.key_span(definition.path), headline, help=help, notes=notes)
         definition.symbol = Symbol(definition.name, None)
 
-    def _give_up(self, definition: Definition) -> None:
+    def _report_too_deep(self, definition: Definition) -> None:
         """More names build on each other than can be followed: none of them is looked at again."""
-        headline = f"`{definition.name}` is made of more than {len(self._open) // 2} definitions, one upon the other"
+        headline = f"`{definition.name}` is made of more than {len(self._being_resolved) // 2} definitions, one upon the other"
         help = "write some of them out in the others"
         self.values.findings.add("DB005", self.values.key_span(definition.path), headline, help=help)
-        for entry in self._open:
+        for entry in self._being_resolved:
             entry.symbol = entry.symbol or Symbol(entry.name, None)
-        self._open.clear()
+        self._being_resolved.clear()
 
     def origin(self, name: str) -> Origin | None:
         definition = self.definitions.get(name)
         return definition.origin if definition else None
 
-    def named(self, *origins: Origin) -> list[str]:
+    def names_of(self, *origins: Origin) -> list[str]:
         return [name for name, definition in self.definitions.items() if definition.origin in origins]
 
     def subject(self, name: str, kinds: frozenset[Kind] | None = None) -> Subject | None:
         """The part of the world called `name`: a robot, one of its parts, an object, a wall, the ground."""
         if name == "ground":
             return Subject(name, Kind.GROUND)
-        if self.is_broken(name):
+        if self.is_invalid(name):
             return Subject(name, Kind.BROKEN)
         head, _, rest = name.partition(".")
         definition, robot = self.definitions.get(head), self.robots.get(head)
@@ -397,24 +402,24 @@ class Namespace:
         if head in self.walls and not rest:
             pieces = self.walls[head]
             return Subject(head, Kind.WALLS if len(pieces) > 1 else Kind.WALL, link=pieces[0], pieces=pieces)
-        if definition is not None and definition.origin in _WHOLE and not rest:
+        if definition is not None and definition.origin in _KIND_OF and not rest:
             length = self.lengths.get(head)
-            return Subject(head, _WHOLE[definition.origin], link=head, interval=EVERYTHING if length is None else exact(length))
+            return Subject(head, _KIND_OF[definition.origin], link=head, interval=EVERYTHING if length is None else exact(length))
         return None
 
     def subjects(self) -> Iterable[str]:
         for name, definition in self.definitions.items():
             robot = self.robots.get(name)
-            if definition.origin in (Origin.ROBOT, *_WHOLE):
+            if definition.origin in (Origin.ROBOT, *_KIND_OF):
                 yield name
             if robot is not None:
                 yield from (f"{name}.{part}" for part in robot.parts)
         yield from self.walls
 
-    def is_broken(self, name: str) -> bool:
+    def is_invalid(self, name: str) -> bool:
         """Whether the definition of `name` had a finding, or that of the robot it belongs to."""
         head = name.partition(".")[0]
-        return self.values.is_lost(name) or self.values.is_lost(ANY) or (head in self.robots and self.robots[head] is None)
+        return self.values.is_invalid(name) or self.values.is_invalid(ANY) or (head in self.robots and self.robots[head] is None)
 
 
 def _owner(text: Text, of: tuple[str, ...]) -> str:
@@ -427,11 +432,11 @@ def _rgba(word: str) -> Colour:
     return (*COLOURS[word], 1.0)
 
 
-_ENDLESS = Interval(0.0, float("inf"))
-_FLAGS = ("terminated", "truncated", "ended")
-_ACCOUNTS = ("previous_reward", "episode_return")
+_FROM_ZERO = Interval(0.0, float("inf"))
+_END_FLAGS = ("terminated", "truncated", "ended")
+_PAST_REWARDS = ("previous_reward", "episode_return")
 GOAL_IS_LATE = "the goal is computed after the signals, and only endings and rewards can use it"
-_BUILT_IN = ("time", "step", "previous_action", "goal_reached", *_ACCOUNTS, *_FLAGS)
+_BUILT_IN = ("time", "step", "previous_action", "goal_reached", *_PAST_REWARDS, *_END_FLAGS)
 
 
 @dataclass(frozen=True)
@@ -463,7 +468,7 @@ class ParameterScope(_Scope):
         return Symbol(name, None, refused=f"{origin.value} has a value only while an episode runs; use a parameter")
 
     def names(self) -> Iterable[str]:
-        return [*self.own, *self.namespace.named(Origin.PARAMETER)]
+        return [*self.own, *self.namespace.names_of(Origin.PARAMETER)]
 
 
 @dataclass(frozen=True)
@@ -480,30 +485,30 @@ class SupervisorScope(_Scope):
             return Symbol(name, None, refused=GOAL_IS_LATE)
         robot, _, rest = name.partition(".")
         scene = self.namespace.robots.get(robot)
-        if origin is None and scene is not None and rest in scene.spec.sensors and not self.namespace.is_broken(name):
+        if origin is None and scene is not None and rest in scene.spec.sensors and not self.namespace.is_invalid(name):
             return Symbol(name, None, refused=f"robot `{robot}` does not send it; add `{rest}` to its `emit`")
         return self.namespace.symbol(name)
 
     def _built_in(self, name: str) -> Symbol | None:
         if name == "time":
-            return Symbol(name, Type(TIME, interval=_ENDLESS, stage=Stage.STEP))
+            return Symbol(name, Type(TIME, interval=_FROM_ZERO, stage=Stage.STEP))
         if name == "step":
-            return Symbol(name, Type(NUMBER, interval=_ENDLESS, stage=Stage.STEP))
-        if name in _ACCOUNTS:
+            return Symbol(name, Type(NUMBER, interval=_FROM_ZERO, stage=Stage.STEP))
+        if name in _PAST_REWARDS:
             return Symbol(name, Type(NUMBER, stage=Stage.STEP))
         if name in self.namespace.built_in:
             return self.namespace.built_in[name](self.context)
-        if name in _FLAGS:
+        if name in _END_FLAGS:
             refused = None if self.context is Context.REWARD else "it is settled after the endings, and seen by rewards only"
             return Symbol(name, Type(boolean=True, stage=Stage.STEP) if refused is None else None, refused=refused)
         if name == "goal_reached":
-            return Symbol(name, None, refused=None if self.namespace.is_broken("goal") else "this scenario has no `goal`")
+            return Symbol(name, None, refused=None if self.namespace.is_invalid("goal") else "this scenario has no `goal`")
         return None
 
     def names(self) -> Iterable[str]:
         known = (Origin.PARAMETER, Origin.ACTION, Origin.FIELD, Origin.AUGMENT, Origin.SIGNAL)
         endings = [Origin.ENDING] if self.context in (Context.REWARD, Context.ENDING) else []
-        return [*self.namespace.named(*known, *endings), "time", "step", *_ACCOUNTS, *self.namespace.built_in]
+        return [*self.namespace.names_of(*known, *endings), "time", "step", *_PAST_REWARDS, *self.namespace.built_in]
 
 
 @dataclass(frozen=True)
@@ -515,7 +520,7 @@ class RobotScope(_Scope):
 
     def lookup(self, name: str) -> Symbol | None:
         if name in self.own:
-            self.namespace.touch(name)
+            self.namespace.mark_used(name)
             return self.own[name]
         origin = self.namespace.origin(name)
         scene = self.namespace.robots.get(self.robot)
@@ -533,4 +538,4 @@ class RobotScope(_Scope):
         return self.namespace.symbol(name)
 
     def names(self) -> Iterable[str]:
-        return [*self.own, *self.namespace.named(Origin.PARAMETER)]
+        return [*self.own, *self.namespace.names_of(Origin.PARAMETER)]

@@ -260,8 +260,8 @@ class Places:
             if self._namespace.origin(body) in (Origin.ROBOT, Origin.OBJECT):
                 found.append(self.placement(body, pose, used=used))
             else:
-                known = self._namespace.named(Origin.ROBOT, Origin.OBJECT)
-                self._values.unknown(self._values.key_span((*path, body)), "robot or object", body, known)
+                known = self._namespace.names_of(Origin.ROBOT, Origin.OBJECT)
+                self._values.report_unknown(self._values.key_span((*path, body)), "robot or object", body, known)
         return found
 
     def at_home(self, body: str) -> Placement:
@@ -327,9 +327,9 @@ class Places:
         span = self._values.field(pose, "line").span
         stroke = next((stroke for stroke in self._world.lines if stroke.name == line), None)
         if stroke is None:
-            self._values.unknown(span, "line", line, self._namespace.named(Origin.LINE))
+            self._values.report_unknown(span, "line", line, self._namespace.names_of(Origin.LINE))
             return place
-        self._namespace.touch(line)
+        self._namespace.mark_used(line)
         first, second = stroke.pieces[0]
         here = {axis: Expression(axis, span, line, _length(first[index]), place.owner) for index, axis in enumerate(PLANE)}
         return replace(place, coordinates={**place.coordinates, **here}, heading=atan2(second[1] - first[1], second[0] - first[0]))
@@ -339,8 +339,8 @@ class Places:
         span = self._values.field(pose, "on").span
         flat = [thing.name for thing in self._world.objects if has_top(thing) and self._namespace.origin(thing.name) is Origin.OBJECT]
         if self._namespace.origin(name) is None:
-            self._values.unknown(span, "object", name, flat)
-        elif name not in flat and not self._values.is_lost(name):
+            self._values.report_unknown(span, "object", name, flat)
+        elif name not in flat and not self._values.is_invalid(name):
             headline = f"`{name}` has no flat top that a body could stand on"
             help = f"name a single, solid box or cylinder{f', such as `{flat[0]}`' if flat else ''}"
             self._values.findings.add("DB203", span, headline, help=help)
@@ -357,9 +357,9 @@ class Places:
             return Region((x.low[0], y.low[0]), (x.high[0], y.high[0]), mesh) if x and y else None
         arena, span = self._world.arena, self._values.span((*pose.path, "region"))
         if pose.region != "arena":
-            self._values.unknown(span, "region", str(pose.region), ["arena"])
+            self._values.report_unknown(span, "region", str(pose.region), ["arena"])
         elif self._spec.world.arena is None:
-            if not self._values.is_lost("world.arena"):
+            if not self._values.is_invalid("world.arena"):
                 help = "give the region as `{x: -1 .. 1 m, y: -1 .. 1 m}`"
                 self._values.findings.add("DB201", span, "the world has no arena", help=help)
         elif arena is not None:
@@ -383,7 +383,7 @@ class Places:
                 self._check_spread(place, self._room.copies(place), path)
             return
         for key, given in (("at_most", place.at_most is not None), ("spacing", any(place.spacing))):
-            if given and not self._values.is_lost(place.body):
+            if given and not self._values.is_invalid(place.body):
                 headline = f"`{key}` of `{place.body}`, which is a single body"
                 help = "it is for groups: bodies with a `count`"
                 self._values.findings.add("DB203", self._values.key_span((*path, key)), headline, help=help)
@@ -436,7 +436,7 @@ class Layouts:
             if name not in layouts:
                 path: Path = ("reset", "layout", name) if isinstance(given, dict) else ("reset", "layout")
                 span = self._values.key_span(path) if isinstance(given, dict) else self._values.span(path)
-                self._values.unknown(span, "layout", name, list(layouts))
+                self._values.report_unknown(span, "layout", name, list(layouts))
         found = {
             name: tuple(
                 self._map(name, layout, used=name in shares)
@@ -473,7 +473,7 @@ class Layouts:
                 if letter in spots:
                     spots[letter].append(((column - (len(row) - 1) / 2) * cell, ((len(rows) - 1) / 2 - number) * cell))
                 elif letter != _NOTHING and letter not in layout.legend:
-                    self._values.unknown(span, "letter", letter, [_NOTHING, *layout.legend])
+                    self._values.report_unknown(span, "letter", letter, [_NOTHING, *layout.legend])
         bodies: dict[str, list[tuple[float, float]]] = {}
         for letter, body in legend.items():
             bodies.setdefault(body, []).extend(spots[letter])
@@ -486,8 +486,8 @@ class Layouts:
             if body == _WALL or self._namespace.origin(body) in (Origin.ROBOT, Origin.OBJECT):
                 found[letter] = body
             else:
-                known = [*self._namespace.named(Origin.ROBOT, Origin.OBJECT), _WALL]
-                self._values.unknown(self._values.field(layout, "legend", letter).span, "robot or object", body, known)
+                known = [*self._namespace.names_of(Origin.ROBOT, Origin.OBJECT), _WALL]
+                self._values.report_unknown(self._values.field(layout, "legend", letter).span, "robot or object", body, known)
         return found
 
     def _is_small(self, text: Text) -> bool:

@@ -56,19 +56,19 @@ def copies(namespace: Namespace) -> RobotCopies | None:
     spec = namespace.scenario
     name, values = spec.agent.each, namespace.values
     for robot, given in spec.robots.items():
-        if "count" in given.model_fields_set and robot != name and not values.is_lost("each"):
+        if "count" in given.model_fields_set and robot != name and not values.is_invalid("each"):
             headline = f"copies of `{robot}` without a policy for each are not supported yet"
             help = f"write `agent: {{each: {robot}}}`, which lets one policy act for every copy"
             values.findings.add("DB108", values.key_span(("robots", robot, "count")), headline, help=help)
     if name is None:
         return None
     if name not in spec.robots:
-        values.unknown(values.span(("agent", "each")), "robot", name, list(spec.robots))
+        values.report_unknown(values.span(("agent", "each")), "robot", name, list(spec.robots))
         return None
     _refuse_others(name, namespace)
     robot_spec = spec.robots[name]
     count = namespace.fixed(robot_spec, "count")
-    if robot_spec.spacing is None and values.is_lost("spacing"):
+    if robot_spec.spacing is None and values.is_invalid("spacing"):
         return None
     if robot_spec.spacing is None:
         help = f"give the distance between copies, as in `robots.{name}.spacing: 0 0.5 0 m`"
@@ -115,8 +115,8 @@ class Actions:
         namespace.built_in["previous_action"] = self._own_action
 
     def parts(self) -> tuple[Choices | ActionRange, ...]:
-        for name in self._namespace.named(Origin.ACTION):
-            self._namespace.settle(name)
+        for name in self._namespace.names_of(Origin.ACTION):
+            self._namespace.resolve(name)
         return tuple(part for part in self._parts.values() if part is not None)
 
     def with_conditions(self, action: tuple[ActionPart, ...]) -> tuple[ActionPart, ...]:
@@ -137,7 +137,7 @@ class Actions:
             for option in part.forbid:
                 text = self._values.field(part, "forbid", option)
                 if option not in part.choices:
-                    self._values.unknown(self._values.key_span(text.path), "choice", option, list(part.choices))
+                    self._values.report_unknown(self._values.key_span(text.path), "choice", option, list(part.choices))
                 typed = self._values.condition(text, scope)
                 if typed is not None and option in part.choices:
                     found.append((name, option, text.expression(typed)))
@@ -185,7 +185,7 @@ class Actions:
             if named:
                 help = f"write the variables that it sets, as in `{{{variables[0]}: 1}}`"
                 self._values.findings.add("DB103", self._values.span(place), "a number, but other choices set variables", help=help)
-                self._values.lose(str(place[1]))
+                self._values.mark_invalid(str(place[1]))
                 return (0.0,) * len(variables)
             return (number() or 0.0,)
         missing = [variable for variable in variables if variable not in given]
@@ -201,7 +201,7 @@ class Actions:
         components: Components | None = ()
         if isinstance(part, ContinuousAction) and part.each is not None:
             components = self._group(part.each, (*part.path, "each"))
-        elif self._values.is_lost("each"):
+        elif self._values.is_invalid("each"):
             components = None
         if ends is None or components is None:
             return Symbol(name, None)
@@ -218,10 +218,10 @@ class Actions:
             return subject.components
         if robot is not None and rest in robot.spec.actuators:
             return driven_parts(robot, robot.spec.actuators[rest])
-        if not self._namespace.is_broken(reference):
+        if not self._namespace.is_invalid(reference):
             scenes = [scene for scene in self._namespace.robots.values() if scene is not None]
             known = dict.fromkeys(f"{scene.name}.{part}" for scene in scenes for part in (*scene.groups, *scene.spec.actuators))
-            self._values.unknown(self._values.span(place), "group or actuator", reference, list(known))
+            self._values.report_unknown(self._values.span(place), "group or actuator", reference, list(known))
         return None
 
 
@@ -366,8 +366,8 @@ class Goals:
         spec = self._spec.goal
         if spec is None:
             return None
-        for name in self._namespace.named(Origin.GOAL):
-            self._namespace.settle(name)
+        for name in self._namespace.names_of(Origin.GOAL):
+            self._namespace.resolve(name)
         achieved, desired = self._valued.get("achieved"), self._valued.get("desired")
         within, ends = self._namespace.fixed(spec, "tolerance", dimension=achieved.typed.type.dimension if achieved else None), None
         if achieved is not None:
@@ -391,7 +391,7 @@ class Goals:
         typed = self._values.expression(text, SupervisorScope(self._namespace, Context.GOAL), boolean=False)
         wanted = None
         if name == "desired":
-            achieved = self._namespace.settle("achieved")
+            achieved = self._namespace.resolve("achieved")
             wanted = achieved.type if achieved else None
         if typed is None or (name == "desired" and wanted is None):
             return Symbol(name, None)
@@ -408,8 +408,8 @@ class Goals:
         name = "goal_reached"
         if context not in (Context.REWARD, Context.ENDING):
             return Symbol(name, None, refused=GOAL_IS_LATE)
-        for part in self._namespace.named(Origin.GOAL):
-            symbol = self._namespace.settle(part)
+        for part in self._namespace.names_of(Origin.GOAL):
+            symbol = self._namespace.resolve(part)
             if symbol is None or symbol.type is None:
                 return Symbol(name, None)
         return Symbol(name, Type(boolean=True, stage=Stage.STEP))
@@ -465,9 +465,9 @@ class _Reader:
         place: Path = ("scripts", name)
         for part in given:
             if part not in self._names:
-                self._values.unknown(self._values.key_span((*place, part)), "action", part, self._names)
+                self._values.report_unknown(self._values.key_span((*place, part)), "action", part, self._names)
         for part in self._names:
-            if part not in given and not self._values.is_lost(part):
+            if part not in given and not self._values.is_invalid(part):
                 headline = f"the script `{name}` does not decide `{part}`"
                 self._values.findings.add("DB102", self._values.key_span(place), headline, help=self._example(part))
         decided = {part: self._decision((*place, part), self._parts[part], given[part]) for part in self._parts if part in given}
@@ -502,7 +502,7 @@ class _Reader:
             return None
         strange = [name for name in given if name not in part.components]
         for name in strange:
-            self._values.unknown(self._values.key_span((*place, name)), f"component of `{part.name}` called", name, part.components)
+            self._values.report_unknown(self._values.key_span((*place, name)), f"component of `{part.name}` called", name, part.components)
         for name in part.components:
             if name not in given and not strange:  # otherwise it probably stands there under another name
                 headline = f"the script `{place[1]}` does not decide `{name}` of `{part.name}`"
@@ -513,7 +513,7 @@ class _Reader:
 
     def _aim(self, place: Path, part: ActionRange, given: object, components: Components | None) -> Expression | None:
         """A value of the dimension of the range, which may be a vector of these components."""
-        known = self._namespace.settle(part.name)
+        known = self._namespace.resolve(part.name)
         text = self._values.text(place, given)
         typed = self._values.expression(text, self._scope, boolean=False)
         if typed is None or known is None or known.type is None:
@@ -529,7 +529,7 @@ class _Reader:
             help = f"name one, or say when each is taken: `{{{options[0]}: x > 0 m, {options[-1]}: true}}`"
             self._values.findings.add("DB103", span, f"an expression where an option of `{part.name}` is needed", help=help)
         elif word not in options:
-            self._values.unknown(span, "choice", word, options)
+            self._values.report_unknown(span, "choice", word, options)
         else:
             return ScriptedChoice((), word)
         return None
@@ -542,7 +542,7 @@ class _Reader:
         options, branches, broken = [option.name for option in part.options], [], False
         for option, condition in given.items():
             if option not in options:
-                self._values.unknown(self._values.key_span((*place, option)), "choice", option, options)
+                self._values.report_unknown(self._values.key_span((*place, option)), "choice", option, options)
             holds = self._condition((*place, option), condition)
             broken = broken or holds is None or option not in options
             if holds is not None:

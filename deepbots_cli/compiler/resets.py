@@ -33,7 +33,7 @@ def _joint_start(key: str, spec: ResetSpec, namespace: Namespace, poses: Mapping
     robot, text = namespace.robots.get(robot_name), namespace.values.key_text((*spec.path, "set", key))
     if robot is None:
         if robot_name not in namespace.robots:
-            namespace.values.unknown(text.part(0, len(robot_name)), "robot", robot_name, namespace.named(Origin.ROBOT))
+            namespace.values.report_unknown(text.part(0, len(robot_name)), "robot", robot_name, namespace.names_of(Origin.ROBOT))
         return None
     if not part:
         movable = [name for name, (kind, _) in robot.groups.items() if kind in _JOINTS] + [
@@ -69,7 +69,7 @@ def _start_value(
     if dimension == subject.dimension and reach.finite and not reach.inside(limits):
         help = "set a position within the limits: an engine pushes the joint back at once"
         warn_beyond(values, text, dimension, limits, "a start at", reach, help)
-    return text.expression(typed, key, spread=joints if len(joints) > 1 else None)
+    return text.expression(typed, key, per_component=joints if len(joints) > 1 else None)
 
 
 # Before the first step nothing has touched or acted, and no picture was taken.
@@ -104,7 +104,7 @@ def arrangement(namespace: Namespace, world: WorldModel) -> tuple[Reset, tuple[O
 def _left_out(layout: Layout, placed: set[str], places: Places, namespace: Namespace) -> list[Placement]:
     """Bodies at home that other layouts place."""
     here = {placement.body for placement in layout.placements}
-    known = {*namespace.named(Origin.ROBOT, Origin.OBJECT)} - set(namespace.groups)
+    known = {*namespace.names_of(Origin.ROBOT, Origin.OBJECT)} - set(namespace.groups)
     return [places.at_home(body) for body in namespace.definitions if body in placed - here and body in known]
 
 
@@ -116,7 +116,7 @@ def _require_places(namespace: Namespace) -> None:
         *(name for layout in layouts for name in (layout if isinstance(layout, dict) else layout.legend.values())),
     }
     for name, group in namespace.groups.items():
-        if name not in mentioned and namespace.origin(name) is Origin.OBJECT and not namespace.values.is_lost(name):
+        if name not in mentioned and namespace.origin(name) is Origin.OBJECT and not namespace.values.is_invalid(name):
             help = f"place them under `reset.place`, as in `{name}: {{region: arena}}`"
             namespace.values.findings.add("DB102", group.count.span, f"no place for the copies of `{name}`", help=help)
 
@@ -144,7 +144,7 @@ def settling_time(namespace: Namespace, tick: float) -> float:
     """Seconds, in whole timesteps of `tick` s."""
     values, settle = namespace.values, namespace.fixed(namespace.scenario.reset, "settle") or 0.0
     span = values.field(namespace.scenario.reset, "settle").span
-    if abs(settle - round(settle / tick) * tick) > 1e-9 * settle and not values.is_lost("world.timestep"):
+    if abs(settle - round(settle / tick) * tick) > 1e-9 * settle and not values.is_invalid("world.timestep"):
         headline = f"a settling time of {settle:g} s, which is not a multiple of the timestep of {tick:g} s"
         values.findings.add("DB308", span, headline, help="write a multiple of the timestep")
     if settle / tick * namespace.scenario.world.substeps > MAX_SETTLING_STEPS:

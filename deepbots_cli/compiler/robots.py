@@ -105,7 +105,7 @@ def match(names: Iterable[str], pattern: str) -> tuple[str, ...]:
 def unmatched(values: Values, span: Span, pattern: str, what: str, names: Sequence[str]) -> None:
     """DB206 for a pattern, DB302 or DB201 for a plain name, with what there is."""
     if not set(pattern) & set("*?["):
-        values.unknown(span, what, pattern, names, "DB302" if what == "joint" else "DB201")
+        values.report_unknown(span, what, pattern, names, "DB302" if what == "joint" else "DB201")
     else:
         values.findings.add("DB206", span, f"`{pattern}` matches no {what}", help=choose_from(pattern, names))
 
@@ -252,7 +252,9 @@ class Overrides:
         elif change.mass is not None:
             model = self._change_mass(model, model.link(link.name), change)
         contact = {
-            field: self.namespace.varied(change, key, what, of, None, scope=self._scope()) for key, (field, what) in _CONTACT.items()
+            field: self.namespace.scalar_or_randomized(change, key, what, of, None, scope=self._scope())
+            for key, (field, what) in _CONTACT.items()
+            for key, (field, what) in _CONTACT.items()
         }
         model, paint = edits.with_friction(model, link.name, **contact), self.namespace.colour(change, of)
         return edits.with_colour(model, link.name, paint) if paint else model
@@ -269,7 +271,7 @@ class Overrides:
         if link.inertial is None and link.name != change.path[-1]:
             return model  # a pattern means the links that have a mass
         of, scope = OfLink(self.robot, link.name), self._scope(MASS, link.inertial.mass if link.inertial else None)
-        mass = self.namespace.varied(change, "mass", "mass", of, None, scope=scope)
+        mass = self.namespace.scalar_or_randomized(change, "mass", "mass", of, None, scope=scope)
         if mass == 0 and not self.namespace.varies("mass", of):
             span = self.values.field(change, "mass").span
             self.values.findings.add("DB105", span, "`mass` is 0 kg", help="give more than 0 kg")
@@ -287,7 +289,7 @@ class Overrides:
 
         def drawn(key: str, what: JointParameter, urdf: float | None, dimension: Dimension) -> float | None:
             of, scope = OfJoint(self.robot, joint.name), self._scope(dimension, urdf)
-            return self.namespace.varied(change, key, what, of, None, dimension=dimension, scope=scope)
+            return self.namespace.scalar_or_randomized(change, key, what, of, None, dimension=dimension, scope=scope)
 
         def fixed(key: str, urdf: float | None, dimension: Dimension) -> float | None:
             scope = self._scope(dimension, urdf)
@@ -363,7 +365,7 @@ class RobotScene:
         if one is None:
             return self._named(spec, "links", self.link_names, values)
         if one not in self.link_names:
-            values.unknown(values.span((*spec.path, "link")), "link", one, self.link_names)
+            values.report_unknown(values.span((*spec.path, "link")), "link", one, self.link_names)
         return (one,) if one in self.link_names else ()
 
     def _named(self, spec: Section, key: str, known: list[str], values: Values) -> tuple[str, ...]:
@@ -465,5 +467,5 @@ def _groups(model: RobotModel, spec: RobotSpec, values: Values) -> dict[str, Gro
             values.findings.add(
                 "DB203", values.span(place), "joints and links in one group", help="make one group of joints, and one of links"
             )
-        values.lose(name)
+        values.mark_invalid(name)
     return groups

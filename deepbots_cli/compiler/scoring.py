@@ -66,7 +66,7 @@ class Signals:
             help = "join conditions with `or`"
             self._values.findings.add("DB005", self._values.key_span(("termination",)), f"more than {MAX_ENDINGS} endings", help=help)
             for name in (*spec.termination.success, *spec.termination.failure):
-                self._values.lose(name)
+                self._values.mark_invalid(name)
             outcomes = ()
         for outcome, conditions in outcomes:
             for name, condition in conditions.items():
@@ -77,10 +77,10 @@ class Signals:
         """A list under `augment` names values that exist, which the policy may see."""
         kinds = (Origin.PARAMETER, Origin.SIGNAL)
         for index, name in enumerate(granted):
-            self._namespace.touch(name)
+            self._namespace.mark_used(name)
             if self._namespace.origin(name) not in kinds:
-                known = self._namespace.named(*kinds)
-                self._values.unknown(self._values.span(("augment", index)), "parameter or signal", name, known)
+                known = self._namespace.names_of(*kinds)
+                self._values.report_unknown(self._values.span(("augment", index)), "parameter or signal", name, known)
 
     def _define(self, name: str, given: object, origin: Origin, place: Path, context: Context) -> None:
         self._namespace.define(name, origin, place, partial(self._typed, name, given, place, context))
@@ -101,15 +101,15 @@ class Signals:
 
     def ordered(self) -> tuple[Expression, ...]:
         """Augmentation and signals, each after those that it is made of."""
-        for name in self._namespace.named(Origin.AUGMENT, Origin.SIGNAL):
-            self._namespace.settle(name)
+        for name in self._namespace.names_of(Origin.AUGMENT, Origin.SIGNAL):
+            self._namespace.resolve(name)
         wanted = (Origin.AUGMENT, Origin.SIGNAL)
         return tuple(self.valued[name] for name in self._namespace.order if name in self.valued and self._namespace.origin(name) in wanted)
 
     def endings(self) -> tuple[Ending, ...]:
         """In file order."""
         for name in self._outcomes:
-            self._namespace.settle(name)
+            self._namespace.resolve(name)
         return tuple(Ending(self.valued[name], outcome) for name, outcome in self._outcomes.items() if name in self.valued)
 
 
@@ -143,7 +143,7 @@ def truncation(namespace: Namespace) -> Truncation:
     """The limits; without any, nothing is sure to end an episode."""
     values, limits = namespace.values, namespace.scenario.truncation
     if limits is None:
-        if not values.is_lost("truncation"):
+        if not values.is_invalid("truncation"):
             span = values.key_span(("termination",) if "termination" in namespace.scenario.model_fields_set else ("reward",))
             values.findings.add(
                 "DB803", span, "no condition is certain to end an episode", help="add `truncation: {max_steps: 1000}`, or a `max_time`"
@@ -159,7 +159,7 @@ def solved(namespace: Namespace) -> Solved | None:
     if spec.solved is None:
         return None
     rate = namespace.fixed(spec.solved, "success_rate")
-    known = spec.termination.success or spec.goal or any(map(values.is_lost, ("success", "termination", "goal")))
+    known = spec.termination.success or spec.goal or any(map(values.is_invalid, ("success", "termination", "goal")))
     if rate is not None and not known:
         help = "add a condition under `termination.success`, or require a `mean_return`"
         values.findings.add("DB407", values.field(spec.solved, "success_rate").span, NO_SUCCESS, help=help)
@@ -174,7 +174,8 @@ def with_reading_ages(program: Program) -> Program:
     """
     if all(sensor.is_direct for robot in program.robots for sensor in robot.sensors):
         return program
-    calls = (node for value in _judged(program) for node in walk(value.typed) if isinstance(node, Invocation) and node.function == "age")
+    judged = (value for value in _judged(program) if "age" in value.text)
+    calls = (node for value in judged for node in walk(value.typed) if isinstance(node, Invocation) and node.function == "age")
     asked = dict.fromkeys(call.subjects[0].name for call in calls)
     return replace(program, robots=tuple(_with_ages(robot, asked) for robot in program.robots)) if asked else program
 

@@ -136,7 +136,7 @@ class Sensing:
                 found += subject.members or subject.pieces or (subject.name,)
             elif subject is None or subject.kind is not Kind.BROKEN:
                 steps = ("against",) if isinstance(given, str) else ("against", index)
-                self._values.unknown(self._values.span((*spec.path, *steps)), "body or link", name, [*self._felt(), "ground"])
+                self._values.report_unknown(self._values.span((*spec.path, *steps)), "body or link", name, [*self._felt(), "ground"])
         return tuple(dict.fromkeys(found))
 
     def _felt(self) -> list[str]:
@@ -297,7 +297,7 @@ def _refuse_errors(values: Values, spec: SensorSpec, known: Type) -> None:
 def _latency(namespace: Namespace, spec: SensorSpec) -> float:
     if "latency" not in spec.model_fields_set:
         return 0.0
-    return namespace.varied(spec, "latency", "sensor", _owner(spec.path, "latency"), 0.0)
+    return namespace.scalar_or_randomized(spec, "latency", "sensor", _owner(spec.path, "latency"), 0.0)
 
 
 def _error(namespace: Namespace, spec: SensorSpec, key: str, known: Type) -> tuple[tuple[float, ...], tuple[float, ...]]:
@@ -307,7 +307,7 @@ def _error(namespace: Namespace, spec: SensorSpec, key: str, known: Type) -> tup
     relative = key != "drift" and "%" in namespace.values.field(spec, key).text
     dimension = NUMBER if relative else known.dimension / TIME if key == "drift" else known.dimension
     of, drawn = _owner(spec.path, f"relative_{key}" if relative else key), len(namespace.variations)
-    found = namespace.all_varied(spec, key, "sensor", of, dimension=dimension, spread=known.components or ("",)) or ()
+    found = namespace.vector_or_randomized(spec, key, "sensor", of, dimension=dimension, per_component=known.components or ("",)) or ()
     if not any(found) and drawn == len(namespace.variations):
         found = ()
     return ((), found) if relative else (found, ())
@@ -338,7 +338,7 @@ def _owner(path: Path, field: str) -> OfSensor:
 def _with_period(faults: NoiseModel | None, namespace: Namespace, spec: SensorSpec, tick: float) -> NoiseModel | None:
     """The errors with the period of the sensor, in timesteps; DB308 for a period that is no whole number of them."""
     seconds, values = namespace.fixed(spec, "period"), namespace.values
-    if seconds is None or values.is_lost("world.timestep"):
+    if seconds is None or values.is_invalid("world.timestep"):
         return faults
     ticks, span = round(seconds / tick), values.span((*spec.path, "period"))
     if ticks < 1 or abs(seconds - ticks * tick) > 1e-9 * seconds:

@@ -42,7 +42,7 @@ _OF_NAMES = frozenset({"parameters", "augment", "signals", "success", "failure"}
 _REACH = 200  # how far before a finding its key may stand, in characters
 
 
-def lost_names(root: Mapping, pruned: Iterable[Path], found: Iterable[Span]) -> set[str]:
+def invalid_names(root: Mapping, pruned: Iterable[Path], found: Iterable[Span]) -> set[str]:
     """The names in what the schema took out of `root`, and the keys at and right before the findings `found`."""
     names: set[str] = set()
     data = to_data(root)
@@ -90,12 +90,12 @@ class Text(NamedTuple):
         typed: Typed,
         name: str | None = None,
         *,
-        spread: Components | None = None,
+        per_component: Components | None = None,
         redraw: Redraw | None = None,
         noise: Noise | None = None,
     ) -> Expression:
         """The expression of which `typed` is the tree, called like the key unless it has a `name`."""
-        return Expression(name or str(self.path[-1]), self.span, self.text, typed, self.owner, spread, redraw, noise=noise)
+        return Expression(name or str(self.path[-1]), self.span, self.text, typed, self.owner, per_component, redraw, noise=noise)
 
     @property
     def span(self) -> Span:
@@ -129,16 +129,16 @@ class Reading(NamedTuple):
 class Values:
     """Reads the values of one scenario.
 
-    `kinds` says what the schema wants at each path; `lost` holds the names whose definitions had findings. What was read
+    `kinds` says what the schema wants at each path; `invalid` holds the names whose definitions had findings. What was read
     is kept in `readings`, for editors.
     """
 
-    def __init__(self, root: Mapping, findings: Findings, kinds: Table[Path, FieldType], lost: Iterable[str] = ()) -> None:
+    def __init__(self, root: Mapping, findings: Findings, kinds: Table[Path, FieldType], invalid: Iterable[str] = ()) -> None:
         self.root = root
         self.findings = findings
         self.readings: list[Reading] = []
         self._kinds = kinds
-        self._lost = set(lost)
+        self._invalid = set(invalid)
 
     def span(self, path: Path) -> Span:
         """Where the value at `path` stands, or the nearest thing around it."""
@@ -175,26 +175,26 @@ class Values:
 
     # Names
 
-    def taken(self, path: Path, name: str, what: str, first: Path) -> None:
+    def report_duplicate(self, path: Path, name: str, what: str, first: Path) -> None:
         """A finding that the key at `path` defines a `name` that is already `what`, since `first`."""
         also = (Label(self.key_span(first), "first defined here"),)
         self.findings.add("DB202", self.key_span(path), f"`{name}` is already {what}", help="choose another name", also=also)
 
-    def lose(self, name: str) -> None:
+    def mark_invalid(self, name: str) -> None:
         """Note that the definition of `name` had a finding."""
-        self._lost.add(name)
+        self._invalid.add(name)
 
     def stands(self, path: Path) -> bool:
         """Whether the scenario holds this key, be its value right or not."""
         return descend(self.root, path)[2] == len(path)
 
-    def is_lost(self, name: str) -> bool:
+    def is_invalid(self, name: str) -> bool:
         """Whether the definition of the dotted `name`, or of a part of it, had a finding."""
-        return name in self._lost or not self._lost.isdisjoint(name.split("."))
+        return name in self._invalid or not self._invalid.isdisjoint(name.split("."))
 
-    def unknown(self, span: Span, what: str, name: str, known: Sequence[str], code: str = "DB201") -> None:
+    def report_unknown(self, span: Span, what: str, name: str, known: Sequence[str], code: str = "DB201") -> None:
         """A finding that `name` is none of the `known`, unless its definition had one."""
-        if not self.is_lost(name):
+        if not self.is_invalid(name):
             help = choose_from(name, known) if known else "the scenario has none"
             near = meant(name, known)
             fix = Fix.replacing(span, name, near.text, safe=near.safe) if near else None

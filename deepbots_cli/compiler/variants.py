@@ -10,14 +10,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
-from deepbots_cli import interface
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.scoring import NO_SUCCESS
 from deepbots_cli.diagnostics import Findings, Label, Span
 from deepbots_cli.document import Document, Entry, Mapping, Path, descend
 from deepbots_cli.document.load import place
 from deepbots_cli.document.nodes import follow, measure, without
-from deepbots_cli.program import CurriculumStage, EvaluationCase, Program
+from deepbots_cli.program import CurriculumStage, EvaluationCase, Program, identity
 from deepbots_cli.program.task import (
     ActionNoise,
     ActionRange,
@@ -96,7 +95,7 @@ def _hindsight(given: HindsightSpec | str | None, namespace: Namespace) -> Hinds
     if given is None or given == "uniform":
         return None
     values = namespace.values
-    if namespace.scenario.goal is None and not values.is_lost("goal"):
+    if namespace.scenario.goal is None and not values.is_invalid("goal"):
         help = "add a `goal` with `achieved` and `desired`, or remove `replay`"
         values.findings.add("DB102", values.span(("train", "replay")), "hindsight replay without a `goal`", help=help)
     return Hindsight(given.n_sampled_goal, given.goal_selection_strategy) if isinstance(given, HindsightSpec) else Hindsight()
@@ -242,7 +241,7 @@ class _Maker:
 
     def _is_bearable(self, program: Program, word: Word, name: str, here: Span) -> bool:
         """Whether a policy for the scenario itself can act in this one, else after a finding."""
-        lines = interface.differences(self._base, program, words=("elsewhere", "here"))
+        lines = identity.differences(self._base, program, words=("elsewhere", "here"))
         if word == "stage" and program.world.timestep != self._base.world.timestep:
             lines.append(f"timestep: elsewhere {self._base.world.timestep:g} s, here {program.world.timestep:g} s")
         if lines:

@@ -62,7 +62,7 @@ def define_bodies(namespace: Namespace) -> None:
             found = _group(name, thing, namespace)
             namespace.groups |= {name: found} if found else {}
             if found is None:
-                namespace.values.lose(name)
+                namespace.values.mark_invalid(name)
     for name, wall in spec.world.walls.items():
         namespace.define(name, Origin.WALL, ("world", "walls", name))
         if namespace.origin(name) is Origin.WALL:
@@ -166,7 +166,7 @@ def _line(name: str, spec: world_spec.Line, namespace: Namespace) -> Line | None
     points = _points(spec, namespace)
     width, reflectance = namespace.fixed(spec, "width"), namespace.fixed(spec, "reflectance")
     if points is None or width is None or reflectance is None:
-        namespace.values.lose(name)
+        namespace.values.mark_invalid(name)
         return None
     return Line(name, points, spec.closed, width, reflectance, namespace.colour(spec) or (*COLOURS["black"], 1.0))
 
@@ -203,9 +203,9 @@ def _wall(name: str, spec: world_spec.Wall, namespace: Namespace) -> Sequence[Ob
     height, thickness = namespace.fixed(spec, "height"), namespace.fixed(spec, "thickness")
     ends = () if points is None else (*points[1:], points[0]) if spec.closed else points[1:]
     names = pieces(name, spec)
-    friction = namespace.varied(spec, "friction", "walls_friction", OfWalls(names), None)
+    friction = namespace.scalar_or_randomized(spec, "friction", "walls_friction", OfWalls(names), None)
     if points is None or height is None or thickness is None or friction is None:
-        namespace.values.lose(name)
+        namespace.values.mark_invalid(name)
         return ()
     paint = namespace.colour(spec) or WALL_COLOUR
     boxes = []
@@ -224,7 +224,7 @@ _TRIED = 8  # places along either side at which a formula is tried
 
 def terrain(given: world_spec.Terrain, namespace: Namespace) -> Terrain | None:
     """The terrain; None after a finding."""
-    friction = namespace.varied(given, "friction", "lateral_friction", OfLink(GROUND), 1.0)
+    friction = namespace.scalar_or_randomized(given, "friction", "lateral_friction", OfLink(GROUND), 1.0)
     paint = namespace.colour(given, OfLink(GROUND))
     relief = _relief(given, namespace)
     return None if relief is None else Terrain(relief, friction, paint)
@@ -307,7 +307,7 @@ def bodies(name: str, thing: world_spec.Placed, namespace: Namespace) -> list[Ob
 
 
 def _body(name: str, thing: world_spec.Material, made: Shape, namespace: Namespace, variants: tuple[Variant, ...] = ()) -> ObjectBody:
-    varied, of = namespace.varied, OfLink(name)
+    value, of = namespace.scalar_or_randomized, OfLink(name)
     return ObjectBody(
         name,
         made,
@@ -315,10 +315,10 @@ def _body(name: str, thing: world_spec.Material, made: Shape, namespace: Namespa
         colour=(None if variants else namespace.colour(thing, of)) or _GREY,
         fixed=bool(thing.fixed),
         solid=thing.solid is not False,
-        friction=1.0 if variants else varied(thing, "friction", "lateral_friction", of, 1.0),
-        spinning_friction=varied(thing, "spinning_friction", "spinning_friction", of, 0.0),
-        rolling_friction=varied(thing, "rolling_friction", "rolling_friction", of, 0.0),
-        restitution=varied(thing, "restitution", "restitution", of, 0.0),
+        friction=1.0 if variants else value(thing, "friction", "lateral_friction", of, 1.0),
+        spinning_friction=value(thing, "spinning_friction", "spinning_friction", of, 0.0),
+        rolling_friction=value(thing, "rolling_friction", "rolling_friction", of, 0.0),
+        restitution=value(thing, "restitution", "restitution", of, 0.0),
         pooled=bool(variants),
         variants=variants,
     )
@@ -374,7 +374,7 @@ def _mass(thing: world_spec.Material, made: Shape, of: OfLink, namespace: Namesp
         return _usual_mass(made, thing, namespace, still=still)
     if still:  # there is nothing that a drawn mass would change
         return namespace.fixed(thing, "mass", stage=Stage.EPISODE) or 0.0
-    return namespace.varied(thing, "mass", "mass", of, 0.0)
+    return namespace.scalar_or_randomized(thing, "mass", "mass", of, 0.0)
 
 
 def _usual_mass(made: Shape, thing: world_spec.Material, namespace: Namespace, *, still: bool) -> float:
@@ -394,7 +394,7 @@ def world(namespace: Namespace, robots: list[RobotScene], painted: tuple[Line, .
     values, given = namespace.values, namespace.scenario.world
     timestep = namespace.fixed(given, "timestep")
     if timestep is None:
-        values.lose("timestep")  # the stand-in below is nothing to measure periods by
+        values.mark_invalid("timestep")  # the stand-in below is nothing to measure periods by
     else:
         _check_timestep(timestep, given, namespace)
     parameters = _parameters(given, namespace)
@@ -422,7 +422,7 @@ def world(namespace: Namespace, robots: list[RobotScene], painted: tuple[Line, .
 def _parameters(spec: world_spec.World, namespace: Namespace) -> dict[str, Any]:
     """What an engine sets of the world, by the fields of `WorldModel`; those that are not given, or had a finding, are left out."""
     whats: tuple[WorldParameter, ...] = get_args(WorldParameter)
-    found = {what: namespace.all_varied(spec, what, what, OfWorld()) for what in whats}
+    found = {what: namespace.vector_or_randomized(spec, what, what, OfWorld()) for what in whats}
     return {what: numbers if len(numbers) > 1 else numbers[0] for what, numbers in found.items() if numbers}
 
 
@@ -446,14 +446,15 @@ def _ground(spec: world_spec.Ground, namespace: Namespace) -> Ground:
     of, contact = OfLink(GROUND), [field for field in fields(Ground) if field.name != "colour"]
     whats = {field.name: "lateral_friction" if field.name == "friction" else field.name for field in contact}
     found: dict[str, Any] = {
-        field.name: namespace.varied(spec, field.name, cast("LinkParameter", whats[field.name]), of, field.default) for field in contact
+        field.name: namespace.scalar_or_randomized(spec, field.name, cast("LinkParameter", whats[field.name]), of, field.default)
+        for field in contact
     }
     return Ground(**found, colour=namespace.colour(spec, of))
 
 
 def _arena(spec: world_spec.Arena, namespace: Namespace) -> Arena | None:
     size, height, thickness = namespace.pair(spec, "size"), namespace.fixed(spec, "wall_height"), namespace.fixed(spec, "wall_thickness")
-    friction = namespace.varied(spec, "friction", "walls_friction", OfWalls(ARENA_WALLS), 1.0)
+    friction = namespace.scalar_or_randomized(spec, "friction", "walls_friction", OfWalls(ARENA_WALLS), 1.0)
     if size is None or height is None or thickness is None:
         return None
     return Arena(size, height, thickness, friction, namespace.colour(spec))

@@ -6,7 +6,6 @@ import json
 from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
 from urllib.parse import quote
-from xml.etree import ElementTree
 
 from deepbots_cli import __version__
 from deepbots_cli.diagnostics.findings import Finding, Fix, Source, Span
@@ -54,6 +53,8 @@ def junit(findings: Sequence[Finding], files: Sequence[str], failing: Collection
     `files` are the names of the linted scenarios. A finding is a failure if its severity is in `failing`, else a case that
     passes with output; a DB903 is an error.
     """
+    from xml.etree import ElementTree
+
     names = sorted({*files, *(finding.span.source.name for finding in findings)})
     suites = {_relative(name): [finding for finding in findings if finding.span.source.name == name] for name in names}
     root = ElementTree.Element("testsuites", {"name": "deepbots lint"} | _counts(suites.values(), failing))

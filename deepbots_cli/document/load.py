@@ -20,6 +20,7 @@ from deepbots_cli.document.nodes import Entry, Mapping, Node, Scalar, Sequence, 
 from deepbots_cli.document.nodes import Path as NodePath
 from deepbots_cli.document.parse import MAX_DEPTH, MAX_EXPANDED, Budget, parse
 from deepbots_cli.errors import UsageError
+from deepbots_cli.renames import former, headline
 
 MAX_CHAIN = 32
 _MAX_LISTED = 20
@@ -260,7 +261,7 @@ class _Reader:
             if not isinstance(item, Scalar) or not isinstance(item.value, str):
                 self.findings.add("DB103", item.span, "a path to remove must be text", help=example)
                 continue
-            steps, reached, rest = follow(tree, item.text)
+            steps, reached, rest = self._followed(tree, item)
             if not rest and steps:
                 paths.append(steps)
                 _, key, found = descend(own, steps)
@@ -274,6 +275,22 @@ class _Reader:
                 self.findings.add("DB201", here, f"there is no `{item.text}` to remove", help=help)
         pruned = without(tree, paths)
         return pruned if isinstance(pruned, Mapping) else tree
+
+    def _followed(self, tree: Mapping, item: Scalar) -> tuple[NodePath, Node, str]:
+        """As `follow`, for a path under `remove`; DB109 for each former name of a key in it."""
+        path = item.text
+        while True:
+            steps, reached, rest = follow(tree, path)
+            name, _, below = rest.partition(".")
+            keys = reached.entries if isinstance(reached, Mapping) and not (steps and steps[-1] in _OF_NAMES) else {}
+            rename = next((each for each in former(name) if each.what == "key" and each.new in keys), None)
+            if rename is None:
+                return steps, reached, rest
+            end = len(item.text) - len(below) - bool(below)
+            span = item.part(end - len(name), end)
+            fix = Fix.replacing(span, name, rename.new, safe=True)
+            self.findings.add("DB109", span, headline(rename), help=f"write `{rename.new}`", fix=fix)
+            path = ".".join(filter(None, (path[: len(path) - len(rest)].rstrip("."), rename.new, below)))
 
 
 def _listed(node: Mapping) -> str:

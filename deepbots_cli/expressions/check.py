@@ -384,8 +384,9 @@ class _Checker:
             result = Type(self._result_dimension(node, left, right), components, stage=stage)
             self._warn_of_domain(node.operator, left.type.interval, right.type.interval, node)
             interval = OPERATORS[operator].interval(left.type.interval, right.type.interval)
-            settled = all(value.type.interval.finite and value.type.interval.single for value in both)
-            if settled and interval.single and not interval.finite:  # a division by zero gives an interval that is not single
+            # A division by zero gives an interval that is not single.
+            overflows = interval.single and not interval.finite
+            if overflows and all(value.type.interval.finite and value.type.interval.single for value in both):
                 self._fault("DB406", node, "a result too large for a number")
             return Operation(result._replace(interval=interval), node.start, node.end, operator, both)
         if node.operator not in _COMPARISONS:

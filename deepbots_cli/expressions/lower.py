@@ -48,17 +48,17 @@ def _computed(name: str, values: list[float | bool]) -> Const | None:
     return Const(value) if isinstance(value, bool) or math.isfinite(value) else None
 
 
-def lower(value: Typed, owner: str, spread: Components | None = None) -> Scalars:
+def lower(value: Typed, owner: str, per_component: Components | None = None) -> Scalars:
     """One scalar per component, or a single one.
 
     Args:
         owner: The path of the item in the scenario. Slots of states and streams of draws are named after it, `owner#0`
             and so on, so that a new item changes no other item's draws.
-        spread: Gives one scalar for each of these components; a single draw is drawn anew for each.
+        per_component: Gives one scalar for each of these components; a single draw is drawn anew for each.
     """
-    if spread is None:
+    if per_component is None:
         return Lowering(owner).scalars(value)
-    lowered = [Lowering(owner, f".{component}").scalars(value) for component in spread]
+    lowered = [Lowering(owner, f".{component}").scalars(value) for component in per_component]
     return tuple(parts[index if len(parts) > 1 else 0] for index, parts in enumerate(lowered))
 
 

@@ -296,7 +296,8 @@ def walk(node: Typed) -> Iterator[Typed]:
     while waiting:
         node = waiting.pop()
         yield node
-        waiting += reversed(children(node))
+        if not isinstance(node, (Constant, Reference)):
+            waiting += reversed(children(node))
 
 
 def bare(value: Typed) -> bool:

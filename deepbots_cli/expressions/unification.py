@@ -66,7 +66,10 @@ def or_none(function: Callable[P, T]) -> Callable[P, T | None]:
 
 def require_kind(values: Sequence[Typed], report: Report, *, boolean: bool = False) -> None:
     """Require numbers, or truth values where `boolean`; DB403 for each of the other kind, DB404 for each picture."""
-    wrong = [value for value in values if value.type.picture] or [value for value in values if value.type.boolean != boolean]
+    wrong = [value for value in values if value.type.picture or value.type.boolean != boolean]
+    if not wrong:
+        return
+    wrong = [value for value in wrong if value.type.picture] or wrong
     for value in wrong:
         if value.type.picture:
             fault(
@@ -82,8 +85,7 @@ def require_kind(values: Sequence[Typed], report: Report, *, boolean: bool = Fal
             name = value.symbol.name if isinstance(value, Reference) else "condition"
             help = f"make it a number with `where({name}, 1, 0)`, or write the value under the condition: `5 when {name}`"
             fault(report, "DB403", value, "a truth value where a number belongs", help)
-    if wrong:
-        raise Stop
+    raise Stop
 
 
 def dimension_of(values: Sequence[Typed], place: Place, report: Report) -> Dimension:

@@ -19,14 +19,13 @@ import numpy as np
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from deepbots_cli import interface
 from deepbots_cli.api import Compiled
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import algorithms, models, video
 from deepbots_cli.learning.environments import BuildWorld, VectorEnvironment, World, compiled_of, default_build, is_team
 from deepbots_cli.learning.episodes import Episode, EpisodeAccumulator, Interval, Summary, meets
 from deepbots_cli.learning.run import ModelName, Run
-from deepbots_cli.program import Program
+from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Solved
 from deepbots_cli.runtime.streams import derive
 from deepbots_cli.scenario import Scenario
@@ -195,7 +194,7 @@ def load(run: Run, name: ModelName, world: World) -> BaseAlgorithm:
 
 
 def _fitting(run: Run, program: Program) -> Program:
-    differences = interface.differences(run.program, program)
+    differences = identity.differences(run.program, program)
     if differences:
         lines = "\n  ".join(differences)
         raise RunError(f"{run.path} was trained for another observation, action or messages than {program.name} has:\n  {lines}")
@@ -226,7 +225,7 @@ def _summary(
         solved=solved,
         verdict=verdict,
         video=video_to,
-        notes=(*run.notes(), *interface.other_conditions(run.program, program)),
+        notes=(*run.notes(), *identity.other_conditions(run.program, program)),
         outcomes=tuple(done),
         **vars(summary),
     )

@@ -31,14 +31,14 @@ from typing import Any, Literal, Self, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 import deepbots_cli
-from deepbots_cli import api, interface
+from deepbots_cli import api
 from deepbots_cli.api import Compiled
 from deepbots_cli.compiler.inputs import FOLDER, RESOLVED, write_copies
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.files import atomic
 from deepbots_cli.learning.curriculum import StageEnd
 from deepbots_cli.learning.episodes import SolvedAt
-from deepbots_cli.program import Program
+from deepbots_cli.program import Program, identity
 
 FORMAT = 3
 """Of the run directory as a whole; raised when an older deepbots could no longer read it."""
@@ -101,7 +101,7 @@ class Record(BaseModel):
     """The content of `run.json`: who trained what, when, from which inputs, with which versions, and how it went.
 
     Digests are SHA-256 in hexadecimal. `interface` is what the policy and the world have agreed on, item by item
-    (`deepbots_cli.interface`). `first_stage` is the stage of the curriculum that the training began in, where it was not the first.
+    (`deepbots_cli.program.identity`). `first_stage` is the stage of the curriculum that the training began in, where it was not the first.
     """
 
     model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
@@ -268,7 +268,7 @@ class Run:
             compiled = api.compile(api.load(path / RESOLVED, allow_code=True, project=path))
         except DeepbotsError as error:
             raise RunError(f"{path} cannot be used, since its scenario does not compile: {' '.join(str(error).split())[:500]}") from error
-        differences = interface.compare(record.interface, interface.interface(compiled.program), words=("trained", "now"))
+        differences = identity.compare(record.interface, identity.interface(compiled.program), words=("trained", "now"))
         if differences:
             lines = "\n  ".join(differences)
             raise RunError(f"{path} was trained for another observation, action or messages than its scenario has now:\n  {lines}")

@@ -16,7 +16,6 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 import deepbots_cli
-from deepbots_cli import interface
 from deepbots_cli.api import Compiled
 from deepbots_cli.errors import MissingExtraError, RunError, UsageError
 from deepbots_cli.learning import algorithms, models
@@ -40,7 +39,7 @@ from deepbots_cli.learning.run import (
     run_lock,
     versions,
 )
-from deepbots_cli.program import Program
+from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Training
 from deepbots_cli.runtime.streams import derive
 from deepbots_cli.scenario import Scenario
@@ -109,7 +108,7 @@ def train(
         scenario=compiled.program.name,
         source=str(compiled.source),
         digest=compiled.digest,
-        interface=interface.interface(compiled.program),
+        interface=identity.interface(compiled.program),
         inputs=input_digests(compiled.inputs),
         engine=engine,
         seed=seed,
@@ -225,7 +224,7 @@ def _validate_setup(program: Program, training: Training, build: BuildWorld, sou
             return None
         found = models.initialize(source.model("best"), model)
         afresh = ", ".join(f"{name} ({reason})" for name, reason in found.others.items())
-        changed = "; ".join(interface.differences(source.program, program))
+        changed = "; ".join(identity.differences(source.program, program))
         return (
             f"{source.path}: {len(found.taken)} of {len(found.taken) + len(found.others)} tensors"
             f"{f', afresh: {afresh}' if afresh else ''}{f'; the interface differs: {changed}' if changed else ''}"

@@ -14,11 +14,11 @@
 
 values.py   Expression, the leaf of all of these      world.py    what an engine builds
 robots.py   sensors, actuators, messages, controllers task.py     policies, endings, training, evaluation
-resets.py   placements, randomized parameters
+resets.py   placements, randomized parameters         identity.py canonical JSON, digests, interfaces
 
 Everything is frozen, in SI units, and free of YAML and of any engine. Rules read the typed tree and the place of an expression
-(`.typed`, `.span`), generated code its scalar trees (`.scalars`), which are made when first asked for. `deepbots_cli.canonical`
-writes a program as canonical JSON, whose digest identifies the scenario.
+(`.typed`, `.span`), generated code its scalar trees (`.scalars`), which are made when first asked for. `identity` writes
+a program as canonical JSON, whose digest identifies the scenario.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ class Foreign:
 class Expression:
     """A named expression: its text and place in the file, its typed tree, and its scalar trees, which are made when first asked for.
 
-    `owner` is the path in the scenario, such as `reward.alive`; streams of draws and memories are named after it. With `spread`
+    `owner` is the path in the scenario, such as `reward.alive`; streams of draws and memories are named after it. With `per_component`
     there is one scalar tree for each of these components, and a draw that is written once is drawn anew for each. `redraw` says
     how often draws are repeated within an episode, None for not at all. Of a `foreign` expression, a function of Python, the
     tree tells the type only. With `noise`, the name has a noisy value, which is drawn once per tick.
@@ -56,7 +56,7 @@ class Expression:
     text: str
     typed: Typed
     owner: str
-    spread: Components | None = None
+    per_component: Components | None = None
     redraw: Redraw | None = None
     foreign: Foreign | None = None
     noise: Noise | None = None
@@ -72,7 +72,7 @@ class Expression:
     @cached_property
     def scalars(self) -> tuple[Scalar, ...]:
         """One tree per component, in SI units."""
-        return lower(self.typed, self.owner, self.spread)
+        return lower(self.typed, self.owner, self.per_component)
 
     @property
     def scalar(self) -> Scalar:

@@ -44,7 +44,7 @@ class Ground:
 
 @dataclass(frozen=True)
 class Pit:
-    """A bowl around the origin, 20 m wide; `deepbots_cli.terrain` has the formula. Height and radius in m, noise a share."""
+    """A bowl around the origin, 20 m wide; `deepbots_cli.geometry` has the formula. Height and radius in m, noise a share."""
 
     height: float
     radius: float

@@ -18,13 +18,13 @@ from deepbots_cli import footprint
 from deepbots_cli.errors import EvaluationError
 from deepbots_cli.footprint import Footprint, Patch, Spot
 from deepbots_cli.frames import Triple, quaternion
+from deepbots_cli.geometry import height
 from deepbots_cli.port import STILL, Engine
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import RobotCopies
 from deepbots_cli.program.world import ObjectBody, Variant, WorldModel
 from deepbots_cli.robots.model import Shape
 from deepbots_cli.runtime.streams import Streams
-from deepbots_cli.terrain import height
 
 Pose = tuple[Triple, Triple]
 """Position (m) and roll, pitch, yaw (rad)."""

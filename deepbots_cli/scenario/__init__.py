@@ -5,8 +5,7 @@ base.py         Section, the base of the models; unions, sizes; the shape of an 
 world.py robot.py sensors.py actuators.py task.py training.py
                 the sections
 scenario.py     Scenario, the whole file
-renamed.py      old spellings of keys and words: findings, and the document under the new names
-validate.py     nodes to a Scenario; validation errors become findings with exact places
+validate.py     nodes to a Scenario; old spellings and validation errors become findings with exact places
 docs.py         what is said of a key: descriptions, units, defaults, examples
 json_schema.py  the JSON Schema for editors: `python -m deepbots_cli.scenario.json_schema` writes it
 """

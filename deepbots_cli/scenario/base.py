@@ -368,25 +368,25 @@ def _visit(shape: Shape, value: object, path: Path) -> Iterator[tuple[Path, Fiel
                 yield from _visit(chosen, value, path)
 
 
-def settle(shape: Shape, data: object) -> Shape | None:
+def chosen_shape(shape: Shape, data: object) -> Shape | None:
     """The shape after choosing among forms and kinds by the data; None if there is no choice."""
     match shape:
         case Forms():
             chosen = shape.choose(data)
-            return None if chosen is None else settle(chosen, data)
+            return None if chosen is None else chosen_shape(chosen, data)
         case Kinds():
             return shape.find(data)
         case _:
             return shape
 
 
-def shape_at(shape: Shape, data: object, path: Path, *, settled: bool = True) -> Shape | None:
+def shape_at(shape: Shape, data: object, path: Path, *, choose: bool = True) -> Shape | None:
     """The shape of the value at `path` in raw data; None if the language does not know the path.
 
-    Unless `settled`, the result may be a union of forms or kinds.
+    Unless `choose`, the result may be a union of forms or kinds.
     """
     for step in path:
-        match settle(shape, data), data:
+        match chosen_shape(shape, data), data:
             case (ListOf(item=item), list()) if isinstance(step, int) and 0 <= step < len(data):
                 shape, data = item, data[step]
             case (MappingOf(value=value), dict()) if step in data:
@@ -395,7 +395,7 @@ def shape_at(shape: Shape, data: object, path: Path, *, settled: bool = True) ->
                 shape, data = below, data[step]
             case _:
                 return None
-    return settle(shape, data) if settled else shape
+    return chosen_shape(shape, data) if choose else shape
 
 
 def sections(shape: Shape, path: tuple[str, ...] = (), mark: str = "") -> Iterator[tuple[tuple[str, ...], type[Section] | Kinds, str]]:

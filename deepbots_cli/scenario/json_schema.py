@@ -3,7 +3,7 @@
     python -m deepbots_cli.scenario.json_schema      writes it to schemas/
 
 It describes a file before `extends` and `include` are resolved, and accepts everything that the compiler accepts. Only keys of the
-top level are required, and only if a file extends no other; `lint` checks the other keys after the merge.
+top level and of its sections are required, and only if a file extends no other; `lint` checks the other keys after the merge.
 
 Every section is one definition. Of `anyOf` or `oneOf` over several forms an editor shows what is wrong with each of them, and offers
 the keys of all. Unions are therefore `if` and `then`: a form is chosen as the compiler chooses it, by the word under one key, by a key
@@ -108,16 +108,28 @@ def json_schema(known: Known | None = None) -> Json:
     sentence = "A file with the value of this mapping; what stands beside it is merged over it.\n\nExample: include: parts/arena.yaml"
     definitions: Json = {"include": {"type": "string", "description": sentence}}
     _Writer(definitions, known or Known(), {**_LANGUAGE, **(known.everywhere if known else {})}).reference(Scenario)
-    required = [name for name, info in Scenario.model_fields.items() if info.is_required()]
+    below = {name: _required(shape) for name, shape in fields(Scenario).items() if isinstance(shape, type)}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         **({} if known else {"$id": FILE_NAME}),
         "title": "deepbots scenario",
         "$ref": f"#/$defs/{Scenario.__name__}",
         "if": {"not": {"anyOf": [{"required": ["extends"]}, {"required": ["include"]}]}},
-        "then": {"required": required},
+        "then": {
+            "required": _required(Scenario),
+            # The YAML language server would offer keys under `properties` a second time.
+            "patternProperties": {
+                f"^{name}$": {"if": {"not": {"required": ["include"]}}, "then": {"required": required}}
+                for name, required in below.items()
+                if required
+            },
+        },
         "$defs": definitions,
     }
+
+
+def _required(section: type[Section]) -> list[str]:
+    return [name for name, info in section.model_fields.items() if info.is_required()]
 
 
 def to_text(known: Known | None = None) -> str:
@@ -194,13 +206,24 @@ class _Writer:
         return {"type": "object", "properties": properties, "propertyNames": key, "additionalProperties": self.schema(shape.value)}
 
     def _forms(self, shape: Forms) -> Json:
-        """A union as `if` and `then`. The YAML language server offers names that are listed beside the forms."""
+        """A union as `if` and `then`. The YAML language server offers names and words that are listed beside the forms.
+
+        It completes a key with a colon only if the schema has a type, words or properties.
+        """
         plain = [option.json_schema() if isinstance(option, FieldType) else self.schema(option) for option in shape.options]
         schema = plain.pop()
         for option, form in zip(reversed(shape.options[:-1]), reversed(plain), strict=True):
             schema = {"if": _form_of(option), "then": form, "else": self._with_marks(option, schema)}
-        offer = next((self._names[topic] for option in shape.options if (topic := topic_of(option)) in self._names), None)
-        return schema | (offer.added_to({}, noun_of(shape)) if offer else {})
+        types = (
+            {}
+            if any(isinstance(option, FieldType) for option in shape.options)
+            else {_form_of(option)["type"]: 0 for option in shape.options}
+        )
+        if len(types) > 1:
+            schema = {"type": list(types), **schema}
+        offers = [self._names[topic] for option in shape.options if (topic := topic_of(option)) in self._names]
+        offers += [Offer(dict.fromkeys(option.words, "")) for option in shape.options if isinstance(option, Word)]
+        return schema | (offers[0].added_to({}, noun_of(shape)) if offers else {})
 
     def _with_marks(self, form: Shape, other: Json) -> Json:
         """The schema of the other forms, with the marks of this form as completions."""

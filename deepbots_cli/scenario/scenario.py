@@ -114,8 +114,7 @@ class Scenario(Section):
         """
         from deepbots_cli.document import descend, load, shipped, to_data
         from deepbots_cli.errors import ScenarioError
-        from deepbots_cli.scenario.renamed import with_new_names
-        from deepbots_cli.scenario.validate import validate
+        from deepbots_cli.scenario.validate import validate, with_new_names
 
         document = load(path)
         root = with_new_names(document.root, document.findings) if document.root is not None else None

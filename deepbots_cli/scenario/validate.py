@@ -1,5 +1,8 @@
 """Nodes to a validated scenario: pydantic's errors become findings, each at its exact place and in the words of the language.
 
+Old spellings of keys and words come first: each is a finding, and the tree under the new names is validated. Later passes see the new
+names only, at the places of the old ones, so an old spelling has no other findings.
+
 The first round reports. Faulty entries are then taken out and the rest is validated again, until it passes: later stages see
 everything that is sound, and nothing is reported twice.
 """
@@ -8,7 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -19,8 +22,23 @@ from deepbots_cli.diagnostics import Finding, Findings, Fix, Span, TooManyFindin
 from deepbots_cli.diagnostics.nearest import Meant, meant, nearest
 from deepbots_cli.document import nodes
 from deepbots_cli.document.hints import GIVE_A_VALUE
-from deepbots_cli.document.nodes import Node, Path, Scalar, descend, to_data, walk
-from deepbots_cli.scenario.base import LENIENT, Forms, Kinds, MappingOf, Shape, locate, noun_of, sections, shape_at
+from deepbots_cli.document.nodes import Entry, Node, Path, Scalar, descend, to_data, walk
+from deepbots_cli.renames import KEYS_AND_WORDS, RENAMES, Rename, headline
+from deepbots_cli.scenario.base import (
+    LENIENT,
+    Forms,
+    Kinds,
+    ListOf,
+    MappingOf,
+    Section,
+    Shape,
+    chosen_shape,
+    fields,
+    locate,
+    noun_of,
+    sections,
+    shape_at,
+)
 from deepbots_cli.scenario.fields import FieldType, error, mismatch
 from deepbots_cli.scenario.scenario import VERSION, Scenario
 from deepbots_cli.scenario.training import ELSEWHERE, Training
@@ -283,7 +301,7 @@ def _wanted(data: object, path: Path) -> str:
     told = about_key(data, path)
     if told is not None and told.startswith(f"`{path[-1]}`"):
         return told
-    holder = shape_at(Scenario, data, path[:-1], settled=False)
+    holder = shape_at(Scenario, data, path[:-1], choose=False)
     if isinstance(holder, Kinds) and path[-1] == holder.key:
         return f"it is one of {_listed(holder.names)}"
     holder = shape_at(Scenario, data, path[:-1])
@@ -359,7 +377,7 @@ def _help_for_unknown(data: object, path: Path) -> str | None:
         return ELSEWHERE[key]
     known = tuple(section.model_fields)
     here = f"here the keys are {_listed(known)}"
-    kinds = shape_at(Scenario, data, parent, settled=False)
+    kinds = shape_at(Scenario, data, parent, choose=False)
     others = [name for name, model in kinds.models.items() if key in model.model_fields] if isinstance(kinds, Kinds) else []
     if others:
         return f"it is a key of {_listed(others)}; {here}"
@@ -405,3 +423,98 @@ def _nearest_home(parent: Path, key: str) -> str | None:
         return None
     best = found[0]
     return f"under `{'.'.join('<name>' if step == '*' else step for step in best)}`" if best else "at the top level"
+
+
+# Old spellings
+
+
+def with_new_names(root: nodes.Mapping, findings: Findings) -> nodes.Mapping:
+    """The tree under the new names; DB109 for each old one.
+
+    Raises:
+        TooManyFindings: There are more than `findings` takes.
+    """
+    if not any(_holds_old_word(node) for _, node in walk(root)):
+        return root
+    renamed = _with_new_names(root, Scenario, findings)
+    assert isinstance(renamed, nodes.Mapping)  # as it was
+    return renamed
+
+
+def _holds_old_word(node: Node) -> bool:
+    match node:
+        case nodes.Mapping():
+            return not KEYS_AND_WORDS.isdisjoint(node.entries)
+        case Scalar():
+            return node.text in KEYS_AND_WORDS
+        case nodes.Sequence():
+            return False
+
+
+def _with_new_names(node: Node, shape: Shape | None, findings: Findings) -> Node:
+    if isinstance(node, nodes.Mapping) and isinstance(shape, Kinds):
+        node = _with_new_kind(node, shape, findings)
+    shape = None if shape is None else chosen_shape(shape, to_data(node))
+    match shape, node:
+        case ListOf(item=item), nodes.Sequence():
+            return nodes.Sequence(node.span, tuple(_with_new_names(each, item, findings) for each in node.items))
+        case MappingOf(value=value), nodes.Mapping():
+            entries = {key: Entry(entry.key, _with_new_names(entry.value, value, findings)) for key, entry in node.entries.items()}
+            return replace(node, entries=entries)
+        case type(), nodes.Mapping():
+            return _section(node, shape, findings)
+        case _:
+            return node
+
+
+def _section(node: nodes.Mapping, section: type[Section], findings: Findings) -> nodes.Mapping:
+    entries: dict[str, Entry] = {}
+    for name, entry in node.entries.items():
+        rename = next((each for each in RENAMES if each.old == name and _is_key_of(each, section)), None)
+        if rename is not None:
+            other = node.entries.get(rename.new)
+            is_twice = other is not None and other.key.span.source is entry.key.span.source
+            entry = Entry(_renamed(entry.key, rename, findings, fixed=not is_twice), entry.value)
+        key = entry.key.text if rename else name
+        below = fields(section).get(key)
+        word = next((each for each in RENAMES if each.key == key and _is_word_of(each, section, entry.value)), None)
+        value = _renamed(entry.value, word, findings) if word and isinstance(entry.value, Scalar) else entry.value
+        entries[key] = Entry(entry.key, _with_new_names(value, below, findings))  # of two files, the one that extends the other wins
+    return replace(node, entries=entries)
+
+
+def _with_new_kind(node: nodes.Mapping, kinds: Kinds, findings: Findings) -> nodes.Mapping:
+    """The mapping with the new word for its kind."""
+    entry = node.entries.get(kinds.key)
+    if entry is None or not isinstance(entry.value, Scalar) or entry.value.text in kinds.models:
+        return node
+    for rename in RENAMES:
+        model = kinds.models.get(rename.new)
+        if rename.key == kinds.key and rename.old == entry.value.text and model is not None and _is_below(model, rename.section):
+            value = _renamed(entry.value, rename, findings)
+            return replace(node, entries={**node.entries, kinds.key: Entry(entry.key, value)})
+    return node
+
+
+def _is_key_of(rename: Rename, section: type[Section]) -> bool:
+    """Whether the section has the renamed key; not where it means something else by the new name, or has a key of the old one."""
+    owner = next((base for base in section.__mro__ if base.__name__ == rename.section), None)
+    if owner is None or rename.key or rename.old in section.model_fields:
+        return False
+    return fields(section).get(rename.new) == fields(owner)[rename.new]
+
+
+def _is_word_of(rename: Rename, section: type[Section], value: Node) -> bool:
+    return isinstance(value, Scalar) and value.text == rename.old and _is_below(section, rename.section)
+
+
+def _is_below(section: type[Section], name: str) -> bool:
+    return any(base.__name__ == name for base in section.__mro__)
+
+
+def _renamed(node: Scalar, rename: Rename, findings: Findings, *, fixed: bool = True) -> Scalar:
+    span = node.part(0, len(node.text))
+    fix = Fix.replacing(span, rename.old, rename.new, safe=True) if fixed else None
+    help = f"write `{rename.new}`" if fixed else f"keep one of `{rename.old}` and `{rename.new}`, under the new name"
+    findings.add("DB109", span, headline(rename), help=help, fix=fix)
+    return node._replace(text=rename.new, value=rename.new)

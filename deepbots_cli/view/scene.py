@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deepbots_cli import frames, terrain
+from deepbots_cli import frames, geometry
 from deepbots_cli.engines import objects
 from deepbots_cli.errors import EngineError
 from deepbots_cli.footprint import bounds
@@ -90,7 +90,7 @@ def strokes(line: Line, height: float) -> tuple[Points, NDArray[np.int32]]:
     return flat, faces
 
 
-def _contour(relief: terrain.Grid, above: float) -> Points:
+def _contour(relief: geometry.Grid, above: float) -> Points:
     """Line segments (n, 2, 3) along every fifth row and column of a relief, a little above it."""
     rows, columns = relief.heights.shape
     points = relief.triangles()[0].reshape(rows, columns, 3) + np.array([0.0, 0.0, above])
@@ -150,7 +150,7 @@ class WorldScene:
     def _build_surroundings(self, world: WorldModel) -> None:
         scene, root, light = self._scene, self._root, min(1.0, world.light)
         if world.terrain is not None:
-            relief = terrain.grid(world.terrain.shape)
+            relief = geometry.grid(world.terrain.shape)
             if relief is not None:
                 surface = relief.coarser(_MAX_CELLS).triangles()
                 contour = _contour(relief.coarser(_MAX_CELLS), 0.001 * self._size)

@@ -8,8 +8,8 @@ from dataclasses import replace
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.canonical import digest, to_json
 from deepbots_cli.codegen import emit
+from deepbots_cli.program.identity import digest, to_json
 from tests.named import constant
 
 

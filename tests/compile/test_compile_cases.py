@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from deepbots_cli.canonical import to_json
 from deepbots_cli.errors import UsageError
+from deepbots_cli.program.identity import to_json
 
 SOLVED = "solved: {mean_return"
 

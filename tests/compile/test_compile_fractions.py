@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from deepbots_cli.canonical import to_json
+from deepbots_cli.program.identity import to_json
 from tests.compile.conftest import shipped_text
 
 SUCCESS = "termination: {success: {there: position(cart).x > 0.3 m}}\n"

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from deepbots_cli import api, canonical
+from deepbots_cli import api
 from deepbots_cli.compiler.inputs import copy_names
 from deepbots_cli.document import shipped
+from deepbots_cli.program import identity
 from tests.few import LIGHT, few
 
 MESH = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
@@ -60,7 +61,7 @@ def test_so_does_one_whose_project_is_gone(meshed, tmp_path_factory):
     shutil.rmtree(meshed.parents[1])
     again = api.compile(resolved)
     assert again.digest == compiled.digest
-    assert canonical.to_json(again.program) != canonical.to_json(compiled.program)  # the mesh lies elsewhere, which does not count
+    assert identity.to_json(again.program) != identity.to_json(compiled.program)  # the mesh lies elsewhere, which does not count
 
 
 def test_another_mesh_is_another_scenario(meshed):

@@ -10,14 +10,15 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from deepbots_cli import canonical, errors
+from deepbots_cli import errors
 from deepbots_cli.errors import DeepbotsError, installing
+from deepbots_cli.program import identity
 
 
 def tree(kind: type[BaseException], depth: int = 0) -> Iterator[tuple[str, int]]:
     yield kind.__name__, depth
     for inner in kind.__subclasses__():
-        if inner.__module__ in (errors.__name__, canonical.__name__):
+        if inner.__module__ in (errors.__name__, identity.__name__):
             yield from tree(inner, depth + 1)
 
 

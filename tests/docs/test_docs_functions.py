@@ -29,7 +29,7 @@ def scenario_with_examples(observation: dict[str, str]) -> Checked:
 
 def symbol(checked: Checked, name: str) -> Symbol:
     assert checked.namespace is not None
-    symbol = checked.namespace.settle(name)
+    symbol = checked.namespace.resolve(name)
     assert symbol is not None
     return symbol
 

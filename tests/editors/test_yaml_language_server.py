@@ -46,9 +46,9 @@ def test_before_its_kind_is_known_a_sensor_is_offered_the_key_for_it(typed: Type
 @pytest.mark.parametrize(
     ("kind", "own", "others"),
     [
-        ("joint_position", {"joint", "joints", "noise"}, {"link", "resolution", "rays"}),
+        ("joint_position", {"joint", "joints", "noise"}, {"link", "fov", "rays"}),
         ("camera", {"link", "resolution", "fov", "noise"}, {"joint", "rays", "lookup"}),
-        ("lidar", {"link", "rays", "fan", "measure"}, {"joint", "resolution", "spot"}),
+        ("lidar", {"link", "rays", "angle_range", "measure"}, {"joint", "fov", "spot"}),
     ],
 )
 def test_a_sensor_is_offered_the_keys_of_its_kind_alone(typed: Type, kind: str, own: set[str], others: set[str]) -> None:
@@ -175,7 +175,7 @@ def test_the_joints_of_the_robot_are_explained(typed_for: Type) -> None:
         ("-20 .. 20 deg", "20 deg", ("20 deg", "write it like `-1 .. 1`, or `auto`")),
         ("-20 .. 20 deg", "{range: 20 deg}", ("20 deg", "write it like `-1 .. 1`, or `auto`")),
         (", joint: pole_hinge", ", joint: pole_hinge, joints: all", ("joints", "`joints` cannot be combined with `joint`")),
-        ("joint: pole_hinge", "joint: pole_hinge, resolution: 64 64", ("resolution", "Property resolution is not allowed.")),
+        ("joint: pole_hinge", "joint: pole_hinge, fov: 60 deg", ("fov", "Property fov is not allowed.")),
     ],
 )
 def test_a_mistake_is_marked_in_its_place_once(typed: Type, old: str, new: str, said: tuple[str, str]) -> None:

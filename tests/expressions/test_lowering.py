@@ -63,7 +63,7 @@ def test_every_draw_has_a_stream_of_its_own_named_after_its_owner(bench):
 
 def test_a_single_draw_is_drawn_anew_for_each_target(bench):
     drawn = bench.clean("uniform(-0.1 .. 0.1 rad)", Context.RESET)
-    assert lower(drawn, "set.legs", spread=("hip", "knee")) == (
+    assert lower(drawn, "set.legs", per_component=("hip", "knee")) == (
         Draw("uniform", (Const(-0.1), Const(0.1)), "set.legs#0.hip"),
         Draw("uniform", (Const(-0.1), Const(0.1)), "set.legs#0.knee"),
     )

@@ -15,12 +15,13 @@ import stand_in
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from deepbots_cli import api, canonical
+from deepbots_cli import api
 from deepbots_cli.document import shipped
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import TrainingResult, evaluate, resume, train
 from deepbots_cli.learning.report import to_json
 from deepbots_cli.learning.run import Run, new_directory
+from deepbots_cli.program import identity
 
 
 def test_a_run_keeps_everything_that_it_was_made_from(trained: TrainingResult) -> None:
@@ -234,7 +235,7 @@ def test_a_run_whose_project_is_gone_finds_its_meshes_in_its_own_copies(tmp_path
     run = Run.open(tmp_path / "moved")
     assert (run.digest, run.notes()) == (run.record.digest, [])
     meshes: list[str] = []
-    canonical.with_files(run.program, lambda mesh: meshes.append(mesh.path) or mesh)
+    identity.with_files(run.program, lambda mesh: meshes.append(mesh.path) or mesh)
     assert meshes == [str(tmp_path / "moved" / "inputs" / "part.obj")]
     with closing(api.build(run.program)) as environment:
         environment.reset(seed=0)

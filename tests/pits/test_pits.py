@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.terrain import pixels
+from deepbots_cli.geometry import pixels
 from tests.pits import relief
 
 HERE = Path(__file__).parent

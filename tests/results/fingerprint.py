@@ -15,10 +15,10 @@ from functools import cache
 from pathlib import PurePath
 from typing import Any
 
-from deepbots_cli import api, canonical
-from deepbots_cli.canonical import members
+from deepbots_cli import api
 from deepbots_cli.expressions.scalar import Scalar
-from deepbots_cli.program import Program
+from deepbots_cli.program import Program, identity
+from deepbots_cli.program.identity import members
 from deepbots_cli.program.task import Evaluation
 from tests.results.experiment import Baseline, Training
 from tests.results.experiment import Evaluation as HeldOut
@@ -60,7 +60,7 @@ def _with(program: Program, policy: Mapping[str, Any], **changes: Any) -> Progra
 
 def digest(program: Program) -> str:
     """SHA-256, in hexadecimal, of all that differs from a default."""
-    placeless = canonical.with_files(_with(program, {}, summary=""), lambda file: replace(file, path=PurePath(file.path).suffix))
+    placeless = identity.with_files(_with(program, {}, summary=""), lambda file: replace(file, path=PurePath(file.path).suffix))
     return hashlib.sha256(json.dumps(_told(placeless), sort_keys=True).encode()).hexdigest()
 
 

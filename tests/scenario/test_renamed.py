@@ -144,3 +144,16 @@ def test_an_old_name_among_the_settings_of_a_case_is_mended(tmp_path: Path) -> N
     path = tmp_path / "copy.yaml"
     (rewrite,) = Fixer([str(path)], api.load).fix()
     assert rewrite.after.decode() == path.read_text(encoding="utf-8").replace("paper", "delayed").replace("quantise", "resolution")
+
+
+def test_an_old_name_in_a_path_to_remove_is_mended(tmp_path: Path) -> None:
+    base = BASE.replace("joint: pole_hinge}", "joint: pole_hinge, resolution: 0.1 deg}")
+    assert base != BASE
+    removed = "remove: [robots.cart.sensors.pole_angle.quantise, agent.repeat]\n"
+    checked = load(tmp_path, copy=f"deepbots: 1\nextends: base.yaml\nname: Copy\n{removed}", base=f"{base}agent: {{action_repeat: 2}}\n")
+    assert [(found.code, found.span.text) for found in checked.findings] == [("DB109", "quantise"), ("DB109", "repeat")]
+    assert checked.spec is not None
+    assert checked.spec.robots["cart"].sensors["pole_angle"].resolution == 0
+    path = tmp_path / "copy.yaml"
+    (rewrite,) = Fixer([str(path)], api.load).fix()
+    assert rewrite.after.decode() == path.read_text(encoding="utf-8").replace("quantise", "resolution").replace("repeat", "action_repeat")

@@ -16,9 +16,9 @@ from deepbots_cli import api, engines, files
 from deepbots_cli.errors import EngineError
 from deepbots_cli.expressions.scalar import Const, Name, Op
 from deepbots_cli.frames import IDENTITY_ROTATION, from_axis_angle
+from deepbots_cli.geometry import RIM_RADIUS_PER_SIGMA, grid, height, pixels
 from deepbots_cli.program.world import Formula, ObjectBody, Pit, Terrain, TerrainShape, WorldModel
 from deepbots_cli.robots.model import Sphere
-from deepbots_cli.terrain import RIM_RADIUS_PER_SIGMA, grid, height, pixels
 
 PIT = Pit(3.2, 2.7 * RIM_RADIUS_PER_SIGMA, 0.15)
 SLOPE = Formula(Op("mul", (Const(0.2), Name("x"))), (10.0, 6.0))

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 import deepbots_cli
-from deepbots_cli import api, canonical
+from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Scenario, Sets
 from deepbots_cli.cli.verbs.new import Files, modeline, write_new
@@ -20,6 +20,7 @@ from deepbots_cli.compiler.inventory import known
 from deepbots_cli.diagnostics.render import summary
 from deepbots_cli.errors import UsageError, install_source
 from deepbots_cli.files import atomic
+from deepbots_cli.program import identity
 from deepbots_cli.scenario.json_schema import to_text
 
 
@@ -56,7 +57,7 @@ def compile_(
         data = {"name": compiled.program.name, "digest": compiled.digest, "code": compiled.code, "inputs": list(compiled.inputs)}
         text = terminal.json_text(data)
     else:
-        text = f"{canonical.to_json(compiled.program)}\n" if program else compiled.code
+        text = f"{identity.to_json(compiled.program)}\n" if program else compiled.code
     _write(text, output)
 
 

@@ -15,7 +15,6 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from deepbots_cli import canonical, interface
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Sets
 from deepbots_cli.cli.exits import FAILED, WRONG
@@ -23,7 +22,7 @@ from deepbots_cli.cli.sources import Opened, opened
 from deepbots_cli.cli.tables import cell, formula
 from deepbots_cli.errors import ScenarioError
 from deepbots_cli.expressions.scalar import Const, Draw, Scalar
-from deepbots_cli.program import Program
+from deepbots_cli.program import Program, identity
 from deepbots_cli.program.resets import JointStart, RandomizedParameter, Reset
 from deepbots_cli.program.robots import Robot, Route
 from deepbots_cli.program.task import Network, Policy, Training, Truncation
@@ -193,7 +192,7 @@ _LISTED = 3
 def changes(one: Opened, other: Opened) -> list[Change]:
     """All differences, the most serious group first; empty if both scenarios compile to the same program, except for paths of files."""
     found = [*_of_interface(one, other), *_of_values(one, other), *_of_variants(one, other), *_of_orders(one.program, other.program)]
-    if not found and canonical.digest(one.program) != canonical.digest(other.program):
+    if not found and identity.digest(one.program) != identity.digest(other.program):
         path = "last digits" if list(values(one.program)) == list(values(other.program)) else "order of keys"
         found = [Change(path, Group.cosmetic, "changed", "", "")]
     by_path: dict[str, Change] = {}
@@ -207,7 +206,7 @@ def changes(one: Opened, other: Opened) -> list[Change]:
 
 def _of_interface(one: Opened, other: Opened) -> Iterator[Change]:
     """Differences in the interface of a policy: ranges, choices and messages."""
-    before, after = interface.interface(one.program), interface.interface(other.program)
+    before, after = identity.interface(one.program), identity.interface(other.program)
     for name in dict.fromkeys((*before, *after)):
         if before.get(name) != after.get(name):
             path = "goal.range" if name.startswith("goal") else re.sub(r"^message to robot ([^.]+)\.", r"robots.\1.receive.", name)
@@ -319,7 +318,7 @@ def _of_orders(one: Program, other: Program) -> Iterator[Change]:
 
 
 def _orders(scenario: Program) -> Iterator[tuple[tuple[str, Group], list[str]]]:
-    yield ("order of what is observed, done and sent", Group.policy), list(interface.interface(scenario))
+    yield ("order of what is observed, done and sent", Group.policy), list(identity.interface(scenario))
     yield ("order of endings", Group.task), [ending.name for ending in scenario.endings]
     yield ("order of reset.place", Group.world), [place.body for place in scenario.reset.placements]
     yield ("order of evaluation.cases", Group.training), [case.name for case in scenario.cases]
@@ -331,14 +330,14 @@ def _orders(scenario: Program) -> Iterator[tuple[tuple[str, Group], list[str]]]:
 
 def values(scenario: Program) -> dict[str, str]:
     """Every value of a scenario as text, by path; without cases, stages and paths of files."""
-    placeless = canonical.with_files(replace(scenario, cases=(), curriculum=()), lambda file: replace(file, path=""))
+    placeless = identity.with_files(replace(scenario, cases=(), curriculum=()), lambda file: replace(file, path=""))
     return dict(_leaves(placeless, ""))
 
 
 def _leaves(value: Any, path: str) -> Iterator[tuple[str, str]]:
     """The single values in a record, with their paths; numbers to twelve digits, since units are converted in floats."""
     value = value.value if isinstance(value, Const) else value
-    members = None if isinstance(value, Scalar) else canonical.members(value)
+    members = None if isinstance(value, Scalar) else identity.members(value)
     if members is not None and "scalars" in members:
         members = {"": members["scalars"], **{name: members[name] for name in ("noise", "foreign", "redraw") if name in members}}
     elif members is not None:

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepbots_cli import api, learning
-from deepbots_cli.canonical import task_digest
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Json, Sets, fraction, known_engine, whole
 from deepbots_cli.cli.exits import FAILED
@@ -21,6 +20,7 @@ from deepbots_cli.compiler.inputs import RESOLVED
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import report
 from deepbots_cli.learning.run import Run
+from deepbots_cli.program.identity import task_digest
 
 if TYPE_CHECKING:
     from deepbots_cli.api import Compiled

@@ -14,11 +14,10 @@ from deepbots_cli import frames
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.objects import PALETTE, ROOT_MASS_FRACTION, Pool, as_robot, forms, held_by, moves, walls, with_explicit_masses
 from deepbots_cli.errors import EngineError
-from deepbots_cli.geometry import triangles
+from deepbots_cli.geometry import Grid, grid, triangles
 from deepbots_cli.program.world import GROUND, Colour, Line, ObjectBody, Terrain, WorldModel
 from deepbots_cli.robots import inertia
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Friction, Geometry, Joint, Link, Mesh, RobotModel, Sphere
-from deepbots_cli.terrain import Grid, grid
 
 if TYPE_CHECKING:
     from deepbots_cli.frames import Frame, Matrix

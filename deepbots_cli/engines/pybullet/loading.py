@@ -16,13 +16,12 @@ from deepbots_cli.engines.pybullet import BASE, UNREACHABLE, hushed
 from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.engines.pybullet.state import Body, contact_parameters
 from deepbots_cli.errors import EngineError
-from deepbots_cli.geometry import triangles
+from deepbots_cli.geometry import Grid, grid, triangles
 from deepbots_cli.port import STILL
 from deepbots_cli.program.world import GROUND
 from deepbots_cli.robots.meshes import checked_bytes
 from deepbots_cli.robots.model import Friction, Joint, Limit, Link, Mesh, RobotModel
 from deepbots_cli.robots.writer import write
-from deepbots_cli.terrain import Grid, grid
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

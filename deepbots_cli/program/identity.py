@@ -1,0 +1,181 @@
+"""Whether two programs are the same: canonical JSON with digests, and the interface of a policy, item by item.
+
+Canonical means: keys sorted, no spaces, floats by their shortest exact form. Every record is an object whose key `is` holds the
+class name. Texts and places in files are left out: an expression is written as its name and its scalar trees. The JSON is written and
+never read back: what is loaded is a scenario, which is compiled.
+
+The interface holds the observation, action and messages that a policy and a world have agreed on. A policy is only as good as the
+meaning of the numbers that it was trained on. Each agreed item has a name and a text. A run records them all; they tell whether, and
+where, a scenario no longer fits its policy.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass, replace
+from pathlib import PurePath
+from typing import Any
+
+from deepbots_cli.expressions.scalar import Scalar
+from deepbots_cli.program import Program
+from deepbots_cli.program.robots import MessageField, MessageLayout
+from deepbots_cli.program.task import ActionRange, Choices, Evaluation, ObservedNumber
+from deepbots_cli.program.world import Picture, WorldModel
+from deepbots_cli.robots.model import Mesh
+
+# Canonical JSON
+
+
+def to_json(program: Program) -> str:
+    """Canonical JSON; equal programs give equal text."""
+    return json.dumps(_plain(program), sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def digest(program: Program) -> str:
+    """SHA-256 of the canonical JSON, in hexadecimal; a file counts for its content, not for its path."""
+    placeless = with_files(program, lambda file: replace(file, path=PurePath(file.path).suffix))
+    return hashlib.sha256(to_json(placeless).encode()).hexdigest()
+
+
+def task_digest(program: Program) -> str:
+    """The digest of what makes an episode: the same for scenarios that differ in their names, training, evaluation or scripts alone."""
+    nameless = replace(program.with_policies(scripts=(), training=None), name="", summary="")
+    return digest(replace(nameless, curriculum=(), evaluation=Evaluation(), cases=(), solved=None))
+
+
+File = Mesh | Picture
+"""What has the path and the digest of a file."""
+
+
+def with_files(program: Program, change: Callable[[File], File]) -> Program:
+    """The program with each mesh and picture of its world changed."""
+    world = _with_files(program.world, change)
+    assert isinstance(world, WorldModel)  # as it was
+    if not (program.cases or program.curriculum):
+        return replace(program, world=world)
+    cases = tuple(replace(case, program=with_files(case.program, change)) for case in program.cases)
+    curriculum = tuple(replace(stage, program=with_files(stage.program, change)) for stage in program.curriculum)
+    return replace(program, world=world, cases=cases, curriculum=curriculum)
+
+
+def _with_files(value: Any, change: Callable[[File], File]) -> Any:
+    if isinstance(value, File):
+        return change(value)
+    if is_dataclass(value) and not isinstance(value, type):
+        inside = {field.name: getattr(value, field.name) for field in fields(value)}
+        changed = {name: _with_files(member, change) for name, member in inside.items()}
+        return replace(value, **changed) if any(changed[name] is not inside[name] for name in inside) else value
+    if isinstance(value, tuple) and not isinstance(value, Scalar):
+        items = tuple(_with_files(item, change) for item in value)
+        return items if any(new is not old for new, old in zip(items, value, strict=True)) else value
+    return value
+
+
+def members(part: object) -> dict[str, Any] | None:
+    """The members of a record by name, as they count for the digest; None for what is no record."""
+    if isinstance(part, Scalar):
+        return part._asdict()
+    if hasattr(part, "projection"):
+        return part.projection()  # type: ignore[no-any-return]
+    if is_dataclass(part) and not isinstance(part, type):
+        return {field.name: getattr(part, field.name) for field in fields(part)}
+    return None
+
+
+def _plain(value: object) -> object:
+    inside = members(value)
+    if inside is not None:
+        return {"is": type(value).__name__, **{name: _plain(member) for name, member in inside.items()}}
+    if isinstance(value, tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, Mapping):
+        return {name: _plain(item) for name, item in value.items()}
+    if isinstance(value, float) and not math.isfinite(value):
+        return {"is": "float", "value": repr(value)}
+    return value
+
+
+# The interface of a policy
+
+
+def interface(program: Program) -> dict[str, str]:
+    """The agreed items of a scenario in order: `observation.speed` to `-0.8 .. 0.8 m/s`."""
+    items: dict[str, str] = {}
+    for observed in program.policy.numbers:
+        items[f"observation.{observed.full_name}"] = _observed(observed)
+    for pictured in program.policy.images:
+        items[f"observation.{pictured.name}"] = f"picture of {' x '.join(map(str, pictured.shape))}, {pictured.history} in a row"
+    if program.policy.goal is not None:
+        for component, low, high in zip(
+            program.policy.goal.components or ("",), program.policy.goal.low, program.policy.goal.high, strict=True
+        ):
+            items[f"goal.{component}".rstrip(".")] = _range(low, high, program.policy.goal.unit)
+    if program.policy.frame_stack > 1:
+        items["agent.frame_stack"] = f"{program.policy.frame_stack} observations in a row"
+    for part in program.policy.action:
+        items[f"action.{part.name}"] = _action(part)
+    for robot in program.robots:
+        for layout in (robot.to_robot, robot.from_robot):
+            items |= _message(layout)
+    return items
+
+
+def differences(one: Program, other: Program, *, words: tuple[str, str] = ("run", "scenario")) -> list[str]:
+    """One line for each item that the two, called by `words`, do not share; empty when a policy of one fits the other."""
+    return compare(interface(one), interface(other), words=words)
+
+
+def compare(old: Mapping[str, str], new: Mapping[str, str], *, words: tuple[str, str] = ("run", "scenario")) -> list[str]:
+    """The same for two sets of agreed items."""
+    here, there = words
+    names = [*old, *(name for name in new if name not in old)]
+    lines = [
+        f"{name}: {here} {old.get(name, 'has none')}, {there} {new.get(name, 'has none')}"
+        for name in names
+        if old.get(name) != new.get(name)
+    ]
+    if not lines and list(old) != list(new):
+        lines.append(f"order: {here} {', '.join(old)}; {there} {', '.join(new)}")
+    return lines
+
+
+def other_conditions(run: Program, scenario: Program) -> list[str]:
+    """One line per setting that differs from training but does not break the policy: timing, timestep, action repeat."""
+    circumstances = (
+        ("timing", run.timing, scenario.timing),
+        ("timestep", f"{run.world.timestep:g} s", f"{scenario.world.timestep:g} s"),
+        ("action_repeat", str(run.action_repeat), str(scenario.action_repeat)),
+    )
+    return [f"trained with {name} {old}, evaluated with {new}" for name, old, new in circumstances if old != new]
+
+
+def _range(low: float, high: float, unit: str) -> str:
+    return f"{low:g} .. {high:g} {unit}".rstrip()
+
+
+def _observed(observed: ObservedNumber) -> str:
+    text = "true or false" if observed.truth else _range(observed.low, observed.high, observed.unit)
+    text += "" if observed.clip or observed.truth else ", not clipped"
+    return f"{text}, {observed.history} in a row" if observed.history > 1 else text
+
+
+def _action(part: Choices | ActionRange) -> str:
+    if isinstance(part, ActionRange):
+        size = f" for {', '.join(part.components)}" if part.components else ""
+        return _range(part.low, part.high, part.unit) + size
+    options = (f"{option.name} ({', '.join(f'{value:g}' for value in option.values)})" for option in part.options)
+    return f"{' | '.join(options)} sets {', '.join(part.variables)}"
+
+
+def _message(layout: MessageLayout) -> dict[str, str]:
+    prefix = f"message {layout.direction.replace('_', ' ')} {layout.robot}"
+    return {f"{prefix}.{field.name}": " ".join(filter(None, (field.dtype, _inside(field), field.unit))) for field in layout.fields}
+
+
+def _inside(field: MessageField) -> str:
+    """The components of a vector, the sides of a picture."""
+    listed = field.components or tuple(map(str, field.shape))
+    return f"[{', '.join(listed)}]" if listed else ""
