@@ -679,7 +679,7 @@ class Name(FieldType):
 
     def json_schema(self) -> JsonSchema:
         about = "A name of your choice: lower-case letters, digits and `_`, not beginning with a digit."
-        return {"pattern": f"^{NAME}$", "title": "name", "description": about, "patternErrorMessage": about}
+        return {"pattern": f"^{NAME}$", "title": "name", "patternErrorMessage": about}
 
 
 COLOURS = {

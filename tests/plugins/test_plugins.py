@@ -169,7 +169,7 @@ from deepbots_cli.scenario.scenario import Scenario
 data = {"robots": {"r": {"sensors": {"s": {"type": "tachometer"}}, "actuators": {"a": {"type": "throttle"}}}}}
 for section, name, kind, key in (("sensors", "s", "tachometer", "spacing"), ("actuators", "a", "throttle", "stall_torque")):
     path = ("robots", "r", section, name)
-    kinds = shape_at(Scenario, data, path, settled=False)
+    kinds = shape_at(Scenario, data, path, choose=False)
     print(kind in kinds.names, about_kind(kinds, kind))
     print(hover(shape_at(Scenario, data, path), key))
 """
