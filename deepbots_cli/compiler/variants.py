@@ -245,6 +245,10 @@ class _Maker:
         lines = interface.differences(self._base, program, words=("elsewhere", "here"))
         if word == "stage" and program.world.timestep != self._base.world.timestep:
             lines.append(f"timestep: elsewhere {self._base.world.timestep:g} s, here {program.world.timestep:g} s")
+        if program.engine != self._base.engine:
+            help = "`deepbots eval RUN --engine mujoco,pybullet` evaluates a policy in both"
+            self._findings.add("DB407", here, f"the {word} `{name}` changes `world.engine`", help=help)
+            return False
         if lines:
             headline = f"in the {word} `{name}` the policy would see, do or send something else"
             help = f"a {word} may change the world; write observation, action and messages with values that it does not set"

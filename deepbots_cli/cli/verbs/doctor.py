@@ -26,7 +26,7 @@ State = Literal["ok", "missing", "broken"]
 
 _PACKAGES = {
     "base": ("jinja2", "pydantic", "pyyaml", "rich", "typer"),
-    "sim": ("gymnasium", "msgspec", "mujoco", "numpy", "pybullet"),
+    "sim": ("gymnasium", "msgspec", "mujoco", "numpy", *(("pybullet",) if sys.version_info < (3, 12) else ())),
     "train": ("imageio", "imageio-ffmpeg", "stable-baselines3", "tensorboard", "torch"),
     "editor": ("pygls",),
 }
