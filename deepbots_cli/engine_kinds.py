@@ -10,17 +10,15 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from importlib.util import find_spec
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 from deepbots_cli import plugins
 
 GROUP = "deepbots.engines"
-Means = Literal["mesh terrain", "clearance to terrain"]
-"""What a scenario may ask of an engine that not every engine has; linting knows it without the engine."""
 
 
 class Lack(NamedTuple):
-    """Why an engine lacks something, and what to use instead."""
+    """Something that an engine cannot hold, and what to use instead; linting knows it without the engine."""
 
     reason: str
     help: str
@@ -29,7 +27,7 @@ class Lack(NamedTuple):
 class EngineKind(NamedTuple):
     """`factory` is the `module:attribute` of a `port.EngineFactory`, `library` the module that it imports.
 
-    `last_python` is the last Python that the library is built for.
+    `last_python` is the last Python that the library is built for. `mesh_terrain` says why a mesh cannot be the ground, None if it can.
     """
 
     summary: str
@@ -37,7 +35,7 @@ class EngineKind(NamedTuple):
     factory: str
     library: str | None = None
     last_python: tuple[int, int] | None = None
-    lacks: Mapping[Means, Lack] = {}
+    mesh_terrain: Lack | None = None
 
     @property
     def is_installed(self) -> bool:
@@ -106,15 +104,10 @@ ENGINES = Engines(
             "MuJoCo",
             "deepbots_cli.engines.mujoco.engine:MuJoCoEngine",
             library="mujoco",
-            lacks={
-                "mesh terrain": Lack(
-                    "MuJoCo holds a mesh only as its convex hull, so it cannot be the ground",
-                    "use a terrain of heights (heightfield, formula or pit), or the engine `pybullet`",
-                ),
-                "clearance to terrain": Lack(
-                    "MuJoCo knows no distances to terrain", "measure them with rays, or use the engine `pybullet`"
-                ),
-            },
+            mesh_terrain=Lack(
+                "a mesh as the ground, where MuJoCo holds only its convex hull",
+                "use a terrain of heights (heightfield, formula or pit), or the engine `pybullet`",
+            ),
         ),
     }
 )

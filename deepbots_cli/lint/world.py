@@ -54,42 +54,19 @@ A cart or a crate was pushed out of the ground at 0.01 to 0.04 m/s from 4 mm, at
 
 
 def beyond_engine(context: Context) -> Iterator[Finding]:
-    """DB316: the physics engine that `world.engine` or `--engine` names is not installed, or lacks something that the scenario needs.
+    """DB316: the physics engine that `world.engine` or `--engine` names is not installed, or cannot hold the world.
 
     PyBullet has builds up to Python 3.11; later versions of Python run on MuJoCo. MuJoCo holds a mesh only as its convex hull, so a mesh
-    cannot be the ground, and it knows no distance to a terrain. The rule looks at scenarios that name their engine.
-
-    Example::
-
-        world: {engine: mujoco, terrain: {type: pit, height: 1 m}}
-        signals:
-          high: clearance(cart, ground)
-        reward: {low: 0.1 when high < 1 cm}
-
-    Instead::
-
-        world: {engine: pybullet, terrain: {type: pit, height: 1 m}}
-        signals:
-          high: clearance(cart, ground)
-        reward: {low: 0.1 when high < 1 cm}
+    cannot be the ground. The rule looks at scenarios that name their engine.
     """
-    world, kind = context.program.world, ENGINES.get(context.program.engine or "")
+    terrain, kind = context.program.world.terrain, ENGINES.get(context.program.engine or "")
     if kind is None:
         return
     if not kind.is_installed and any(other.is_installed for other in ENGINES.own.values()):
-        yield Finding("DB316", context.values.span(("world", "engine")), kind.missing, help=kind.way_out)
-    if world.terrain is None:
-        return
-    lack = kind.lacks.get("mesh terrain")
-    if lack is not None and isinstance(world.terrain.shape, Mesh):
-        yield Finding("DB316", context.values.span(("world", "terrain", "file")), lack.reason, help=lack.help)
-    lack = kind.lacks.get("clearance to terrain")
-    if lack is None:
-        return
-    for reading in context.values.readings:
-        calls = (node for tree in reading.trees for node in walk(tree) if isinstance(node, Invocation) and node.function == "clearance")
-        if any(subject.name == GROUND for call in calls for subject in call.subjects):
-            yield Finding("DB316", reading.text.span, lack.reason, help=lack.help)
+        headline = f"the engine `{context.program.engine}` cannot be used here: {kind.missing}"
+        yield Finding("DB316", context.values.span(("world", "engine")), headline, help=kind.way_out)
+    if kind.mesh_terrain is not None and terrain is not None and isinstance(terrain.shape, Mesh):
+        yield Finding("DB316", context.values.span(("world", "terrain", "file")), kind.mesh_terrain.reason, help=kind.mesh_terrain.help)
 
 
 def odd_scale(context: Context) -> Iterator[Finding]:

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from deepbots_cli import canonical, errors
-from deepbots_cli.errors import DeepbotsError, installing
+from deepbots_cli.errors import DeepbotsError
 
 
 def tree(kind: type[BaseException], depth: int = 0) -> Iterator[tuple[str, int]]:

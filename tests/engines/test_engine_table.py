@@ -78,5 +78,5 @@ except ScenarioError as error:
     asked, written = done.stdout.splitlines()
     assert asked.startswith("the engine 'pybullet' cannot be used: PyBullet ")
     assert asked.endswith("or the engine `mujoco`")
-    assert "DB316 PyBullet " in written
+    assert "DB316 the engine `pybullet` cannot be used here: PyBullet " in written
     assert not done.stderr

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from deepbots_cli import frames
-from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.engines.kinematics import Chain
 from deepbots_cli.engines.mujoco import cameras, surfaces
 from deepbots_cli.engines.mujoco import motors as drives
@@ -270,7 +269,7 @@ class MuJoCoEngine:
         near, far = self._pool(one[0]), self._pool(other[0])
         for geom in (*self._geoms(one), *self._geoms(other)):
             if self._world.model.geom_type[geom] == mj.mjtGeom.mjGEOM_HFIELD:
-                raise EngineError("; ".join(ENGINES.own["mujoco"].lacks["clearance to terrain"]))
+                raise EngineError("MuJoCo knows no distances to terrain; measure them with rays, or use the engine 'pybullet'")
         read = near.bound(lambda body: far.bound(lambda its: surfaces.clearance(self._world, body.of(one[1]), its.of(other[1]))))
         return lambda: read() if near.present and far.present else inf
 

@@ -163,7 +163,9 @@ class Builder:
     def _relief(self, terrain: Terrain) -> Grid:
         relief = grid(terrain.shape)
         if relief is None:
-            raise EngineError("; ".join(ENGINES.own["mujoco"].lacks["mesh terrain"]))
+            lack = ENGINES.own["mujoco"].mesh_terrain
+            assert lack is not None
+            raise EngineError(f"{lack.reason}; {lack.help}")
         rows, columns = relief.heights.shape
         low, high = float(relief.heights.min()), float(relief.heights.max())
         span = max(high - low, 1e-6)
