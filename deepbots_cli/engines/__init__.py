@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, cast
 
 from deepbots_cli import plugins
 from deepbots_cli.diagnostics.nearest import nearest
-from deepbots_cli.engine_kinds import ENGINES, GROUP
+from deepbots_cli.engine_kinds import ENGINES as ALL
+from deepbots_cli.engine_kinds import GROUP
 from deepbots_cli.errors import MissingExtraError, UsageError
 
 if TYPE_CHECKING:
@@ -25,12 +26,14 @@ if TYPE_CHECKING:
     from deepbots_cli.port import Engine, EngineFactory
     from deepbots_cli.program.world import WorldModel
 
+ENGINES = ALL.own
+"""Our own engines."""
 _OF_EXTRA_SIM = ("pybullet", "mujoco", "numpy", "trimesh", "yourdfpy")
 
 
 def names() -> tuple[str, ...]:
     """Every engine that can be asked for, our own first."""
-    return tuple(ENGINES)
+    return tuple(ALL)
 
 
 def create(name: str, world: WorldModel) -> Engine:
@@ -44,8 +47,8 @@ def create(name: str, world: WorldModel) -> Engine:
     try:
         return _factory(name)(_with_masses(world))
     except ModuleNotFoundError as error:
-        kind = ENGINES.own.get(name)
-        if kind is not None and error.name == kind.library and any(other.is_installed for other in ENGINES.own.values()):
+        kind = ENGINES.get(name)
+        if kind is not None and error.name == kind.library and any(other.is_installed for other in ENGINES.values()):
             raise UsageError(f"the engine '{name}' cannot be used: {kind.missing}; {kind.way_out}") from error
         if error.name in _OF_EXTRA_SIM:
             raise MissingExtraError("sim", "running a scenario") from error
@@ -62,8 +65,8 @@ def _with_masses(world: WorldModel) -> WorldModel:
 
 
 def _factory(name: str) -> EngineFactory:
-    if name in ENGINES.own:
-        return cast("EngineFactory", plugins.attribute(ENGINES.own[name].factory))
+    if name in ENGINES:
+        return cast("EngineFactory", plugins.attribute(ENGINES[name].factory))
     for entry in plugins.entries(GROUP):
         if entry.name == name:
             return _of_plugin(entry)
