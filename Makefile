@@ -61,8 +61,10 @@ clean: ## remove .venv and what tools leave behind; runs stay
 	find deepbots_cli tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(VENV)/made:
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' 2>/dev/null || \
-		{ echo "Python 3.11 is needed, for which the simulator is built; name one with: make PYTHON=/path/to/python3.11" >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null || \
+		{ echo "Python 3.11, 3.12 or 3.13 is needed; name one with: make PYTHON=/path/to/python3.11" >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] > (3, 11))' || \
+		echo "PyBullet has no build beyond Python 3.11: scenarios run on MuJoCo, whose numbers differ from those in docs/results.md"
 	$(PYTHON) -m venv $(VENV)
 	@touch $@
 

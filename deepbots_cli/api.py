@@ -19,6 +19,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from deepbots_cli import engine_kinds
 from deepbots_cli.compiler import Checked, check
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.nearest import nearest
@@ -169,13 +170,14 @@ def make(
     sets: Sequence[str] = (),
     allow_paths: Iterable[str | Path] = (),
     allow_code: bool = False,
-    engine: str = "pybullet",
+    engine: str | None = None,
     render_mode: str | None = None,
 ) -> Supervisor:
     """The Gymnasium environment of a scenario.
 
     Args:
-        engine: `pybullet`, `mujoco`, or an engine that another package registers.
+        engine: `pybullet`, `mujoco`, or an engine that another package registers; by default that of the scenario, else `pybullet` where
+            it is installed.
         render_mode: None, or `rgb_array`.
 
     Raises:
@@ -216,7 +218,7 @@ class Builder:
 def build(
     program: Program,
     *,
-    engine: str = "pybullet",
+    engine: str | None = None,
     render_mode: str | None = None,
     allow_code: bool = False,
     fixed: tuple[str, ...] = (),
@@ -236,6 +238,7 @@ def build(
     from deepbots_cli.codegen.names import class_name
     from deepbots_cli.program.identity import digest
 
+    engine = engine_kinds.chosen(engine or program.engine)
     code = emit(program)
     name = class_name(program.name)
     module = load_module(code, f"deepbots_generated_{name}", f"<deepbots {name} {digest(program)[:12]}>")

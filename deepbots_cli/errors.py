@@ -14,7 +14,6 @@ Any other exception that reaches the user is a bug of deepbots.
 
 from __future__ import annotations
 
-import sys
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -50,17 +49,9 @@ class MissingExtraError(UsageError):
         super().__init__(f"{purpose} needs the '{extra}' extra; {installing(extra)}")
 
 
-def installing(extra: str, python: tuple[int, int] = sys.version_info[:2], origin: str | None = None) -> str:
-    """How to install an extra from `origin`, by default the place that deepbots was installed from.
-
-    All extras but `editor` need PyBullet, which has no wheels beyond Python 3.11.
-    """
-    where = (
-        ""
-        if python < (3, 12) or extra == "editor"
-        else f" in an environment of Python 3.11, as PyBullet has no wheels for {python[0]}.{python[1]}"
-    )
-    return f"install it{where} with: pip install '{origin or install_source()}[{extra}]'"
+def installing(extra: str, origin: str | None = None) -> str:
+    """How to install an extra from `origin`, by default the place that deepbots was installed from."""
+    return f"install it with: pip install '{origin or install_source()}[{extra}]'"
 
 
 def install_source() -> str:

@@ -10,7 +10,7 @@ The names of methods that set a value of the episode begin with `set`, and param
 method.
 
 A further engine is a class that fits `Engine`: in a package with an entry point of the group `deepbots.engines`, or in
-`engines/`, with its line in `engines/__init__.py`.
+`engines/`, with its line in `engine_kinds.py`.
 """
 
 from __future__ import annotations

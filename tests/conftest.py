@@ -1,13 +1,42 @@
-"""Puts the engine `exact` where engines of other packages are found, and keeps temporary files of the package in folders of pytest."""
+"""Puts the engine `exact` where engines of other packages are found, and keeps temporary files of the package in folders of pytest.
+
+Where PyBullet is not installed, as beyond Python 3.11, tests on the engine `pybullet` and tests that ask for PyBullet or for a file of
+pybullet_data are skipped.
+"""
 
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 
 import pytest
 
+from deepbots_cli.engine_kinds import ENGINES
+
 sys.path.insert(0, str(Path(__file__).parent / "exact"))
+
+
+WITHOUT = None if ENGINES.own["pybullet"].is_installed else ENGINES.own["pybullet"].missing
+_NEEDS = ("No module named 'pybullet", "the engine 'pybullet' cannot be used", "engine `pybullet` cannot be used", "pybullet_data")
+"""What an error says that is raised for lack of PyBullet."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Skip what has the engine `pybullet` as a parameter, where it is not installed."""
+    for item in items if WITHOUT else ():
+        if "pybullet" in getattr(getattr(item, "callspec", None), "params", {}).values():
+            item.add_marker(pytest.mark.skip(reason=str(WITHOUT)))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Generator[None, object, object]:
+    """Skip a test that fails for lack of PyBullet alone."""
+    try:
+        return (yield)
+    except Exception as error:
+        if WITHOUT and any(text in str(error) for text in _NEEDS):
+            pytest.skip(WITHOUT)
+        raise
 
 
 @pytest.fixture(scope="session", autouse=True)

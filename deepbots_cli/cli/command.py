@@ -25,11 +25,16 @@ MAX_SEED = 2**63 - 1
 
 
 def known_engine(name: str | None) -> str | None:
-    """A callback that refuses the name of an unknown engine."""
-    from deepbots_cli import engines
+    """A callback that refuses the name of an unknown engine, and an engine that is not installed where another one is."""
+    from deepbots_cli.engine_kinds import ENGINES
 
-    if name is not None and name not in engines.names():
-        raise typer.BadParameter(f"there is no engine '{name}'; the engines are: {', '.join(engines.names())}")
+    if name is None:
+        return None
+    if name not in ENGINES:
+        raise typer.BadParameter(f"there is no engine '{name}'; the engines are: {', '.join(ENGINES)}")
+    kind = ENGINES[name]
+    if not kind.is_installed and any(other.is_installed for other in ENGINES.own.values()):
+        raise typer.BadParameter(f"{kind.missing}; {kind.way_out}")
     return name
 
 
@@ -106,9 +111,12 @@ Stage = Annotated[str | None, typer.Option("--stage", metavar="NAME", help="Appl
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Seed = Annotated[int, typer.Option("--seed", metavar="N", parser=whole(0, MAX_SEED), help="Root seed of all random numbers.")]
 Engine = Annotated[
-    str,
+    str | None,
     typer.Option(
-        "--engine", metavar="NAME", callback=known_engine, help="Physics engine: pybullet, mujoco, or an engine of an installed package."
+        "--engine",
+        metavar="NAME",
+        callback=known_engine,
+        help="Physics engine: pybullet, mujoco, or one of an installed package; by default `world.engine` of the scenario, else pybullet.",
     ),
 ]
 

@@ -12,6 +12,7 @@ from deepbots_cli.diagnostics import Finding, Findings, Source
 from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.document import Mapping, Node, descend, files, one_line, shipped
 from deepbots_cli.document.parse import parse
+from deepbots_cli.engine_kinds import on_engine
 from deepbots_cli.errors import ScenarioError, UsageError
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
@@ -50,8 +51,8 @@ def wording(root: Node | None, *path: str | int) -> str:
     return one_line(node) if node is not None and reached == len(path) else ""
 
 
-def opened(source: str, sets: Sequence[str], allow_paths: Iterable[Path], *, allow_code: bool) -> Opened:
-    """The scenario of a file or of a shipped name, or that of a run directory.
+def opened(source: str, sets: Sequence[str], allow_paths: Iterable[Path], *, allow_code: bool, engine: str | None = None) -> Opened:
+    """The scenario of a file or of a shipped name, checked for the engine if one is given, or that of a run directory.
 
     Raises:
         UsageError: There is no such file or run.
@@ -63,7 +64,7 @@ def opened(source: str, sets: Sequence[str], allow_paths: Iterable[Path], *, all
             raise UsageError(f"--set changes a scenario, and {source} is a run, which stays as it was trained")
         run, resolved = Run.open(path), path / RESOLVED
         return Opened(run.program, parse(Source(str(resolved), resolved.read_text(encoding="utf-8-sig")), Findings()), run)
-    checked = api.load(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code)
+    checked = api.load(source, sets=on_engine(sets, engine), allow_paths=allow_paths, allow_code=allow_code)
     compiled = api.compile(checked)
     return Opened(compiled.program, checked.document.root, findings=compiled.findings)
 

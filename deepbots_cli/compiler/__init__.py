@@ -170,6 +170,7 @@ def _program(namespace: Namespace) -> Program:
         evaluation=Evaluation(spec.evaluation.episodes),
         disturbances=disturbances(namespace),
         augmented=frozenset(spec.augment),
+        engine=spec.world.engine,
     )
     return with_reading_ages(program)
 

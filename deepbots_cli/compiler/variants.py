@@ -244,6 +244,10 @@ class _Maker:
         lines = identity.differences(self._base, program, words=("elsewhere", "here"))
         if word == "stage" and program.world.timestep != self._base.world.timestep:
             lines.append(f"timestep: elsewhere {self._base.world.timestep:g} s, here {program.world.timestep:g} s")
+        if program.engine != self._base.engine:
+            help = "`deepbots eval RUN --engine mujoco,pybullet` evaluates a policy in both"
+            self._findings.add("DB407", here, f"the {word} `{name}` changes `world.engine`", help=help)
+            return False
         if lines:
             headline = f"the {word} `{name}` changes the interface of the policy"
             help = f"a {word} may change the world, but not the observation, action or messages: they must not depend on its `set`"

@@ -90,6 +90,7 @@ _CATALOGUE = (
     Rule("DB313", "joint-driven-twice", "warning", "a joint that two actuators hold", preview=True),
     Rule("DB314", "limp-at-start", "warning", "an arm that sinks before the first command reaches its motors", preview=True),
     Rule("DB315", "pose-out-of-reach", "warning", "an arm that receives a command out of its reach", deep="only"),
+    Rule("DB316", "beyond-engine", "error", "an engine that is not installed, or cannot hold the world"),
     Rule("DB401", "expression-syntax", "error", "an expression that cannot be read"),
     Rule("DB402", "unknown-name", "error", "an expression names something that does not exist"),
     Rule("DB403", "boolean-number-mix", "error", "a truth value where a number belongs, or the reverse"),

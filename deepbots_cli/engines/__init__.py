@@ -5,8 +5,8 @@ mujoco/        the only package that imports MuJoCo: the same, and exact snapsho
 kinematics.py  inverse kinematics of chains of joints
 objects.py     objects and walls as robots of one link; bodies by name, and pooled ones in one of several forms
 
-An engine is imported when it is first used. Other packages add theirs as an entry point of the group
-`deepbots.engines`: a name, and the `module:attribute` of an `EngineFactory`.
+An engine is imported when it is first used. `deepbots_cli.engine_kinds` has the table of engines. Other packages add theirs as an entry
+point of the group `deepbots.engines`: a name, and the `module:attribute` of an `EngineFactory`.
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, cast
 
 from deepbots_cli import plugins
 from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.engine_kinds import ENGINES as ALL
+from deepbots_cli.engine_kinds import GROUP
 from deepbots_cli.errors import MissingExtraError, UsageError
 
 if TYPE_CHECKING:
@@ -24,30 +26,30 @@ if TYPE_CHECKING:
     from deepbots_cli.port import Engine, EngineFactory
     from deepbots_cli.program.world import WorldModel
 
-ENGINES = {
-    "pybullet": "deepbots_cli.engines.pybullet.engine:PyBulletEngine",
-    "mujoco": "deepbots_cli.engines.mujoco.engine:MuJoCoEngine",
-}
-GROUP = "deepbots.engines"
+ENGINES = ALL.own
+"""Our own engines."""
 _OF_EXTRA_SIM = ("pybullet", "mujoco", "numpy", "trimesh", "yourdfpy")
 
 
 def names() -> tuple[str, ...]:
     """Every engine that can be asked for, our own first."""
-    return tuple(dict.fromkeys([*ENGINES, *(entry.name for entry in plugins.entries(GROUP))]))
+    return tuple(ALL)
 
 
 def create(name: str, world: WorldModel) -> Engine:
     """The world, built in the engine called `name`.
 
     Raises:
-        MissingExtraError: The engine's library is not installed.
-        UsageError: No engine has this name; lists those there are.
+        MissingExtraError: Nothing that worlds need is installed.
+        UsageError: No engine has this name; lists those there are. Or its library is not installed.
         EngineError: The engine cannot hold this world.
     """
     try:
         return _factory(name)(_with_masses(world))
     except ModuleNotFoundError as error:
+        kind = ENGINES.get(name)
+        if kind is not None and error.name == kind.library and any(other.is_installed for other in ENGINES.values()):
+            raise UsageError(f"the engine '{name}' cannot be used: {kind.missing}; {kind.way_out}") from error
         if error.name in _OF_EXTRA_SIM:
             raise MissingExtraError("sim", "running a scenario") from error
         raise
@@ -64,7 +66,7 @@ def _with_masses(world: WorldModel) -> WorldModel:
 
 def _factory(name: str) -> EngineFactory:
     if name in ENGINES:
-        return cast("EngineFactory", plugins.attribute(ENGINES[name]))
+        return cast("EngineFactory", plugins.attribute(ENGINES[name].factory))
     for entry in plugins.entries(GROUP):
         if entry.name == name:
             return _of_plugin(entry)

@@ -105,7 +105,8 @@ def compare(
 ) -> Comparison:
     """Evaluate runs on the same starts, and compare them by groups.
 
-    Runs with the same scenario digest are a group: they differ by their seeds only. If all runs have the same digest, each run is a group.
+    Runs of the same scenario, trained in the same engine, are a group: they differ by their seeds only. If all runs are alike, each run is
+    a group.
     A folder stands for all runs in it.
 
     Args:
@@ -138,6 +139,41 @@ def compare(
     return Comparison(first.scenario, first.episodes, seed, groups, differences, tuple(_notes(opened, groups, differences)))
 
 
+@dataclass(frozen=True)
+class AcrossEngines:
+    """One policy in a further engine against the first, on the same starts; `case` is None for the scenario itself."""
+
+    case: str | None
+    first: str | None
+    engine: str | None
+    mean_return: Difference
+    success_rate: Difference | None
+
+    def row(self, *, with_case: bool) -> dict[str, object]:
+        """A row of a table: the differences, each with its interval."""
+        row: dict[str, object] = {"difference": f"{self.engine} - {self.first}"}
+        row |= {"case": self.case or "(the scenario itself)"} if with_case else {}
+        for what, found in (("return", self.mean_return), ("success", self.success_rate)):
+            if found is not None:
+                row |= {what: found.mean, f"{what}_95 %": "" if found.interval is None else "{:.4g} .. {:.4g}".format(*found.interval)}
+        return row
+
+
+def across_engines(one: EvaluationResult, other: EvaluationResult) -> AcrossEngines:
+    """Compare the evaluations of one policy in two engines, episode by episode."""
+    returns, successes = _paired(one, other)
+    return AcrossEngines(other.case, one.engine, other.engine, returns, successes)
+
+
+def _paired(one: EvaluationResult, other: EvaluationResult) -> tuple[Difference, Difference | None]:
+    """Differences of return and success, episode by episode; no success where one of the two defines none."""
+    before, after = one.outcomes, other.outcomes
+    returns = compare_episodes([episode.total_return for episode in before], [episode.total_return for episode in after])
+    if not (one.success_defined and other.success_defined):
+        return returns, None
+    return returns, compare_episodes([float(e.is_success) for e in before], [float(e.is_success) for e in after])
+
+
 def _expanded(runs: Sequence[str | Path]) -> list[Path]:
     """The run directories, those of folders in the order of their names; each once."""
     found: dict[Path, None] = {}
@@ -150,12 +186,12 @@ def _expanded(runs: Sequence[str | Path]) -> list[Path]:
 
 
 def _grouped(runs: Sequence[Run], results: Sequence[EvaluationResult]) -> tuple[Group, ...]:
-    by_digest: dict[str, list[EvaluationResult]] = {}
+    alike: dict[tuple[str, str], list[EvaluationResult]] = {}
     for run, result in zip(runs, results, strict=True):
-        by_digest.setdefault(run.record.digest, []).append(result)
-    if len(by_digest) == 1:
+        alike.setdefault((run.record.digest, run.record.engine), []).append(result)
+    if len(alike) == 1:
         return tuple(Group(result.run.name, (result,)) for result in results)
-    return tuple(Group(_name(members), tuple(members)) for members in by_digest.values())
+    return tuple(Group(_name(members), tuple(members)) for members in alike.values())
 
 
 def _name(members: Sequence[EvaluationResult]) -> str:
@@ -170,10 +206,7 @@ def _compared(first: Group, group: Group) -> Compared:
     if between_seeds:
         success = compare_seeds(first.success_rates, group.success_rates) if has_success else None
         return Compared(group.name, compare_seeds(first.returns, group.returns), success, between_seeds)
-    before, after = first.evaluations[0].outcomes, group.evaluations[0].outcomes
-    returns = compare_episodes([episode.total_return for episode in before], [episode.total_return for episode in after])
-    success = compare_episodes([float(e.is_success) for e in before], [float(e.is_success) for e in after]) if has_success else None
-    return Compared(group.name, returns, success, between_seeds)
+    return Compared(group.name, *_paired(first.evaluations[0], group.evaluations[0]), between_seeds)
 
 
 def _notes(runs: Sequence[Run], groups: Sequence[Group], differences: Sequence[Compared]) -> list[str]:

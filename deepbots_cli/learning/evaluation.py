@@ -45,14 +45,15 @@ Until = Callable[[Sequence[Episode]], bool]
 class EvaluationResult:
     """What a policy did in `episodes` held-out episodes; intervals are at 95 %.
 
-    `case` is None for the scenario itself. `deviation` is the sample's; it and `return_interval` are None for a single
-    episode. `solved` is None where the scenario says nothing, or asks for more episodes than there were; `verdict` puts it in words.
-    `outcomes` are the episodes, in the order of their seeds. Where the scenario knows no success (`success_defined`), the success rate is 0
-    and means nothing.
+    `engine` is None for worlds that `build` made, `case` is None for the scenario itself. `deviation` is the sample's; it and
+    `return_interval` are None for a single episode. `solved` is None where the scenario says nothing, or asks for more episodes than there
+    were; `verdict` puts it in words. `outcomes` are the episodes, in the order of their seeds. Where the scenario knows no success
+    (`success_defined`), the success rate is 0 and means nothing.
     """
 
     run: Path
     scenario: str
+    engine: str | None
     case: str | None
     model: ModelName
     episodes: int
@@ -89,6 +90,7 @@ def evaluate(
     video_to: str | Path | None = None,
     copies: int = ROWS,
     allow_code: bool = False,
+    engine: str | None = None,
     build: BuildWorld | None = None,
     on_episode: OnEpisode | None = None,
     until: Until | None = None,
@@ -110,6 +112,7 @@ def evaluate(
         video_to: Where to write the first episode as mp4.
         copies: Worlds at a time, 1 to 8.
         allow_code: Whether terms in Python run.
+        engine: The physics engine; by default that of the training, or of `scenario` if it names another.
         build: Makes a world of the scenario in place of the generated supervisor.
         on_episode: Is told after each episode how many are done, and of how many.
         until: Takes the first k episodes, for k = 1, 2, ..., and returns whether they are enough. The result then holds these only.
@@ -131,7 +134,8 @@ def evaluate(
     video_to = None if video_to is None else Path(video_to)
     if video_to is not None:
         video.check(video_to)
-    make = build or default_build(known.record.engine, allow_code=allow_code)
+    engine = engine or known.engine_for(program)
+    make = build or default_build(engine, allow_code=allow_code)
     seeds = [derive(root, "evaluation", k) for k in range(count)]
     with algorithms.torch_settings(), ExitStack() as stack:
         worlds = []
@@ -144,7 +148,9 @@ def evaluate(
             world = stack.enter_context(closing(make(program, render_mode="rgb_array")))
             filmed = stack.enter_context(video.filmed(world, video_to, 1 / program.period))
             rollout(policy, [filmed], seeds[:1], deterministic=deterministic)
-    return _summary(known, program, case, model, root, done, deterministic=deterministic, video_to=video_to)
+    return _summary(
+        known, program, case, model, root, done, deterministic=deterministic, video_to=video_to, engine=None if build else engine
+    )
 
 
 def evaluate_cases(
@@ -155,6 +161,7 @@ def evaluate_cases(
     model: ModelName = "best",
     scenario: Compiled | Scenario | str | Path | None = None,
     allow_code: bool = False,
+    engine: str | None = None,
     build: BuildWorld | None = None,
     on_episode: OnEpisode | None = None,
 ) -> tuple[EvaluationResult, ...]:
@@ -170,6 +177,7 @@ def evaluate_cases(
             scenario=scenario,
             case=case.name,
             allow_code=allow_code,
+            engine=engine,
             build=build,
             on_episode=on_episode,
         )
@@ -211,12 +219,14 @@ def _summary(
     *,
     deterministic: bool,
     video_to: Path | None,
+    engine: str | None,
 ) -> EvaluationResult:
     summary = Summary.of(done)
     solved, verdict = judge(program.solved, summary.episodes, summary.mean_return, summary.success_rate)
     return EvaluationResult(
         run=run.path,
         scenario=program.name,
+        engine=engine,
         case=case,
         model=model,
         seed=seed,

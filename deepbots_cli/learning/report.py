@@ -59,6 +59,7 @@ def evaluation_text(result: EvaluationResult, elsewhere: str | None = None) -> s
     rows = [
         ("model", f"{result.run} ({result.model})"),
         *([("scenario", elsewhere)] if elsewhere is not None else []),
+        *([("engine", result.engine)] if result.engine is not None else []),
         ("episodes", f"{result.episodes:,} held-out starts from seed {result.seed}{'' if result.deterministic else ', actions sampled'}"),
         *_rows(result, success_defined=result.success_defined),
     ]

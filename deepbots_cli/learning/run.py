@@ -213,6 +213,11 @@ class Run:
     def model(self, name: ModelName) -> Path:
         return self.models / f"{name}.zip"
 
+    def engine_for(self, program: Program) -> str:
+        """The engine to evaluate in: that of `program` if it names another than the run's scenario, else the engine of the training."""
+        own = program.engine is not None and program.engine != self.program.engine
+        return program.engine if own and program.engine else self.record.engine
+
     def update(self, **changes: Any) -> None:
         """Change entries of the record, here and on disk."""
         self.record = self.record.model_copy(update={"updated": now(), **changes})

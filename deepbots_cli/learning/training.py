@@ -16,6 +16,7 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 import deepbots_cli
+from deepbots_cli import engine_kinds
 from deepbots_cli.api import Compiled
 from deepbots_cli.errors import MissingExtraError, RunError, UsageError
 from deepbots_cli.learning import algorithms, models
@@ -61,7 +62,7 @@ def train(
     initialize_from: str | Path | None = None,
     progress: bool | Reporter = False,
     command: Sequence[str] = (),
-    engine: str = "pybullet",
+    engine: str | None = None,
     build: BuildWorld | None = None,
 ) -> TrainingResult:
     """Train the policy of a scenario in a new run directory.
@@ -81,7 +82,7 @@ def train(
         initialize_from: A run, the best policy of which this one begins with, tensor by tensor where names and shapes are the same.
         progress: Whether to report progress on standard error, or who reports it.
         command: The command line, for the record.
-        engine: The physics engine of the generated supervisor.
+        engine: The physics engine; by default that of the scenario, else `pybullet` where it is installed.
         build: Makes a world of the scenario in place of the generated supervisor.
 
     Raises:
@@ -95,6 +96,7 @@ def train(
         raise UsageError(f"{seed} cannot be a seed, which is a whole number from 0 to {2**63 - 1}")
     if not 0 <= keep_checkpoints <= 10_000:
         raise UsageError(f"{keep_checkpoints} checkpoints cannot be kept; from 0 to 10000 are possible")
+    engine = engine_kinds.chosen(engine or compiled.program.engine)
     build = build or default_build(engine, allow_code=compiled.allow_code)
     Curriculum(compiled.program, stage)
     source = None if initialize_from is None else Run.open(initialize_from)

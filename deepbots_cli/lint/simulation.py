@@ -24,6 +24,7 @@ from deepbots_cli.compiler import Checked
 from deepbots_cli.compiler.inputs import Inputs
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.diagnostics import Span
+from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.errors import MissingExtraError
 from deepbots_cli.expressions.scalar import Name, walk
 from deepbots_cli.lint.analysis import Context
@@ -290,7 +291,7 @@ class Report:
 
 OUT_OF_MEMORY = 77
 """The exit code of a process that asked for more memory than it may have."""
-_REQUIRED = ("gymnasium", "msgspec", "numpy", "pybullet")
+_REQUIRED = ("gymnasium", "msgspec", "numpy")
 _CRASHES = {"SIGSEGV", "SIGBUS", "SIGFPE", "SIGILL", "SIGABRT"}
 
 
@@ -318,7 +319,7 @@ def require_simulator() -> None:
     Raises:
         MissingExtraError: A package that simulating needs is not installed.
     """
-    if any(find_spec(name) is None for name in _REQUIRED):
+    if any(find_spec(name) is None for name in _REQUIRED) or not any(kind.is_installed for kind in ENGINES.own.values()):
         raise MissingExtraError("sim", "lint --deep")
 
 

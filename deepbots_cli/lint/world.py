@@ -1,4 +1,4 @@
-"""The world: objects out of scale (DB507), worlds that an engine cannot simulate (DB309), and how episodes begin (DB310, DB809, DB812)."""
+"""The world: objects out of scale (DB507), engines (DB309, DB316), and how episodes begin (DB310, DB809, DB812)."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from deepbots_cli.compiler.robots import joint_dimension
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.diagnostics import Finding, Label, Span
 from deepbots_cli.document.nodes import Path
+from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, MASS
 from deepbots_cli.expressions.functions import FUNCTIONS, Family
 from deepbots_cli.expressions.intervals import ALWAYS, exact
@@ -50,6 +51,22 @@ A cart or a crate was pushed out of the ground at 0.01 to 0.04 m/s from 4 mm, at
 
 
 # Objects and engines
+
+
+def beyond_engine(context: Context) -> Iterator[Finding]:
+    """DB316: the physics engine that `world.engine` or `--engine` names is not installed, or cannot hold the world.
+
+    PyBullet has builds up to Python 3.11; later versions of Python run on MuJoCo. MuJoCo holds a mesh only as its convex hull, so a mesh
+    cannot be the ground. The rule looks at scenarios that name their engine.
+    """
+    terrain, kind = context.program.world.terrain, ENGINES.get(context.program.engine or "")
+    if kind is None:
+        return
+    if not kind.is_installed and any(other.is_installed for other in ENGINES.own.values()):
+        headline = f"the engine `{context.program.engine}` cannot be used here: {kind.missing}"
+        yield Finding("DB316", context.values.span(("world", "engine")), headline, help=kind.way_out)
+    if kind.mesh_terrain is not None and terrain is not None and isinstance(terrain.shape, Mesh):
+        yield Finding("DB316", context.values.span(("world", "terrain", "file")), kind.mesh_terrain.reason, help=kind.mesh_terrain.help)
 
 
 def odd_scale(context: Context) -> Iterator[Finding]:
@@ -403,6 +420,7 @@ def _order(simulation: Simulation, name: str) -> int:
 
 
 STATIC_RULES = (
+    beyond_engine,
     odd_scale,
     identical_episodes,
     requirement_not_redrawn,

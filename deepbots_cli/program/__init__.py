@@ -29,6 +29,7 @@ from functools import cached_property
 from typing import Any, TypeVar
 
 from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.engine_kinds import DEFAULT
 from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.scalar import is_drawn
 from deepbots_cli.program.resets import Disturbance, Reset
@@ -49,7 +50,8 @@ class Program:
     - parameters and signals, which form one namespace;
     - the episode: reset, endings, truncation, and the `repeat` of a step. A world is reset and stepped as a whole.
 
-    There is one policy, named `policy`. `augmented` holds the names of the signals that policies may see.
+    There is one policy, named `policy`. `augmented` holds the names of the signals that policies may see. `engine` is the one that the
+    scenario names, None for the default.
     """
 
     name: str
@@ -72,9 +74,11 @@ class Program:
     curriculum: tuple[CurriculumStage, ...] = ()
     disturbances: tuple[Disturbance, ...] = ()
     augmented: frozenset[str] = frozenset()
+    engine: str | None = None
 
     def projection(self) -> dict[str, object]:
-        return {name: value for name, value in vars(self).items() if name in self.__dataclass_fields__ and name != "augmented"}
+        left_out = {"augmented"} | ({"engine"} if self.engine in (None, DEFAULT) else set())
+        return {name: value for name, value in vars(self).items() if name in self.__dataclass_fields__ and name not in left_out}
 
     @cached_property
     def policy(self) -> Policy:

@@ -4,6 +4,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
+from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.scenario.base import Keys, Kinds, Many, Section, Size
 from deepbots_cli.scenario.fields import (
     Area,
@@ -28,6 +29,7 @@ from deepbots_cli.scenario.fields import (
     Thickness,
     Timestep,
     Whole,
+    Word,
 )
 
 
@@ -156,6 +158,8 @@ class World(Section):
     """Time of one control step: robots sense and act this often, such as `32 ms`."""
     substeps: Annotated[int, Whole(1, 10_000)] = 1
     """Physics steps in one timestep."""
+    engine: Annotated[str, Word(ENGINES)] | None = None
+    """Physics engine; by default `pybullet`. `--engine` on the command line overrides it."""
     gravity: Annotated[Scalar, Quantity("acceleration", 3, "episode", like="0 0 -9.81 m/s^2")] = "0 0 -9.81 m/s^2"
     """Gravity in the world frame, m/s^2."""
     ground: Ground = Field(default_factory=Ground)

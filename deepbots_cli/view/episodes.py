@@ -13,6 +13,7 @@ import numpy as np
 
 from deepbots_cli import api
 from deepbots_cli.diagnostics import Finding
+from deepbots_cli.engine_kinds import on_engine
 from deepbots_cli.errors import MissingExtraError, RunError, ScenarioError, UsageError
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Choices
@@ -48,7 +49,7 @@ class Source:
         """
         if self.is_run:
             return self._open_run()
-        checked = api.load(self.reference, sets=self.sets, allow_paths=self.allow_paths, allow_code=self.allow_code)
+        checked = api.load(self.reference, sets=on_engine(self.sets, self.engine), allow_paths=self.allow_paths, allow_code=self.allow_code)
         files = frozenset({checked.document.path, *checked.document.files})
         try:
             compiled = api.compile(checked)
@@ -97,7 +98,7 @@ class Opened:
         """
         if self.program is None:
             raise ScenarioError(self.findings)
-        engine = self.source.engine or (self.run.record.engine if self.run else "pybullet")
+        engine = self.source.engine or (self.run.engine_for(self.program) if self.run else None)
         return api.make(self.program, engine=engine, allow_code=self.source.allow_code)
 
 

@@ -148,6 +148,23 @@ def test_a_run_is_evaluated_under_other_settings(deepbots, trained):
     assert "of the run --set 'fall_angle=3 deg', different from the training" in deepbots("eval", "mine", "--set", "fall_angle=3 deg").out
 
 
+def test_engines_are_compared_from_the_same_starts(deepbots, trained):
+    found = json.loads(deepbots("eval", "mine", "--engine", "pybullet,mujoco", "--json").out)
+    one, other = found["evaluations"]
+    assert (one["engine"], other["engine"]) == ("pybullet", "mujoco")
+    assert one["seed"] == other["seed"]
+    (difference,) = found["differences"]
+    assert (difference["first"], difference["engine"]) == ("pybullet", "mujoco")
+    assert difference["mean_return"]["mean"] == pytest.approx(other["mean_return"] - one["mean_return"])
+    low, high = difference["mean_return"]["interval"]
+    assert low <= difference["mean_return"]["mean"] <= high
+    alone = json.loads(deepbots("eval", "mine", "--engine", "mujoco", "--json").out)
+    assert alone["mean_return"] == other["mean_return"]
+    told = deepbots("eval", "mine", "--engine", "pybullet,mujoco").out
+    assert "trained in pybullet" in told
+    assert "mujoco - pybullet" in told
+
+
 def test_settings_of_an_evaluation_apply_to_the_scenario_that_it_names(deepbots, trained):
     elsewhere = ("--scenario", "cartpole", "--episodes", "2", "--json")
     lengths = [json.loads(deepbots("eval", "mine", *elsewhere, *sets).out)["mean_length"] for sets in ((), ("--set", "fall_angle=3 deg"))]

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from deepbots_cli import errors
-from deepbots_cli.errors import DeepbotsError, installing
+from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.program import identity
 
 
@@ -27,20 +27,13 @@ def test_the_docstring_shows_every_exception_below_its_parent() -> None:
     assert sorted((name, len(lines) // 4) for lines, name in rows) == sorted(tree(DeepbotsError))
 
 
-def test_beyond_python_3_11_a_missing_extra_is_not_asked_for_where_it_cannot_be_installed() -> None:
-    assert installing("sim", (3, 11), "deepbots-cli") == "install it with: pip install 'deepbots-cli[sim]'"
-    said = installing("train", (3, 13), "deepbots-cli")
-    assert "environment of Python 3.11" in said
-    assert said.endswith("pip install 'deepbots-cli[train]'")
-
-
 def test_an_extra_is_installed_from_the_clone_that_deepbots_came_from_and_from_no_index_that_may_not_have_it(tmp_path: Path) -> None:
     clone, packages = tmp_path / "my clone", tmp_path / "packages"
     known = packages / "deepbots_cli-0.1.0.dist-info"
     known.mkdir(parents=True)
     (known / "METADATA").write_text("Metadata-Version: 2.1\nName: deepbots-cli\nVersion: 0.1.0\n")
     (known / "direct_url.json").write_text(json.dumps({"url": clone.as_uri(), "dir_info": {}}))
-    command = [sys.executable, "-c", "from deepbots_cli.errors import installing; print(installing('sim', (3, 11)))"]
+    command = [sys.executable, "-c", "from deepbots_cli.errors import installing; print(installing('sim'))"]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join((str(packages), str(Path(errors.__file__).parents[1])))}
     for there, origin in ((False, "deepbots-cli"), (True, str(clone))):
         if there:

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from deepbots_cli import frames
-from deepbots_cli.engines.pybullet.state import Parameters
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import quaternion
 from deepbots_cli.port import STILL, View
@@ -19,6 +18,7 @@ from deepbots_cli.program.world import Ground, ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots.model import Box, Geometry, Inertial, Joint, Link, Pose, RobotModel, Sphere
 from deepbots_cli.scenario.world import World
 
+Parameters = pytest.importorskip("deepbots_cli.engines.pybullet.state", exc_type=ImportError).Parameters
 TURNED = quaternion(0.4, -0.3, 1.1)
 
 

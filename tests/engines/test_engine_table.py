@@ -33,10 +33,10 @@ def test_an_engine_of_another_package_is_found_by_its_entry_point(tmp_path, monk
     assert create("still", worlds.rail()) == ("still", worlds.rail())
 
 
-def test_without_pybullet_the_message_is_the_command_that_installs_it():
+def test_without_a_simulator_the_message_is_the_command_that_installs_it():
     script = """
 import sys
-sys.modules["pybullet"] = None
+sys.modules["pybullet"] = sys.modules["mujoco"] = None
 from deepbots_cli.engines import create
 from deepbots_cli.errors import MissingExtraError
 from deepbots_cli.program.world import WorldModel
@@ -47,3 +47,36 @@ except MissingExtraError as error:
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert done.stdout == f"running a scenario needs the 'sim' extra; {installing('sim')}\n"
+
+
+def without_pybullet(script: str) -> subprocess.CompletedProcess[str]:
+    """Run Python code where PyBullet cannot be imported, as beyond Python 3.11."""
+    script = f"import sys\nsys.modules['pybullet'] = None\n{script}"
+    return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+
+
+def test_without_pybullet_worlds_run_on_mujoco_and_one_sentence_says_so():
+    done = without_pybullet("import deepbots_cli\nfor _ in range(2):\n    print(deepbots_cli.make('cartpole').engine.name)")
+    assert done.stdout == "mujoco\nmujoco\n"
+    assert done.stderr.count("this runs on MuJoCo, whose numbers differ from those of PyBullet") == 1
+
+
+def test_a_scenario_that_names_an_engine_never_runs_on_another():
+    done = without_pybullet("""
+import deepbots_cli
+from deepbots_cli.errors import ScenarioError, UsageError
+program = deepbots_cli.compile('cartpole').program
+try:
+    deepbots_cli.make(program, engine='pybullet')
+except UsageError as error:
+    print(error)
+try:
+    deepbots_cli.make('cartpole', sets=['world.engine=pybullet'])
+except ScenarioError as error:
+    print(error)
+""")
+    asked, written = done.stdout.splitlines()
+    assert asked.startswith("the engine 'pybullet' cannot be used: PyBullet ")
+    assert asked.endswith("or the engine `mujoco`")
+    assert "DB316 the engine `pybullet` cannot be used here: PyBullet " in written
+    assert not done.stderr

@@ -19,7 +19,7 @@ HILLS = Terrain(Formula(constant(0.0).scalar, (4.0, 4.0)))
 
 
 def test_a_mesh_is_no_ground_and_the_message_says_what_to_do():
-    with pytest.raises(EngineError, match=r"convex hull.*terrain of heights.*'pybullet'"):
+    with pytest.raises(EngineError, match=r"convex hull.*terrain of heights.*`pybullet`"):
         create("mujoco", WorldModel(0.02, 1, terrain=Terrain(Mesh("ground.stl", "00"))))
 
 

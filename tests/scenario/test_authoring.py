@@ -58,7 +58,7 @@ def test_models_mappings_and_plain_values_make_a_scenario_that_compiles() -> Non
         ({"world": {"timestep": "32 * (ms"}}, ("world", "timestep"), "parenthesis"),
         ({"world": {"timestep": "32 ms", "substeps": 4.5}}, ("world", "substeps"), "expected a whole number"),
         ({"world": {"timestep": "32 ms", "terrain": {"type": "hills"}}}, ("world", "terrain", "type"), "unknown type `hills`"),
-        ({"world": {"timestep": "32 ms", "ground": {}, "terrain": {"type": "pit", "height": "1 m"}}}, ("world", "terrain"), "cannot be combined"),
+        ({"world": {"timestep": "32 ms", "ground": {}, "terrain": {"type": "pit", "height": "1 m"}}}, ("world", "terrain"), "be combined"),
         ({"truncation": {}}, ("truncation",), "missing key `max_steps` or `max_time`"),
         ({"reward": {"alive": "1 +"}}, ("reward", "alive"), ""),
         ({"reward": {}}, ("reward",), "is empty"),

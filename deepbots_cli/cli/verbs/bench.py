@@ -22,6 +22,7 @@ from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import AllowCode, AllowPaths, Engine, Json, Scenario, Seed, Sets, whole
 from deepbots_cli.cli.tables import pairs as aligned
+from deepbots_cli.engine_kinds import on_engine
 from deepbots_cli.errors import UsageError
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ def command(
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Measure 3 pairs of 600 steps, which takes a tenth of the time.")] = False,
     seed: Seed = 0,
-    engine: Engine = "pybullet",
+    engine: Engine = None,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
@@ -57,11 +58,11 @@ def command(
       deepbots bench quadruped --quick
       deepbots bench cartpole --set messages.format=csv --pairs 15
     """
-    compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
+    compiled = api.compile(scenario, sets=on_engine(sets, engine), allow_paths=allow_paths or (), allow_code=allow_code)
     terminal.mention(compiled.findings, scenario)
     usual_steps, usual_pairs = (600, 3) if quick else (2000, 9)
     steps, pairs = steps or usual_steps, pairs or usual_pairs
-    with closing(api.make(compiled, engine=engine)) as environment, closing(api.make(compiled, engine=engine)) as bare:
+    with closing(api.make(compiled)) as environment, closing(api.make(compiled)) as bare:
         terminal.note(f"measuring {pairs} pairs of {steps:,} steps" + ("" if quick else "; --quick takes a tenth of the time"))
         with terminal.progress("measurements") as show:
             result = measure(environment, bare, steps=steps, pairs=pairs, seed=seed, on_measured=show)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
@@ -17,6 +16,7 @@ from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Json, Sets
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import table
 from deepbots_cli.compiler.inputs import RESOLVED
+from deepbots_cli.engine_kinds import on_engine
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import report
 from deepbots_cli.learning.run import Run
@@ -27,6 +27,16 @@ if TYPE_CHECKING:
     from deepbots_cli.learning import EvaluationResult
     from deepbots_cli.learning.episodes import Episode
     from deepbots_cli.learning.statistics import Verdict
+
+
+def _engines(names: list[str] | None) -> list[str] | None:
+    """A callback: the names between commas, each of which is known and installed."""
+    found = [name.strip() for text in names or () for name in text.split(",")]
+    for name in found:
+        known_engine(name)
+    if len(set(found)) < len(found):
+        raise typer.BadParameter("an engine is named twice")
+    return found or None
 
 
 def command(
@@ -54,7 +64,13 @@ def command(
         typer.Option("--case", metavar="NAME", help="Evaluate in this case only; by default in the scenario and in all its cases."),
     ] = None,
     engine: Annotated[
-        str | None, typer.Option("--engine", metavar="NAME", callback=known_engine, help="Physics engine; by default that of the training.")
+        list[str] | None,
+        typer.Option(
+            "--engine",
+            metavar="NAME[,NAME]",
+            callback=_engines,
+            help="Physics engine, by default that of the training; several, with commas between, are compared on the same starts.",
+        ),
     ] = None,
     require_solved: Annotated[bool, typer.Option("--require-solved", help="Exit with 1 unless the task is solved.")] = False,
     min_success: Annotated[
@@ -79,7 +95,9 @@ def command(
     when a 95 % confidence sequence (beta-binomial mixture; for returns, an anytime-valid t-test) excludes the required value.
 
     --set overrides values of the scenario of the run, or of the scenario that --scenario names. This scenario must have the
-    observation, action and messages of the training; its world may differ. --engine runs the episodes in another engine.
+    observation, action and messages of the training; its world may differ. --engine runs the episodes in another engine. With several
+    engines, such as --engine mujoco,pybullet, every engine runs episodes from the same starts, and the table shows the difference of each
+    further engine from the first, with its 95 % interval over pairs of episodes. The requirements then apply to every engine.
 
     \b
       deepbots eval runs/cartpole-0-1
@@ -87,6 +105,7 @@ def command(
       deepbots eval runs/cartpole-0-1 --scenario longer_pole.yaml --episodes 20
       deepbots eval runs/cartpole-0-1 --set fall_angle=10deg
       deepbots eval runs/cartpole-0-1 --engine mujoco
+      deepbots eval runs/cartpole-0-1 --engine pybullet,mujoco
       deepbots eval runs/find_ball_random-0-1 --case many
       deepbots eval runs/cartpole-0-1 --require-solved --json
       deepbots eval runs/find_ball-0-1 --min-success 90%
@@ -95,20 +114,21 @@ def command(
     `deepbots train --resume RUN --timesteps N --full` continues the training.
     """
     known = Run.open(run)
-    compiled = None
-    if scenario is not None or sets:
-        options: dict[str, Any] = {"sets": sets or (), "allow_paths": allow_paths or (), "allow_code": allow_code}
-        compiled = api.compile(api.load(scenario, **options) if scenario is not None else api.load(run / RESOLVED, project=run, **options))
-        if scenario is not None:
-            terminal.mention(compiled.findings, scenario)
-    chosen: dict[str, Any] = {
-        "episodes": episodes,
-        "seed": seed,
-        "model": "last" if last else "best",
-        "scenario": compiled,
-        "allow_code": allow_code,
-        "build": None if engine is None else partial(api.build, engine=engine, allow_code=allow_code),
-    }
+    several: Sequence[str | None] = engine or [None]
+    if video is not None and len(several) > 1:
+        raise UsageError("a video shows one engine; name one with --engine")
+    made: list[Compiled | None] = []
+    for name in several:
+        compiled = None
+        if scenario is not None or sets or name not in (None, known.record.engine):
+            options: dict[str, Any] = {"sets": on_engine(sets, name), "allow_paths": allow_paths or (), "allow_code": allow_code}
+            checked = api.load(scenario, **options) if scenario is not None else api.load(run / RESOLVED, project=run, **options)
+            compiled = api.compile(checked)
+        made.append(compiled)
+    compiled = made[0]
+    if scenario is not None and compiled is not None:
+        terminal.mention(compiled.findings, scenario)
+    chosen: dict[str, Any] = {"episodes": episodes, "seed": seed, "model": "last" if last else "best", "allow_code": allow_code}
     with terminal.passing("loading the policy ..."):
         evaluate, evaluate_cases = learning.evaluate, learning.evaluate_cases  # which imports torch
     program = known.program if compiled is None else compiled.program
@@ -119,16 +139,66 @@ def command(
         )
     usual = program.evaluation.episodes if case is None else program.case(case).episodes
     gates = Gates(min_success, min_return, episodes or usual)
-    with terminal.progress(always=False) as show_episode:
-        until = None if require_solved else gates.decided
-        result = evaluate(known, case=case, video_to=video, on_episode=show_episode, until=until, **chosen)
-        cases = evaluate_cases(known, on_episode=show_episode, **chosen) if case is None else ()
-    known.keep_evaluation({**with_cases(result, cases), "set": sets or []})
-    if as_json:
-        terminal.show_json({**with_cases(result, cases), "set": sets or []})
+    until = None if require_solved or len(several) > 1 else gates.decided
+    found: list[tuple[EvaluationResult, Sequence[EvaluationResult]]] = []
+    for name, there in zip(several, made, strict=True):
+        with terminal.progress("episodes" if name is None else f"episodes in {name}", always=False) as show_episode:
+            chosen |= {"engine": name, "scenario": there, "on_episode": show_episode}
+            result = evaluate(known, case=case, video_to=video, until=until, **chosen)
+            found.append((result, evaluate_cases(known, **chosen) if case is None else ()))
+        known.keep_evaluation({**with_cases(*found[-1]), "set": sets or []})
+    elsewhere = _elsewhere(known, scenario, sets or (), compiled) if scenario is not None or sets else None
+    if len(found) > 1:
+        _show_engines(known, found, elsewhere, sets or [], as_json=as_json)
+    elif as_json:
+        terminal.show_json({**with_cases(*found[0]), "set": sets or []})
     else:
-        show(result, cases, elsewhere=_elsewhere(known, scenario, sets or (), compiled))
-    _require(result, gates, require_solved=require_solved)
+        show(*found[0], elsewhere=elsewhere)
+    for result, _ in found:
+        _require(result, gates, require_solved=require_solved)
+
+
+def _show_engines(
+    run: Run,
+    found: Sequence[tuple[EvaluationResult, Sequence[EvaluationResult]]],
+    elsewhere: str | None,
+    sets: Sequence[str],
+    *,
+    as_json: bool,
+) -> None:
+    """The evaluations in several engines side by side, and the difference of each from the first, from the same starts."""
+    from deepbots_cli.learning.comparison import across_engines
+
+    pairs = [
+        across_engines(one, other)
+        for column in zip(*((result, *cases) for result, cases in found), strict=True)
+        for one, other in ((column[0], other) for other in column[1:])
+    ]
+    if as_json:
+        evaluations = [with_cases(result, cases) for result, cases in found]
+        terminal.show_json({"evaluations": evaluations, "differences": [asdict(pair) for pair in pairs], "set": list(sets)})
+        return
+    first = found[0][0]
+    trained = f"trained in {run.record.engine}"
+    terminal.say(f"evaluation of {first.scenario} in {len(found)} engines, {trained}" + (f"; scenario {elsewhere}" if elsewhere else ""))
+    terminal.say(f"  {first.episodes:,} held-out starts from seed {first.seed}, the same in every engine")
+    rows = report.case_rows([each for result, cases in found for each in (result, *cases)])
+    engines = [each.engine for result, cases in found for each in (result, *cases)]
+    one_case = len({row["case"] for row in rows}) == 1
+    terminal.say(
+        table(
+            [
+                {"engine": name, **{key: value for key, value in row.items() if key != "case" or not one_case}}
+                for name, row in zip(engines, rows, strict=True)
+            ]
+        )
+    )
+    terminal.say("\ndifferences on the same starts, with 95 % intervals")
+    terminal.say(table([pair.row(with_case=not one_case) for pair in pairs]))
+    for result, _ in found:
+        terminal.say(f"{result.engine}: {result.verdict}")
+    for note in dict.fromkeys(note for result, _ in found for note in result.notes):
+        terminal.say(f"note: {note}")
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from deepbots_cli.cli.tables import pairs, table
 from deepbots_cli.diagnostics import Source, Span
 from deepbots_cli.document import Mapping
 from deepbots_cli.document.load import under
+from deepbots_cli.engine_kinds import chosen
 from deepbots_cli.errors import EngineError, EvaluationError, MissingExtraError, UsageError
 from deepbots_cli.files import atomic
 from deepbots_cli.footprint import bounds, resting
@@ -53,7 +54,7 @@ def command(
             "--picture", metavar="PNG", help="Also write a picture of the start of an episode to this file, and replace it if it exists."
         ),
     ] = None,
-    engine: Engine = "pybullet",
+    engine: Engine = None,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
@@ -77,9 +78,9 @@ def command(
     if picture is not None:
         _check(picture)
     if is_robot(scenario):
-        _inspect_robot(scenario, picture, engine, as_json)
+        _inspect_robot(scenario, picture, chosen(engine), as_json)
         return
-    side = opened(scenario, sets or (), allow_paths or (), allow_code=allow_code)
+    side = opened(scenario, sets or (), allow_paths or (), allow_code=allow_code, engine=engine)
     terminal.mention(side.findings, scenario)
     program = with_case_or_stage(side.program, case, stage)
     root = side.root if isinstance(side.root, Mapping) else Mapping(Span(Source(scenario, ""), 0, 0), {})
@@ -87,6 +88,7 @@ def command(
         root = under(root, ("evaluation", "cases", case))
     elif stage is not None:
         root = under(root, ("curriculum", [known.name for known in side.program.curriculum].index(stage)))
+    engine = engine or (side.run.engine_for(program) if side.run else None)
     tables = {**inspection.of_scenario(program, root, side.run), **_start(program, picture, engine, allow_code=allow_code)}
     if as_json:
         terminal.show_json(tables)
@@ -96,7 +98,7 @@ def command(
         terminal.note(f"wrote a picture of the world to {picture}")
 
 
-def _start(program: Program, picture: Path | None, engine: str, *, allow_code: bool) -> inspection.Tables:
+def _start(program: Program, picture: Path | None, engine: str | None, *, allow_code: bool) -> inspection.Tables:
     """The poses of end links at the start of an episode, if the simulator is installed; renders the world if `picture` is given."""
     links = inspection.end_links(program)
     if picture is None and not links:

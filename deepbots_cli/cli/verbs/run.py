@@ -16,6 +16,7 @@ from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Engine, Json, Scenario, Seed, Sets, Stage, whole, with_case_or_stage
 from deepbots_cli.cli.tables import Row, table
+from deepbots_cli.engine_kinds import on_engine
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import report
 from deepbots_cli.learning.episodes import Episode, EpisodeAccumulator, Summary
@@ -54,7 +55,7 @@ def command(
         ),
     ] = None,
     seed: Seed = 0,
-    engine: Engine = "pybullet",
+    engine: Engine = None,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
@@ -77,12 +78,13 @@ def command(
     given = [name for name, value in (("--policy", policy), ("--actions", actions), ("--script", script)) if value is not None]
     if len(given) > 1:
         raise UsageError(f"{' and '.join(given)} exclude each other")
-    compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
+    compiled = api.compile(scenario, sets=on_engine(sets, engine), allow_paths=allow_paths or (), allow_code=allow_code)
     terminal.mention(compiled.findings, scenario)
     program = with_case_or_stage(compiled.program, case, stage)
     if script is not None:
         program.script(script)
-    with closing(api.make(program, engine=engine, allow_code=allow_code)) as environment:
+    with closing(api.make(program, allow_code=allow_code)) as environment:
+        name = environment.engine.name
         if script is not None:
             acting: Acting = partial(environment.script, script)
         elif actions is not None:
@@ -99,7 +101,15 @@ def command(
     summary = Summary.of(done)
     if as_json:
         totals = {"success_defined": program.defines_success, **vars(summary)}
-        known = {"scenario": program.name, "digest": compiled.digest, "seed": seed, "case": case, "stage": stage, "script": script}
+        known = {
+            "scenario": program.name,
+            "digest": compiled.digest,
+            "engine": name,
+            "seed": seed,
+            "case": case,
+            "stage": stage,
+            "script": script,
+        }
         terminal.show_json({**known, "episodes": list(map(_row, done)), "summary": totals})
         return
     _show(done)

@@ -11,9 +11,10 @@ import typer
 
 from deepbots_cli import api, learning
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Json, Sets, known_engine, whole
+from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Engine, Json, Sets, whole
 from deepbots_cli.cli.exits import INTERRUPTED
 from deepbots_cli.cli.verbs.eval import show, with_cases
+from deepbots_cli.engine_kinds import on_engine
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import report
 from deepbots_cli.learning.run import Run
@@ -57,9 +58,7 @@ def command(
     initialize_from: Annotated[
         Path | None, typer.Option("--initialize-from", metavar="RUN", help="Begin with the weights of the best policy of this run.")
     ] = None,
-    engine: Annotated[
-        str | None, typer.Option("--engine", metavar="NAME", callback=known_engine, help="Physics engine; pybullet by default.")
-    ] = None,
+    engine: Engine = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress.")] = False,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
@@ -98,7 +97,7 @@ def command(
     elif scenario is None:
         raise UsageError("there is no scenario to train; name one, such as: deepbots train cartpole")
     else:
-        compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
+        compiled = api.compile(scenario, sets=on_engine(sets, engine), allow_paths=allow_paths or (), allow_code=allow_code)
         terminal.mention(compiled.findings, scenario)
         with terminal.passing("loading PyTorch ..." if told else ""):
             train = learning.train  # which imports torch
@@ -115,7 +114,6 @@ def command(
             initialize_from=initialize_from,
             progress=told,
             command=["deepbots", *sys.argv[1:]],
-            engine=engine or "pybullet",
         )
     _finish(result, quiet=quiet, as_json=as_json, allow_code=allow_code)
 

@@ -40,7 +40,9 @@ def point(text: str) -> tuple[float, float, float]:
 Shown = Annotated[str, typer.Argument(metavar="SCENARIO|RUN", help="A scenario file, the name of a shipped scenario, or a run directory.")]
 EngineOrRun = Annotated[
     str | None,
-    typer.Option("--engine", metavar="NAME", callback=known_engine, help="Physics engine; by default pybullet, or the engine of the run."),
+    typer.Option(
+        "--engine", metavar="NAME", callback=known_engine, help="Physics engine; by default that of the run or the scenario, else pybullet."
+    ),
 ]
 Host = Annotated[
     str,

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import atexit
 import warnings
+from contextlib import suppress
 from functools import cache
+from importlib import import_module
+from importlib.util import find_spec
 from math import tan
 from typing import TYPE_CHECKING, Any
 from weakref import WeakSet
@@ -38,9 +41,21 @@ def _close_all() -> None:
         pictures.close()
 
 
-@cache
 def available() -> bool:
-    """Whether a context of OpenGL can be made; found out once, in 10 ms."""
+    """Whether MuJoCo has found a library for OpenGL. No context is made before the first picture, which may still fail."""
+    return hasattr(mj, "GLContext")
+
+
+@cache
+def _opens() -> bool:
+    """Whether a context of OpenGL can be made; found out once, in 10 ms.
+
+    Software OpenGL brings the LLVM of the system. Triton, which torch loads with its first optimizer, has its own, and the process
+    ends with a segmentation fault if Triton is loaded second (triton 3.7, Mesa 22). It is therefore loaded here, in 0.15 s.
+    """
+    if find_spec("triton") is not None:
+        with suppress(ImportError):
+            import_module("triton")
     try:
         with warnings.catch_warnings(action="ignore"):
             context = mj.GLContext(8, 8)
@@ -99,7 +114,7 @@ class Pictures:
 
     def _shown(self, width: int, height: int) -> Any:
         """A renderer of this size, with the bodies where they are now."""
-        if not available():
+        if not (available() and _opens()):
             raise EngineError(LACKING)
         if self._model is None:
             self._build()

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deepbots_cli import frames
+from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.objects import PALETTE, ROOT_MASS_FRACTION, Pool, as_robot, forms, held_by, moves, walls, with_explicit_masses
 from deepbots_cli.errors import EngineError
@@ -161,10 +162,9 @@ class Builder:
     def _relief(self, terrain: Terrain) -> Grid:
         relief = grid(terrain.shape)
         if relief is None:
-            raise EngineError(
-                "MuJoCo holds a mesh only as its convex hull, so it cannot be the ground; use a terrain of heights"
-                " (heightfield, formula or pit), or the engine 'pybullet'"
-            )
+            lack = ENGINES.own["mujoco"].mesh_terrain
+            assert lack is not None
+            raise EngineError(f"{lack.reason}; {lack.help}")
         rows, columns = relief.heights.shape
         low, high = float(relief.heights.min()), float(relief.heights.max())
         span = max(high - low, 1e-6)

@@ -70,7 +70,10 @@ class Motors:
 
 
 class Motor:
-    """A motor on some joints; `drives` says whether they obey it, `gains` are those of a velocity motor, as far as the model has them."""
+    """A motor on some joints; `drives` says whether they obey it.
+
+    `gains` and `targets` are those of a velocity motor that the model has; no gains where it has others.
+    """
 
     def __init__(self, motors: Motors, joints: Sequence[int], max_torque: Sequence[float]) -> None:
         world = motors.world
@@ -78,6 +81,7 @@ class Motor:
         self.joints = tuple(joints)
         self.drives = False
         self.gains: list[float] = []
+        self.targets: tuple[float, ...] = ()
         self._motors, self._world = motors, world
         self._limits = [limited(limit) for limit in max_torque]
         self._acts = places([motors.actuators[joint] for joint in joints])
@@ -141,19 +145,22 @@ class Motor:
         """A velocity motor, or a servo with a `rate` (1/s)."""
         data, model, acts, dofs, at = self._world.data, self._world.model, self._acts, self._dofs, self._places
         step, servos = model.opt.timestep, self._motors.limited_servos
-        ctrl, velocity, position, bias, armature = data.ctrl, data.qvel, data.qpos, model.actuator_biasprm, model.dof_armature
+        ctrl, bias, armature = data.ctrl, model.actuator_biasprm, model.dof_armature
+        velocity, position = live(data.qvel, dofs), live(data.qpos, at)
         usual, inertias = self._motors.usual_armature[dofs].tolist(), model.dof_M0[dofs].tolist()
         moved = [1.0 / inverse for inverse in self._motors.usual_inverse[dofs].tolist()]
         inverses = model.dof_invweight0  # by which MuJoCo scales the stiffness of joint limits
-        bounds = [(STIFFEST * inertia / step, limit) for inertia, limit in zip(inertias, self._limits, strict=True)]
+        stiff = [STIFFEST * inertia / step for inertia in inertias]
+        bounds = [(stiffest, limit, limit / stiffest) for stiffest, limit in zip(stiff, self._limits, strict=True)]  # the last: an error
         damped = [4.0 * inertia * rate for inertia in inertias]
 
         def aim(targets: Sequence[float]) -> None:
-            wanted = [(target - now) * rate for target, now in zip(targets, position[at].tolist(), strict=True)] if rate else targets
-            gains = []
-            for target, now, (stiffest, limit) in zip(wanted, velocity[dofs].tolist(), bounds, strict=True):
-                off = max(abs(target - now), SLACK * abs(target))
-                gains.append(limit / off if off * stiffest > limit else stiffest)
+            wanted = [(target - now) * rate for target, now in zip(targets, position(), strict=True)] if rate else targets
+            errors = [max(abs(target - now), SLACK * abs(target)) for target, now in zip(wanted, velocity(), strict=True)]
+            gains = [limit / off if off > near else stiffest for off, (stiffest, limit, near) in zip(errors, bounds, strict=True)]
+            targets = tuple(targets)
+            if gains == self.gains and targets == self.targets:
+                return
             if gains != self.gains:
                 self.gains = gains
                 bias[acts, 2] = [-gain for gain in gains]
@@ -161,6 +168,7 @@ class Motor:
                 inverses[dofs] = [1.0 / (own + gain * step) for own, gain in zip(moved, gains, strict=True)]
                 if rate:
                     bias[acts, 1] = [-gain * rate for gain in gains]
+            self.targets = targets
             ctrl[acts] = [gain * (rate or 1.0) * target for gain, target in zip(gains, targets, strict=True)]
 
         def write(targets: Sequence[float]) -> None:
@@ -181,6 +189,14 @@ def places(numbers: Sequence[int]) -> Any:
     """An index of these places: a slice where they follow each other, which numpy reads in half the time."""
     first, count = numbers[0], len(numbers)
     return slice(first, first + count) if list(numbers) == list(range(first, first + count)) else np.array(numbers)
+
+
+def live(array: Any, numbers: Any) -> Callable[[], list[float]]:
+    """Reads these places of an array of the state: through a view where they follow each other, which saves making one."""
+    index = numbers if isinstance(numbers, slice) else places(list(numbers))
+    if isinstance(index, slice):
+        return array[index].tolist  # type: ignore[no-any-return]
+    return lambda: array[index].tolist()
 
 
 def pusher(world: World, link: int, frame: Literal["world", "link"]) -> Pusher:

@@ -30,7 +30,7 @@ class Touches:
     """Looks after every engine step at what touches, for all contact readers of a world."""
 
     def __init__(self, world: World) -> None:
-        self._data = world.data
+        self._data, self._contacts = world.data, world.data.contact  # which stays that of the last engine step
         self._marks: dict[tuple[int, int], list[int]] = {}
         self._touched: list[bool] = []
         self._none: list[bool] = []
@@ -46,7 +46,7 @@ class Touches:
     def look(self) -> None:
         """Marks the readers of the pairs of geoms in contact; `_dull` are pairs that mean nothing to any of them."""
         if self._data.ncon:
-            pairs = self._data.contact.geom.tolist()
+            pairs = self._contacts.geom.tolist()
             if pairs != self._dull:
                 met = [place for one, other in pairs for place in self._marks.get((one, other), ())]
                 for place in met:
@@ -114,21 +114,19 @@ def rays(world: World, body: Body, link: int, given: Sequence[Frame], reach: flo
 
     ray, aside = mj.mj_ray, np.ascontiguousarray(directions.T)
 
-    def cast(place: int, origins: Figures, ways: Figures) -> float:
-        length: float = ray(model, data, origins[place], ways[place], seen, True, -1, None, None)
+    def free_of(length: float) -> float:
         return reach if length < 0.0 or length > reach else length
 
     if centre is None:
-        every = range(len(given))
 
         def read_each() -> list[float]:
             world.pose()
             kept = groups[:1].copy()
             groups.fill(HIDDEN)
             origins, ways = position + starts @ axes.T, directions @ axes.T
-            free = [cast(place, origins, ways) for place in every]
+            lengths = [ray(model, data, origin, way, seen, True, -1, None, None) for origin, way in zip(origins, ways, strict=True)]
             groups[:] = kept
-            return free
+            return [free_of(length) for length in lengths]
 
         return read_each
 
@@ -144,7 +142,8 @@ def rays(world: World, body: Body, link: int, given: Sequence[Frame], reach: flo
         free = [reach if length < 0.0 else min(length - start, reach) for length, start in zip(lengths, ahead, strict=True)]
         for place, length in enumerate(free):
             if length < 0.0:  # something is between the centre and the start
-                free[place] = cast(place, position + starts @ axes.T, directions @ axes.T)
+                origin, way = position + axes @ starts[place], axes @ directions[place]
+                free[place] = free_of(ray(model, data, origin, way, seen, True, -1, None, None))
         groups[:] = kept
         return free
 

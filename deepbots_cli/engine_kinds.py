@@ -1,0 +1,143 @@
+"""The physics engines by name: what each is, what it needs and lacks. Nothing is imported but what an engine is asked for.
+
+Other packages add an engine by an entry point of the group `deepbots.engines`, whose name is the word under `world.engine`.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
+from importlib.util import find_spec
+from typing import NamedTuple
+
+from deepbots_cli import plugins
+
+GROUP = "deepbots.engines"
+
+
+class Lack(NamedTuple):
+    """Something that an engine cannot hold, and what to use instead; linting knows it without the engine."""
+
+    reason: str
+    help: str
+
+
+class EngineKind(NamedTuple):
+    """`factory` is the `module:attribute` of a `port.EngineFactory`, `library` the module that it imports.
+
+    `last_python` is the last Python that the library is built for. `mesh_terrain` says why a mesh cannot be the ground, None if it can.
+    """
+
+    summary: str
+    title: str
+    factory: str
+    library: str | None = None
+    last_python: tuple[int, int] | None = None
+    mesh_terrain: Lack | None = None
+
+    @property
+    def is_installed(self) -> bool:
+        """Whether its library can be found; true for an engine of another package."""
+        if self.library is None:
+            return True
+        if self.library in sys.modules:  # None there: a program that forbids it
+            return sys.modules[self.library] is not None
+        return find_spec(self.library) is not None
+
+    @property
+    def missing(self) -> str:
+        """Why its library is not there, as far as that is known."""
+        here = sys.version_info[:2]
+        if self.last_python is not None and here > self.last_python:
+            return f"{self.title} has no build for Python {here[0]}.{here[1]}"
+        return f"{self.title} is not installed"
+
+    @property
+    def way_out(self) -> str:
+        """How to get it, or what to use instead."""
+        others = [name for name, kind in ENGINES.own.items() if kind is not self and kind.is_installed]
+        instead = f", or the engine `{others[0]}`" if others else ""
+        if self.last_python is not None and sys.version_info[:2] > self.last_python:
+            return f"use Python {self.last_python[0]}.{self.last_python[1]}{instead}"
+        return f"install it with: pip install {self.library}{instead}"
+
+
+class Engines(Mapping[str, EngineKind]):
+    """Our own engines first, then those of other packages, which a look-up does not import."""
+
+    def __init__(self, own: Mapping[str, EngineKind]) -> None:
+        self.own = own
+
+    __hash__ = object.__hash__  # a field type that has a table is a key of caches
+
+    def __eq__(self, other: object) -> bool:
+        return self is other
+
+    def _all(self) -> dict[str, EngineKind]:
+        added = {entry.name: EngineKind(f"Of {entry.value}.", entry.name, entry.value) for entry in plugins.entries(GROUP)}
+        return {**self.own, **{name: kind for name, kind in added.items() if name not in self.own}}
+
+    def __getitem__(self, name: str) -> EngineKind:
+        return self.own[name] if name in self.own else self._all()[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._all())
+
+    def __len__(self) -> int:
+        return len(self._all())
+
+
+DEFAULT = "pybullet"
+ENGINES = Engines(
+    {
+        "pybullet": EngineKind(
+            "PyBullet, the default where it is installed.",
+            "PyBullet",
+            "deepbots_cli.engines.pybullet.engine:PyBulletEngine",
+            library="pybullet",
+            last_python=(3, 11),
+        ),
+        "mujoco": EngineKind(
+            "MuJoCo, several times as fast.",
+            "MuJoCo",
+            "deepbots_cli.engines.mujoco.engine:MuJoCoEngine",
+            library="mujoco",
+            mesh_terrain=Lack(
+                "a mesh as the ground, where MuJoCo holds only its convex hull",
+                "use a terrain of heights (heightfield, formula or pit), or the engine `pybullet`",
+            ),
+        ),
+    }
+)
+
+
+def on_engine(sets: Iterable[str] | None, engine: str | None) -> list[str]:
+    """Assignments of `--set`, and after them that of `--engine`: the scenario is then checked for this engine."""
+    return [*(sets or ()), *([] if engine is None else [f"world.engine={engine}"])]
+
+
+def chosen(name: str | None) -> str:
+    """The engine of this name, or the default one: PyBullet where it is installed, else the first engine that is.
+
+    Numbers of two engines differ, so a warning says once per process that another engine stands in.
+    """
+    return name if name is not None else _default()
+
+
+@cache
+def _default() -> str:
+    usual = ENGINES.own[DEFAULT]
+    if usual.is_installed:
+        return DEFAULT
+    other = next((name for name, kind in ENGINES.own.items() if kind.is_installed), None)
+    if other is None:
+        return DEFAULT  # which says how to install it
+    logging.getLogger("deepbots").warning(
+        "note: %s; this runs on %s, whose numbers differ from those of %s (--engine or world.engine names an engine)",
+        usual.missing,
+        ENGINES.own[other].title,
+        usual.title,
+    )
+    return other
