@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
@@ -13,20 +13,21 @@ import numpy as np
 
 from deepbots_cli import api
 from deepbots_cli.diagnostics import Finding
-from deepbots_cli.errors import MissingExtraError, RunError, ScenarioError, UsageError
+from deepbots_cli.errors import EngineError, MissingExtraError, RunError, ScenarioError, UsageError
+from deepbots_cli.port import View
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Choices
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.streams import derive
 from deepbots_cli.view.frames import FrameReader, WorldFrame
 
-RANDOM, ZERO, HAND, POLICY = "random", "zero", "you", "policy"
+RANDOM, ZERO, HAND, POLICY, RECORDED = "random", "zero", "you", "policy", "recording"
 """Drivers besides the scripts of a scenario. `zero` is the middle of each range and the first option of each choice."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """A scenario or a run on the command line, with what its compilation needs."""
+    """A scenario, a run or a recording on the command line, with what its compilation needs."""
 
     reference: str
     sets: Sequence[str] = ()
@@ -48,13 +49,15 @@ class Source:
         """
         if self.is_run:
             return self._open_run()
+        if self.reference.endswith(".mcap"):
+            return self._open_recording()
         checked = api.load(self.reference, sets=self.sets, allow_paths=self.allow_paths, allow_code=self.allow_code)
         files = frozenset({checked.document.path, *checked.document.files})
         try:
             compiled = api.compile(checked)
         except ScenarioError as error:
             return Opened(None, error.findings, files, self)
-        return Opened(self._chosen(compiled.program), compiled.findings, files | frozenset(checked.inputs.names), self)
+        return Opened(self._chosen(compiled.program), compiled.findings, files | frozenset(checked.inputs.names), self, compiled=compiled)
 
     def _open_run(self) -> Opened:
         from deepbots_cli.learning.run import Run
@@ -62,10 +65,26 @@ class Source:
         run = Run.open(self.reference)
         if not self.sets:
             return Opened(self._chosen(run.program), (), frozenset(), self, run)
-        folder = Path(self.reference)
-        options: dict[str, Any] = {"sets": self.sets, "allow_paths": self.allow_paths, "allow_code": self.allow_code}
-        program = api.compile(api.load(folder / "resolved.yaml", project=folder, **options)).program
-        return Opened(self._chosen(program), (), frozenset(), self, run)
+        compiled = self._compiled(Path(self.reference))
+        return Opened(self._chosen(compiled.program), (), frozenset(), self, run, compiled=compiled)
+
+    def _compiled(self, folder: Path) -> api.Compiled:
+        """The scenario of a run or a recording, which reads only files of its folder."""
+        # The functions of Python that it names are not called before a world is built, which asks again whether they may.
+        return api.compile(
+            api.load(folder / "resolved.yaml", project=folder, sets=self.sets, allow_paths=self.allow_paths, allow_code=True)
+        )
+
+    def _open_recording(self) -> Opened:
+        from deepbots_cli.view.recordings import Recording
+
+        if self.sets or self.case or self.stage or self.engine:
+            raise UsageError("a recording keeps its scenario, case, stage and engine; leave out --set, --case, --stage and --engine")
+        recording = Recording.read(Path(self.reference))
+        compiled = self._compiled(Path(recording.folder.name))
+        known = recording.metadata
+        source = replace(self, engine=known.get("engine") or None, case=known.get("case") or None, stage=known.get("stage") or None)
+        return Opened(source._chosen(compiled.program), (), frozenset(), source, recording=recording, compiled=compiled)
 
     def _chosen(self, program: Program) -> Program:
         if self.case is not None and self.stage is not None:
@@ -82,10 +101,14 @@ class Opened:
     files: frozenset[Path]
     source: Source
     run: Any = None
+    recording: Any = None
+    compiled: api.Compiled | None = None
 
     @property
     def drivers(self) -> tuple[str, ...]:
         """What may act, the default first."""
+        if self.recording is not None:
+            return (RECORDED,)
         scripts = [script.name for script in self.program.policy.scripts] if self.program else []
         return (*([POLICY] if self.run else []), *scripts, RANDOM, ZERO, HAND)
 
@@ -99,6 +122,23 @@ class Opened:
             raise ScenarioError(self.findings)
         engine = self.source.engine or (self.run.record.engine if self.run else "pybullet")
         return api.make(self.program, engine=engine, allow_code=self.source.allow_code)
+
+    def player(self, driver: str | None = None) -> Player:
+        """A player of it.
+
+        Raises:
+            ScenarioError, EngineError, UsageError: As for `Player`.
+        """
+        if self.recording is None:
+            return Player(self, driver)
+        from deepbots_cli.view.replay import Replayed
+
+        return Replayed(self)
+
+    def texts(self) -> tuple[str, Mapping[str, bytes], str]:
+        """The resolved scenario, the files that it names, and its digest."""
+        compiled = self.compiled or self.source._compiled(Path(self.source.reference))
+        return compiled.resolved, compiled.inputs, compiled.digest
 
 
 class Driver(Protocol):
@@ -203,6 +243,9 @@ class Player:
         self.env = opened.make()
         self.program = self.env.scenario
         self.hand = ByHand(self.env)
+        self.observation: Any = None
+        self.action: Any = None
+        """What the last step of the environment gave and took."""
         try:
             self.reader = FrameReader(self.env)
             self.drive(driver or opened.drivers[0])
@@ -223,18 +266,41 @@ class Player:
 
     def begin(self, seed: int, episode: int) -> WorldFrame:
         """Reset to an episode; its first frame."""
-        start = derive(seed, "evaluation", episode)
-        self.driver.begin(start)
-        self._observation, _ = self.env.reset(seed=start)
-        self.frame = self.reader.read(self._observation)
+        return self.start(derive(seed, "evaluation", episode))
+
+    def start(self, seed: int) -> WorldFrame:
+        """Reset to the episode of a seed; its first frame."""
+        self.seed, self.action = seed, None
+        self.driver.begin(seed)
+        self.observation, _ = self.env.reset(seed=seed)
+        self.frame = self.reader.read(self.observation)
         return self.frame
+
+    def following(self, episode: int) -> int:
+        """The number of the next episode."""
+        return episode + 1
 
     def step(self) -> WorldFrame:
         """The frame after the next step of an episode that has not ended."""
-        action = self.driver.act(self._observation)
-        self._observation, *_ = self.env.step(action)
-        self.frame = self.reader.read(self._observation, action)
+        self.action = self.driver.act(self.observation)
+        self.observation, *_ = self.env.step(self.action)
+        self.frame = self.reader.read(self.observation, self.action)
         return self.frame
+
+    def view(self, width: int, height: int) -> View:
+        """The view that holds the scene, or follows the robot."""
+        return self.env.view(width, height)
+
+    def render(self, view: View) -> Any:
+        """A picture of the world in the newest frame: uint8 (height, width, 3).
+
+        Raises:
+            EngineError: The engine cannot draw.
+        """
+        engine = self.env.engine
+        if "rendering" not in engine.capabilities:
+            raise EngineError(f"the engine '{engine.name}' cannot draw; use the engine 'pybullet' for pictures, or an offline page (.html)")
+        return engine.render(view)
 
     def episode(self, seed: int, episode: int, steps: int | None = None) -> Iterator[WorldFrame]:
         """The frames of an episode, at most those of so many steps."""
@@ -255,7 +321,7 @@ def player(source: Source, driver: str | None) -> closing[Player]:
     opened = source.open()
     if driver == POLICY and not opened.run:
         raise UsageError("only a run has a policy")
-    return closing(Player(opened, driver))
+    return closing(opened.player(driver))
 
 
 def stamps(files: Iterable[Path]) -> tuple[tuple[int, int] | None, ...]:

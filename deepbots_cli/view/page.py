@@ -395,7 +395,7 @@ class Page:
         if texts:
             self._tell()
             self._draw_plots()
-            for name, image in self.player.reader.cameras().items():
+            for name, image in self.player.frame.cameras.items():
                 if name in self._cameras:
                     self._cameras[name].image = _enlarged(image)
                 else:

@@ -18,6 +18,8 @@ VERBS: Mapping[str, str] = {
     "play": "Drive the robot of a scenario in the browser.",
     "picture": "Draw a picture of a scenario.",
     "clip": "Make a moving picture of an episode: MP4, GIF or an offline page.",
+    "record": "Record episodes as an MCAP file, which Foxglove opens too.",
+    "replay": "Show what a recording holds, or run it again and compare.",
     "compile": "Print the Python module that a scenario compiles to.",
     "diff": "Compare the meaning of two scenarios.",
     "new": "Write a first scenario from a template or for a robot file.",
