@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -20,6 +20,9 @@ from deepbots_cli.program.task import Choices
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.streams import derive
 from deepbots_cli.view.frames import FrameReader, WorldFrame
+
+if TYPE_CHECKING:
+    from deepbots_cli.learning.run import ModelName
 
 RANDOM, ZERO, HAND, POLICY, RECORDED = "random", "zero", "you", "policy", "recording"
 """Drivers besides the scripts of a scenario. `zero` is the middle of each range and the first option of each choice."""
@@ -57,7 +60,9 @@ class Source:
             compiled = api.compile(checked)
         except ScenarioError as error:
             return Opened(None, error.findings, files, self)
-        return Opened(self._chosen(compiled.program), compiled.findings, files | frozenset(checked.inputs.names), self, compiled=compiled)
+        parameters = {name: str(value) for name, value in checked.spec.parameters.items()} if checked.spec else {}
+        files |= frozenset(checked.inputs.names)
+        return Opened(self._chosen(compiled.program), compiled.findings, files, self, compiled=compiled, parameters=parameters)
 
     def _open_run(self) -> Opened:
         from deepbots_cli.learning.run import Run
@@ -103,6 +108,8 @@ class Opened:
     run: Any = None
     recording: Any = None
     compiled: api.Compiled | None = None
+    parameters: Mapping[str, str] = field(default_factory=dict)
+    """The parameters of a scenario as they are written."""
 
     @property
     def drivers(self) -> tuple[str, ...]:
@@ -142,7 +149,9 @@ class Opened:
 
 
 class Driver(Protocol):
-    """Chooses the actions of an episode."""
+    """Chooses the actions of an episode. `note` is what a person should know of it, in words."""
+
+    note: str
 
     def begin(self, seed: int) -> None:
         """Called before the reset of an episode."""
@@ -153,6 +162,8 @@ class Driver(Protocol):
 
 class Scripted:
     """Random, zero or scripted actions."""
+
+    note = ""
 
     def __init__(self, env: Supervisor, name: str) -> None:
         if name == RANDOM:
@@ -172,6 +183,8 @@ class Scripted:
 
 class ByHand:
     """A person: `values` holds an option by its index for each choice, and a number from -1 to 1 for each component of a range."""
+
+    note = ""
 
     def __init__(self, env: Supervisor) -> None:
         self._env = env
@@ -198,26 +211,40 @@ def composed(env: Supervisor, values: dict[str, float]) -> Any:
 
 
 class Trained:
-    """The best policy of a run, or its last, which takes its likeliest actions."""
+    """The best policy of a run, which takes its likeliest actions; while the run is trained, the newest one of each episode."""
 
     def __init__(self, run: Any, env: Supervisor) -> None:
         try:
-            from deepbots_cli.learning import algorithms, evaluation
+            from deepbots_cli.learning import algorithms, evaluation, models
         except ModuleNotFoundError as error:
             raise MissingExtraError("train", "showing the policy of a run") from error
-        if not (run.model("best").exists() or run.model("last").exists()):
-            raise RunError(f"{run.path} holds no model yet; train it, or show its scenario")
-        self._model = evaluation.load(run, "best" if run.model("best").exists() else "last", env)
-        self._masked = algorithms.takes_masks(self._model)
-        self._env = env
+        self._load, self._takes_masks, self._steps_of = evaluation.load, algorithms.takes_masks, models.steps_of
+        self._run, self._env = run, env
+        self._model: Any = None
+        self._stamp: tuple[int, int] | None = None
         self._agents = len(env.agents) if next(iter(env.agents.values())) is not env else 0
+        self.note = ""
         self.begin(0)
+        if self._model is None and run.record.status != "running":
+            raise RunError(f"{run.path} holds no model yet; train it, or show its scenario")
 
     def begin(self, seed: int) -> None:
         self._memory: Any = None
         self._starts = np.ones(self._agents or 1, dtype=bool)
+        running = self._run.record.status == "running"
+        names: tuple[ModelName, ...] = ("best", "last")
+        found = {name: stamp for name in names if (stamp := stamps([self._run.model(name)])[0]) is not None}
+        name = next(iter(found if not running else sorted(found, key=found.__getitem__, reverse=True)), None)
+        if name is not None and found[name] != self._stamp:
+            self._model, self._stamp = self._load(self._run, name, self._env), found[name]
+            self._masked = self._takes_masks(self._model)
+            self.note = f"policy after {self._steps_of(self._run.model(name)):,} steps" if running else ""
+        if self._model is None:
+            self.note = "the training has saved no policy yet: random actions"
 
     def act(self, observation: Any) -> Any:
+        if self._model is None:
+            return self._env.action_space.sample()
         masks = {}
         if self._masked:
             allowed = self._env.action_masks()
@@ -243,6 +270,7 @@ class Player:
         self.env = opened.make()
         self.program = self.env.scenario
         self.hand = ByHand(self.env)
+        self.driver: Driver = self.hand
         self.observation: Any = None
         self.action: Any = None
         """What the last step of the environment gave and took."""
@@ -260,9 +288,7 @@ class Player:
             UsageError: There is no such script.
         """
         self.driver_name = name
-        self.driver: Driver = (
-            self.hand if name == HAND else Trained(self.opened.run, self.env) if name == POLICY else Scripted(self.env, name)
-        )
+        self.driver = self.hand if name == HAND else Trained(self.opened.run, self.env) if name == POLICY else Scripted(self.env, name)
 
     def begin(self, seed: int, episode: int) -> WorldFrame:
         """Reset to an episode; its first frame."""

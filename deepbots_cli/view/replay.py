@@ -105,6 +105,8 @@ class Divergence(NamedTuple):
 class _Actions:
     """The driver that repeats an episode."""
 
+    note = ""
+
     def __init__(self, recorded: Recorded, space: Any) -> None:
         self._steps, self._space = iter(recorded.steps[1:]), space
 
