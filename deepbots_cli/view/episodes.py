@@ -216,22 +216,21 @@ class Trained:
     def __init__(self, run: Any, env: Supervisor) -> None:
         try:
             from deepbots_cli.learning import algorithms, evaluation, models
+            from deepbots_cli.learning.run import Record
         except ModuleNotFoundError as error:
             raise MissingExtraError("train", "showing the policy of a run") from error
         self._load, self._takes_masks, self._steps_of = evaluation.load, algorithms.takes_masks, models.steps_of
-        self._run, self._env = run, env
+        self._run, self._env, self._record = run, env, Record.read
         self._model: Any = None
         self._stamp: tuple[int, int] | None = None
         self._agents = len(env.agents) if next(iter(env.agents.values())) is not env else 0
         self.note = ""
         self.begin(0)
-        if self._model is None and run.record.status != "running":
-            raise RunError(f"{run.path} holds no model yet; train it, or show its scenario")
 
     def begin(self, seed: int) -> None:
         self._memory: Any = None
         self._starts = np.ones(self._agents or 1, dtype=bool)
-        running = self._run.record.status == "running"
+        running = self._record(self._run.path).status == "running"
         names: tuple[ModelName, ...] = ("best", "last")
         found = {name: stamp for name in names if (stamp := stamps([self._run.model(name)])[0]) is not None}
         name = next(iter(found if not running else sorted(found, key=found.__getitem__, reverse=True)), None)
@@ -239,6 +238,8 @@ class Trained:
             self._model, self._stamp = self._load(self._run, name, self._env), found[name]
             self._masked = self._takes_masks(self._model)
             self.note = f"policy after {self._steps_of(self._run.model(name)):,} steps" if running else ""
+        if self._model is None and not running:
+            raise RunError(f"{self._run.path} holds no model yet; train it, or show its scenario")
         if self._model is None:
             self.note = "the training has saved no policy yet: random actions"
 

@@ -8,6 +8,7 @@ VERBS: Mapping[str, str] = {
     "train": "Train a policy in a new run directory, and evaluate it.",
     "eval": "Evaluate the policy of a run on held-out episodes.",
     "compare": "Compare policies on the same starts.",
+    "plot": "Plot the training of runs over the timesteps.",
     "lint": "Check scenarios and report every problem.",
     "explain": "Explain a finding, a word of the language, or a glossary term.",
     "fmt": "Format scenario files in the canonical layout.",
