@@ -13,7 +13,7 @@ from deepbots_cli.compiler.inputs import RESOLVED
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.environments import compiled_of
 from deepbots_cli.learning.evaluation import EvaluationResult, evaluate
-from deepbots_cli.learning.run import NAME, ModelName, Run
+from deepbots_cli.learning.run import ModelName, Run, run_folders
 from deepbots_cli.learning.statistics import Difference, compare_episodes, compare_seeds, interquartile_mean
 from deepbots_cli.scenario import Scenario
 
@@ -123,7 +123,7 @@ def compare(
         RunError: A folder is not a run, or a run does not fit the scenario.
         UsageError: There are fewer than two runs.
     """
-    opened = [Run.open(path) for path in _expanded(runs)]
+    opened = [Run.open(path) for path in run_folders(runs)]
     if len(opened) < 2:
         raise UsageError("a comparison needs at least two runs")
     base = opened[0].path
@@ -172,17 +172,6 @@ def _paired(one: EvaluationResult, other: EvaluationResult) -> tuple[Difference,
     if not (one.success_defined and other.success_defined):
         return returns, None
     return returns, compare_episodes([float(e.is_success) for e in before], [float(e.is_success) for e in after])
-
-
-def _expanded(runs: Sequence[str | Path]) -> list[Path]:
-    """The run directories, those of folders in the order of their names; each once."""
-    found: dict[Path, None] = {}
-    for path in map(Path, runs):
-        inner = (
-            sorted(child for child in path.iterdir() if (child / NAME).is_file()) if path.is_dir() and not (path / NAME).is_file() else []
-        )
-        found |= dict.fromkeys(inner or [path])
-    return list(found)
 
 
 def _grouped(runs: Sequence[Run], results: Sequence[EvaluationResult]) -> tuple[Group, ...]:

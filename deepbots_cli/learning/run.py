@@ -20,7 +20,7 @@ import hashlib
 import json
 import platform
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -348,6 +348,17 @@ def new_directory(wanted: str | Path | None, parent: str | Path, scenario: str, 
 def _number(name: str, stem: str) -> int:
     tail = name.removeprefix(stem)
     return int(tail) if name != tail and tail.isdecimal() and tail.isascii() and len(tail) < 10 else 0
+
+
+def run_folders(runs: Sequence[str | Path]) -> list[Path]:
+    """The run directories, those of folders in the order of their names; each once."""
+    found: dict[Path, None] = {}
+    for path in map(Path, runs):
+        inner = (
+            sorted(child for child in path.iterdir() if (child / NAME).is_file()) if path.is_dir() and not (path / NAME).is_file() else []
+        )
+        found |= dict.fromkeys(inner or [path])
+    return list(found)
 
 
 def input_digests(inputs: Mapping[str, bytes]) -> dict[str, str]:

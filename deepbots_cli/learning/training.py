@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 import shutil
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import replace
 from importlib.util import find_spec
@@ -64,6 +64,7 @@ def train(
     command: Sequence[str] = (),
     engine: str | None = None,
     build: BuildWorld | None = None,
+    on_start: Callable[[Path], object] = lambda run: None,
 ) -> TrainingResult:
     """Train the policy of a scenario in a new run directory.
 
@@ -84,6 +85,7 @@ def train(
         command: The command line, for the record.
         engine: The physics engine; by default that of the scenario, else `pybullet` where it is installed.
         build: Makes a world of the scenario in place of the generated supervisor.
+        on_start: Called with the run directory, once it is made.
 
     Raises:
         UsageError: The directory exists, there is no such stage, or the settings cannot be trained with.
@@ -132,6 +134,7 @@ def train(
         new = Run.create(path, record, compiled)
         if source is not None:
             shutil.copyfile(source.model("best"), _initial(new))
+        on_start(path)
         return _learn(new, training, Checkpoints(new), build, reporter(progress))
 
 

@@ -84,6 +84,8 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
     endings: tuple[str, ...]
     step_count: int
     tick_count: int
+    drawn: dict[str, float]
+    """What this episode drew or was given, in SI units, by the names that `options` of `reset` takes."""
     _viewed: tuple[float, float] | None  # where the robot was that pictures follow
 
     def __init__(self, scenario: Program, engine: Engine, render_mode: str | None = None) -> None:
@@ -130,7 +132,8 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         self._go_on: Callable[[Any], None] = self._refuse
         self._forget()
         self.controllers: dict[str, RobotController] = {}
-        self._channels: list[Channel | LossyChannel] = []
+        self.channels: dict[tuple[str, Direction], Channel | LossyChannel] = {}
+        """The paths of messages, by robot and direction."""
         self.bind(engine)
 
     # What `bind` makes
@@ -145,7 +148,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         """The path of messages to or from a robot, where it is direct."""
         spec = self._spec(name)
         made = Channel(Wire(spec.to_robot if direction == "to_robot" else spec.from_robot, self.scenario.format, self._rejected))
-        self._channels.append(made)
+        self.channels[name, direction] = made
         return made
 
     def lossy_channel(self, name: str, direction: Direction) -> LossyChannel:
@@ -161,7 +164,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
             Wire(layout, self.scenario.format, self._rejected),
             first_at_once=not to_robot,
         )
-        self._channels.append(made)
+        self.channels[name, direction] = made
         return made
 
     def _spec(self, name: str) -> Robot:
@@ -169,7 +172,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
 
     def begin_robots(self) -> None:
         """Controllers, channels and memories forget the last episode."""
-        for part in (*self.controllers.values(), *self._channels):
+        for part in (*self.controllers.values(), *self.channels.values()):
             part.begin(self.streams)
         self.clear_memories()
 
@@ -408,7 +411,8 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
 
     def given(self, name: str, drawn: float) -> float:
         """The value of this episode: what `options` of `reset` set, or else what was drawn."""
-        return self.chosen.get(name, drawn)
+        self.drawn[name] = self.chosen.get(name, drawn)
+        return self.drawn[name]
 
     def vary_sensor(self, robot: str, sensor: str, fault: str, values: Sequence[float]) -> None:
         """Give a fault of a sensor the figures of this episode; of one that nothing reads there is no device."""
@@ -460,6 +464,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         self.terminated = self.truncated = self.is_success = False
         self.ended_by = None
         self.endings = ()
+        self.drawn = {}
         self._viewed = None
 
     def _refuse(self, action: Any) -> None:

@@ -6,6 +6,8 @@ scene.py     the world in viser's scene
 hand.py      driving by keys, gamepad, buttons and sliders
 server.py    viser's web server behind checks
 page.py      the page: panel, time, plots, and the loop that steps and draws
+recordings.py  episodes as MCAP files: what is written and read
+replay.py    playing a recording, and running it again to compare
 pictures.py  PNG pictures, MP4 and GIF clips, and offline pages
 
 viser is the extra `view`; pictures and clips other than offline pages do without it.

@@ -2,32 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from deepbots_cli import api
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.engine_kinds import on_engine
-from deepbots_cli.errors import MissingExtraError, RunError, ScenarioError, UsageError
+from deepbots_cli.errors import EngineError, MissingExtraError, RunError, ScenarioError, UsageError
+from deepbots_cli.port import View
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Choices
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.streams import derive
 from deepbots_cli.view.frames import FrameReader, WorldFrame
 
-RANDOM, ZERO, HAND, POLICY = "random", "zero", "you", "policy"
+if TYPE_CHECKING:
+    from deepbots_cli.learning.run import ModelName
+
+RANDOM, ZERO, HAND, POLICY, RECORDED = "random", "zero", "you", "policy", "recording"
 """Drivers besides the scripts of a scenario. `zero` is the middle of each range and the first option of each choice."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """A scenario or a run on the command line, with what its compilation needs."""
+    """A scenario, a run or a recording on the command line, with what its compilation needs."""
 
     reference: str
     sets: Sequence[str] = ()
@@ -49,13 +53,17 @@ class Source:
         """
         if self.is_run:
             return self._open_run()
+        if self.reference.endswith(".mcap"):
+            return self._open_recording()
         checked = api.load(self.reference, sets=on_engine(self.sets, self.engine), allow_paths=self.allow_paths, allow_code=self.allow_code)
         files = frozenset({checked.document.path, *checked.document.files})
         try:
             compiled = api.compile(checked)
         except ScenarioError as error:
             return Opened(None, error.findings, files, self)
-        return Opened(self._chosen(compiled.program), compiled.findings, files | frozenset(checked.inputs.names), self)
+        parameters = {name: str(value) for name, value in checked.spec.parameters.items()} if checked.spec else {}
+        files |= frozenset(checked.inputs.names)
+        return Opened(self._chosen(compiled.program), compiled.findings, files, self, compiled=compiled, parameters=parameters)
 
     def _open_run(self) -> Opened:
         from deepbots_cli.learning.run import Run
@@ -63,10 +71,26 @@ class Source:
         run = Run.open(self.reference)
         if not self.sets:
             return Opened(self._chosen(run.program), (), frozenset(), self, run)
-        folder = Path(self.reference)
-        options: dict[str, Any] = {"sets": self.sets, "allow_paths": self.allow_paths, "allow_code": self.allow_code}
-        program = api.compile(api.load(folder / "resolved.yaml", project=folder, **options)).program
-        return Opened(self._chosen(program), (), frozenset(), self, run)
+        compiled = self._compiled(Path(self.reference))
+        return Opened(self._chosen(compiled.program), (), frozenset(), self, run, compiled=compiled)
+
+    def _compiled(self, folder: Path) -> api.Compiled:
+        """The scenario of a run or a recording, which reads only files of its folder."""
+        # The functions of Python that it names are not called before a world is built, which asks again whether they may.
+        return api.compile(
+            api.load(folder / "resolved.yaml", project=folder, sets=self.sets, allow_paths=self.allow_paths, allow_code=True)
+        )
+
+    def _open_recording(self) -> Opened:
+        from deepbots_cli.view.recordings import Recording
+
+        if self.sets or self.case or self.stage or self.engine:
+            raise UsageError("a recording keeps its scenario, case, stage and engine; leave out --set, --case, --stage and --engine")
+        recording = Recording.read(Path(self.reference))
+        compiled = self._compiled(Path(recording.folder.name))
+        known = recording.metadata
+        source = replace(self, engine=known.get("engine") or None, case=known.get("case") or None, stage=known.get("stage") or None)
+        return Opened(source._chosen(compiled.program), (), frozenset(), source, recording=recording, compiled=compiled)
 
     def _chosen(self, program: Program) -> Program:
         if self.case is not None and self.stage is not None:
@@ -83,10 +107,16 @@ class Opened:
     files: frozenset[Path]
     source: Source
     run: Any = None
+    recording: Any = None
+    compiled: api.Compiled | None = None
+    parameters: Mapping[str, str] = field(default_factory=dict)
+    """The parameters of a scenario as they are written."""
 
     @property
     def drivers(self) -> tuple[str, ...]:
         """What may act, the default first."""
+        if self.recording is not None:
+            return (RECORDED,)
         scripts = [script.name for script in self.program.policy.scripts] if self.program else []
         return (*([POLICY] if self.run else []), *scripts, RANDOM, ZERO, HAND)
 
@@ -101,9 +131,28 @@ class Opened:
         engine = self.source.engine or (self.run.engine_for(self.program) if self.run else None)
         return api.make(self.program, engine=engine, allow_code=self.source.allow_code)
 
+    def player(self, driver: str | None = None) -> Player:
+        """A player of it.
+
+        Raises:
+            ScenarioError, EngineError, UsageError: As for `Player`.
+        """
+        if self.recording is None:
+            return Player(self, driver)
+        from deepbots_cli.view.replay import Replayed
+
+        return Replayed(self)
+
+    def texts(self) -> tuple[str, Mapping[str, bytes], str]:
+        """The resolved scenario, the files that it names, and its digest."""
+        compiled = self.compiled or self.source._compiled(Path(self.source.reference))
+        return compiled.resolved, compiled.inputs, compiled.digest
+
 
 class Driver(Protocol):
-    """Chooses the actions of an episode."""
+    """Chooses the actions of an episode. `note` is what a person should know of it, in words."""
+
+    note: str
 
     def begin(self, seed: int) -> None:
         """Called before the reset of an episode."""
@@ -114,6 +163,8 @@ class Driver(Protocol):
 
 class Scripted:
     """Random, zero or scripted actions."""
+
+    note = ""
 
     def __init__(self, env: Supervisor, name: str) -> None:
         if name == RANDOM:
@@ -133,6 +184,8 @@ class Scripted:
 
 class ByHand:
     """A person: `values` holds an option by its index for each choice, and a number from -1 to 1 for each component of a range."""
+
+    note = ""
 
     def __init__(self, env: Supervisor) -> None:
         self._env = env
@@ -159,26 +212,41 @@ def composed(env: Supervisor, values: dict[str, float]) -> Any:
 
 
 class Trained:
-    """The best policy of a run, or its last, which takes its likeliest actions."""
+    """The best policy of a run, which takes its likeliest actions; while the run is trained, the newest one of each episode."""
 
     def __init__(self, run: Any, env: Supervisor) -> None:
         try:
-            from deepbots_cli.learning import algorithms, evaluation
+            from deepbots_cli.learning import algorithms, evaluation, models
+            from deepbots_cli.learning.run import Record
         except ModuleNotFoundError as error:
             raise MissingExtraError("train", "showing the policy of a run") from error
-        if not (run.model("best").exists() or run.model("last").exists()):
-            raise RunError(f"{run.path} holds no model yet; train it, or show its scenario")
-        self._model = evaluation.load(run, "best" if run.model("best").exists() else "last", env)
-        self._masked = algorithms.takes_masks(self._model)
-        self._env = env
+        self._load, self._takes_masks, self._steps_of = evaluation.load, algorithms.takes_masks, models.steps_of
+        self._run, self._env, self._record = run, env, Record.read
+        self._model: Any = None
+        self._stamp: tuple[int, int] | None = None
         self._agents = len(env.agents) if next(iter(env.agents.values())) is not env else 0
+        self.note = ""
         self.begin(0)
 
     def begin(self, seed: int) -> None:
         self._memory: Any = None
         self._starts = np.ones(self._agents or 1, dtype=bool)
+        running = self._record(self._run.path).status == "running"
+        names: tuple[ModelName, ...] = ("best", "last")
+        found = {name: stamp for name in names if (stamp := stamps([self._run.model(name)])[0]) is not None}
+        name = next(iter(found if not running else sorted(found, key=found.__getitem__, reverse=True)), None)
+        if name is not None and found[name] != self._stamp:
+            self._model, self._stamp = self._load(self._run, name, self._env), found[name]
+            self._masked = self._takes_masks(self._model)
+            self.note = f"policy after {self._steps_of(self._run.model(name)):,} steps" if running else ""
+        if self._model is None and not running:
+            raise RunError(f"{self._run.path} holds no model yet; train it, or show its scenario")
+        if self._model is None:
+            self.note = "the training has saved no policy yet: random actions"
 
     def act(self, observation: Any) -> Any:
+        if self._model is None:
+            return self._env.action_space.sample()
         masks = {}
         if self._masked:
             allowed = self._env.action_masks()
@@ -204,6 +272,10 @@ class Player:
         self.env = opened.make()
         self.program = self.env.scenario
         self.hand = ByHand(self.env)
+        self.driver: Driver = self.hand
+        self.observation: Any = None
+        self.action: Any = None
+        """What the last step of the environment gave and took."""
         try:
             self.reader = FrameReader(self.env)
             self.drive(driver or opened.drivers[0])
@@ -218,24 +290,45 @@ class Player:
             UsageError: There is no such script.
         """
         self.driver_name = name
-        self.driver: Driver = (
-            self.hand if name == HAND else Trained(self.opened.run, self.env) if name == POLICY else Scripted(self.env, name)
-        )
+        self.driver = self.hand if name == HAND else Trained(self.opened.run, self.env) if name == POLICY else Scripted(self.env, name)
 
     def begin(self, seed: int, episode: int) -> WorldFrame:
         """Reset to an episode; its first frame."""
-        start = derive(seed, "evaluation", episode)
-        self.driver.begin(start)
-        self._observation, _ = self.env.reset(seed=start)
-        self.frame = self.reader.read(self._observation)
+        return self.start(derive(seed, "evaluation", episode))
+
+    def start(self, seed: int) -> WorldFrame:
+        """Reset to the episode of a seed; its first frame."""
+        self.seed, self.action = seed, None
+        self.driver.begin(seed)
+        self.observation, _ = self.env.reset(seed=seed)
+        self.frame = self.reader.read(self.observation)
         return self.frame
+
+    def following(self, episode: int) -> int:
+        """The number of the next episode."""
+        return episode + 1
 
     def step(self) -> WorldFrame:
         """The frame after the next step of an episode that has not ended."""
-        action = self.driver.act(self._observation)
-        self._observation, *_ = self.env.step(action)
-        self.frame = self.reader.read(self._observation, action)
+        self.action = self.driver.act(self.observation)
+        self.observation, *_ = self.env.step(self.action)
+        self.frame = self.reader.read(self.observation, self.action)
         return self.frame
+
+    def view(self, width: int, height: int) -> View:
+        """The view that holds the scene, or follows the robot."""
+        return self.env.view(width, height)
+
+    def render(self, view: View) -> Any:
+        """A picture of the world in the newest frame: uint8 (height, width, 3).
+
+        Raises:
+            EngineError: The engine cannot draw.
+        """
+        engine = self.env.engine
+        if "rendering" not in engine.capabilities:
+            raise EngineError(f"the engine '{engine.name}' cannot draw; use the engine 'pybullet' for pictures, or an offline page (.html)")
+        return engine.render(view)
 
     def episode(self, seed: int, episode: int, steps: int | None = None) -> Iterator[WorldFrame]:
         """The frames of an episode, at most those of so many steps."""
@@ -256,7 +349,7 @@ def player(source: Source, driver: str | None) -> closing[Player]:
     opened = source.open()
     if driver == POLICY and not opened.run:
         raise UsageError("only a run has a policy")
-    return closing(Player(opened, driver))
+    return closing(opened.player(driver))
 
 
 def stamps(files: Iterable[Path]) -> tuple[tuple[int, int] | None, ...]:

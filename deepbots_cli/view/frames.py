@@ -6,9 +6,10 @@ but readers, so an episode is the same with and without it. `Layout` holds what 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from deepbots_cli.program.world import Variant
 from deepbots_cli.robots.model import RobotModel
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.actuation import Push
+from deepbots_cli.runtime.messages import Channel, LossyChannel, Wire
 from deepbots_cli.runtime.placement import Arrangement
 
 Image = NDArray[np.uint8]
@@ -61,13 +63,15 @@ class Beams(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """What does not change: the fields of an agent, the robots as they are in the world, and the rays by `robot.sensor`."""
+    """What does not change: the fields of an agent, the robots as they are in the world, the rays by `robot.sensor`, and the fields of
+    messages by `robot/direction`."""
 
     observation: tuple[Field, ...]
     action: tuple[Field, ...]
     terms: tuple[str, ...]
     robots: Mapping[str, RobotModel]
     beams: Mapping[str, Beams]
+    messages: Mapping[str, tuple[Field, ...]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +79,7 @@ class AgentFrame:
     """One agent at one moment.
 
     `observation` holds the newest value of each field in its unit, followed by the achieved and the desired goal. `action` is None after
-    a reset. `images` are what the policy sees: uint8 (rows, columns, 1 or 3).
+    a reset. `allowed` says of each option of each choice, in a row, whether it may be chosen next; empty where all may.
     """
 
     observation: tuple[float, ...]
@@ -83,7 +87,18 @@ class AgentFrame:
     reward: float
     episode_return: float
     terms: Mapping[str, float]
-    images: Mapping[str, Image] = field(default_factory=dict)
+    allowed: tuple[bool, ...] = ()
+
+
+class Message(NamedTuple):
+    """The message that its receiver goes by: a value for each field, None for a picture and before the first message.
+
+    `age` (s) is the time since it was made, and `received` whether it came in this step.
+    """
+
+    values: tuple[float | None, ...]
+    age: float
+    received: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +107,9 @@ class WorldFrame:
 
     `links` holds the pose of every link of a body that is present, `joints` the positions of the moving joints of each robot, `rays` how
     far (m) each ray is free, `readings` what each sensor last delivered, `forces` the sum of normal forces (N) on each link that touches
-    something, and `pushes` the forces (N) of disturbances that act now. `variants` are the forms of bodies with variants.
+    something, and `pushes` the forces (N) of disturbances that act now. `variants` are the forms of bodies with variants. `messages` are
+    by `robot/to_robot` and `robot/from_robot`. `cameras` hold the newest image of each camera, by `robot.sensor`: uint8 (rows, columns, 1
+    or 3). `drawn` are the values that the episode drew, in SI units.
     """
 
     step: int
@@ -104,6 +121,9 @@ class WorldFrame:
     forces: Mapping[LinkName, float]
     pushes: tuple[tuple[LinkName, Triple], ...]
     variants: Mapping[str, str]
+    messages: Mapping[str, Message]
+    cameras: Mapping[str, Image]
+    drawn: Mapping[str, float]
     agents: Mapping[str, AgentFrame]
     ended_by: str | None
     is_success: bool
@@ -145,6 +165,33 @@ def action_fields(program: Program) -> tuple[Field, ...]:
     return tuple(found)
 
 
+class Tap:
+    """In the place of the `Wire` of a channel, remembers what was received last."""
+
+    def __init__(self, wire: Wire) -> None:
+        self._wire, self.layout, self.silence, self.encode = wire, wire.layout, wire.silence, wire.encode
+        self.fields = tuple(
+            Field(name, field.name, math.nan, math.nan, field.unit)
+            for field in wire.layout.fields
+            for name in ([f"{field.name}.{part}" for part in field.components] or [field.name])
+        )
+        self._values: Sequence[Any] = (None,) * len(self.fields)
+        self._received = 0
+
+    def decode(self, message: Any) -> Sequence[Any]:
+        self._values = self._wire.decode(message)
+        self._received += 1
+        return self._values
+
+    def message(self, channel: Channel | LossyChannel) -> Message:
+        """The newest message; those that come from now on count for the next frame."""
+        flat = [part for value in self._values for part in (value if isinstance(value, list | tuple) else [value])]
+        values = tuple(None if value is None or isinstance(value, np.ndarray) else float(value) for value in flat)
+        received = self._received > 0 and (isinstance(channel, Channel) or channel.message_received)
+        self._received = 0
+        return Message(values, 0.0 if isinstance(channel, Channel) else channel.age, received)
+
+
 class FrameReader:
     """Reads frames of one environment, one after each reset and each step: it adds up the returns."""
 
@@ -167,6 +214,13 @@ class FrameReader:
             for copy, agent in env.agents.items()
             for name, controller in agent.controllers.items()
         }
+        self._taps: dict[str, tuple[Channel | LossyChannel, Tap]] = {}
+        for copy, agent in env.agents.items():
+            for (name, direction), channel in agent.channels.items():
+                assert channel.wire is not None  # only those of tests have none
+                tap = Tap(channel.wire)
+                channel.wire = cast("Wire", tap)
+                self._taps[f"{copy if policy.copies and policy.copies.robot == name else name}/{direction}"] = channel, tap
         beams = {
             f"{body}.{sensor.name}": _beams((body, sensor.subjects[0]), sensor)
             for body, controller in self._controllers.items()
@@ -175,7 +229,7 @@ class FrameReader:
         }
         self.layout = Layout(
             observation_fields(program), action_fields(program), tuple(term.name for term in policy.reward), models,
-            {key: found for key, (found, _) in beams.items()},
+            {key: found for key, (found, _) in beams.items()}, {key: tap.fields for key, (_, tap) in self._taps.items()},
         )  # fmt: skip
         self._rays = {key: engine.rays(found.part, rays, found.reach) for key, (found, rays) in beams.items()}
         self._pushes: list[tuple[LinkName, Push]] = []
@@ -216,14 +270,16 @@ class FrameReader:
             forces={part: force for part, force in forces.items() if force > 0.0},
             pushes=tuple((part, force) for part, push in self._pushes if (force := push.acting) != STILL),
             variants=self._variants | {body: variant.name for body, variant in chosen.items() if body in self._variants},
+            messages={key: tap.message(channel) for key, (channel, tap) in self._taps.items()},
+            cameras=self._cameras(),
+            drawn={f"{name}/{key}" if several else key: value for name, agent in env.agents.items() for key, value in agent.drawn.items()},
             agents=agents,
             ended_by=env.ended_by,
             is_success=env.is_success,
             truncated=env.truncated,
         )
 
-    def cameras(self) -> dict[str, Image]:
-        """The newest image of each camera sensor, by `robot.sensor`: uint8 (rows, columns, 1 or 3)."""
+    def _cameras(self) -> dict[str, Image]:
         return {
             f"{body}.{name}": np.asarray(device.reading[0] if isinstance(device.reading, list | tuple) else device.reading)
             for body, controller in self._controllers.items()
@@ -241,14 +297,11 @@ class FrameReader:
         return found
 
     def _agent(self, agent: Supervisor, seen: Any, done: Any, episode_return: float) -> AgentFrame:
-        images = {}
+        vector, goal = seen, []
         if isinstance(seen, dict):
             vector = seen.get("observation", np.zeros(0, np.float32))
             goal = [*seen["achieved_goal"], *seen["desired_goal"]] if "desired_goal" in seen else []
-            for entry in agent.scenario.policy.images:
-                images[entry.key] = seen[entry.key][..., -entry.shape[2] :]
-        else:
-            vector, goal = seen, []
+        masks = agent.allowed() if agent.ended_by is None else ()
         mapped = [*np.asarray(vector)[self._numbers[0]], *goal]
         values = tuple(
             float(value) if truth else (low + high) / 2 + (high - low) / 2 * float(value)
@@ -260,7 +313,7 @@ class FrameReader:
             agent.reward,
             episode_return,
             dict(agent.get_info()["reward_terms"]),
-            images,
+            tuple(may for mask in masks for may in mask) if not all(map(all, masks)) else (),
         )
 
     def _action(self, agent: Supervisor, action: Any) -> tuple[float, ...]:

@@ -1,15 +1,17 @@
-"""The page: a world in the browser with its panel. One thread owns the environment, steps it and draws 30 times a second.
+"""The page: one world or two in the browser, with a panel. One thread owns the environments, steps them and draws 30 times a second.
 
 What people click arrives in threads of viser, and is queued for this one.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import html
 import math
 import queue
+import re
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,8 +22,9 @@ from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.runtime.view import overview
 from deepbots_cli.view import server
 from deepbots_cli.view.episodes import HAND, RANDOM, ZERO, Opened, Player, Source, stamps
-from deepbots_cli.view.frames import AgentFrame, Field, Image, WorldFrame
+from deepbots_cli.view.frames import AgentFrame, Field, Image, Layout, WorldFrame
 from deepbots_cli.view.hand import Hand
+from deepbots_cli.view.replay import Replayed
 from deepbots_cli.view.scene import WorldScene
 
 RATE = 30
@@ -32,19 +35,45 @@ KEPT = 600  # steps in a plot
 _PAUSE_AT_END = 1.5  # s of real time between the end of an episode and the next
 _BUSY = 0.1  # s; a world that is slower than real time still answers
 _WATCHED_EVERY = 0.25  # s
+_SETTLED = 0.3  # s without a change, after which the value of a parameter counts
 _MAX_ROWS, _MAX_SERIES = 40, 8
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#8a8a8a", "#a58b00")
 """Of Okabe and Ito, which colour-blind people can tell apart; grey for black."""
-Row = tuple[AgentFrame, int]
+_PLAIN = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?:\s+(.*)|(%|[a-zA-Z].*)?)\s*")
+"""A number with its unit."""
+
+
+@dataclasses.dataclass(eq=False)
+class Shown:
+    """One world of the page: its player, its scene, and the frames that are plotted. `clock` is the time (s) since its last step."""
+
+    player: Player
+    world: WorldScene
+    past: list[WorldFrame] = dataclasses.field(default_factory=list)
+    clock: float = 0.0
+
+    def take(self, *, anew: bool = False) -> None:
+        """Show the newest frame of the player."""
+        if anew:
+            self.past.clear()
+            self.clock = 0.0
+        self.world.take(self.player.frame, anew=anew)
+        self.past.append(self.player.frame)
+        del self.past[:-KEPT]
+
+    @property
+    def ended(self) -> bool:
+        return self.player.frame.ended_by is not None
 
 
 class Page:
-    """A page of one scenario or run; `address` is where it is, `run` serves it until it is interrupted."""
+    """A page of a scenario, a run or a recording; `address` is where it is, `run` serves it until it is interrupted."""
 
     def __init__(
         self,
         source: Source,
         *,
+        compare: Source | None = None,
         host: str = server.LOOPBACK,
         port: int | None = None,
         driver: str | None = None,
@@ -55,20 +84,26 @@ class Page:
     ) -> None:
         """Compile the source and start the server; `playing` makes a page to drive by hand, with a score.
 
+        With `compare`, both worlds stand side by side, and begin each episode from the same seed.
+
         Raises:
             UsageError, RunError: There is no such source or driver, or the address cannot be used.
             MissingExtraError: viser is not installed.
         """
         self._source, self._wanted, self._watch, self._playing = source, driver, watch, playing
         self._todo: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
-        self.player: Player | None = None
+        self._compare = compare
+        self.shown: list[Shown] = []
         self._rival: Player | None = None
         self._hand = Hand(())
+        self._changed: dict[str, str] = {}
+        self._changed_at = 0.0
+        self._panel: Any = None
         self.seed, self.episode, self.paused, self.speed = seed, episode, False, 1.0
         self._message, self._best, self._successes, self._played = "", -math.inf, 0, 0
         opened = source.open()
         self.server, self.address = server.serve(host, port, f"deepbots {source.reference}", lambda keys, axes: self._hand.hold(keys, axes))
-        self.server.gui.configure_theme(show_logo=False, show_share_button=False)  # sharing sends the scene to a public host
+        self._theme(dark=False)
         self._seen = stamps(opened.files)
         self._files = opened.files
         try:
@@ -79,11 +114,24 @@ class Page:
 
     def close(self) -> None:
         """End the server and the environments; may be called twice."""
-        for player in (self.player, self._rival):
-            if player is not None:
-                player.close()
-        self.player = self._rival = None
+        self._close_players()
         server.stop(self.server)
+
+    @property
+    def player(self) -> Player | None:
+        """The player of the first world; None where the scenario has errors."""
+        return self.shown[0].player if self.shown else None
+
+    @property
+    def world(self) -> WorldScene:
+        return self.shown[0].world
+
+    def _close_players(self) -> None:
+        for shown in self.shown:
+            shown.player.close()
+        if self._rival is not None:
+            self._rival.close()
+        self.shown, self._rival = [], None
 
     # What is shown
 
@@ -96,13 +144,22 @@ class Page:
         if self._wanted is not None and name is None and self.player is None:
             opened.program.script(self._wanted)  # says which there are
         rival = next((each for each in opened.drivers if each not in (RANDOM, ZERO, HAND)), None) if self._playing else None
-        made = Player(opened, name)
-        for player in (self.player, self._rival):
-            if player is not None:
+        made = [opened.player(name)]
+        try:
+            if self._compare is not None:
+                made.append(self._compare.open().player(None))
+            if rival:
+                made.append(opened.player(rival))
+            for player in made:
+                player.begin(self.seed, self.episode)
+        except BaseException:
+            for player in made:
                 player.close()
-        self.player, self._rival = made, Player(opened, rival) if rival else None
+            raise
+        self._close_players()
+        self._rival = made.pop() if rival else None
         self._build(made)
-        self._begin()
+        self._present()
 
     def _show_findings(self, findings: Sequence[Finding]) -> None:
         self.paused = True
@@ -118,7 +175,8 @@ class Page:
     def _reload(self) -> None:
         """Read the files again; a world without errors begins at the same seed and episode."""
         try:
-            opened = self._source.open()
+            sets = [f"parameters.{name}={text}" for name, text in self._changed.items()]
+            opened = dataclasses.replace(self._source, sets=(*self._source.sets, *sets)).open()
             self._files = opened.files | self._files if opened.program is None else opened.files
             paused, self._message = self.paused and not self._message, ""
             self._show(opened)
@@ -142,35 +200,78 @@ class Page:
         self.server.scene.reset()
         self.server.gui.main_panel.dock_right()
 
-    def _build(self, player: Player) -> None:
-        gui, scene = self.server.gui, self.server.scene
-        self._clear()
-        program, layout = player.program, player.reader.layout
-        view = overview(program, 340, 400)  # beside the panel
-        size = math.dist(view.eye, view.target)
-        camera = self.server.initial_camera
-        camera.position, camera.look_at, camera.fov = view.eye, view.target, view.fov
+    def _build(self, players: Sequence[Player]) -> None:
+        """Show worlds side by side; the panel stays as it is where it fits."""
+        gui, scene, player = self.server.gui, self.server.scene, players[0]
+        layout = player.reader.layout
+        panel = (
+            [
+                (p.program.name, p.reader.layout.observation, p.reader.layout.action, p.reader.layout.terms, list(p.env.agents))
+                for p in players
+            ],
+            player.opened.drivers,
+            list(player.opened.parameters),
+        )
+        scene.reset()
+        if panel != self._panel:
+            self._clear()
+        view = overview(player.program, 340, 400)  # beside the panel
+        apart = 1.15 * math.dist(view.eye, view.target) * math.tan(view.fov / 2) * 340 / 400 * 2
+        right = np.cross(np.subtract(view.target, view.eye), (0.0, 0.0, 1.0))
+        right *= apart / np.linalg.norm(right)
+        back = np.subtract(view.eye, view.target) * (0.9 if len(players) > 1 else 0.0)
+        camera, size = self.server.initial_camera, math.dist(view.eye, view.target)
+        middle = right / 2 * (len(players) - 1)
+        camera.position, camera.look_at, camera.fov = view.eye + middle + back, view.target + middle, view.fov
         camera.near, camera.far = max(0.002, size / 200), 60 * size
         scene.set_up_direction("+z")
         scene.configure_default_lights(cast_shadow=False)
-        self.world = WorldScene(scene, player.env.world, layout, size=size)
+        self.shown = []
+        for number, each in enumerate(players):
+            root = f"/world{number or ''}"
+            world = WorldScene(scene, each.env.world, each.reader.layout, size=size, root=root, place=tuple(number * right))
+            self.shown.append(Shown(each, world))
+            if len(players) > 1:
+                scene.add_label(f"{root}/title", self._title(number), position=(0.0, 0.0, 0.3 * size), font_size_mode="screen")
+        if panel == self._panel:
+            for what, box in self._switches.items():
+                self._switch(what, box.value)
+            return
+        self._panel = panel
         self._hand = Hand(layout.action)
-        self._agent = next(iter(player.env.agents))
-        gui.set_panel_label(program.name)
+        self._agents = {
+            f"{self._title(number)}: {name}" if len(players) > 1 else name: (number, name)
+            for number, each in enumerate(players)
+            for name in each.env.agents
+        }
+        self._agent = next(iter(self._agents.values()))
+        gui.set_panel_label(player.program.name)
         self._banner = gui.add_html("")
         self._add_time(player)
         tabs = gui.add_tab_group()
         with tabs.add_tab("Values"):
             self._values = gui.add_html("")
         with tabs.add_tab("Plots"):
-            self._add_plots(player)
-        with tabs.add_tab("Drive"):
-            self._add_drive()
+            self._add_plots()
+        if any(each.reader.layout.messages for each in players):
+            with tabs.add_tab("Messages"):
+                self._messages = gui.add_html("")
+        if not isinstance(player, Replayed):
+            with tabs.add_tab("Drive"):
+                self._add_drive()
+        if player.opened.parameters and self._compare is None:
+            with tabs.add_tab("Parameters"):
+                self._add_parameters(player.opened.parameters)
         with tabs.add_tab("Show"):
             self._add_switches()
         self._cameras: dict[str, Any] = {}
-        if any(sensor.optics for robot in program.robots for sensor in robot.sensors):
+        if any(sensor.optics for each in players for robot in each.program.robots for sensor in robot.sensors):
             self._camera_folder = gui.add_folder("Cameras")
+
+    def _title(self, number: int) -> str:
+        """What a world is called where there are two."""
+        source = self._compare if number and self._compare else self._source
+        return f"{'AB'[number]}: {source.reference.rstrip('/').rpartition('/')[2]}"
 
     def _add_time(self, player: Player) -> None:
         gui = self.server.gui
@@ -180,26 +281,49 @@ class Page:
         for name, key in {"pause": "space", "step": "N", "reset": "R"}.items():
             if name != "reset" or not self._playing:  # R drives
                 gui.add_command(name, hotkey=key).on_trigger(lambda _, name=name: self._todo.put(acts[name]))
+        self._slider: Any = None
+        if isinstance(player, Replayed):
+            self._slider = gui.add_slider("step", min=0, max=1, step=1, initial_value=0)
+            self._slider.on_update(self._scrub)
         speed = gui.add_slider("speed", min=0.1, max=5.0, step=0.1, initial_value=self.speed)
         speed.on_update(lambda _: setattr(self, "speed", speed.value))
-        seed = gui.add_number("seed", self.seed, min=0, step=1)
-        seed.on_update(lambda _: self._todo.put(lambda: self._reseed(int(seed.value))))
+        if self._slider is None:
+            seed = gui.add_number("seed", self.seed, min=0, step=1)
+            seed.on_update(lambda _: self._todo.put(lambda: self._reseed(int(seed.value))))
         names = player.opened.drivers
-        driver = gui.add_dropdown("driver", names, initial_value=player.driver_name)
-        driver.on_update(lambda _: self._todo.put(lambda: self._drive(driver.value)))
-        agents = tuple(player.env.agents)
-        if len(agents) > 1:
-            agent = gui.add_dropdown("robot", agents)
+        if len(names) > 1 and self._compare is None:
+            driver = gui.add_dropdown("driver", names, initial_value=player.driver_name)
+            driver.on_update(lambda _: self._todo.put(lambda: self._drive(driver.value)))
+        if len(self._agents) > 1:
+            agent = gui.add_dropdown("robot", tuple(self._agents))
             agent.on_update(lambda _: self._todo.put(lambda: self._choose(agent.value)))
 
-    def _add_plots(self, player: Player) -> None:
-        gui, layout = self.server.gui, player.reader.layout
+    def _add_parameters(self, parameters: Mapping[str, str]) -> None:
+        """A slider for each number, and a text for each other value."""
+        gui = self.server.gui
+        for name, text in parameters.items():
+            found = _PLAIN.fullmatch(text)
+            if found is None:
+                box = gui.add_text(name, text)
+                box.on_update(lambda event, n=name: self._change(n, event.target.value))
+                continue
+            value, unit = float(found[1]), found[2] or found[3] or ""
+            low, high = sorted((0.0, 2 * value)) if value else (-1.0, 1.0)
+            slider = gui.add_slider(f"{name} ({unit})" if unit else name, min=low, max=high, step=(high - low) / 200, initial_value=value)
+            slider.on_update(lambda event, n=name, u=unit: self._change(n, f"{event.target.value:.6g} {u}".strip()))
+        gui.add_html("<div style='padding:0.3em 1em;font-size:0.85em'>A change compiles the scenario again, at the same seed.</div>")
+
+    def _change(self, name: str, text: str) -> None:
+        self._changed[name], self._changed_at = text, time.monotonic()
+
+    def _add_plots(self) -> None:
+        gui, layout = self.server.gui, self._lane.player.reader.layout
         self._groups: dict[str, list[tuple[int, Field]]] = {}
         for number, field in enumerate(layout.observation):
             self._groups.setdefault(field.group, []).append((number, field))
         options = (*self._groups, *(f"action: {field.name}" for field in layout.action))
         gui.add_html(_title("return"))
-        self._return_plot = self._add_plot(("return",), 150)
+        self._return_plot = self._add_plot([self._title(n) for n in range(2)] if self._compare else ["return"], 150)
         gui.add_html(_title("reward terms"))
         terms = layout.terms[:_MAX_SERIES]
         self._terms_plot = self._add_plot(terms, 200)
@@ -211,8 +335,7 @@ class Page:
 
     def _plot(self, name: str) -> None:
         """Plot the numbers of one entry of the observation, or one of the action, over its range."""
-        assert self.player is not None
-        layout = self.player.reader.layout
+        layout = self._lane.player.reader.layout
         fields = self._groups.get(name) or [(n, field) for n, field in enumerate(layout.action) if f"action: {field.name}" == name]
         self._plotted = (name in self._groups, [number for number, _ in fields[:_MAX_SERIES]])
         low, high = min(field.low for _, field in fields), max(field.high for _, field in fields)
@@ -232,9 +355,7 @@ class Page:
         return self.server.gui.add_uplot((np.zeros(1),) * len(series), series, scales=scales, height=height)
 
     def _add_drive(self) -> None:
-        gui, layout = self.server.gui, self.player.reader.layout if self.player else None
-        assert layout is not None
-        hand = self._hand
+        gui, layout, hand = self.server.gui, self.shown[0].player.reader.layout, self._hand
         gui.add_html(f"<div style='padding:0.3em 1em;font-size:0.85em'>Keys: {html.escape(hand.help())}. A gamepad works too.</div>")
         for field in layout.action:
             if field.options:
@@ -256,15 +377,25 @@ class Page:
         self._hand.base[name] = float(value)
 
     def _add_switches(self) -> None:
-        assert self.player is not None
-        gui, shown = self.server.gui, {"rays": True, "contacts": True, "path": False, "names": False, "axes": False}
-        for what, on in shown.items():
-            box = gui.add_checkbox(what, on)
-            box.on_update(lambda event, what=what: self._todo.put(lambda: self.world.show(what, event.target.value)))
-        world = self.player.env.world
+        gui, shown = self.server.gui, {"rays": True, "contacts": True, "goal": True, "path": False, "names": False, "axes": False}
+        self._switches = {what: gui.add_checkbox(what, on) for what, on in shown.items()}
+        for what, box in self._switches.items():
+            box.on_update(lambda event, what=what: self._todo.put(lambda: self._switch(what, event.target.value)))
+        world = self.shown[0].player.env.world
         strays = world.arena is None and world.terrain is None and not world.lines and any(not robot.fixed_base for robot in world.robots)
         self._follows = gui.add_checkbox("camera follows the robot", strays)
         self._goes_on = gui.add_checkbox("next episode after the end", True)
+        dark = gui.add_checkbox("dark", False)
+        dark.on_update(lambda _: self._theme(dark=dark.value))
+
+    def _switch(self, what: str, on: bool) -> None:
+        for shown in self.shown:
+            shown.world.show(what, on)
+
+    def _theme(self, *, dark: bool) -> None:
+        self.server.gui.configure_theme(
+            show_logo=False, show_share_button=False, dark_mode=dark
+        )  # sharing sends the scene to a public host
 
     # What people do
 
@@ -277,15 +408,45 @@ class Page:
     def step_once(self) -> None:
         """Pause, and make one step."""
         self.paused = True
-        self._step()
+        if self._ended_at:
+            self._begin(1)
+            return
+        for shown in self.shown:
+            self._step(shown)
+            shown.clock = 0.0
 
     def _reseed(self, seed: int) -> None:
         self.seed, self.episode = seed, 0
         self._begin()
 
-    def _choose(self, agent: str) -> None:
-        self._agent = agent
-        self._past.clear()
+    @property
+    def _lane(self) -> Shown:
+        """The world whose values are shown."""
+        return self.shown[self._agent[0]]
+
+    def _choose(self, label: str) -> None:
+        self._agent = self._agents[label]
+
+    def _scrub(self, event: Any) -> None:
+        if event.client_id is not None:  # and not the page itself, which moves the slider along
+            self._todo.put(lambda: self.seek(int(event.target.value)))
+
+    def seek(self, place: int) -> None:
+        """Pause at a frame of a recording."""
+        self.paused, self._ended_at = True, 0.0
+        for shown in self.shown:
+            if isinstance(shown.player, Replayed):
+                try:
+                    shown.player.seek(place)
+                    frames = shown.player.past(KEPT)
+                except DeepbotsError as error:
+                    self._fail(error)
+                    return
+                shown.world.take(frames[0], anew=True)
+                for frame in frames[1:]:
+                    shown.world.take(frame)
+                shown.past[:] = frames
+        self._tell()
 
     def _drive(self, name: str) -> None:
         assert self.player is not None
@@ -302,34 +463,40 @@ class Page:
         """Begin the present episode anew, or one further on."""
         if self.player is None:
             return
-        self.episode += further
-        self._past: list[Row] = []
-        self._clock, self._ended_at, self._message = 0.0, 0.0, ""
+        if further:
+            self.episode = self.player.following(self.episode)
         try:
-            for player in (self.player, self._rival):
-                if player is not None:
-                    player.begin(self.seed, self.episode)
+            for shown in self.shown:
+                shown.player.begin(self.seed, self.episode)
+            if self._rival is not None:
+                self._rival.begin(self.seed, self.episode)
         except DeepbotsError as error:
             self._fail(error)
             return
-        self.world.take(self.player.frame, anew=True)
-        self._keep(self.player.frame)
-        self.world.draw(1.0)
+        self._present()
+
+    def _present(self) -> None:
+        """Show the first moment of an episode."""
+        self._ended_at, self._message = 0.0, ""
+        for shown in self.shown:
+            shown.take(anew=True)
+            shown.world.draw(1.0)
+        if self._slider is not None and isinstance(self.player, Replayed):
+            self._slider.max = max(1, self.player.length - 1)
         self._tell()
 
-    def _step(self) -> None:
-        player = self.player
-        if player is None or self._message:
-            return
-        if player.frame.ended_by is not None:
-            self._begin(1)
+    def _step(self, shown: Shown) -> None:
+        """One step of one world."""
+        player = shown.player
+        if shown.ended or self._message:
             return
         by_hand = player.driver_name == HAND or self._hand.is_held
-        player.hand.values = self._hand.values()
         driver = player.driver
-        player.driver = player.hand if by_hand else driver
         try:
-            frame = player.step()
+            if shown is self.shown[0]:
+                player.hand.values = self._hand.values()
+                player.driver = player.hand if by_hand else driver
+            player.step()
             if self._rival is not None and self._rival.frame.ended_by is None:
                 self._rival.step()
         except DeepbotsError as error:
@@ -337,18 +504,13 @@ class Page:
             return
         finally:
             player.driver = driver
-        self.world.take(frame)
-        self._keep(frame)
-        if frame.ended_by is not None:
+        shown.take()
+        if shown.ended and all(each.ended for each in self.shown):
+            frame = self.shown[0].player.frame
             self._ended_at = time.monotonic()
-            agent = frame.agents[self._agent]
             self._played, self._successes = self._played + 1, self._successes + frame.is_success
-            self._best = max(self._best, agent.episode_return)
+            self._best = max(self._best, next(iter(frame.agents.values())).episode_return)
             self._tell()
-
-    def _keep(self, frame: WorldFrame) -> None:
-        self._past.append((frame.agents[self._agent], frame.step))
-        del self._past[:-KEPT]
 
     def run(self, until: Callable[[], bool] = lambda: False) -> None:
         """Serve the page until `until` says so, or Ctrl-C."""
@@ -362,59 +524,78 @@ class Page:
                     self._seen = now
                     self._reload()
                     self._seen = stamps(self._files)
-            share = self._advance(period)
+            if self._changed_at and time.monotonic() - self._changed_at > _SETTLED:
+                self._changed_at = 0.0
+                self._reload()
+            self._advance(period)
             if self.player is not None and self.server.get_clients():
-                self._draw(share, texts=drawn % SLOW == 0)
+                self._draw(texts=drawn % SLOW == 0)
             drawn, due = drawn + 1, max(due + period, time.perf_counter() - _BUSY)
             time.sleep(max(0.0, due - time.perf_counter()))
 
-    def _advance(self, period: float) -> float:
-        """Make the steps that fall into the next picture; how far (0 to 1) it is from the last step but one to the last."""
+    def _advance(self, period: float) -> None:
+        """Make the steps that fall into the next picture."""
         if self.player is None or self.paused:
-            return 1.0
+            return
         if self._ended_at:
             if self._goes_on.value and time.monotonic() - self._ended_at > _PAUSE_AT_END:
                 self._begin(1)
-            return 1.0
-        timestep, began = self.player.program.period, time.perf_counter()
-        self._clock += period * self.speed
-        while self._clock >= timestep and not self._ended_at and not self.paused:
-            self._clock -= timestep
-            self._step()
-            if time.perf_counter() - began > _BUSY:
-                self._clock = 0.0
-        return min(1.0, self._clock / timestep)
+            return
+        began = time.perf_counter()
+        for shown in self.shown:
+            timestep = shown.player.program.period
+            shown.clock += period * self.speed
+            while shown.clock >= timestep and not shown.ended and not self.paused:
+                shown.clock -= timestep
+                self._step(shown)
+                if time.perf_counter() - began > _BUSY:
+                    shown.clock = 0.0
 
     # Pictures and texts
 
-    def _draw(self, share: float, *, texts: bool) -> None:
-        assert self.player is not None
-        self.world.follows = self._follows.value
+    def _draw(self, *, texts: bool) -> None:
         with self.server.atomic():
-            self.world.draw(share)
+            for shown in self.shown:
+                shown.world.follows = self._follows.value
+                still = self.paused or shown.ended
+                shown.world.draw(1.0 if still else min(1.0, shown.clock / shown.player.program.period))
         if texts:
             self._tell()
             self._draw_plots()
-            for name, image in self.player.reader.cameras().items():
-                if name in self._cameras:
-                    self._cameras[name].image = _enlarged(image)
-                else:
-                    with self._camera_folder:
-                        self._cameras[name] = self.server.gui.add_image(_enlarged(image), label=name)
+            for number, shown in enumerate(self.shown):
+                for name, image in shown.player.frame.cameras.items():
+                    label = f"{'AB'[number]}: {name}" if self._compare else name
+                    if label in self._cameras:
+                        self._cameras[label].image = _enlarged(image)
+                    else:
+                        with self._camera_folder:
+                            self._cameras[label] = self.server.gui.add_image(_enlarged(image), label=label)
 
     def _tell(self) -> None:
-        """The banner and the values."""
-        assert self.player is not None
-        frame = self.player.frame
-        agent = frame.agents[self._agent]
+        """The banner, the values and the messages."""
         if self._message:
             self._put(self._banner, _framed("stopped", self._message, "#D55E00"))
         else:
-            state = (frame.ending or "running") + (" (paused)" if self.paused else "")
-            colour = ("#009E73" if frame.is_success else "#E69F00" if frame.truncated else "#D55E00") if frame.ended_by else "#0072B2"
-            numbers = f"episode {self.episode}, step {frame.step}, {frame.time:.2f} s, return {agent.episode_return:.2f}"
-            self._put(self._banner, _framed(state, f"{numbers}{self._score()}", colour))
-        self._put(self._values, self._table(agent))
+            self._put(self._banner, "".join(self._state(number) for number in range(len(self.shown))))
+        number, name = self._agent
+        player = self.shown[number].player
+        self._put(self._values, self._table(player.reader.layout, player.frame.agents[name]))
+        if player.reader.layout.messages:
+            self._put(self._messages, _messages(player.reader.layout, player.frame))
+        if self._slider is not None and self._slider.value != min(player.frame.step, self._slider.max):
+            self._slider.value = min(player.frame.step, self._slider.max)
+
+    def _state(self, number: int) -> str:
+        """How a world stands."""
+        player, name = self.shown[number].player, self._agent[1]
+        frame = player.frame
+        agent = frame.agents.get(name) or next(iter(frame.agents.values()))
+        state = (frame.ending or "running") + (" (paused)" if self.paused else "")
+        state = f"{self._title(number)}: {state}" if self._compare else state
+        colour = ("#009E73" if frame.is_success else "#E69F00" if frame.truncated else "#D55E00") if frame.ended_by else "#0072B2"
+        numbers = f"episode {self.episode}, step {frame.step}, {frame.time:.2f} s, return {agent.episode_return:.2f}"
+        note = f"<br>{html.escape(player.driver.note)}" if player.driver.note else ""
+        return _framed(state, f"{numbers}{note}{self._score()}", colour)
 
     def _score(self) -> str:
         if not self._playing:
@@ -423,7 +604,7 @@ class Page:
         if self._rival is not None:
             rival = self._rival.frame
             state = f" ({rival.ending} after {rival.time:.1f} s)" if rival.ended_by else ""
-            lines.append(f"{self._rival.driver_name}: {rival.agents[self._agent].episode_return:.2f}{state}")
+            lines.append(f"{self._rival.driver_name}: {rival.agents[self._agent[1]].episode_return:.2f}{state}")
         return "".join(f"<br>{html.escape(line)}" for line in lines)
 
     @staticmethod
@@ -431,30 +612,56 @@ class Page:
         if handle.content != content:
             handle.content = content
 
-    def _table(self, agent: AgentFrame) -> str:
-        assert self.player is not None
-        layout, rows = self.player.reader.layout, []
+    @staticmethod
+    def _table(layout: Layout, agent: AgentFrame) -> str:
+        rows = []
         rows += [_head("reward terms of this step")]
         rows += [_row(name, f"{value:+.4f}") for name, value in [*agent.terms.items(), ("sum", agent.reward)]]
         if agent.action is not None:
             rows += [_head("action")]
             rows += [_bar(field, value) for field, value in zip(layout.action, agent.action, strict=True)][:_MAX_ROWS]
+        if agent.allowed:
+            options = [f"{entry.name}: {option}" for entry in layout.action for option in entry.options]
+            forbidden = [option for option, may in zip(options, agent.allowed, strict=False) if not may]
+            rows += [_row(f"forbidden next: {', '.join(forbidden)}", "")]
         rows += [_head("observation")]
         rows += [_bar(field, value) for field, value in zip(layout.observation, agent.observation, strict=True)][:_MAX_ROWS]
         left = len(layout.observation) - _MAX_ROWS
         rows += [_row(f"and {left} more, see Plots", "")] if left > 0 else []
-        return f"<div style='padding:0 0.8em;font-size:0.8em'><table style='width:100%;border-spacing:0 1px'>{''.join(rows)}</table></div>"
+        return _columns(rows)
 
     def _draw_plots(self) -> None:
-        steps = np.array([step for _, step in self._past], float)
-        agents = [agent for agent, _ in self._past]
-        assert self.player is not None
-        terms = self.player.reader.layout.terms[:_MAX_SERIES]
-        self._return_plot.data = (steps, np.array([agent.episode_return for agent in agents]))
-        self._terms_plot.data = (steps, *(np.array([agent.terms[name] for agent in agents]) for name in terms))
+        number, name = self._agent
+        if self._compare:  # the steps of both, as far as both went
+            count = min(len(shown.past) for shown in self.shown)
+            frames = [shown.past[:count] for shown in self.shown]
+            returns = [np.array([next(iter(f.agents.values())).episode_return for f in each]) for each in frames]
+            self._return_plot.data = (np.array([f.step for f in frames[0]], float), *returns)
+        past = self.shown[number].past
+        steps, agents = np.array([frame.step for frame in past], float), [frame.agents[name] for frame in past]
+        if not self._compare:
+            self._return_plot.data = (steps, np.array([agent.episode_return for agent in agents]))
+        terms = self.shown[0].player.reader.layout.terms[:_MAX_SERIES]
+        self._terms_plot.data = (steps, *(np.array([agent.terms.get(term, math.nan) for agent in agents]) for term in terms))
         seen, numbers = self._plotted
         rows = [agent.observation if seen else agent.action or (math.nan,) * (1 + max(numbers)) for agent in agents]
-        self._field_plot.data = (steps, *(np.array([row[number] for row in rows]) for number in numbers))
+        self._field_plot.data = (steps, *(np.array([row[n] if n < len(row) else math.nan for row in rows]) for n in numbers))
+
+
+def _columns(rows: Sequence[str]) -> str:
+    return f"<div style='padding:0 0.8em;font-size:0.8em'><table style='width:100%;border-spacing:0 1px'>{''.join(rows)}</table></div>"
+
+
+def _messages(layout: Layout, frame: WorldFrame) -> str:
+    """The message that each receiver goes by, with its age."""
+    rows = []
+    for key, message in frame.messages.items():
+        robot, _, direction = key.partition("/")
+        fresh = "came in this step" if message.received else "none came in this step"
+        rows += [_head(f"{'to' if direction == 'to_robot' else 'from'} {robot}"), _row(f"{fresh}, age", f"{1000 * message.age:.0f} ms")]
+        for entry, value in list(zip(layout.messages[key], message.values, strict=True))[:_MAX_ROWS]:
+            rows.append(_row(entry.name, "" if value is None else entry.text(value)))
+    return _columns(rows)
 
 
 def _framed(title: str, text: str, colour: str) -> str:

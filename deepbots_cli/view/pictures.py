@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deepbots_cli import frames
-from deepbots_cli.errors import EngineError, MissingExtraError, UsageError
+from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.files import atomic
 from deepbots_cli.footprint import bounds
 from deepbots_cli.frames import Triple
@@ -96,7 +96,7 @@ def picture(player: Player, shot: Shot, *, labels: bool = False, rays: bool = Fa
     usual = overview(player.program, shot.width, shot.height)
     usual = _above(player, shot, path) if path else _on_robots(player, shot) if labels else usual
     view = replace(shot.view(usual), width=_FINE * shot.width, height=_FINE * shot.height, samples=1)
-    image = Image.fromarray(_rendered(player, view))
+    image = Image.fromarray(player.render(view))
     draw, project = ImageDraw.Draw(image, "RGBA"), projection(view)
     if rays:
         _paint_rays(draw, project, player)
@@ -112,13 +112,6 @@ def picture(player: Player, shot: Shot, *, labels: bool = False, rays: bool = Fa
         state = frame.ending or "not ended"
         _write(draw, (8, shot.height - 22), f"{state}, {frame.time:.1f} s, return {agent.episode_return:.2f}")
     return image
-
-
-def _rendered(player: Player, view: View) -> Any:
-    engine = player.env.engine
-    if "rendering" not in engine.capabilities:
-        raise EngineError(f"the engine '{engine.name}' cannot draw; use the engine 'pybullet' for pictures, or an offline page (.html)")
-    return engine.render(view)
 
 
 def projection(view: View) -> Callable[[Triple], Point | None]:
@@ -268,8 +261,8 @@ def _pictures(player: Player, shot: Shot, shown: Iterable[WorldFrame], speed: fl
     def taken() -> Iterator[Any]:
         for frame in shown:
             if frame.step % every == 0 or frame.ended_by is not None:
-                view = shot.view(player.env.view(shot.width, shot.height))
-                yield _rendered(player, replace(view, width=shot.width, height=shot.height))
+                view = shot.view(player.view(shot.width, shot.height))
+                yield player.render(replace(view, width=shot.width, height=shot.height))
 
     return taken(), speed / player.program.period / every
 

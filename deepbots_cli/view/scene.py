@@ -20,6 +20,7 @@ from deepbots_cli import frames, geometry
 from deepbots_cli.engines import objects
 from deepbots_cli.errors import EngineError
 from deepbots_cli.footprint import bounds
+from deepbots_cli.frames import Triple
 from deepbots_cli.port import STILL
 from deepbots_cli.program.world import Colour, Line, WorldModel
 from deepbots_cli.robots.meshes import checked_bytes
@@ -110,11 +111,11 @@ class WorldScene:
     """One world below the node `root`. `take` gives it a frame, `draw` shows the world between the last two frames."""
 
     def __init__(
-        self, scene: viser.SceneApi, world: WorldModel, layout: Layout, *, size: float, root: str = "/world", decorated: bool = True
+        self, scene: viser.SceneApi, world: WorldModel, layout: Layout, *, size: float, root: str = "/world", place: Triple = STILL
     ) -> None:
-        """`size` is the distance (m) from which the world is seen; marks are as large as it asks for."""
-        self._scene, self._layout, self._root, self._size = scene, layout, root, size
-        self._anchor = scene.add_frame(root, show_axes=False)
+        """`size` is the distance (m) from which the world is seen; marks are as large as it asks for. `place` is where its origin is."""
+        self._scene, self._layout, self._root, self._size, self._place = scene, layout, root, size, place
+        self._anchor = scene.add_frame(root, show_axes=False, position=place)
         self.follows = False
         """Whether the robot stays in view, as the world moves below it."""
         self._nodes: dict[LinkName, Any] = {}
@@ -122,8 +123,8 @@ class WorldScene:
         self._labels: list[Any] = []
         self._beams: dict[str, tuple[Beams, Any, Any]] = {}
         self._dots: dict[LinkName, Any] = {}
-        self._shown: dict[str, Any] = {}
-        self.show_rays, self.show_contacts, self.show_path = decorated, decorated, False
+        self._goals: dict[tuple[str, str], Any] = {}
+        self.show_rays, self.show_contacts, self.show_goal, self.show_path = True, True, True, False
         self._build_surroundings(world)
         for robot in world.robots:
             self._build_robot(robot.name, robot.model)
@@ -247,7 +248,7 @@ class WorldScene:
     # What a person chooses to see
 
     def show(self, what: str, visible: bool) -> None:
-        """Show or hide `rays`, `contacts`, `path`, `names` or `axes`."""
+        """Show or hide `rays`, `contacts`, `goal`, `path`, `names` or `axes`."""
         if what == "names":
             for label in self._labels:
                 label.visible = visible
@@ -300,7 +301,7 @@ class WorldScene:
         self._sent = rows
         if self._followed is not None:
             x, y, _ = rows[self._parts.index((self._followed, self._layout.robots[self._followed].root)), :3] - self._trail[0]
-            shift = (-x, -y, 0.0) if self.follows else STILL
+            shift = frames.add(self._place, (-x, -y, 0.0)) if self.follows else self._place
             if not np.array_equal(self._anchor.position, shift):
                 self._anchor.position = shift
 
@@ -316,6 +317,7 @@ class WorldScene:
                     colours = np.concatenate([20 + 200 * near, 150 - 110 * near, 60 - 20 * near], 1).astype(np.uint8)
                     lines.colors = np.repeat(colours[:, None], 2, axis=1)
         self._mark_contacts(frame)
+        self._mark_goal(frame)
         force = next(iter(frame.pushes), None)
         if force is not None:
             (part, push), strength = force, max(1e-9, float(np.linalg.norm(force[1])))
@@ -328,6 +330,26 @@ class WorldScene:
             self._path.points = np.stack([points[:-1], points[1:]], 1)
             self._path.colors = np.full((len(points) - 1, 2, 3), (70, 90, 200), np.uint8)
             self._path.visible = True
+
+    def _mark_goal(self, frame: WorldFrame) -> None:
+        """A point that is to be reached, and the one that is."""
+        for number, field in enumerate(self._layout.observation):
+            word, _, axis = field.name.partition(".")
+            if field.unit != "m" or word not in ("desired", "achieved") or axis != "x" or field.group != word:
+                continue
+            group = [f for f in self._layout.observation if f.group == word]
+            if [f.name.partition(".")[2] for f in group] not in (["x", "y"], ["x", "y", "z"]):
+                continue
+            for name, agent in frame.agents.items():
+                place = (*agent.observation[number : number + len(group)], 0.0)[:3]
+                dot = self._goals.get((name, word))
+                if dot is None:
+                    colour, radius = ((0, 158, 115), 0.02) if word == "desired" else ((0, 114, 178), 0.01)
+                    path = f"{self._root}/{word}_{name.replace('#', '_')}"
+                    dot = self._goals[name, word] = self._scene.add_icosphere(path, radius * self._size, colour, opacity=0.6)
+                dot.position = place
+                if dot.visible != self.show_goal:
+                    dot.visible = self.show_goal
 
     def _mark_contacts(self, frame: WorldFrame) -> None:
         touching = set(frame.forces) if self.show_contacts else set()

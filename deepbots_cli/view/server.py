@@ -17,6 +17,7 @@ import errno
 import io
 import ipaddress
 import logging
+import math
 import secrets
 import socket
 import urllib.parse
@@ -202,7 +203,7 @@ def _answer(status: int, reason: str, body: bytes, **headers: str) -> Response:
 
 
 def _read_drive(text: Any) -> tuple[Keys, Axes]:
-    """The keys that are held and the axes of a gamepad, from -1 to 1, of a message `KeyW+KeyA|0.5,-1`.
+    """The keys that are held and the axes of a gamepad, from -1 to 1, of a message `KeyW+KeyA|0.5,-1`; an axis that is no number is 0.
 
     Raises:
         ValueError: It is no such message.
@@ -210,5 +211,6 @@ def _read_drive(text: Any) -> tuple[Keys, Axes]:
     if not isinstance(text, str) or len(text) > 300:
         raise ValueError(text)
     keys, _, axes = text.partition("|")
-    values = tuple(min(1.0, max(-1.0, float(part))) for part in axes.split(",") if part)
+    given = [float(part) for part in axes.split(",") if part]
+    values = tuple(0.0 if math.isnan(value) else min(1.0, max(-1.0, value)) for value in given)
     return frozenset(filter(None, keys.split("+"))), values

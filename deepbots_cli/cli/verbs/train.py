@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated
@@ -15,7 +20,7 @@ from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Engine, Js
 from deepbots_cli.cli.exits import INTERRUPTED
 from deepbots_cli.cli.verbs.eval import show, with_cases
 from deepbots_cli.engine_kinds import on_engine
-from deepbots_cli.errors import UsageError
+from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning import report
 from deepbots_cli.learning.run import Run
 
@@ -59,6 +64,9 @@ def command(
         Path | None, typer.Option("--initialize-from", metavar="RUN", help="Begin with the weights of the best policy of this run.")
     ] = None,
     engine: Engine = None,
+    to_view: Annotated[
+        bool, typer.Option("--view", help="Show the newest policy in the browser while it is trained, as `deepbots view RUN` does.")
+    ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress.")] = False,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
@@ -75,6 +83,7 @@ def command(
       deepbots train cartpole.yaml --seed 1 --set fall_angle=10deg
       deepbots train cartpole --timesteps 200k --full --run runs/long
       deepbots train find_ball_random --stage crowded
+      deepbots train find_ball --view
       deepbots train --resume runs/cartpole-0-1 --timesteps 200k
       deepbots train longer_pole.yaml --initialize-from runs/cartpole-0-1
 
@@ -91,9 +100,11 @@ def command(
             raise UsageError(
                 "a resumed run keeps its scenario and options; --resume accepts only --timesteps, --full, --quiet, --allow-code and --json"
             )
-        result = learning.resume(
-            resume, total_timesteps=timesteps, stop_when_solved=False if full else None, progress=told, allow_code=allow_code
-        )
+        with _page(wanted=to_view, allow_code=allow_code) as show_page:
+            show_page(resume)
+            result = learning.resume(
+                resume, total_timesteps=timesteps, stop_when_solved=False if full else None, progress=told, allow_code=allow_code
+            )
     elif scenario is None:
         raise UsageError("there is no scenario to train; name one, such as: deepbots train cartpole")
     else:
@@ -103,18 +114,20 @@ def command(
             train = learning.train  # which imports torch
         if told:
             _announce(compiled.program, seed or 0, timesteps, full=full)
-        result = train(
-            compiled,
-            run=run,
-            seed=seed or 0,
-            total_timesteps=timesteps,
-            stop_when_solved=not full,
-            stage=stage,
-            keep_checkpoints=keep_checkpoints or 0,
-            initialize_from=initialize_from,
-            progress=told,
-            command=["deepbots", *sys.argv[1:]],
-        )
+        with _page(wanted=to_view, allow_code=allow_code) as show_page:
+            result = train(
+                compiled,
+                run=run,
+                seed=seed or 0,
+                total_timesteps=timesteps,
+                stop_when_solved=not full,
+                stage=stage,
+                keep_checkpoints=keep_checkpoints or 0,
+                initialize_from=initialize_from,
+                progress=told,
+                command=["deepbots", *sys.argv[1:]],
+                on_start=show_page,
+            )
     _finish(result, quiet=quiet, as_json=as_json, allow_code=allow_code)
 
 
@@ -125,6 +138,31 @@ def _announce(program: Program, seed: int, timesteps: int | None, *, full: bool)
         until = f", or until it is solved ({solved.words})" if solved and not full else ""
         terminal.note(f"training {program.name} with {training.algorithm} from seed {seed}")
         terminal.note(f"at most {timesteps or training.total_timesteps:,} timesteps{until}; Ctrl-C ends it and keeps the policy")
+
+
+@contextmanager
+def _page(*, wanted: bool, allow_code: bool) -> Iterator[Callable[[Path], None]]:
+    """Yield a function that shows a run in the browser, where this is wanted; the page ends with the block.
+
+    It is a process of its own with a low priority, so that the training does not wait for it.
+    """
+    if wanted and find_spec("viser") is None:
+        raise MissingExtraError("view", "a page in the browser")
+    started: list[subprocess.Popen[bytes]] = []
+
+    def show(run: Path) -> None:
+        if wanted:
+            command = [sys.executable, "-m", "deepbots_cli", "view", str(run), *(["--allow-code"] if allow_code else [])]
+            started.append(subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=sys.stderr))
+            if hasattr(os, "setpriority"):
+                os.setpriority(os.PRIO_PROCESS, started[0].pid, 15)
+
+    try:
+        yield show
+    finally:
+        for process in started:
+            process.terminate()
+            process.wait()
 
 
 def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, allow_code: bool) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import webbrowser
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -37,7 +38,9 @@ def point(text: str) -> tuple[float, float, float]:
     return x, y, z
 
 
-Shown = Annotated[str, typer.Argument(metavar="SCENARIO|RUN", help="A scenario file, the name of a shipped scenario, or a run directory.")]
+Shown = Annotated[
+    str, typer.Argument(metavar="SCENARIO|RUN", help="A scenario file, the name of a shipped scenario, a run directory or a recording.")
+]
 EngineOrRun = Annotated[
     str | None,
     typer.Option(
@@ -83,6 +86,9 @@ def view(
     seed: Seed = 0,
     episode: Episode = 0,
     watch: Annotated[bool, typer.Option("--watch", help="Restart with the new files when a file is saved.")] = False,
+    compare: Annotated[
+        str | None, typer.Option("--compare", metavar="OTHER", help="Show another run or scenario beside it, from the same seeds.")
+    ] = None,
     sets: Sets = None,
     case: Case = None,
     stage: Stage = None,
@@ -93,23 +99,27 @@ def view(
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
 ) -> None:
-    """Show a scenario or a run in the browser.
+    """Show a scenario, a run or a recording in the browser.
 
     The command prints the address of the page, and serves it until Ctrl-C. The page shows robots, objects, sensor rays and contacts,
     with pause, single steps, speed and seed, and plots the observation, the action and every reward term.
 
-    In a run, the policy acts. In a scenario, the first script acts; without a script, actions are random.
+    In a run, the policy acts. In a scenario, the first script acts; without a script, actions are random. While a run is trained, each
+    episode shows its newest policy. A recording is played, with a slider for its steps.
 
     \b
       deepbots view find_ball
       deepbots view runs/find_ball-0-1
+      deepbots view runs/find_ball-0-1 --compare runs/find_ball-1-1
+      deepbots view find_ball-0-0.mcap
       deepbots view mine.yaml --watch
       deepbots view find_ball --set goal=20cm --seed 3
 
     Next: `deepbots play SCENARIO` lets you drive.
     """
     source = _source(shown, sets, case, stage, engine, allow_paths, allow_code)
-    _serve(source, open_, host=host, port=port, driver=driver, seed=seed, episode=episode, watch=watch)
+    other = replace(source, reference=compare) if compare else None
+    _serve(source, open_, compare=other, host=host, port=port, driver=driver, seed=seed, episode=episode, watch=watch)
 
 
 def play(

@@ -1,0 +1,46 @@
+"""`deepbots plot`: learning curves of runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from deepbots_cli.cli import terminal
+from deepbots_cli.cli.command import whole
+from deepbots_cli.files import atomic
+
+
+def command(
+    runs: Annotated[
+        list[Path], typer.Argument(metavar="RUN...", help="Run directories, folders of runs, or folders of TensorBoard files.")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="File to write, .png or .svg.")] = Path("plot.png"),
+    window: Annotated[
+        int, typer.Option("--window", metavar="N", parser=whole(1, 100_000), help="Episodes that returns and successes are averaged over.")
+    ] = 100,
+    dark: Annotated[bool, typer.Option("--dark", help="Light lines on a dark ground.")] = False,
+) -> None:
+    """Plot the training of runs: returns, success rates, reward terms and endings over the timesteps.
+
+    Runs of the same scenario with other seeds are one line, the mean over the seeds, with a band from the lowest to the highest seed. Other
+    scenarios are lines of their own. Dots are the evaluations during the training.
+
+    \b
+      deepbots plot runs/cartpole-0-1
+      deepbots plot runs --out all.svg
+      deepbots plot runs/base-* runs/changed-* --dark
+
+    Next: `deepbots compare RUN RUN` evaluates the policies on the same starts.
+    """
+    from deepbots_cli.view import plots
+    from deepbots_cli.view.pictures import check_target
+
+    check_target(out, plots.SUFFIXES)
+    with terminal.passing("reading the logs ..."):
+        logs = plots.read(runs, window)
+    figure = plots.plot(logs, theme="dark" if dark else "light")
+    with atomic(out) as draft:
+        figure.savefig(draft, format=out.suffix[1:].lower(), dpi=130)
+    terminal.say(f"{out} ({len(logs)} run{'s' * (len(logs) > 1)})")

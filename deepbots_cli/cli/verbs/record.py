@@ -1,0 +1,74 @@
+"""`deepbots record`: episodes as a file that can be replayed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from deepbots_cli.cli import terminal
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Json, Seed, Sets, Stage, whole
+from deepbots_cli.cli.verbs.picture import Driver
+from deepbots_cli.cli.verbs.view import EngineOrRun, Episode, Shown
+from deepbots_cli.errors import UsageError
+
+
+def command(
+    shown: Shown,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="FILE", help="File to write; by default NAME-SEED-EPISODE.mcap.")
+    ] = None,
+    driver: Driver = None,
+    seed: Seed = 0,
+    episode: Episode = 0,
+    episodes: Annotated[
+        int, typer.Option("--episodes", metavar="N", parser=whole(1, 10_000), help="Number of episodes, from --episode on.")
+    ] = 1,
+    sets: Sets = None,
+    case: Case = None,
+    stage: Stage = None,
+    engine: EngineOrRun = None,
+    as_json: Json = False,
+    allow_paths: AllowPaths = None,
+    allow_code: AllowCode = False,
+) -> None:
+    """Record episodes as an MCAP file.
+
+    The file holds poses, sensors, messages, actions, observations, reward terms and the ending of every step, and the scenario itself.
+    `view`, `clip` and `picture` take it in the place of a scenario, Foxglove opens it, and `replay --verify` runs it again.
+
+    A run is driven by its policy, a scenario by its first script, or else by random actions.
+
+    \b
+      deepbots record find_ball --script around
+      deepbots record runs/find_ball-0-1 --episodes 5 --out five.mcap
+      deepbots record quadruped --seed 3 --episode 2
+
+    Next: `deepbots view RECORDING` plays it in the browser.
+    """
+    from deepbots_cli.view import pictures
+    from deepbots_cli.view.episodes import Source, player
+    from deepbots_cli.view.recordings import SUFFIX, record
+
+    if shown.endswith(SUFFIX):
+        raise UsageError(f"{shown} is a recording already; `deepbots clip {shown}` makes a film of it")
+    source = Source(shown, sets or (), allow_paths or (), allow_code, engine, case, stage)
+    with player(source, driver) as world, terminal.progress(always=False) as show:
+        path = out or Path(f"{Path(shown).stem}-{seed}-{episode}{SUFFIX}")
+        pictures.check_target(path, (SUFFIX,))
+        if out is None and path.exists():
+            raise UsageError(f"{path} exists; name the file to write with --out")
+        numbers = range(episode, episode + episodes)
+        last = record(world, path, seed, numbers, lambda number: show(number + 1 - episode, episodes) if show else None)
+    returns = [next(iter(frame.agents.values())).episode_return for frame in last]
+    if as_json:
+        ends = [
+            {"episode": n, "steps": f.step, "ended_by": f.ended_by, "return": r} for n, f, r in zip(numbers, last, returns, strict=True)
+        ]
+        terminal.show_json({"recording": path, "bytes": path.stat().st_size, "episodes": ends})
+        return
+    for number, frame, total in zip(numbers, last, returns, strict=True):
+        terminal.say(f"episode {number}: {frame.ending} after {frame.time:.2f} s ({frame.step} steps), return {total:.2f}")
+    terminal.say(f"{path} ({path.stat().st_size / 1000:,.0f} kB)")
+    terminal.note(f"\nnext:\n  deepbots view {path}\n  deepbots replay --verify {path}")

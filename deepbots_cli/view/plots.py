@@ -1,0 +1,227 @@
+"""Plots of trainings: returns, success rates, reward terms and endings over the timesteps, with a band over seeds."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deepbots_cli.errors import MissingExtraError, RunError, UsageError
+from deepbots_cli.learning.run import NAME, Record, run_folders
+from deepbots_cli.view.page import COLOURS
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+SUFFIXES = (".png", ".svg")
+_POINTS = 200  # of a curve
+_BINS = 40  # of the endings
+_MAX_BYTES = 1 << 28  # of a log
+_DASHES = ("-", "--", "-.", ":")
+_THEMES = {"light": ("#ffffff", "#202428", "#d5d8dc"), "dark": ("#16181c", "#e4e6ea", "#3c4046")}
+"""Background, text and grid."""
+Curve = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""Timesteps and values."""
+
+
+@dataclass
+class Log:
+    """What is known of one training: curves; reward terms by name; the step and the ending of each episode. `group` is the scenario with
+    its digest, and `name` what its line is called."""
+
+    path: Path
+    group: str
+    name: str = ""
+    returns: Curve | None = None
+    successes: Curve | None = None
+    evaluations: Curve | None = None
+    terms: dict[str, Curve] = field(default_factory=dict)
+    endings: list[tuple[float, str]] = field(default_factory=list)
+
+
+def read(paths: Sequence[str | Path], window: int = 100) -> list[Log]:
+    """Read runs, folders of runs, and folders of TensorBoard files that other programs wrote.
+
+    Args:
+        window: The number of episodes that returns and successes are averaged over.
+
+    Raises:
+        RunError: One is neither, is damaged, or holds no episode yet.
+        MissingExtraError: TensorBoard is not installed.
+    """
+    found = [_read_run(path, window) if (path / NAME).is_file() else _read_tensorboard(path) for path in run_folders(paths)]
+    first = {log.group: log for log in reversed(found)}  # the first run of each scenario
+    names = {group: group.rpartition(" ")[0] for group in first}
+    for log in found:
+        shared = list(names.values()).count(names[log.group]) > 1  # scenarios of one name that differ are called after their first run
+        log.name = first[log.group].path.name if shared else names[log.group]
+    return found
+
+
+def _read_run(path: Path, window: int) -> Log:
+    record = Record.read(path)
+    log = Log(path, f"{record.scenario} {record.digest}")
+    rows = _rows(path / "monitor.csv")
+    if not rows:
+        raise RunError(f"{path} holds no finished episode yet; plot it later")
+    try:
+        steps = np.array([float(row["steps"]) for row in rows])
+        log.returns = _averaged(steps, np.array([float(row["r"]) for row in rows]), window)
+        successes = np.array([float(row["is_success"]) for row in rows])
+        log.endings = [(step, row["ended_by"]) for step, row in zip(steps, rows, strict=True)]
+        lines = [json.loads(line) for line in _text(path / "evaluations" / "training.jsonl").splitlines()]
+        points = [(float(line["steps"]), float(np.mean(line["returns"]))) for line in lines]
+    except (KeyError, TypeError, ValueError) as error:
+        raise RunError(f"{path} is damaged: one of its logs cannot be read") from error
+    log.successes = _averaged(steps, successes, window) if successes.any() else None
+    log.evaluations = (np.array([step for step, _ in points]), np.array([value for _, value in points])) if points else None
+    scalars = _scalars(path / "tensorboard")
+    log.terms = {tag.removeprefix("reward/"): curve for tag, curve in scalars.items() if tag.startswith("reward/")}
+    return log
+
+
+def _read_tensorboard(path: Path) -> Log:
+    """What Stable-Baselines3 writes."""
+    if not path.is_dir():
+        raise RunError(f"{path} is neither a run nor a folder of TensorBoard files")
+    scalars = _scalars(path)
+    names = {"returns": "rollout/ep_rew_mean", "successes": "rollout/success_rate", "evaluations": "eval/mean_reward"}
+    if not scalars.keys() & names.values():
+        raise RunError(f"{path} is no run, and its TensorBoard files hold none of {', '.join(names.values())}")
+    log = Log(path, f"{path.name} ")
+    log.returns, log.successes, log.evaluations = (scalars.get(tag) for tag in names.values())
+    return log
+
+
+def _text(path: Path) -> str:
+    try:
+        if path.stat().st_size > _MAX_BYTES:
+            raise RunError(f"{path} is larger than {_MAX_BYTES >> 20} MiB")
+        return path.read_text("utf-8", errors="replace")
+    except FileNotFoundError:
+        return ""
+
+
+def _rows(path: Path) -> list[dict[str, str]]:
+    lines = [line for line in _text(path).splitlines() if not line.startswith("#")]
+    return [row for row in csv.DictReader(lines) if None not in row.values()]  # the last line may be half written
+
+
+def _scalars(path: Path) -> dict[str, Curve]:
+    if not any(path.glob("**/events.out.tfevents.*")):
+        return {}
+    try:
+        from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("train", "reading TensorBoard files") from error
+    found: dict[str, list[tuple[float, float]]] = {}
+    for folder in sorted({file.parent for file in path.glob("**/events.out.tfevents.*")}):
+        events = EventAccumulator(str(folder), size_guidance={"scalars": 0})
+        events.Reload()
+        for tag in events.Tags()["scalars"]:
+            found.setdefault(tag, []).extend((float(event.step), event.value) for event in events.Scalars(tag))
+    return {tag: (np.array([s for s, _ in sorted(rows)]), np.array([v for _, v in sorted(rows)])) for tag, rows in found.items()}
+
+
+def _averaged(steps: NDArray[np.float64], values: NDArray[np.float64], window: int) -> Curve:
+    """Means over so many episodes up to each."""
+    sums = np.concatenate([[0.0], np.cumsum(values)])
+    ends = np.arange(1, len(values) + 1)
+    starts = np.maximum(0, ends - window)
+    return steps, (sums[ends] - sums[starts]) / (ends - starts)
+
+
+def plot(logs: Sequence[Log], *, theme: str = "light") -> Figure:
+    """A figure of trainings: those of one scenario are one line, the mean of its seeds, with a band from the lowest to the highest seed.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("view", "a plot") from error
+    groups: dict[str, list[Log]] = {}
+    for log in logs:
+        groups.setdefault(log.name, []).append(log)
+    if len(groups) > len(COLOURS):
+        raise UsageError(f"{len(groups)} scenarios are too many for one plot; at most {len(COLOURS)} can be told apart")
+    detailed = [members for members in groups.values() if any(log.terms or log.endings for log in members)]
+    figure = Figure(figsize=(10.0, 3.4 + 2.7 * len(detailed)), layout="constrained", facecolor=_THEMES[theme][0])
+    axes = figure.subplots(1 + len(detailed), 2, squeeze=False)
+    returns, successes = axes[0]
+    for number, (name, members) in enumerate(groups.items()):
+        label = name if len(members) == 1 else f"{name} ({len(members)} seeds)"
+        style: dict[str, Any] = {"color": COLOURS[number], "linestyle": _DASHES[number % len(_DASHES)], "label": label}
+        _band(returns, [log.returns for log in members if log.returns is not None], style)
+        _band(successes, [log.successes for log in members if log.successes is not None], style)
+        for log in members:
+            if log.evaluations is not None:
+                returns.plot(*log.evaluations, "o", color=COLOURS[number], markersize=3, alpha=0.7)
+    for panel, title in ((returns, "return of training episodes; dots: evaluations"), (successes, "success rate of training episodes")):
+        _finish(panel, title, theme, legend=panel is returns)
+    successes.set_ylim(-0.03, 1.03)
+    if not successes.lines:
+        successes.set_visible(False)
+    for (left, right), members in zip(axes[1:], detailed, strict=True):
+        name = f"{members[0].name}: " if len(groups) > 1 else ""
+        for number, term in enumerate(sorted({term for log in members for term in log.terms})):
+            style = {"color": COLOURS[number % len(COLOURS)], "linestyle": _DASHES[number // len(COLOURS) % len(_DASHES)], "label": term}
+            _band(left, [log.terms[term] for log in members if term in log.terms], style)
+        _finish(left, f"{name}reward terms of an episode", theme)
+        _endings(right, [ending for log in members for ending in log.endings])
+        _finish(right, f"{name}endings, share of episodes", theme)
+    return figure
+
+
+def _band(panel: Axes, curves: Sequence[Curve], style: Mapping[str, Any]) -> None:
+    """The mean of curves as far as all go, between the lowest and the highest."""
+    curves = [(steps, values) for steps, values in curves if len(steps)]
+    if not curves:
+        return
+    at = np.linspace(max(steps[0] for steps, _ in curves), max(min(steps[-1] for steps, _ in curves), curves[0][0][0] + 1), _POINTS)
+    rows = np.stack([np.interp(at, steps, values) for steps, values in curves])
+    panel.plot(at, rows.mean(axis=0), linewidth=1.8, **style)
+    if len(rows) > 1:
+        panel.fill_between(at, rows.min(axis=0), rows.max(axis=0), color=style["color"], alpha=0.22, linewidth=0)
+
+
+def _endings(panel: Axes, endings: Sequence[tuple[float, str]]) -> None:
+    """How episodes end, as shares of those in equal parts of the training."""
+    if not endings:
+        return
+    last = max(step for step, _ in endings)
+    parts = [Counter[str]() for _ in range(_BINS)]
+    for step, ending in endings:
+        parts[min(_BINS - 1, int(_BINS * step / max(last, 1.0)))][ending or "unknown"] += 1
+    names = [name for name, _ in Counter(ending or "unknown" for _, ending in endings).most_common()]
+    middles = [(number + 0.5) / _BINS * last for number, part in enumerate(parts) if part]
+    shares = [[part[name] / part.total() for part in parts if part] for name in names]
+    panel.stackplot(middles, shares, labels=names, colors=[COLOURS[n % len(COLOURS)] for n in range(len(names))], alpha=0.85, linewidth=0)
+    panel.set_ylim(0, 1)
+
+
+def _finish(panel: Axes, title: str, theme: str, *, legend: bool = True) -> None:
+    from matplotlib.ticker import EngFormatter
+
+    ground, text, grid = _THEMES[theme]
+    panel.set_facecolor(ground)
+    panel.set_title(title, fontsize=10, color=text, loc="left")
+    panel.set_xlabel("timesteps", fontsize=9, color=text)
+    panel.xaxis.set_major_formatter(EngFormatter(sep=""))
+    panel.tick_params(colors=text, labelsize=8)
+    panel.grid(color=grid, linewidth=0.6)
+    panel.set_axisbelow(True)
+    for side, spine in panel.spines.items():
+        spine.set_visible(side in ("left", "bottom"))
+        spine.set_color(grid)
+    if legend and panel.get_legend_handles_labels()[1]:
+        panel.legend(fontsize=8, labelcolor=text, facecolor=ground, edgecolor=grid, framealpha=0.85)

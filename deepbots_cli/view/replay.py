@@ -1,0 +1,178 @@
+"""Playing recordings, and running them again to compare."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import msgspec
+from gymnasium import spaces
+
+from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.port import View
+from deepbots_cli.view.episodes import RECORDED, Opened, Player
+from deepbots_cli.view.frames import WorldFrame
+from deepbots_cli.view.recordings import SECOND, Describer, Recorded, Recording, damaged, read_frame, unpacked, versions
+
+
+class Replayed(Player):
+    """Plays a recording: frames come from the file, and the environment holds the world that they are drawn in."""
+
+    def __init__(self, opened: Opened) -> None:
+        """Make the environment.
+
+        Raises:
+            ScenarioError, EngineError, UsageError: As for `Player`.
+        """
+        assert isinstance(opened.recording, Recording)
+        self.recording = opened.recording
+        self._read = lru_cache(maxsize=2000)(self._frame_of)
+        super().__init__(opened, RECORDED)
+
+    def drive(self, name: str) -> None:
+        """Nothing: a recording has its actions."""
+        self.driver_name = name
+
+    def begin(self, seed: int, episode: int) -> WorldFrame:
+        """The first frame of an episode of the recording; `seed` is that of the recording."""
+        first = self.recording.episodes[0].number
+        self._recorded = self.recording.episode(first if episode == 0 else episode)
+        self.env.reset(seed=self._recorded.seed)  # colours and light, which frames do not hold
+        return self.seek(0)
+
+    def following(self, episode: int) -> int:
+        """The number of the next episode; after the last comes the first."""
+        numbers = [each.number for each in self.recording.episodes]
+        return numbers[(numbers.index(self._recorded.number) + 1) % len(numbers)]
+
+    @property
+    def length(self) -> int:
+        """The number of frames of the episode."""
+        return len(self._recorded.steps)
+
+    def seek(self, place: int) -> WorldFrame:
+        """Go to a frame of the episode, counted from 0."""
+        self._place = min(max(0, place), self.length - 1)
+        self.frame = self._read(self._recorded.number, self._place)
+        return self.frame
+
+    def step(self) -> WorldFrame:
+        return self.seek(self._place + 1)
+
+    def past(self, count: int) -> list[WorldFrame]:
+        """At most so many frames up to the present one."""
+        return [self._read(self._recorded.number, place) for place in range(max(0, self._place + 1 - count), self._place + 1)]
+
+    def view(self, width: int, height: int) -> View:
+        engine = self.env.engine
+        for robot in self.env.world.robots:
+            engine.place(robot.name, *self.frame.links[robot.name, robot.model.root])
+            for joint, position in zip(robot.model.moving_joints, self.frame.joints.get(robot.name, ()), strict=False):
+                engine.set_joint(robot.name, joint.name, position, 0.0)
+        for thing in self.env.world.objects:
+            if not thing.fixed and (thing.name, thing.name) in self.frame.links:
+                engine.place(thing.name, *self.frame.links[thing.name, thing.name])
+        return super().view(width, height)
+
+    def render(self, view: View) -> Any:
+        self.view(view.width, view.height)
+        return super().render(view)
+
+    def _frame_of(self, number: int, place: int) -> WorldFrame:
+        steps = self.recording.episode(number).steps
+        with damaged(self.recording.path):
+            frame = read_frame(steps[place], self.reader.layout)
+        if place == len(steps) - 1 and frame.ended_by is None:
+            frame = replace(frame, ended_by="end of the recording", truncated=True)
+        return frame
+
+
+# What is verified
+
+
+class Divergence(NamedTuple):
+    """Where a replay first differs: `recorded` and `now` are texts, and empty where only hashes are known."""
+
+    episode: int
+    step: int
+    quantity: str
+    recorded: str
+    now: str
+
+
+class _Actions:
+    """The driver that repeats an episode."""
+
+    note = ""
+
+    def __init__(self, recorded: Recorded, space: Any) -> None:
+        self._steps, self._space = iter(recorded.steps[1:]), space
+
+    def begin(self, seed: int) -> None:
+        """Nothing."""
+
+    def act(self, observation: Any) -> Any:
+        action = msgspec.json.decode(next(self._steps)["/step"])["action"]
+        if isinstance(self._space, spaces.Dict):
+            return {name: unpacked(action[name], part) for name, part in self._space.spaces.items()}
+        return unpacked(action["action"], self._space)
+
+
+def verify(recording: Recording, player: Player, on_episode: Callable[[int], object] = lambda done: None) -> Divergence | None:
+    """Run the episodes of a recording again, with its seeds and actions, and compare every step; None where all are the same.
+
+    Raises:
+        RecordingError: A step cannot be read.
+    """
+    describer, time = Describer(player), 0
+    for done, recorded in enumerate(recording.episodes, start=1):
+        player.driver = _Actions(recorded, player.env.action_space)
+        begun = time
+        for place, old in enumerate(recorded.steps):
+            if place and player.frame.ended_by is not None:
+                return Divergence(recorded.number, place, "ending", "none", player.frame.ending)
+            try:
+                frame = player.step() if place else player.start(recorded.seed)
+            except DeepbotsError as error:
+                return Divergence(recorded.number, place, "error", "none", str(error))
+            time = begun + round(frame.time * SECOND)
+            new = describer.describe(time, recorded.number, recorded.seed)
+            with damaged(recording.path):
+                for topic in sorted(new, key=_cause):
+                    if not topic.startswith("/image/") and new[topic] != old.get(topic):
+                        before, after = msgspec.json.decode(old.get(topic, b"{}")), msgspec.json.decode(new[topic])
+                        return Divergence(recorded.number, place, *_first(topic, before, after))
+        time += SECOND
+        on_episode(done)
+    return None
+
+
+def changes(recording: Recording) -> list[str]:
+    """Versions that differ from those of the recording, a sentence each."""
+    return [
+        f"{name} was {old} when this was recorded, and is {new} now"
+        for name, new in versions().items()
+        if (old := recording.metadata.get(name)) != new
+    ]
+
+
+def _cause(topic: str) -> int:
+    """What comes first in a step."""
+    kind = "/to_robot" if topic.endswith("/to_robot") else topic.split("/")[1]
+    return ("episode", "/to_robot", "world", "tf", "scan", "message", "agent", "step", "image").index(kind)
+
+
+def _first(where: str, recorded: Any, now: Any) -> tuple[str, str, str]:
+    """The first part of a topic that differs, by its path."""
+    if isinstance(recorded, dict) and isinstance(now, dict):
+        for key in {**recorded, **now}:
+            if recorded.get(key) != now.get(key):
+                return _first(f"{where}.{key}" if "." in where or key != "transforms" else where, recorded.get(key), now.get(key))
+    if isinstance(recorded, list) and isinstance(now, list) and len(recorded) == len(now):
+        for place, (before, after) in enumerate(zip(recorded, now, strict=True)):
+            if before != after:
+                name = after.get("child_frame_id", place) if isinstance(after, dict) else place
+                return _first(f"{where} {name}", before, after)
+    return where, str(recorded)[:80], str(now)[:80]
