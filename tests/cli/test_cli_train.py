@@ -72,8 +72,16 @@ def test_a_trained_run_can_be_evaluated_listed_filmed_and_gone_on_with(deepbots,
     resumed = json.loads(deepbots("train", "--resume", "mine", "--timesteps", "1200", "--quiet", "--json").out)
     assert resumed["training"]["steps"] >= 1200
     assert resumed["evaluation"]["episodes"] == 4
-    (row,) = json.loads(deepbots("list", "--runs", ".", "--json").out)["runs"]
-    assert (row["run"], row["status"], row["solved"]) == ("mine", "finished", "not yet")
+    (row,) = json.loads(deepbots("runs", ".", "--json").out)
+    assert (row["name"], row["state"], row["score"]) == ("mine", "finished", "evaluation")
+    assert row["mean_return"] == resumed["evaluation"]["mean_return"]
+    kept = json.loads(deepbots("runs", "mine", "--json").out)["evaluations"]
+    assert [(one["number"], one["model"], one["episodes"]) for one in kept] == [
+        (1, "best", 4),
+        (2, "best", 2),
+        (3, "last", 1),
+        (4, "best", 4),
+    ]
 
 
 def test_a_run_is_evaluated_in_its_cases_too(deepbots, tmp_path):
@@ -94,7 +102,7 @@ def test_a_run_is_evaluated_in_its_cases_too(deepbots, tmp_path):
 def test_a_demanded_result_that_is_not_met_ends_with_1(deepbots, trained):
     ran = deepbots("eval", "mine", "--episodes", "2", "--require-solved", "--min-return", "1000")
     assert ran.code == 1
-    assert "the evaluation cannot say whether the task is solved (cannot be told from 2 episodes" in ran.err
+    assert "not met: the task is solved (cannot be told from 2 episodes" in ran.err
     assert "not met: mean return of at least 1000" in ran.err
     ran = deepbots("eval", "mine", "--episodes", "40", "--min-return", "1", "--json")
     assert (ran.code, "met: mean return of at least 1 (" in ran.err) == (0, True)
@@ -175,7 +183,7 @@ def test_the_list_tells_runs_of_different_scenarios_with_one_name_apart(deepbots
         assert (
             deepbots("train", "cartpole", "--timesteps", "1", *sets, "--set", "evaluation={episodes: 1}", "--run", f"runs/{name}").code == 0
         )
-    rows = {row["run"]: row["digest"] for row in json.loads(deepbots("list", "--json").out)["runs"]}
+    rows = {row["name"]: row["digest"] for row in json.loads(deepbots("runs", "--json").out)}
     assert rows["one"] == rows["same"] != rows["other"]
 
 

@@ -12,12 +12,13 @@ import pytest
 import stand_in
 
 from deepbots_cli.api import Compiled
+from deepbots_cli.cli.results import case_rows, evaluation_text, summary_text
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.expressions.dimensions import LENGTH
 from deepbots_cli.learning import TrainingResult, evaluate, evaluate_cases, train, video
 from deepbots_cli.learning.episodes import Episode, Summary
 from deepbots_cli.learning.evaluation import judge
-from deepbots_cli.learning.report import case_rows, evaluation_text, summary_text, to_json
+from deepbots_cli.learning.report import to_json
 from deepbots_cli.program.task import Solved
 
 
@@ -70,9 +71,9 @@ def test_each_episode_is_told_when_it_is_over(trained: TrainingResult) -> None:
     assert told == [(done, 10) for done in range(1, 11)]
 
 
-def test_a_single_episode_has_no_deviation(trained: TrainingResult) -> None:
+def test_a_single_episode_has_no_standard_deviation(trained: TrainingResult) -> None:
     result = evaluate(trained.run, episodes=1, build=stand_in.build)
-    assert result.deviation is None
+    assert result.std_return is None
     assert evaluation_text(result)
 
 
@@ -190,5 +191,5 @@ def test_a_run_with_a_case_for_another_policy_is_refused(tmp_path: Path) -> None
 
 def test_small_returns_are_shown_with_four_decimals() -> None:
     done = [Episode(value, 10, False, "max_time") for value in (0.1423, 0.1431)]
-    assert "mean return       0.1427; standard deviation 0.0006" in summary_text(Summary.of(done), success_defined=False)
+    assert "mean return         0.1427; standard deviation 0.0006" in summary_text(Summary.of(done), success_defined=False)
     assert "mean return       14.27" in summary_text(Summary.of([Episode(14.27, 10, False, None)]), success_defined=False)
