@@ -23,15 +23,13 @@ from deepbots_cli import api
 from deepbots_cli.api import Compiled
 from deepbots_cli.compiler.inputs import FOLDER, RESOLVED, write_copies
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
-from deepbots_cli.learning import run as runs_of
 from deepbots_cli.learning.report import Reporter
-from deepbots_cli.learning.run import Record, TrainingResult, new_directory, now, read_json, run_lock, write_text
+from deepbots_cli.learning.run import GROUP_NAME, NAME, Record, TrainingResult, new_directory, now, read_json, run_lock, write_text
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.environments import BuildWorld
 
 FORMAT = 1
-NAME = "group.json"
 MAX_SEEDS = 1000
 _LIMIT = 1_000_000
 
@@ -72,11 +70,11 @@ class Group:
         """
         path = Path(path)
         if not is_group(path):
-            raise RunError(f"{path} is not a group of runs: it holds no {NAME}")
-        record = read_json(path / NAME, GroupRecord, _LIMIT)
+            raise RunError(f"{path} is not a group of runs: it holds no {GROUP_NAME}")
+        record = read_json(path / GROUP_NAME, GroupRecord, _LIMIT)
         if record.format != FORMAT:
             raise RunError(f"{path} is a group of format {record.format}, this deepbots reads {FORMAT}; use the deepbots that wrote it")
-        for name in (NAME, RESOLVED, FOLDER, *(f"seed-{seed}" for seed in record.seeds)):
+        for name in (GROUP_NAME, RESOLVED, FOLDER, *(f"seed-{seed}" for seed in record.seeds)):
             if (path / name).is_symlink():
                 raise RunError(f"{path / name} is a symbolic link, which no group of ours holds")
         return Group(path, record)
@@ -88,12 +86,12 @@ class Group:
     @property
     def runs(self) -> list[Path]:
         """The folders of the runs that have begun, in the order of the seeds."""
-        return [self.run(seed) for seed in self.record.seeds if (self.run(seed) / runs_of.NAME).is_file()]
+        return [self.run(seed) for seed in self.record.seeds if (self.run(seed) / NAME).is_file()]
 
 
 def is_group(path: Path) -> bool:
     """Whether the folder is a group of runs."""
-    return (path / NAME).is_file()
+    return (path / GROUP_NAME).is_file()
 
 
 @dataclass(frozen=True)
@@ -170,7 +168,7 @@ def train_group(
         started=now(),
     )
     write_copies(path, compiled.resolved, compiled.inputs)
-    write_text(path / NAME, record.model_dump_json(indent=2) + "\n")
+    write_text(path / GROUP_NAME, record.model_dump_json(indent=2) + "\n")
     made = Group(path, record)
     try:
         with run_lock(path):
@@ -227,7 +225,7 @@ def _train_seeds(
     for number, seed in enumerate(record.seeds, start=1):
         path = group.run(seed)
         try:
-            begun = Record.read(path) if (path / runs_of.NAME).is_file() else None
+            begun = Record.read(path) if (path / NAME).is_file() else None
             if begun is not None and _is_done(begun, total_timesteps):
                 skipped.append(seed)
                 continue

@@ -44,6 +44,8 @@ FORMAT = 3
 """Of the run directory as a whole; raised when an older deepbots could no longer read it."""
 
 NAME = "run.json"
+GROUP_NAME = "group.json"
+"""The record of a folder with runs of several seeds (`group.py`)."""
 POLICY = "policy"
 """The name of the one policy of a scenario."""
 ModelName = Literal["best", "last"]
@@ -141,6 +143,8 @@ class Record(BaseModel):
         if not folder.is_dir():
             raise RunError(f"{folder} is not a run: {'it is a file' if folder.exists() else 'there is no such directory'}")
         path = folder / NAME
+        if (folder / GROUP_NAME).is_file():
+            raise RunError(f"{folder} is a group of runs, and not a run; name one of its runs, such as {folder}/seed-0")
         if not path.is_file():
             raise RunError(f"{folder} is not a run: it holds no {NAME}")
         found = read_json(path, _Format, _LIMIT).format

@@ -136,6 +136,8 @@ def test_a_group_that_is_no_group_any_more_is_told_in_one_sentence(trained_group
     (copy / "group.json").write_text(json.dumps(record))
     with pytest.raises(RunError, match="symbolic link"):
         Group.open(copy)
+    with pytest.raises(RunError, match=r"is a group of runs, and not a run; name one of its runs, such as .*/seed-0"):
+        Run.open(trained_group.group)
 
 
 # The list
