@@ -181,6 +181,8 @@ class _Logged:
 
 def _recent_episodes(log: Path) -> Iterator[_Logged]:
     """The last episodes of a `monitor.csv`, of which the last line may still be written."""
+    if not log.is_file():  # opening a pipe waits for ever
+        return
     try:
         with log.open("rb") as stream:
             names = next(csv.reader(line.decode() for line in islice(stream, 1, 2)), [])
