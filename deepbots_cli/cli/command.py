@@ -68,6 +68,25 @@ def _whole(text: str) -> int | None:
     return int(number) if number.is_integer() and number < 1e15 else None
 
 
+def seed_list(text: str) -> tuple[int, ...]:
+    """Seeds from `0..4`, both ends included, or `0,3,7`.
+
+    Raises:
+        typer.BadParameter: The text is neither.
+    """
+    seeds: list[int] = []
+    for part in text.split(","):
+        first, dots, last = part.partition("..")
+        low = whole(0, MAX_SEED)(first.strip())
+        high = whole(0, MAX_SEED)(last.strip()) if dots else low
+        if not low <= high < low + 1000:
+            raise typer.BadParameter(f"'{part}' is no range of seeds; write it like 0..4, the smaller one first, at most 1000 seeds")
+        seeds += range(low, high + 1)
+    if len(set(seeds)) < len(seeds):
+        raise typer.BadParameter(f"'{text}' has a seed twice")
+    return tuple(seeds)
+
+
 def with_case_or_stage(program: Program, case: str | None, stage: str | None) -> Program:
     """The scenario with the settings of an evaluation case or a curriculum stage; unchanged without either.
 

@@ -11,9 +11,12 @@ defaults.py      the hyperparameters that a training takes: the scenario's, our 
 environments.py  a vector environment over several worlds
 curriculum.py    the stages of a training
 episodes.py      what episodes leave behind: log, statistics, solved, summaries with intervals
-comparison.py    compare: groups of runs on the same starts
+group.py         groups: a folder with a run per seed, trained one after the other
+listing.py       what is known of runs and groups from their files, also while they train
+comparison.py    compare: groups of runs on the same starts; a group as one
+robustness.py    a policy under changed conditions
 statistics.py    intervals, gates that may stop early, comparisons of groups of runs
-report.py        results as text and as JSON, progress
+report.py        results as JSON, progress
 video.py         one episode as mp4
 
 The names below are imported on first use: torch alone takes a second.
@@ -27,23 +30,47 @@ from typing import TYPE_CHECKING
 from deepbots_cli.errors import MissingExtraError
 
 if TYPE_CHECKING:
-    from deepbots_cli.learning.comparison import Comparison, compare
-    from deepbots_cli.learning.evaluation import EvaluationResult, evaluate, evaluate_cases
+    from deepbots_cli.learning.comparison import Comparison, GroupResult, compare, evaluate_group
+    from deepbots_cli.learning.evaluation import EvaluationResult, evaluate, evaluate_baselines, evaluate_cases
+    from deepbots_cli.learning.group import resume_group, train_group
+    from deepbots_cli.learning.robustness import Robustness, evaluate_robustness
     from deepbots_cli.learning.run import TrainingResult
     from deepbots_cli.learning.training import resume, train
-
-__all__ = ["Comparison", "EvaluationResult", "TrainingResult", "compare", "evaluate", "evaluate_cases", "resume", "train"]
 
 _HOMES = {
     "Comparison": "comparison",
     "EvaluationResult": "evaluation",
+    "GroupResult": "comparison",
+    "Robustness": "robustness",
     "TrainingResult": "run",
     "compare": "comparison",
     "evaluate": "evaluation",
+    "evaluate_baselines": "evaluation",
     "evaluate_cases": "evaluation",
+    "evaluate_group": "comparison",
+    "evaluate_robustness": "robustness",
     "resume": "training",
+    "resume_group": "group",
     "train": "training",
+    "train_group": "group",
 }
+__all__ = [
+    "Comparison",
+    "EvaluationResult",
+    "GroupResult",
+    "Robustness",
+    "TrainingResult",
+    "compare",
+    "evaluate",
+    "evaluate_baselines",
+    "evaluate_cases",
+    "evaluate_group",
+    "evaluate_robustness",
+    "resume",
+    "resume_group",
+    "train",
+    "train_group",
+]
 
 
 def __getattr__(name: str) -> object:
@@ -54,4 +81,4 @@ def __getattr__(name: str) -> object:
     except ModuleNotFoundError as error:
         if (error.name or "").startswith("deepbots_cli"):
             raise
-        raise MissingExtraError("train", "evaluating" if _HOMES[name] == "evaluation" else "training") from error
+        raise MissingExtraError("train", "training" if _HOMES[name] in ("group", "training") else "evaluating") from error

@@ -6,15 +6,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
+from typing import Any
 
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
 from deepbots_cli.compiler.inputs import RESOLVED
-from deepbots_cli.errors import UsageError
-from deepbots_cli.learning.environments import compiled_of
+from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.learning.environments import BuildWorld, compiled_of
+from deepbots_cli.learning.episodes import Interval
 from deepbots_cli.learning.evaluation import EvaluationResult, evaluate
-from deepbots_cli.learning.run import ModelName, Run, run_folders
-from deepbots_cli.learning.statistics import Difference, compare_episodes, compare_seeds, interquartile_mean
+from deepbots_cli.learning.group import Group, is_group
+from deepbots_cli.learning.run import POLICY, ModelName, Run, run_folders
+from deepbots_cli.learning.statistics import Difference, compare_episodes, compare_seeds, interquartile_mean, mean_interval
 from deepbots_cli.scenario import Scenario
 
 MIN_SEEDS = 3
@@ -22,11 +25,20 @@ MIN_SEEDS = 3
 
 
 @dataclass(frozen=True)
-class Group:
-    """Runs of the same scenario with other seeds, and their evaluations on the same starts."""
+class GroupResult:
+    """The evaluations of runs that differ by their seeds only, on the same starts.
+
+    Statistics are over the seeds, with one score per run: its mean return, or its success rate. Intervals are Student's at 95 %, None for
+    a single run. `waiting` are the seeds of the group that have no model yet.
+    """
 
     name: str
     evaluations: tuple[EvaluationResult, ...]
+    waiting: tuple[int, ...] = ()
+
+    @property
+    def success_defined(self) -> bool:
+        return all(result.success_defined for result in self.evaluations)
 
     @property
     def returns(self) -> list[float]:
@@ -43,13 +55,23 @@ class Group:
         return fmean(self.returns)
 
     @property
+    def return_interval(self) -> Interval | None:
+        return mean_interval(self.returns)
+
+    @property
+    def interquartile_mean(self) -> float:
+        """The mean of the middle half of the returns of the runs (R. Agarwal et al., NeurIPS 2021)."""
+        return interquartile_mean(self.returns)
+
+    @property
     def success_rate(self) -> float:
         return fmean(self.success_rates)
 
     @property
-    def interquartile_mean(self) -> float:
-        """Of the returns of all episodes of all runs."""
-        return interquartile_mean([episode.total_return for result in self.evaluations for episode in result.outcomes])
+    def success_interval(self) -> Interval | None:
+        """Student's interval, cut at 0 and 1."""
+        found = mean_interval(self.success_rates)
+        return found and (max(0.0, found[0]), min(1.0, found[1]))
 
 
 @dataclass(frozen=True)
@@ -60,6 +82,7 @@ class Compared:
     is one over the episodes of these two policies.
     """
 
+    first: str
     group: str
     mean_return: Difference
     success_rate: Difference | None
@@ -76,20 +99,27 @@ class Compared:
             return f"{self.group}: the same mean return in every {'run' if self.between_seeds else 'episode'}"
         size = f"by {abs(difference.mean):.4g} in the mean return (95 % interval of the difference: {low:.4g} .. {high:.4g})"
         if not difference.certain:
-            return f"{self.group}: no certain difference from the first group; it differs {size}"
-        return f"{self.group} is {'better' if difference.mean > 0 else 'worse'} than the first group {size}"
+            return f"{self.group}: no certain difference from {self.first}; it differs {size}"
+        return f"{self.group} is {'better' if difference.mean > 0 else 'worse'} than {self.first} {size}"
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Groups in the order in which they were given, the others against the first, and remarks on what the numbers cannot tell."""
+    """Groups in the order in which they were given, the others against the first, and remarks on what the numbers cannot tell.
 
-    scenario: str
+    `scenario` is the name of the scenario of all episodes, or None if each run is evaluated in its own.
+    """
+
+    scenario: str | None
     episodes: int
     seed: int
-    groups: tuple[Group, ...]
+    groups: tuple[GroupResult, ...]
     differences: tuple[Compared, ...]
     notes: tuple[str, ...]
+
+
+OnRun = Callable[[int, int], object]
+"""Is called after each run with the number of evaluated runs and of all runs."""
 
 
 def compare(
@@ -100,43 +130,61 @@ def compare(
     model: ModelName = "best",
     scenario: Compiled | Scenario | str | Path | None = None,
     case: str | None = None,
+    own: bool = False,
     allow_code: bool = False,
-    on_run: Callable[[int, int], object] | None = None,
+    build: BuildWorld | None = None,
+    on_run: OnRun | None = None,
 ) -> Comparison:
     """Evaluate runs on the same starts, and compare them by groups.
 
-    Runs of the same scenario, trained in the same engine, are a group: they differ by their seeds only. If all runs are alike, each run is
-    a group.
-    A folder stands for all runs in it.
+    The folder of a group (`deepbots train --seeds`) is a group. Other runs of the same scenario, trained in the same engine, are a group:
+    they differ by their seeds only. If all runs are given singly and are alike, each run is a group. Any other folder stands for all runs
+    in it.
 
     Args:
-        runs: At least two run directories, or folders of run directories.
+        runs: Groups, run directories, or folders of run directories; at least two runs.
         episodes: Episodes of each run; by default the number of the scenario.
         seed: Root seed of the starts, the same for all runs.
         model: `best` or `last`.
         scenario: The scenario to evaluate in; by default that of the first run. Its interface must be that of every run.
         case: An evaluation case of this scenario.
+        own: Whether each run is evaluated in its own scenario instead, such as variants with different observations.
         allow_code: Whether terms in Python run.
-        on_run: Is called after each run with the number of evaluated runs and of all runs.
+        build: Makes a world of the scenario in place of the generated supervisor.
+        on_run: Is called after each run.
 
     Raises:
         RunError: A folder is not a run, or a run does not fit the scenario.
-        UsageError: There are fewer than two runs.
+        UsageError: There are fewer than two runs, or `own` comes with a scenario.
     """
-    opened = [Run.open(path) for path in run_folders(runs)]
+    if own and scenario is not None:
+        raise UsageError("each run is evaluated in its own scenario, or all in a given one; choose one of the two")
+    members = _members([Path(path) for path in runs])
+    opened = [run for group in members for run in group.runs]
     if len(opened) < 2:
         raise UsageError("a comparison needs at least two runs")
     base = opened[0].path
-    judged = api.compile(api.load(base / RESOLVED, allow_code=True, project=base)) if scenario is None else compiled_of(scenario)
-    results = []
-    for number, run in enumerate(opened, start=1):
-        results.append(evaluate(run, episodes=episodes, seed=seed, model=model, scenario=judged, case=case, allow_code=allow_code))
-        if on_run is not None:
-            on_run(number, len(opened))
-    groups = _grouped(opened, results)
+    if own:
+        judged = None
+    elif scenario is None:
+        judged = api.compile(api.load(base / RESOLVED, allow_code=True, project=base))
+    else:
+        judged = compiled_of(scenario)
+    count = 0
+    groups = []
+    for group in members:
+        results = []
+        for run in group.runs:
+            found = evaluate(run, episodes=episodes, seed=seed, model=model, scenario=judged, case=case, allow_code=allow_code, build=build)
+            results.append(found)
+            count += 1
+            if on_run is not None:
+                on_run(count, len(opened))
+        groups.append(GroupResult(group.name, tuple(results), group.waiting))
     differences = tuple(_compared(groups[0], group) for group in groups[1:])
-    first = results[0]
-    return Comparison(first.scenario, first.episodes, seed, groups, differences, tuple(_notes(opened, groups, differences)))
+    first = groups[0].evaluations[0]
+    notes = _notes(opened, groups, differences, own=own)
+    return Comparison(None if own else first.scenario, first.episodes, seed, tuple(groups), differences, tuple(notes))
 
 
 @dataclass(frozen=True)
@@ -174,32 +222,93 @@ def _paired(one: EvaluationResult, other: EvaluationResult) -> tuple[Difference,
     return returns, compare_episodes([float(e.is_success) for e in before], [float(e.is_success) for e in after])
 
 
-def _grouped(runs: Sequence[Run], results: Sequence[EvaluationResult]) -> tuple[Group, ...]:
-    alike: dict[tuple[str, str], list[EvaluationResult]] = {}
-    for run, result in zip(runs, results, strict=True):
-        alike.setdefault((run.record.digest, run.record.engine), []).append(result)
-    if len(alike) == 1:
-        return tuple(Group(result.run.name, (result,)) for result in results)
-    return tuple(Group(_name(members), tuple(members)) for members in alike.values())
+def evaluate_group(
+    group: str | Path,
+    *,
+    seed: int = 0,
+    scenario: Compiled | Scenario | str | Path | None = None,
+    on_run: OnRun | None = None,
+    **options: Any,
+) -> GroupResult:
+    """Evaluate every run of a group on the same starts.
+
+    Args:
+        group: The folder of the group. Seeds without a model are left out, and named in `waiting`.
+        seed: Root seed of the starts, the same for all runs.
+        scenario: As for `evaluate`; by default that of the group.
+        on_run: Is called after each run.
+        options: Further arguments of `evaluate`.
+
+    Raises:
+        RunError: The folder is no group, or none of its runs has a model; else as for `evaluate`.
+    """
+    members = _opened(Group.open(group))
+    judged = None if scenario is None else compiled_of(scenario)
+    results = []
+    for run in members.runs:
+        results.append(evaluate(run, seed=seed, scenario=judged, **options))
+        if on_run is not None:
+            on_run(len(results), len(members.runs))
+    return GroupResult(members.name, tuple(results), members.waiting)
 
 
-def _name(members: Sequence[EvaluationResult]) -> str:
+@dataclass(frozen=True)
+class _Members:
+    name: str
+    runs: tuple[Run, ...]
+    waiting: tuple[int, ...] = ()
+
+
+def _members(paths: Sequence[Path]) -> list[_Members]:
+    """The groups in the order of their first runs; each run once."""
+    groups: dict[object, _Members] = {}
+    single: dict[Path, None] = {}
+    order: dict[object, list[Run]] = {}
+    for path in paths:
+        if is_group(path):
+            groups[path] = _opened(Group.open(path))
+            order[path] = []
+            continue
+        for run_path in run_folders([path]):
+            if run_path not in single:
+                single[run_path] = None
+                run = Run.open(run_path)
+                order.setdefault((run.record.digest, run.record.engine), []).append(run)
+    if len(order) == 1 and not groups:
+        return [_Members(run.path.name, (run,)) for run in next(iter(order.values()))]
+    return [groups[key] if key in groups else _Members(_name(runs), tuple(runs)) for key, runs in order.items()]
+
+
+def _opened(group: Group) -> _Members:
+    """The runs of a group that have a model.
+
+    Raises:
+        RunError: There is none.
+    """
+    ready = [run for run in group.runs if (run / "models" / POLICY / "best.zip").is_file()]
+    if not ready:
+        raise RunError(f"{group.path} holds no trained run yet; train it with: deepbots train --resume {group.path}")
+    waiting = tuple(seed for seed in group.record.seeds if group.run(seed) not in ready)
+    return _Members(group.path.name, tuple(map(Run.open, ready)), waiting)
+
+
+def _name(runs: Sequence[Run]) -> str:
     """The name of the first run, with the number of the others."""
-    others = len(members) - 1
-    return members[0].run.name + (f" and {others} more" if others else "")
+    others = len(runs) - 1
+    return runs[0].path.name + (f" and {others} more" if others else "")
 
 
-def _compared(first: Group, group: Group) -> Compared:
+def _compared(first: GroupResult, group: GroupResult) -> Compared:
     between_seeds = max(len(first.evaluations), len(group.evaluations)) > 1
-    has_success = all(result.success_defined for result in (*first.evaluations, *group.evaluations))
+    has_success = first.success_defined and group.success_defined
     if between_seeds:
         success = compare_seeds(first.success_rates, group.success_rates) if has_success else None
-        return Compared(group.name, compare_seeds(first.returns, group.returns), success, between_seeds)
-    return Compared(group.name, *_paired(first.evaluations[0], group.evaluations[0]), between_seeds)
+        return Compared(first.name, group.name, compare_seeds(first.returns, group.returns), success, between_seeds)
+    return Compared(first.name, group.name, *_paired(first.evaluations[0], group.evaluations[0]), between_seeds)
 
 
-def _notes(runs: Sequence[Run], groups: Sequence[Group], differences: Sequence[Compared]) -> list[str]:
-    notes = []
+def _notes(runs: Sequence[Run], groups: Sequence[GroupResult], differences: Sequence[Compared], *, own: bool) -> list[str]:
+    notes = [f"{group.name}: no model yet of seed {', '.join(map(str, group.waiting))}" for group in groups if group.waiting]
     fewest = min(len(group.evaluations) for group in groups)
     if all(not difference.between_seeds for difference in differences):
         notes.append("each group is one run: the intervals compare these policies, and not the settings that they were trained with")
@@ -207,4 +316,8 @@ def _notes(runs: Sequence[Run], groups: Sequence[Group], differences: Sequence[C
         notes.append(f"a group has {fewest} run{'' if fewest == 1 else 's'}: train at least {MIN_SEEDS} seeds of each, better 5")
     if len({run.record.engine for run in runs}) > 1:
         notes.append("the runs were trained in different engines, and each is evaluated in its own")
+    if own and len({str([(term.name, term.text) for term in run.program.policy.reward]) for run in runs}) > 1:
+        notes.append("each run is evaluated in its own scenario, and the rewards differ: compare success rates, not returns")
+    for group in groups:
+        notes += dict.fromkeys(f"{group.name}: {note}" for result in group.evaluations for note in result.notes if "trained with" in note)
     return notes

@@ -6,7 +6,8 @@ import math
 import time
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from itertools import pairwise
 from pathlib import Path
 from statistics import fmean, stdev
 from typing import Any
@@ -24,13 +25,19 @@ Interval = tuple[float, float]
 
 @dataclass(frozen=True)
 class Episode:
-    """One finished episode; `terms` are the reward terms, summed over it."""
+    """One finished episode; `terms` are the reward terms, summed over it.
+
+    Of an evaluation, `seed` is the seed of the reset that it began with, and `drawn` holds what this reset drew, by the place in the
+    scenario, such as `parameters.mark` (SI units; see `Supervisor.reset`).
+    """
 
     total_return: float
     length: int
     is_success: bool
     ended_by: str | None
     terms: Mapping[str, float] = field(default_factory=dict)
+    seed: int | None = None
+    drawn: Mapping[str, float | str] = field(default_factory=dict)
 
 
 class EpisodeAccumulator:
@@ -40,6 +47,12 @@ class EpisodeAccumulator:
         self._return = 0.0
         self._length = 0
         self._terms: dict[str, float] = {}
+        self._seed: int | None = None
+        self._drawn: Mapping[str, float | str] = {}
+
+    def begin(self, seed: int, info: Mapping[str, Any]) -> None:
+        """Note how the episode begins: the seed of the reset, and the info that it returned."""
+        self._seed, self._drawn = seed, info.get("drawn", {})
 
     def add(self, reward: float, info: Mapping[str, Any]) -> None:
         """Count one step.
@@ -59,8 +72,9 @@ class EpisodeAccumulator:
 
     def close(self, info: Mapping[str, Any]) -> Episode:
         """The finished episode, given the info of its last step; the next one begins."""
-        episode = Episode(self._return, self._length, bool(info.get("is_success", False)), info.get("ended_by"), self._terms)
-        self._return, self._length, self._terms = 0.0, 0, {}
+        success, ended_by = bool(info.get("is_success", False)), info.get("ended_by")
+        episode = Episode(self._return, self._length, success, ended_by, self._terms, self._seed, self._drawn)
+        self._return, self._length, self._terms, self._seed, self._drawn = 0.0, 0, {}, None, {}
         return episode
 
 
@@ -105,7 +119,7 @@ class EpisodeLog:
 
 @dataclass(frozen=True)
 class SolvedAt:
-    """When the training first met the scenario's `solved`; CPU time counts from the start of the process."""
+    """When the training first met the scenario's `solved`; CPU time counts from the start of the training."""
 
     episode: int
     steps: int
@@ -137,6 +151,7 @@ class Statistics:
         self.steps = 0
         self.episodes = 0
         self.cpu_seconds_before = 0.0
+        self._began = time.process_time()
         self.solved_at: SolvedAt | None = None
         self.recent: deque[Episode] = deque(maxlen=solved.episodes if solved else WINDOW)
 
@@ -146,8 +161,8 @@ class Statistics:
 
     @property
     def cpu_seconds(self) -> float:
-        """Of this process and, after a resume, of those before it."""
-        return self.cpu_seconds_before + time.process_time()
+        """Of this training, without the start of Python, and with what it took before it was resumed."""
+        return self.cpu_seconds_before + time.process_time() - self._began
 
     @property
     def full(self) -> bool:
@@ -212,12 +227,18 @@ def meets(solved: Solved, mean_return: float, success_rate: float) -> bool:
 
 @dataclass(frozen=True)
 class Summary:
-    """Means of `episodes` episodes; `deviation` is the sample's; it and `return_interval` are None for a single episode."""
+    """Statistics of `episodes` episodes. Intervals are at 95 %: Student's for the mean return, Wilson's for the success rate.
+
+    `std_return` is the standard deviation of the sample; it and `return_interval` are None for a single episode. `interquartile_mean` is
+    the mean of the middle half of the returns. `endings` counts endings, the most frequent first; `term_means` are the reward terms per
+    episode.
+    """
 
     episodes: int
     mean_return: float
-    deviation: float | None
+    std_return: float | None
     return_interval: Interval | None
+    interquartile_mean: float
     least_return: float
     greatest_return: float
     successes: int
@@ -229,28 +250,78 @@ class Summary:
 
     @classmethod
     def of(cls, done: Sequence[Episode]) -> Summary:
-        """The summary of at least one episode; endings come with the most frequent first."""
-        returns = [episode.total_return for episode in done]
-        successes = sum(episode.is_success for episode in done)
-        # scipy is imported here: verbs that only read runs work without it.
-        from deepbots_cli.learning.statistics import mean_interval, wilson
-
-        names = {name: None for episode in done for name in episode.terms}
-        return cls(
-            episodes=len(done),
-            mean_return=fmean(returns),
-            deviation=stdev(returns) if len(returns) > 1 else None,
-            return_interval=mean_interval(returns),
-            least_return=min(returns),
-            greatest_return=max(returns),
-            successes=successes,
-            success_rate=successes / len(done),
-            success_interval=wilson(successes, len(done)),
-            mean_length=fmean(episode.length for episode in done),
-            endings=dict(Counter(episode.ended_by or "unknown" for episode in done).most_common()),
-            term_means={name: fmean(episode.terms.get(name, 0.0) for episode in done) for name in names},
-        )
+        """The summary of at least one episode."""
+        return cls(**statistics_of(done))
 
     def meets(self, solved: Solved | None) -> bool:
         """Whether these means count as solved; False where the scenario does not say what does."""
         return solved is not None and meets(solved, self.mean_return, self.success_rate)
+
+
+def statistics_of(done: Sequence[Episode]) -> dict[str, Any]:
+    """The fields of the summary of at least one episode."""
+    # scipy is imported here: verbs that only read runs work without it.
+    from deepbots_cli.learning.statistics import interquartile_mean, mean_interval, wilson
+
+    returns = [episode.total_return for episode in done]
+    successes = sum(episode.is_success for episode in done)
+    names = {name: None for episode in done for name in episode.terms}
+    return {
+        "episodes": len(done),
+        "mean_return": fmean(returns),
+        "std_return": stdev(returns) if len(returns) > 1 else None,
+        "return_interval": mean_interval(returns),
+        "interquartile_mean": interquartile_mean(returns),
+        "least_return": min(returns),
+        "greatest_return": max(returns),
+        "successes": successes,
+        "success_rate": successes / len(done),
+        "success_interval": wilson(successes, len(done)),
+        "mean_length": fmean(episode.length for episode in done),
+        "endings": dict(Counter(episode.ended_by or "unknown" for episode in done).most_common()),
+        "term_means": {name: fmean(episode.terms.get(name, 0.0) for episode in done) for name in names},
+    }
+
+
+@dataclass(frozen=True)
+class DrawnBin:
+    """The episodes in which a drawn value lies from `low` to `high` (both included); for a drawn name, both are this name.
+
+    The statistics are those of `Summary`.
+    """
+
+    low: float | str
+    high: float | str
+    episodes: int
+    mean_return: float
+    return_interval: Interval | None
+    successes: int
+    success_rate: float
+    success_interval: Interval
+
+
+MAX_OPTIONS, BINS = 6, 4
+"""A value with at most 6 different outcomes has a bin for each of them, any other value 4 bins with as many episodes each."""
+
+
+def by_drawn_value(done: Sequence[Episode]) -> dict[str, tuple[DrawnBin, ...]]:
+    """Success and return by each value that the episodes draw, by its place in the scenario; values that do not vary are left out."""
+    names = {name: None for episode in done for name in episode.drawn}
+    found = {name: _bins([episode for episode in done if name in episode.drawn], name) for name in names}
+    return {name: bins for name, bins in found.items() if len(bins) > 1}
+
+
+def _bins(done: Sequence[Episode], name: str) -> tuple[DrawnBin, ...]:
+    ordered = sorted(done, key=lambda episode: episode.drawn[name])
+    options = {episode.drawn[name] for episode in ordered}
+    if len(options) <= MAX_OPTIONS:
+        parts = [[episode for episode in ordered if episode.drawn[name] == option] for option in sorted(options)]
+    else:
+        edges = [len(ordered) * part // BINS for part in range(BINS + 1)]
+        parts = [ordered[first:end] for first, end in pairwise(edges)]
+    kept = {entry.name for entry in fields(DrawnBin)}
+    return tuple(
+        DrawnBin(part[0].drawn[name], part[-1].drawn[name], **{key: value for key, value in statistics_of(part).items() if key in kept})
+        for part in parts
+        if part
+    )

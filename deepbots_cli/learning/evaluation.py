@@ -8,9 +8,10 @@ every policy, is what `evaluate_policy` of Stable-Baselines3 cannot do.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +24,9 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import algorithms, models, video
 from deepbots_cli.learning.environments import BuildWorld, VectorEnvironment, World, compiled_of, default_build, is_team
-from deepbots_cli.learning.episodes import Episode, EpisodeAccumulator, Interval, Summary, meets
+from deepbots_cli.learning.episodes import DrawnBin, Episode, EpisodeAccumulator, Summary, by_drawn_value, meets, statistics_of
 from deepbots_cli.learning.run import ModelName, Run
+from deepbots_cli.learning.statistics import gate_rate
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Solved
 from deepbots_cli.runtime.streams import derive
@@ -41,41 +43,39 @@ Until = Callable[[Sequence[Episode]], bool]
 """Whether the first episodes of an evaluation are enough."""
 
 
-@dataclass(frozen=True)
-class EvaluationResult:
-    """What a policy did in `episodes` held-out episodes; intervals are at 95 %.
+Policy = str
+"""`best` or `last` of a run; of a baseline `random`, `zero`, or `script NAME`."""
 
-    `engine` is None for worlds that `build` made, `case` is None for the scenario itself. `deviation` is the sample's; it and
-    `return_interval` are None for a single episode. `solved` is None where the scenario says nothing, or asks for more episodes than there
-    were; `verdict` puts it in words. `outcomes` are the episodes, in the order of their seeds. Where the scenario knows no success
-    (`success_defined`), the success rate is 0 and means nothing.
+
+@dataclass(frozen=True)
+class EvaluationResult(Summary):
+    """What a policy did in held-out episodes: their summary, the circumstances, and the episodes themselves.
+
+    `engine` is None for worlds that `build` made. `model` is `best` or `last`, or the name of a baseline: `random`, `zero`, `script
+    NAME`. `case` and `stage` are None for the scenario itself. `solved` is None where the scenario says nothing, or asks for more
+    episodes than there were; `verdict` puts it in words. `outcomes` are the episodes, in the order of their seeds. Where the scenario
+    defines no success (`success_defined`), the success rate is 0 and means nothing.
     """
 
     run: Path
     scenario: str
     engine: str | None
     case: str | None
-    model: ModelName
-    episodes: int
+    stage: str | None
+    model: Policy
     seed: int
     deterministic: bool
-    mean_return: float
-    deviation: float | None
-    return_interval: Interval | None
-    least_return: float
-    greatest_return: float
     success_defined: bool
-    successes: int
-    success_rate: float
-    success_interval: Interval
-    mean_length: float
-    endings: Mapping[str, int]
-    term_means: Mapping[str, float]
     solved: bool | None
     verdict: str
     video: Path | None
     notes: tuple[str, ...]
     outcomes: tuple[Episode, ...] = field(repr=False)
+
+    @property
+    def by_drawn_value(self) -> dict[str, tuple[DrawnBin, ...]]:
+        """Success and return by each value that the episodes drew, by its place in the scenario, in a few bins of its range."""
+        return by_drawn_value(self.outcomes)
 
 
 def evaluate(
@@ -87,6 +87,7 @@ def evaluate(
     model: ModelName = "best",
     scenario: Compiled | Scenario | str | Path | None = None,
     case: str | None = None,
+    stage: str | None = None,
     video_to: str | Path | None = None,
     copies: int = ROWS,
     allow_code: bool = False,
@@ -109,6 +110,7 @@ def evaluate(
         model: `best` by its evaluations during the training, or `last`.
         scenario: Another scenario to evaluate in, as for `train`; its observation, action and messages must be those of the run.
         case: One of the scenario's cases to evaluate in, by name.
+        stage: One of the stages of its curriculum to evaluate in, by name.
         video_to: Where to write the first episode as mp4.
         copies: Worlds at a time, 1 to 8.
         allow_code: Whether terms in Python run.
@@ -123,14 +125,7 @@ def evaluate(
         MissingExtraError: A video is wanted and imageio is not installed.
     """
     known = run if isinstance(run, Run) else Run.open(run)
-    program = known.program if scenario is None else _fitting(known, compiled_of(scenario).program)
-    count = program.evaluation.episodes if episodes is None else episodes
-    if case is not None:
-        chosen = program.case(case)
-        program, count = chosen.program, chosen.episodes if episodes is None else episodes
-    root = known.record.seed if seed is None else seed
-    if count < 1 or root < 0:
-        raise UsageError(f"{count} episodes from seed {root} cannot be evaluated; episodes count from 1, seeds from 0")
+    program, count, root = _setting(known, episodes, seed, scenario, case, stage)
     video_to = None if video_to is None else Path(video_to)
     if video_to is not None:
         video.check(video_to)
@@ -148,41 +143,78 @@ def evaluate(
             world = stack.enter_context(closing(make(program, render_mode="rgb_array")))
             filmed = stack.enter_context(video.filmed(world, video_to, 1 / program.period))
             rollout(policy, [filmed], seeds[:1], deterministic=deterministic)
-    return _summary(
-        known, program, case, model, root, done, deterministic=deterministic, video_to=video_to, engine=None if build else engine
-    )
+    where = {"case": case, "stage": stage, "seed": root, "deterministic": deterministic, "video": video_to}
+    return _result(known, program, model, done, engine=None if build else engine, **where)
 
 
-def evaluate_cases(
+def evaluate_baselines(
     run: Run | str | Path,
     *,
     episodes: int | None = None,
     seed: int | None = None,
-    model: ModelName = "best",
     scenario: Compiled | Scenario | str | Path | None = None,
+    case: str | None = None,
+    stage: str | None = None,
     allow_code: bool = False,
     engine: str | None = None,
     build: BuildWorld | None = None,
     on_episode: OnEpisode | None = None,
 ) -> tuple[EvaluationResult, ...]:
-    """Evaluate in every case of the scenario, in file order; arguments and errors as for `evaluate`."""
-    scenario = None if scenario is None else compiled_of(scenario)
+    """Evaluate policies without learning on the starts of `evaluate`: random actions, zero actions, and each script of the scenario.
+
+    Arguments and errors are as for `evaluate`. The `model` of a result is `random`, `zero` or `script NAME`. Random actions are sampled
+    by the action space, which the seed of each episode seeds.
+    """
     known = run if isinstance(run, Run) else Run.open(run)
-    return tuple(
-        evaluate(
-            known,
-            episodes=episodes,
-            seed=seed,
-            model=model,
-            scenario=scenario,
-            case=case.name,
-            allow_code=allow_code,
-            engine=engine,
-            build=build,
-            on_episode=on_episode,
-        )
-        for case in (known.program if scenario is None else scenario.program).cases
-    )
+    program, count, root = _setting(known, episodes, seed, scenario, case, stage)
+    seeds = [derive(root, "evaluation", k) for k in range(count)]
+    results = []
+    engine = engine or known.engine_for(program)
+    with closing((build or default_build(engine, allow_code=allow_code))(program)) as world:
+        policies: dict[str, Callable[[], Any]] = {"random": world.action_space.sample, "zero": zero(world)}
+        for script in program.policy.scripts:
+            policies[f"script {script.name}"] = partial(world.get_wrapper_attr("script"), script.name)
+        for name, policy in policies.items():
+            done = []
+            for episode_seed in seeds:
+                done.append(_episode(world, episode_seed, policy))
+                if on_episode is not None:
+                    on_episode(len(done), count)
+            where = {"case": case, "stage": stage, "seed": root, "deterministic": True, "video": None}
+            results.append(_result(known, program, name, done, engine=None if build else engine, **where))
+    return tuple(results)
+
+
+def zero(world: World) -> Callable[[], Any]:
+    """A policy that takes the middle of every range, and the first option of every choice."""
+    drawn = world.action_space.sample()
+    action = {key: part * 0 for key, part in drawn.items()} if isinstance(drawn, dict) else drawn * 0
+    return lambda: action
+
+
+def _episode(world: World, seed: int, policy: Callable[[], Any]) -> Episode:
+    """An episode of a policy that looks at nothing but the world itself."""
+    accumulator = EpisodeAccumulator()
+    accumulator.begin(seed, world.reset(seed=seed)[1])
+    while True:
+        _, reward, terminated, truncated, info = world.step(policy())
+        accumulator.add(float(reward), info)
+        if terminated or truncated:
+            return accumulator.close(info)
+
+
+def evaluate_cases(
+    run: Run | str | Path, *, scenario: Compiled | Scenario | str | Path | None = None, stages: bool = False, **options: Any
+) -> tuple[EvaluationResult, ...]:
+    """Evaluate in every case of the scenario, in file order, and with `stages` in every stage of its curriculum too.
+
+    `options` are those of `evaluate`, except for `case`, `stage` and `until`.
+    """
+    known = run if isinstance(run, Run) else Run.open(run)
+    judged = None if scenario is None else compiled_of(scenario)
+    program = known.program if judged is None else judged.program
+    cases = [evaluate(known, scenario=judged, case=case.name, **options) for case in program.cases]
+    return (*cases, *(evaluate(known, scenario=judged, stage=stage.name, **options) for stage in program.curriculum if stages))
 
 
 def load(run: Run, name: ModelName, world: World) -> BaseAlgorithm:
@@ -209,35 +241,39 @@ def _fitting(run: Run, program: Program) -> Program:
     return program
 
 
-def _summary(
-    run: Run,
-    program: Program,
-    case: str | None,
-    model: ModelName,
-    seed: int,
-    done: Sequence[Episode],
-    *,
-    deterministic: bool,
-    video_to: Path | None,
-    engine: str | None,
-) -> EvaluationResult:
-    summary = Summary.of(done)
-    solved, verdict = judge(program.solved, summary.episodes, summary.mean_return, summary.success_rate)
+def _setting(
+    run: Run, episodes: int | None, seed: int | None, scenario: Compiled | Scenario | str | Path | None, case: str | None, stage: str | None
+) -> tuple[Program, int, int]:
+    """The program to evaluate in, the number of episodes, and the root seed."""
+    program = run.program if scenario is None else _fitting(run, compiled_of(scenario).program)
+    usual = program.evaluation.episodes
+    if case is not None and stage is not None:
+        raise UsageError("a case and a stage exclude each other")
+    if case is not None:
+        chosen = program.case(case)
+        program, usual = chosen.program, chosen.episodes
+    elif stage is not None:
+        program = program.stage(stage).program
+    count, root = usual if episodes is None else episodes, run.record.seed if seed is None else seed
+    if count < 1 or root < 0:
+        raise UsageError(f"{count} episodes from seed {root} cannot be evaluated; episodes count from 1, seeds from 0")
+    return program, count, root
+
+
+def _result(run: Run, program: Program, model: Policy, done: Sequence[Episode], **where: Any) -> EvaluationResult:
+    found = statistics_of(done)
+    solved, verdict = judge(program.solved, found["episodes"], found["mean_return"], found["success_rate"])
     return EvaluationResult(
         run=run.path,
         scenario=program.name,
-        engine=engine,
-        case=case,
         model=model,
-        seed=seed,
-        deterministic=deterministic,
         success_defined=program.defines_success,
         solved=solved,
         verdict=verdict,
-        video=video_to,
         notes=(*run.notes(), *identity.other_conditions(run.program, program)),
         outcomes=tuple(done),
-        **vars(summary),
+        **where,
+        **found,
     )
 
 
@@ -245,6 +281,10 @@ def judge(solved: Solved | None, episodes: int, mean_return: float, success_rate
     """Whether such an evaluation solves the task (None: cannot be told), and why."""
     if solved is None:
         return None, "the scenario does not say what counts as solved"
+    if episodes < solved.episodes and solved.success_rate is not None:
+        certain = gate_rate(solved.success_rate, round(success_rate * episodes), episodes, solved.episodes)
+        if certain.met is False:
+            return False, f"not solved: a success rate of {solved.success_rate:.1%} is required, and {certain.reason}"
     if episodes < solved.episodes:
         return None, f"cannot be told from {episodes} episode{'' if episodes == 1 else 's'}: the scenario asks for {solved.episodes}"
     reasons = []
@@ -308,8 +348,9 @@ def rollout(
 def _team_episode(model: BaseAlgorithm, world: World, seed: int, *, deterministic: bool) -> Episode:
     """An episode of all copies of a robot, with the mean of their rewards; each forward pass has a row for each copy."""
     torch.manual_seed(derive(seed, "policy"))
-    observation, _ = world.reset(seed=seed)
+    observation, info = world.reset(seed=seed)
     size, accumulator = len(world.get_wrapper_attr("agents")), EpisodeAccumulator()
+    accumulator.begin(seed, info)
     memory, starts = None, np.ones(size, dtype=bool)
     takes_masks = algorithms.takes_masks(model) and world.has_wrapper_attr("action_masks")
     while True:
@@ -385,9 +426,12 @@ class _Lane:
             return False
         self.number = number
         # Only a policy that samples draws from this.
-        torch.manual_seed(derive(self._seeds[number], "policy"))
+        seed = self._seeds[number]
+        torch.manual_seed(derive(seed, "policy"))
         batch.starts[self.row] = True
-        batch.put(self.row, self._world.reset(seed=self._seeds[number])[0], self._world)
+        observation, info = self._world.reset(seed=seed)
+        self._accumulator.begin(seed, info)
+        batch.put(self.row, observation, self._world)
         return True
 
     def step(self, action: Any, batch: _Batch) -> Episode | None:

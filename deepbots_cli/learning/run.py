@@ -44,6 +44,8 @@ FORMAT = 3
 """Of the run directory as a whole; raised when an older deepbots could no longer read it."""
 
 NAME = "run.json"
+GROUP_NAME = "group.json"
+"""The record of a folder with runs of several seeds (`group.py`)."""
 POLICY = "policy"
 """The name of the one policy of a scenario."""
 ModelName = Literal["best", "last"]
@@ -51,6 +53,7 @@ Status = Literal["running", "finished", "interrupted", "failed"]
 M = TypeVar("M", bound=BaseModel)
 
 _LIMIT = 4_000_000
+_EVALUATION_LIMIT = 200_000_000
 _DISTRIBUTIONS = ("gymnasium", "mujoco", "numpy", "pybullet", "stable-baselines3", "torch")
 _FILES = (NAME, RESOLVED, "monitor.csv", ".lock")
 _FOLDERS = (FOLDER, "tensorboard", "models", "evaluations", "checkpoints")
@@ -140,11 +143,16 @@ class Record(BaseModel):
         if not folder.is_dir():
             raise RunError(f"{folder} is not a run: {'it is a file' if folder.exists() else 'there is no such directory'}")
         path = folder / NAME
+        if (folder / GROUP_NAME).is_file():
+            raise RunError(f"{folder} is a group of runs, and not a run; name one of its runs, such as {folder}/seed-0")
         if not path.is_file():
             raise RunError(f"{folder} is not a run: it holds no {NAME}")
         found = read_json(path, _Format, _LIMIT).format
         if found != FORMAT:
-            raise RunError(f"{folder} is a run of format {found}, this deepbots reads {FORMAT}; use the deepbots that wrote it")
+            age = "a newer deepbots" if found > FORMAT else "an older deepbots"
+            raise RunError(
+                f"{folder} is a run of format {found}, from {age}; this one reads format {FORMAT}: use the deepbots that wrote it"
+            )
         return read_json(path, cls, _LIMIT)
 
 
@@ -227,9 +235,8 @@ class Run:
         """Write an evaluation under the next free number; None where the run may not be written to."""
         try:
             self.evaluations.mkdir(exist_ok=True)
-            numbers = [int(path.stem) for path in self.evaluations.glob("[0-9][0-9][0-9][0-9].json")]
-            path = self.evaluations / f"{max(numbers, default=0) + 1:04d}.json"
-            write_text(path, json.dumps({"evaluated": now(), **content}, indent=2, allow_nan=False) + "\n")
+            path = self.evaluations / f"{max((number for number, _ in kept_evaluations(self.path)), default=0) + 1:04d}.json"
+            write_text(path, json.dumps({"evaluated": now(), **content}, indent=1, allow_nan=False) + "\n")
         except (OSError, RunError):
             return None
         return path
@@ -280,6 +287,47 @@ class Run:
         return Run(path, record, compiled.program, compiled.digest)
 
 
+class KeptEvaluation(BaseModel):
+    """An evaluation as `evaluations/NNNN.json` of a run keeps it, without its episodes.
+
+    Fields are those of `EvaluationResult`. `evaluated` is a time in UTC. `set` and `elsewhere` say how the scenario differs from that of
+    the training; `engine` is the engine of the evaluation.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    evaluated: str
+    model: str
+    case: str | None = None
+    stage: str | None = None
+    seed: int
+    episodes: int
+    deterministic: bool = True
+    mean_return: float
+    return_interval: tuple[float, float] | None
+    success_defined: bool
+    success_rate: float
+    success_interval: tuple[float, float]
+    solved: bool | None
+    set: tuple[str, ...] = ()
+    elsewhere: str | None = None
+    engine: str | None = None
+
+
+def kept_evaluations(run: Path) -> list[tuple[int, Path]]:
+    """The evaluations that a run keeps, by number, the latest last."""
+    return sorted((int(path.stem), path) for path in (run / "evaluations").glob("[0-9][0-9][0-9][0-9].json"))
+
+
+def read_evaluation(path: Path) -> KeptEvaluation:
+    """An evaluation that was kept.
+
+    Raises:
+        RunError: The file is damaged.
+    """
+    return read_json(path, KeptEvaluation, _EVALUATION_LIMIT)
+
+
 def _check_plain(run: Path) -> None:
     """Refuse links and pipes: a run may come from someone else, resuming writes, and opening a pipe waits for ever."""
     members = [run / name for name in (*_FILES, *_FOLDERS)]
@@ -318,8 +366,24 @@ def run_lock(folder: Path) -> Iterator[None]:
         yield
 
 
-def new_directory(wanted: str | Path | None, parent: str | Path, scenario: str, seed: int) -> Path:
-    """Make the directory of a new run: `wanted`, or else the next free `parent/<scenario>-<seed>-<n>`.
+def is_training(folder: Path) -> bool:
+    """Whether a training is at work in the directory of a run or a group right now."""
+    path = folder / ".lock"
+    if path.is_symlink() or not path.is_file():
+        return False
+    from filelock import FileLock, Timeout  # of the extra `train`
+
+    try:
+        with FileLock(path, timeout=0):
+            return False
+    except Timeout:
+        return True
+    except OSError:  # of somebody else, and not to be written
+        return False
+
+
+def new_directory(wanted: str | Path | None, parent: str | Path, scenario: str, seed: int | str) -> Path:
+    """Make the directory of a new run: `wanted`, or else the next free `parent/<scenario>-<seed>-<n>`; `seeds` for a group.
 
     Raises:
         UsageError: `wanted` exists, or the directory cannot be made.

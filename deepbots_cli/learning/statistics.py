@@ -189,15 +189,3 @@ def probability_of_improvement(first: Sequence[float], second: Sequence[float]) 
     """
     before, after = np.asarray(first, dtype=float)[:, None], np.asarray(second, dtype=float)[None, :]
     return float(np.mean((after > before) + 0.5 * (after == before)))
-
-
-def improvement_interval(first: Sequence[float], second: Sequence[float], *, resamples: int = 2000) -> Interval:
-    """The bootstrap percentile interval of the probability of improvement (R. Agarwal et al., 2021). The resampling is seeded.
-
-    With fewer than five scores in a group the interval is too narrow.
-    """
-    generator = np.random.default_rng(0)
-    before = generator.choice(np.asarray(first, dtype=float), (resamples, len(first)))[:, :, None]
-    after = generator.choice(np.asarray(second, dtype=float), (resamples, len(second)))[:, None, :]
-    low, high = np.quantile(np.mean((after > before) + 0.5 * (after == before), axis=(1, 2)), [ALPHA / 2, 1 - ALPHA / 2])
-    return float(low), float(high)

@@ -163,10 +163,15 @@ class CopiesSupervisor(Supervisor):
         self.engine.reset()
         for agent in self.agents.values():
             agent._forget()
+            agent.streams.drawn.clear()
             agent.chosen = self.chosen
             agent._begin()
         if self._engines[0].settling:
             self.engine.step(self._engines[0].settling)
+
+    def drawn(self) -> dict[str, float | str]:
+        own = {f"{name}.{place}": value for name, agent in self.agents.items() for place, value in agent.drawn().items()}
+        return {**super().drawn(), **own}
 
     def random_state(self) -> dict[str, Any]:
         begun = self._streams_of_agents is self.streams

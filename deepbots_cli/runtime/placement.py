@@ -94,11 +94,14 @@ class Arrangement:
     def layout(self, stream: str, *shares: tuple[str, float]) -> str:
         """One of the layouts, drawn by their shares."""
         point = self._streams[stream].random() * sum(share for _, share in shares)
+        chosen = shares[-1][0]
         for name, share in shares:
             point -= share
             if point < 0.0:
-                return name
-        return shares[-1][0]
+                chosen = name
+                break
+        self._streams.drawn[stream] = chosen
+        return chosen
 
     def copies(self, group: str, count: float, at_most: float = inf) -> list[str]:
         """The names of the copies that take part, and a kind drawn for each; large ones come first, as they need more room."""
@@ -181,6 +184,8 @@ class Arrangement:
                 if (surface is None or surface.holds(patch, margin)) and self._floor.is_free(patch, clearance, base):
                     ground = surface.height if surface else self._height(x, y)
                     self._settle(body, patch, (x, y, z), rpy, (velocity, angular_velocity), rests, clearance, ground)
+                    if "#" not in body:
+                        self._streams.drawn.update({f"{stream}.x": float(x), f"{stream}.y": float(y)})
                     return
         raise NoPlaceError(body)
 

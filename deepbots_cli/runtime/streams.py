@@ -42,6 +42,8 @@ class Streams:
         self.copy = copy
         self.root = int(np.random.SeedSequence().generate_state(1)[0]) if root is None else int(root)
         self._generators: dict[str, np.random.Generator] = {}
+        self.drawn: dict[str, float | str] = {}
+        """The last number of each draw by `uniform`, `integer`, `normal` or `choice`, and the last drawn layout."""
 
     def __getitem__(self, name: str) -> np.random.Generator:
         generator = self._generators.get(name)
@@ -64,14 +66,17 @@ class Streams:
         return streams
 
     def uniform(self, name: str, low: float, high: float) -> float:
-        return float(self[name].uniform(low, high))
+        value = self.drawn[name] = float(self[name].uniform(low, high))
+        return value
 
     def integer(self, name: str, low: float, high: float) -> float:
         """A whole number from `low` to `high`, both included."""
-        return float(self[name].integers(int(low), int(high), endpoint=True))
+        value = self.drawn[name] = float(self[name].integers(int(low), int(high), endpoint=True))
+        return value
 
     def normal(self, name: str, mean: float, deviation: float) -> float:
-        return float(self[name].normal(mean, deviation))
+        value = self.drawn[name] = float(self[name].normal(mean, deviation))
+        return value
 
     def normals(self, name: str, count: int) -> list[float]:
         """Standard normal numbers."""
@@ -79,7 +84,8 @@ class Streams:
         return numbers
 
     def choice(self, name: str, *options: float) -> float:
-        return options[int(self[name].integers(len(options)))]
+        value = self.drawn[name] = options[int(self[name].integers(len(options)))]
+        return value
 
 
 def _words(text: str) -> list[int]:

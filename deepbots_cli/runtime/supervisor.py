@@ -84,8 +84,8 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
     endings: tuple[str, ...]
     step_count: int
     tick_count: int
-    drawn: dict[str, float]
-    """What this episode drew or was given, in SI units, by the names that `options` of `reset` takes."""
+    episode_values: dict[str, float]
+    """The present values, in SI units, of what `options` of `reset` can set, by its names."""
     _viewed: tuple[float, float] | None  # where the robot was that pictures follow
 
     def __init__(self, scenario: Program, engine: Engine, render_mode: str | None = None) -> None:
@@ -127,6 +127,9 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         self.physics = engine.step
         self.rebuild: Callable[[], Supervisor] | None = None
         self.fixed: tuple[str, ...] = ()  # parameters that no episode draws
+        routes = (route for robot in scenario.robots for route in (robot.to_route, robot.from_route))
+        values = (*scenario.parameters, *(value for route in routes for _, value in route.settings))
+        self._redrawn = frozenset(value.owner for value in values if value.redraw is not None)
         self.chosen: Mapping[str, float] = {}  # what `options` of the last reset set
         self._closed = False
         self._go_on: Callable[[Any], None] = self._refuse
@@ -187,7 +190,9 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
                 their paths (`reset.place.block.x`). Numbers in SI units, vectors as sequences. Other draws stay as they are.
 
         Returns:
-            The observation, float32 in the observation space, and the info of a step.
+            The observation, float32 in the observation space, and the info of a step. This info also holds `drawn`: what this episode
+            draws, in SI units, by the place in the scenario. A parameter has its own name (`mark`), a draw within a longer expression
+            a number (`reset.set.cart.pole_hinge#1`), and a drawn layout is a name. Values that change within an episode are left out.
 
         Raises:
             EvaluationError: An expression has no value, or the episode would end before its first step; names it.
@@ -201,9 +206,11 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         if seed is not None:
             self.streams = Streams(seed)
             self.action_space.seed(seed)
+        self.streams.drawn.clear()
         self._forget()
         try:
             self._begin()
+            drawn = self.drawn()
             self.begin_robots()
             self._start()
             self._fill_frames()
@@ -214,7 +221,20 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
                 f"the ending '{self.ended_by}' already holds at reset (seed {self.streams.root}); change the start or the ending"
             )
         self._go_on = self._advance
-        return self.get_observations(), self.get_info()
+        return self.get_observations(), {**self.get_info(), "drawn": drawn}
+
+    def drawn(self) -> dict[str, float | str]:
+        """What this episode draws, by its place in the scenario; see `reset`. Complete once `_begin` has returned."""
+        layout = self.streams.drawn.get("reset.layout")
+        others = tuple(f"reset.layouts.{other.name}." for other in self.scenario.reset.layouts if layout not in (None, other.name))
+        found = {
+            name: value
+            for name, value in self.streams.drawn.items()
+            if name.partition("#")[0] not in self._redrawn and not name.startswith(others)
+        }
+        several = {name.partition("#")[0] for name in found if name.endswith("#1")}
+        named = {name if (place := name.partition("#")[0]) in several else place: value for name, value in found.items()}
+        return {**{name.removeprefix("parameters."): value for name, value in named.items()}, **self.chosen}
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]:
         """One step of the agent: act, advance the world by a timestep, observe and score.
@@ -411,8 +431,8 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
 
     def given(self, name: str, drawn: float) -> float:
         """The value of this episode: what `options` of `reset` set, or else what was drawn."""
-        self.drawn[name] = self.chosen.get(name, drawn)
-        return self.drawn[name]
+        self.episode_values[name] = self.chosen.get(name, drawn)
+        return self.episode_values[name]
 
     def vary_sensor(self, robot: str, sensor: str, fault: str, values: Sequence[float]) -> None:
         """Give a fault of a sensor the figures of this episode; of one that nothing reads there is no device."""
@@ -464,7 +484,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         self.terminated = self.truncated = self.is_success = False
         self.ended_by = None
         self.endings = ()
-        self.drawn = {}
+        self.episode_values = {}
         self._viewed = None
 
     def _refuse(self, action: Any) -> None:

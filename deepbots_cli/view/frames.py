@@ -123,7 +123,7 @@ class WorldFrame:
     variants: Mapping[str, str]
     messages: Mapping[str, Message]
     cameras: Mapping[str, Image]
-    drawn: Mapping[str, float]
+    drawn: Mapping[str, float | str]
     agents: Mapping[str, AgentFrame]
     ended_by: str | None
     is_success: bool
@@ -272,7 +272,11 @@ class FrameReader:
             variants=self._variants | {body: variant.name for body, variant in chosen.items() if body in self._variants},
             messages={key: tap.message(channel) for key, (channel, tap) in self._taps.items()},
             cameras=self._cameras(),
-            drawn={f"{name}/{key}" if several else key: value for name, agent in env.agents.items() for key, value in agent.drawn.items()},
+            drawn={
+                f"{name}/{key}" if several else key: value
+                for name, agent in env.agents.items()
+                for key, value in (agent.drawn() | agent.episode_values).items()
+            },
             agents=agents,
             ended_by=env.ended_by,
             is_success=env.is_success,

@@ -505,7 +505,7 @@ def read_frame(topics: Payloads, layout: Layout) -> WorldFrame:
         variants=msgspec.convert(world["variants"], dict[str, str]),
         messages=messages,
         cameras=cameras,
-        drawn=msgspec.convert(world["drawn"], dict[str, float]),
+        drawn=msgspec.convert(world["drawn"], dict[str, float | str]),
         agents=agents,
         ended_by=msgspec.convert(world["ended_by"], str) or None,
         is_success=bool(world["is_success"]),

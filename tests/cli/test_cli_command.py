@@ -217,21 +217,21 @@ def test_the_package_runs_as_a_module():
     assert (done.returncode, done.stdout) == (0, f"deepbots {deepbots_cli.__version__}\n")
 
 
-def test_the_list_shows_scenarios_and_runs_even_damaged_ones(deepbots, tmp_path):
+def test_scenarios_and_runs_are_listed_even_damaged_ones(deepbots, tmp_path):
     (tmp_path / "runs" / "broken").mkdir(parents=True)
     (tmp_path / "runs" / "broken" / "run.json").write_text("{")
     (tmp_path / "runs" / "no_run").mkdir()
-    listed = json.loads(deepbots("list", "--json").out)
-    assert "cartpole" in [row["name"] for row in listed["scenarios"]]
-    assert [(row["run"], row["status"]) for row in listed["runs"]] == [("broken", "damaged")]
-    assert "broken" in deepbots("list").out
+    assert "cartpole" in [row["name"] for row in json.loads(deepbots("list", "--json").out)["scenarios"]]
+    assert "free pole" in deepbots("list").out
+    assert [(row["name"], row["state"]) for row in json.loads(deepbots("runs", "--json").out)] == [("broken", "damaged")]
+    shown = deepbots("runs")
+    assert "broken: runs/broken/run.json is damaged: it is not valid JSON" in shown.err
 
 
 def test_without_runs_the_list_says_how_to_make_one(deepbots):
-    ran = deepbots("list")
-    assert ran.code == 0
+    ran = deepbots("runs")
+    assert (ran.code, ran.out) == (0, "")
     assert "deepbots train cartpole" in ran.err
-    assert "free pole" in ran.out
 
 
 def test_the_doctor_finds_this_installation_in_order(deepbots):

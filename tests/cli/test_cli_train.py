@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import csv
 import json
 import os
 import pty
@@ -13,6 +14,7 @@ import sys
 import threading
 import time
 from io import StringIO
+from xml.etree import ElementTree
 
 import pytest
 
@@ -72,8 +74,16 @@ def test_a_trained_run_can_be_evaluated_listed_filmed_and_gone_on_with(deepbots,
     resumed = json.loads(deepbots("train", "--resume", "mine", "--timesteps", "1200", "--quiet", "--json").out)
     assert resumed["training"]["steps"] >= 1200
     assert resumed["evaluation"]["episodes"] == 4
-    (row,) = json.loads(deepbots("list", "--runs", ".", "--json").out)["runs"]
-    assert (row["run"], row["status"], row["solved"]) == ("mine", "finished", "not yet")
+    (row,) = json.loads(deepbots("runs", ".", "--json").out)
+    assert (row["name"], row["state"], row["score"]) == ("mine", "finished", "evaluation")
+    assert row["mean_return"] == resumed["evaluation"]["mean_return"]
+    kept = json.loads(deepbots("runs", "mine", "--json").out)["evaluations"]
+    assert [(one["number"], one["model"], one["episodes"]) for one in kept] == [
+        (1, "best", 4),
+        (2, "best", 2),
+        (3, "last", 1),
+        (4, "best", 4),
+    ]
 
 
 def test_a_run_is_evaluated_in_its_cases_too(deepbots, tmp_path):
@@ -94,7 +104,7 @@ def test_a_run_is_evaluated_in_its_cases_too(deepbots, tmp_path):
 def test_a_demanded_result_that_is_not_met_ends_with_1(deepbots, trained):
     ran = deepbots("eval", "mine", "--episodes", "2", "--require-solved", "--min-return", "1000")
     assert ran.code == 1
-    assert "the evaluation cannot say whether the task is solved (cannot be told from 2 episodes" in ran.err
+    assert "not met: the task is solved (cannot be told from 2 episodes" in ran.err
     assert "not met: mean return of at least 1000" in ran.err
     ran = deepbots("eval", "mine", "--episodes", "40", "--min-return", "1", "--json")
     assert (ran.code, "met: mean return of at least 1 (" in ran.err) == (0, True)
@@ -117,6 +127,64 @@ def test_two_runs_of_a_scenario_are_compared_on_the_same_starts(deepbots, traine
     assert found["differences"][0]["mean_return"] == {"mean": 0.0, "interval": [0.0, 0.0], "improvement": 0.5}
     one, other = found["groups"]
     assert one["runs"][0]["outcomes"] == other["runs"][0]["outcomes"]
+
+
+def test_a_gate_without_a_success_is_decided_long_before_the_last_episode(deepbots, tmp_path):
+    never = "termination.success={balanced: time > 1 h}"
+    assert deepbots(*TINY, "--run", "mine", "--set", never).code == 0
+    ran = deepbots("eval", "mine", "--episodes", "100", "--min-success", "95%", "--json", "--junit", "gate.xml", "--csv", "episodes.csv")
+    found = json.loads(ran.out)
+    assert ran.code == 1
+    assert found["episodes"] < 30
+    assert f"not met: success rate of at least 0.95 (0 of {found['episodes']} succeed; 95 % confidence sequence" in ran.err
+    suite = ElementTree.parse(tmp_path / "gate.xml").getroot()
+    assert (suite.get("tests"), suite.get("failures")) == ("1", "1")
+    assert suite[0].get("name") == "success rate of at least 0.95"
+    with (tmp_path / "episodes.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["return"]) for row in rows] == [episode["total_return"] for episode in found["outcomes"]]
+    assert [float(row["drawn.reset.set.cart.pole_hinge"]) for row in rows] == [
+        episode["drawn"]["reset.set.cart.pole_hinge"] for episode in found["outcomes"]
+    ]
+
+
+def test_a_group_is_trained_listed_evaluated_and_compared_as_one(deepbots):
+    ran = deepbots("train", "cartpole", "--seeds", "0,2", "--timesteps", "300", "--set", "evaluation={episodes: 2}", "--json")
+    assert ran.code == 0, ran.err
+    found = json.loads(ran.out)
+    assert "seed 2, 2 of 2" in ran.err
+    assert [one["run"] for one in found["training"]["trained"]] == [f"runs/cartpole-seeds-1/seed-{seed}" for seed in (0, 2)]
+    assert len(found["evaluation"]["runs"]) == 2
+    (row,) = json.loads(deepbots("runs", "--scenario", "cartpole", "--json").out)
+    assert (row["name"], row["state"], row["seeds"], row["score"]) == ("cartpole-seeds-1", "finished", [0, 2], "evaluation")
+    assert row["mean_return"] == found["evaluation"]["mean_return"]
+    assert [one["name"] for one in json.loads(deepbots("runs", "runs/cartpole-seeds-1", "--json").out)] == ["seed-0", "seed-2"]
+    assert deepbots("runs", "--live").err == "no run in runs is so; without options, `deepbots runs` lists all\n"
+    group = "runs/cartpole-seeds-1"
+    assert deepbots("eval", group, "--episodes", "2", "--min-return", "1000").code == 1
+    refused = deepbots("eval", group, "--baselines")
+    assert (refused.code, "name one of its runs, such as runs/cartpole-seeds-1/seed-0" in refused.err) == (2, True)
+    shutil.copytree(group, "runs/other")
+    ran = deepbots("compare", group, "runs/other", "--episodes", "2")
+    assert "other: no certain difference from cartpole-seeds-1" in ran.out
+    again = json.loads(deepbots("train", "--resume", group, "--json").out)
+    assert again["training"]["skipped"] == [0, 2]
+
+
+@pytest.mark.parametrize("verb", ["eval", "compare"])
+def test_a_damaged_run_and_one_of_a_newer_version_are_told_in_one_sentence(deepbots, trained, tmp_path, verb):
+    words = ("mine",) if verb == "eval" else ("mine", "mine2")
+    shutil.copytree("mine", "mine2")
+    record = json.loads((tmp_path / "mine" / "run.json").read_text())
+    for changed, said in (
+        (json.dumps(record | {"format": record["format"] + 1}), "from a newer deepbots"),
+        (json.dumps(record | {"seed": "zero"}), "mine/run.json is damaged: 'seed': Input should be a valid integer"),
+        ("", "mine/run.json is damaged: it is not valid JSON"),
+    ):
+        (tmp_path / "mine" / "run.json").write_text(changed)
+        ran = deepbots(verb, *words)
+        assert (ran.code, ran.out, ran.err.count("\n")) == (2, "", 1)
+        assert said in ran.err
 
 
 def test_a_run_is_not_evaluated_in_a_scenario_that_does_not_fit(deepbots, trained, tmp_path):
@@ -192,7 +260,7 @@ def test_the_list_tells_runs_of_different_scenarios_with_one_name_apart(deepbots
         assert (
             deepbots("train", "cartpole", "--timesteps", "1", *sets, "--set", "evaluation={episodes: 1}", "--run", f"runs/{name}").code == 0
         )
-    rows = {row["run"]: row["digest"] for row in json.loads(deepbots("list", "--json").out)["runs"]}
+    rows = {row["name"]: row["digest"] for row in json.loads(deepbots("runs", "--json").out)}
     assert rows["one"] == rows["same"] != rows["other"]
 
 

@@ -33,6 +33,7 @@ def asked(environment: Supervisor, script: str) -> Iterator[Any]:
 def episode(environment: Supervisor, seed: int, steps: int, script: str | None = None) -> Iterator[Transition]:
     """What `reset` and up to `steps` steps return, until the episode ends; with random actions, or by a script."""
     observation, info = environment.reset(seed=seed)
+    del info["drawn"]  # of a reset alone
     yield observation, 0.0, False, False, info
     chosen = actions(environment, seed) if script is None else asked(environment, script)
     for _, action in zip(range(steps), chosen, strict=False):

@@ -23,6 +23,7 @@ from stable_baselines3.common.env_checker import check_env as sb3_check
 from deepbots_cli import api
 from deepbots_cli.document import shipped
 from deepbots_cli.errors import UsageError
+from deepbots_cli.expressions.scalar import Draw
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import viewed
 from deepbots_cli.runtime import Supervisor
@@ -161,6 +162,14 @@ def test_episodes_begin_differently(environment: Supervisor) -> None:
 
     assert len({b"".join(record(environment, seed, steps=4)) for seed in range(8)}) == 8
     assert len({next_episode() for _ in range(8)}) == 8
+
+
+def test_a_reset_says_what_the_episode_draws(environment: Supervisor) -> None:
+    first, again = (environment.reset(seed=3)[1]["drawn"] for _ in range(2))
+    assert first == again
+    assert all(isinstance(value, (float, str)) for value in first.values())
+    plain = (value for value in environment.scenario.parameters if not value.components and value.redraw is None)
+    assert {value.name for value in plain if isinstance(value.scalar, Draw)} <= set(first)
 
 
 # Steps

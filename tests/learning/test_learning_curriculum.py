@@ -13,11 +13,12 @@ import stand_in
 from pydantic import ValidationError
 
 from deepbots_cli.api import Compiled
+from deepbots_cli.cli.results import evaluation_text, training_text
 from deepbots_cli.errors import EngineError, RunError, UsageError
 from deepbots_cli.learning import TrainingResult, evaluate, resume, train
 from deepbots_cli.learning.curriculum import Curriculum, CurriculumState
 from deepbots_cli.learning.episodes import Episode
-from deepbots_cli.learning.report import evaluation_text, to_json, training_text
+from deepbots_cli.learning.report import to_json
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Criterion, Hyperparameter, Solved, Training

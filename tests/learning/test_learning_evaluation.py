@@ -11,13 +11,14 @@ from pathlib import Path
 import pytest
 import stand_in
 
-from deepbots_cli.api import Compiled
+from deepbots_cli.api import Compiled, compile, make
+from deepbots_cli.cli.results import case_rows, evaluation_text, summary_text
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.expressions.dimensions import LENGTH
-from deepbots_cli.learning import TrainingResult, evaluate, evaluate_cases, train, video
-from deepbots_cli.learning.episodes import Episode, Summary
+from deepbots_cli.learning import TrainingResult, evaluate, evaluate_baselines, evaluate_cases, train, video
+from deepbots_cli.learning.episodes import Episode, Summary, by_drawn_value
 from deepbots_cli.learning.evaluation import judge
-from deepbots_cli.learning.report import case_rows, evaluation_text, summary_text, to_json
+from deepbots_cli.learning.report import to_json
 from deepbots_cli.program.task import Solved
 
 
@@ -70,9 +71,9 @@ def test_each_episode_is_told_when_it_is_over(trained: TrainingResult) -> None:
     assert told == [(done, 10) for done in range(1, 11)]
 
 
-def test_a_single_episode_has_no_deviation(trained: TrainingResult) -> None:
+def test_a_single_episode_has_no_standard_deviation(trained: TrainingResult) -> None:
     result = evaluate(trained.run, episodes=1, build=stand_in.build)
-    assert result.deviation is None
+    assert result.std_return is None
     assert evaluation_text(result)
 
 
@@ -190,5 +191,45 @@ def test_a_run_with_a_case_for_another_policy_is_refused(tmp_path: Path) -> None
 
 def test_small_returns_are_shown_with_four_decimals() -> None:
     done = [Episode(value, 10, False, "max_time") for value in (0.1423, 0.1431)]
-    assert "mean return       0.1427; standard deviation 0.0006" in summary_text(Summary.of(done), success_defined=False)
+    assert "mean return         0.1427; standard deviation 0.0006" in summary_text(Summary.of(done), success_defined=False)
     assert "mean return       14.27" in summary_text(Summary.of([Episode(14.27, 10, False, None)]), success_defined=False)
+
+
+def test_an_evaluation_that_already_excludes_what_is_asked_for_says_so() -> None:
+    solved = Solved(100, success_rate=0.95)
+    met, verdict = judge(solved, 30, 0.0, 0.0)
+    assert met is False
+    assert verdict.startswith("not solved: a success rate of 95.0% is required, and 0 of 30 succeed")
+    assert judge(solved, 30, 0.0, 0.97)[0] is None
+
+
+def test_an_episode_keeps_the_seed_and_what_its_reset_drew(tmp_path: Path) -> None:
+    run = train("find_ball", run=tmp_path / "run", total_timesteps=1).run
+    result = evaluate(run, episodes=2)
+    with make("find_ball") as env:
+        for episode in result.outcomes:
+            assert env.reset(seed=episode.seed)[1]["drawn"] == episode.drawn != {}
+    assert list(result.outcomes[0].drawn) == list(result.outcomes[1].drawn)
+
+
+def test_success_by_drawn_value_counts_every_episode_once() -> None:
+    done = [Episode(float(k), 1, k >= 50, None, seed=k, drawn={"mass": k / 100, "which": "ab"[k % 2], "same": 1.0}) for k in range(100)]
+    found = by_drawn_value(done)
+    assert list(found) == ["mass", "which"]
+    assert [(part.low, part.high, part.episodes, part.success_rate) for part in found["mass"]] == [
+        (0.0, 0.24, 25, 0.0),
+        (0.25, 0.49, 25, 0.0),
+        (0.5, 0.74, 25, 1.0),
+        (0.75, 0.99, 25, 1.0),
+    ]
+    assert [(part.low, part.high, part.episodes, part.successes) for part in found["which"]] == [("a", "a", 50, 25), ("b", "b", 50, 25)]
+    assert found["mass"][0].success_interval == Summary.of(done[:25]).success_interval
+
+
+def test_baselines_and_the_policy_have_the_same_starts(tmp_path: Path) -> None:
+    run = train("pit_escape", run=tmp_path / "run", total_timesteps=1).run
+    results = evaluate_baselines(run, episodes=2, seed=5, scenario=compile("pit_escape", sets=["truncation.max_steps=20"]))
+    assert [result.model for result in results] == ["random", "zero", "script rocking"]
+    policy = evaluate(run, episodes=2, seed=5, scenario=compile("pit_escape", sets=["truncation.max_steps=20"]))
+    for result in results:
+        assert [episode.drawn for episode in result.outcomes] == [episode.drawn for episode in policy.outcomes]

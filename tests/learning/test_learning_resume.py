@@ -22,11 +22,12 @@ import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from deepbots_cli import api
+from deepbots_cli.cli.results import training_text
 from deepbots_cli.document import shipped
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import checkpoints, evaluate, resume, train
 from deepbots_cli.learning.environments import History, VectorEnvironment, fingerprint
-from deepbots_cli.learning.report import TrainingProgress, training_text
+from deepbots_cli.learning.report import TrainingProgress
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionNoise, Hindsight, Hyperparameter, Network, Schedule, Solved, Training

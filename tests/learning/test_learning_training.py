@@ -19,9 +19,10 @@ import pytest
 import stand_in
 from stable_baselines3.common.env_checker import check_env
 
+from deepbots_cli.cli.results import training_text
 from deepbots_cli.errors import DeepbotsError, EngineError, RunError, UsageError, installing
 from deepbots_cli.learning import TrainingResult, algorithms, checkpoints, evaluate, resume, train
-from deepbots_cli.learning.report import ProgressReporter, TrainingProgress, to_json, training_text
+from deepbots_cli.learning.report import ProgressReporter, TrainingProgress, to_json
 from deepbots_cli.learning.run import Run, run_lock
 from deepbots_cli.learning.training import _training_of
 from deepbots_cli.program.task import Hyperparameter, Network, Schedule, Solved, Training

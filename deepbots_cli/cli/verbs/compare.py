@@ -9,19 +9,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepbots_cli import api, learning
-from deepbots_cli.cli import terminal
+from deepbots_cli.cli import results, terminal
 from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Json, whole
 from deepbots_cli.cli.tables import Row, table
-from deepbots_cli.learning import report
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.comparison import Comparison
-    from deepbots_cli.learning.statistics import Difference
 
 
 def command(
     runs: Annotated[
-        list[Path], typer.Argument(metavar="RUN...", help="Run directories, or folders of run directories; at least two runs.")
+        list[Path], typer.Argument(metavar="RUN...", help="Groups, run directories, or folders of run directories; at least two runs.")
     ],
     episodes: Annotated[
         int | None,
@@ -36,19 +34,24 @@ def command(
         typer.Option("--scenario", metavar="SCENARIO", help="Evaluate in this scenario; by default in the scenario of the first run."),
     ] = None,
     case: Annotated[str | None, typer.Option("--case", metavar="NAME", help="Evaluate in this case of the scenario.")] = None,
+    own: Annotated[
+        bool, typer.Option("--own", help="Evaluate each run in its own scenario, such as variants with other observations.")
+    ] = False,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
 ) -> None:
     """Compare policies on the same starts.
 
-    Runs that differ only in their seed form a group. Every run is evaluated in the scenario of the first run, on the same held-out
-    starts, and every group is compared with the first group. The table shows the difference of the mean returns over seeds with Welch's
-    95 % confidence interval, and the probability that a run of the group is better than a run of the first group. If all runs have the
-    same scenario, or each group is one run, the policies themselves are compared, episode by episode.
+    The folder of a group (`deepbots train --seeds`) is a group; other runs of the same scenario with other seeds are a group too. Every run
+    is evaluated in the scenario of the first run, on the same held-out starts, and every group is compared with the first group. The table
+    shows the difference of the mean returns over seeds with Welch's 95 % confidence interval, and the probability that a run of the group
+    is better than a run of the first group. If all runs have the same scenario, or each group is one run, the policies themselves are
+    compared, episode by episode.
 
     \b
       deepbots compare runs/cartpole-0-1 runs/cartpole-1-1
+      deepbots compare runs/cartpole-seeds-1 runs/cartpole-seeds-2
       deepbots compare runs/base-* runs/longer_pole-*
       deepbots compare runs/base-* runs/changed-* --episodes 200 --json
 
@@ -67,6 +70,7 @@ def command(
             model="last" if last else "best",
             scenario=None if scenario is None else judged,
             case=case,
+            own=own,
             allow_code=allow_code,
             on_run=show,
         )
@@ -77,20 +81,24 @@ def command(
 
 
 def _show(found: Comparison) -> None:
-    has_success = any(result.success_defined for group in found.groups for result in group.evaluations)
-    terminal.say(f"{found.scenario}: {found.episodes:,} held-out episodes of each run, from seed {found.seed}")
+    has_success = all(group.success_defined for group in found.groups)
+    where = f"{found.scenario}: " if found.scenario else "each run in its own scenario: "
+    terminal.say(f"{where}{found.episodes:,} held-out episodes of each run, from seed {found.seed}")
     rows: list[Row] = []
     for group in found.groups:
         row: dict[str, object] = {"group": group.name, "runs": len(group.evaluations), "mean_return": group.mean_return}
-        row["interquartile_mean"] = group.interquartile_mean
-        rows.append(row | ({"success_rate": group.success_rate} if has_success else {}))
+        row |= {"return_95 %": results.between(group.return_interval), "iqm": group.interquartile_mean if group.return_interval else None}
+        if has_success:
+            row |= {"success": f"{group.success_rate:.1%}", "success_95 %": results.between(group.success_interval, percent=True)}
+        rows.append(row)
     terminal.say(table(rows))
-    terminal.say("\nagainst the first group")
+    terminal.say(f"\nagainst {found.groups[0].name}")
     rows = []
     for entry in found.differences:
-        row = {"group": entry.group, **_columns("return", entry.mean_return)}
+        row = {"group": entry.group, "return": entry.mean_return.mean, "return_95 %": results.between(entry.mean_return.interval)}
         if entry.success_rate is not None:
-            row |= _columns("success", entry.success_rate)
+            success = entry.success_rate
+            row |= {"success": f"{success.mean:+.1%}", "success_95 %": results.between(success.interval, percent=True)}
         rows.append(row | {"probability_of_improvement": entry.mean_return.improvement})
     terminal.say(table(rows))
     for entry in found.differences:
@@ -99,12 +107,7 @@ def _show(found: Comparison) -> None:
         terminal.say(f"note: {note}")
 
 
-def _columns(what: str, difference: Difference) -> dict[str, object]:
-    low, high = difference.interval or (None, None)
-    return {what: difference.mean, f"{what}_95 %": "" if low is None else f"{low:.4g} .. {high:.4g}"}
-
-
 def _data(found: Comparison) -> dict[str, Any]:
-    groups = [{"name": group.name, "runs": [report.to_json(result) for result in group.evaluations]} for group in found.groups]
     differences = [{**asdict(entry), "verdict": entry.verdict} for entry in found.differences]
-    return {**asdict(found), "groups": groups, "differences": differences}
+    known = {name: getattr(found, name) for name in ("scenario", "episodes", "seed", "notes")}
+    return {**known, "groups": [results.group_json(group) for group in found.groups], "differences": differences}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepbots_cli import api, learning
-from deepbots_cli.cli import terminal
+from deepbots_cli.cli import results, terminal
 from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Json, Sets, fraction, known_engine, whole
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import table
@@ -19,14 +20,16 @@ from deepbots_cli.compiler.inputs import RESOLVED
 from deepbots_cli.engine_kinds import on_engine
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import report
+from deepbots_cli.learning.group import Group, is_group
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program.identity import task_digest
 
 if TYPE_CHECKING:
     from deepbots_cli.api import Compiled
-    from deepbots_cli.learning import EvaluationResult
+    from deepbots_cli.learning import EvaluationResult, GroupResult
     from deepbots_cli.learning.episodes import Episode
     from deepbots_cli.learning.statistics import Verdict
+    from deepbots_cli.program import Program
 
 
 def _engines(names: list[str] | None) -> list[str] | None:
@@ -40,7 +43,7 @@ def _engines(names: list[str] | None) -> list[str] | None:
 
 
 def command(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run directory of `deepbots train`.")],
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run directory of `deepbots train`, or the folder of a group.")],
     episodes: Annotated[
         int | None,
         typer.Option(
@@ -50,7 +53,10 @@ def command(
     seed: Annotated[
         int | None,
         typer.Option(
-            "--seed", metavar="N", parser=whole(0, MAX_SEED), help="Root seed of the starts; by default the seed of the training."
+            "--seed",
+            metavar="N",
+            parser=whole(0, MAX_SEED),
+            help="Root seed of the starts; by default the seed of the training, and 0 for a group.",
         ),
     ] = None,
     last: Annotated[bool, typer.Option("--last", help="Evaluate the last model instead of the best one.")] = False,
@@ -63,6 +69,20 @@ def command(
         str | None,
         typer.Option("--case", metavar="NAME", help="Evaluate in this case only; by default in the scenario and in all its cases."),
     ] = None,
+    stage: Annotated[str | None, typer.Option("--stage", metavar="NAME", help="Evaluate in this stage of the curriculum only.")] = None,
+    stochastic: Annotated[
+        bool, typer.Option("--stochastic", help="Sample the actions of the policy; by default it takes its likeliest action.")
+    ] = False,
+    baselines: Annotated[
+        bool, typer.Option("--baselines", help="Evaluate random actions, zero actions and the scripts of the scenario on the same starts.")
+    ] = False,
+    robustness: Annotated[
+        bool,
+        typer.Option("--robustness", help="Evaluate with latency, message loss, noise, other masses and friction, and weaker motors."),
+    ] = False,
+    details: Annotated[
+        bool, typer.Option("--details", help="Show the results by drawn value too, and those in the stages of the curriculum.")
+    ] = False,
     engine: Annotated[
         list[str] | None,
         typer.Option(
@@ -82,6 +102,10 @@ def command(
     min_return: Annotated[
         float | None, typer.Option("--min-return", metavar="VALUE", help="Exit with 1 if the mean return is lower than VALUE.")
     ] = None,
+    csv: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write a CSV file with a line for each episode.")] = None,
+    junit: Annotated[
+        Path | None, typer.Option("--junit", metavar="FILE", help="Write the requirements as JUnit XML, a test case for each.")
+    ] = None,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
@@ -89,10 +113,14 @@ def command(
     """Evaluate the policy of a run on held-out episodes.
 
     The episodes begin with starts that the training does not use. The cases in `evaluation.cases` are evaluated too, with the same starts.
-    The options --min-success, --min-return and --require-solved apply to the result in the scenario, or in the case given by --case.
+    --require-solved, --min-success and --min-return apply to the result in the scenario, or in the case or stage that is given.
+    For a group, every seed is evaluated on the same starts, and requirements apply to the means over the seeds.
 
-    --min-success and --min-return stop the evaluation as soon as the answer is certain: when the remaining episodes cannot change it, or
-    when a 95 % confidence sequence (beta-binomial mixture; for returns, an anytime-valid t-test) excludes the required value.
+    --min-success and --min-return stop the evaluation of a run as soon as the answer is certain: when the remaining episodes cannot change
+    it, or when a 95 % confidence sequence (beta-binomial mixture; for returns, an anytime-valid t-test) excludes the required value.
+
+    --robustness changes one condition at a time by several amounts, and shows where the result falls below --min-success or --min-return,
+    by default below `solved` of the scenario or 80 % of the result without a change.
 
     --set overrides values of the scenario of the run, or of the scenario that --scenario names. This scenario must have the
     observation, action and messages of the training; its world may differ. --engine runs the episodes in another engine. With several
@@ -101,129 +129,283 @@ def command(
 
     \b
       deepbots eval runs/cartpole-0-1
+      deepbots eval runs/cartpole-0-1 --baselines
+      deepbots eval runs/cartpole-seeds-1 --csv episodes.csv
+      deepbots eval runs/cartpole-0-1 --robustness --episodes 20
       deepbots eval runs/cartpole-0-1 --video cartpole.mp4
       deepbots eval runs/cartpole-0-1 --scenario longer_pole.yaml --episodes 20
       deepbots eval runs/cartpole-0-1 --set fall_angle=10deg
       deepbots eval runs/cartpole-0-1 --engine mujoco
       deepbots eval runs/cartpole-0-1 --engine pybullet,mujoco
-      deepbots eval runs/find_ball_random-0-1 --case many
-      deepbots eval runs/cartpole-0-1 --require-solved --json
-      deepbots eval runs/find_ball-0-1 --min-success 90%
+      deepbots eval runs/find_ball_random-0-1 --case many --details
+      deepbots eval runs/find_ball-0-1 --min-success 90% --junit gate.xml
 
-    Next: `deepbots compare RUN RUN` compares policies on the same starts, and
+    Next: `deepbots compare RUN RUN` compares policies on the same starts, `deepbots runs RUN` lists its evaluations, and
     `deepbots train --resume RUN --timesteps N --full` continues the training.
     """
-    known = Run.open(run)
+    for path in (csv, junit):
+        if path is not None and not path.absolute().parent.is_dir():
+            raise UsageError(f"{path} cannot be written: there is no directory {path.parent}")
+    chosen: dict[str, Any] = {
+        "episodes": episodes,
+        "model": "last" if last else "best",
+        "allow_code": allow_code,
+        "deterministic": not stochastic,
+    }
+    gates = Gates(min_success, min_return, require_solved)
     several: Sequence[str | None] = engine or [None]
-    if video is not None and len(several) > 1:
-        raise UsageError("a video shows one engine; name one with --engine")
-    made: list[Compiled | None] = []
-    for name in several:
-        compiled = None
-        if scenario is not None or sets or name not in (None, known.record.engine):
-            options: dict[str, Any] = {"sets": on_engine(sets, name), "allow_paths": allow_paths or (), "allow_code": allow_code}
-            checked = api.load(scenario, **options) if scenario is not None else api.load(run / RESOLVED, project=run, **options)
-            compiled = api.compile(checked)
-        made.append(compiled)
-    compiled = made[0]
-    if scenario is not None and compiled is not None:
-        terminal.mention(compiled.findings, scenario)
-    chosen: dict[str, Any] = {"episodes": episodes, "seed": seed, "model": "last" if last else "best", "allow_code": allow_code}
+    if len(several) > 1:
+        _refuse("evaluates in one engine; name one with --engine", video=video, robustness=robustness, baselines=baselines, details=details)
+    if is_group(run):
+        group = Group.open(run)
+        one = f"evaluates a single run, and {run} is a group; name one of its runs, such as {group.runs[0] if group.runs else run}"
+        _refuse(one, video=video, robustness=robustness, baselines=baselines, details=details, engine=len(several) > 1)
+        compiled = _judged(run, group.record.engine, scenario, sets, several[0], allow_paths, allow_code)
+        _evaluate_group(run, compiled, gates, csv=csv, junit=junit, as_json=as_json, seed=seed or 0, case=case, stage=stage, **chosen)
+        return
+    known = Run.open(run)
+    if robustness:
+        changed = on_engine(sets, several[0])
+        _robustness(known, gates, changed, allow_paths or (), scenario, case, stage, as_json=as_json, seed=seed, **chosen)
+        return
+    chosen |= {"seed": seed}
     with terminal.passing("loading the policy ..."):
-        evaluate, evaluate_cases = learning.evaluate, learning.evaluate_cases  # which imports torch
-    program = known.program if compiled is None else compiled.program
-    if min_success is not None and not program.defines_success:
-        raise UsageError(
-            f"--min-success: {program.name} defines no success; use --min-return or --require-solved,"
-            " or add `termination.success` or a `goal` to the scenario"
-        )
-    usual = program.evaluation.episodes if case is None else program.case(case).episodes
-    gates = Gates(min_success, min_return, episodes or usual)
-    until = None if require_solved or len(several) > 1 else gates.decided
-    found: list[tuple[EvaluationResult, Sequence[EvaluationResult]]] = []
-    for name, there in zip(several, made, strict=True):
+        evaluate, evaluate_cases, evaluate_baselines = (
+            learning.evaluate,
+            learning.evaluate_cases,
+            learning.evaluate_baselines,
+        )  # imports torch
+    found: list[_Found] = []
+    requirements: list[Requirement] = []
+    for name in several:
+        compiled = _judged(run, known.record.engine, scenario, sets, name, allow_paths, allow_code)
+        program = known.program if compiled is None else compiled.program
+        gates.check(program)
+        usual = program.evaluation.episodes if case is None else program.case(case).episodes
+        until = None if require_solved or len(several) > 1 else partial(gates.decided, planned=episodes or usual)
         with terminal.progress("episodes" if name is None else f"episodes in {name}", always=False) as show_episode:
-            chosen |= {"engine": name, "scenario": there, "on_episode": show_episode}
-            result = evaluate(known, case=case, video_to=video, until=until, **chosen)
-            found.append((result, evaluate_cases(known, **chosen) if case is None else ()))
-        known.keep_evaluation({**with_cases(*found[-1]), "set": sets or []})
-    elsewhere = _elsewhere(known, scenario, sets or (), compiled) if scenario is not None or sets else None
+            options = chosen | {"scenario": compiled, "engine": name, "on_episode": show_episode}
+            result = evaluate(known, case=case, stage=stage, video_to=video, until=until, **options)
+            alone = case is not None or stage is not None
+            cases = () if alone else evaluate_cases(known, stages=details, **options)
+            others: Sequence[EvaluationResult] = ()
+            if baselines:
+                options = {key: value for key, value in options.items() if key not in ("model", "deterministic")}
+                others = evaluate_baselines(known, case=case, stage=stage, **options | {"episodes": result.episodes})
+        elsewhere = _elsewhere(known, scenario, sets or (), compiled) if scenario is not None or sets else None
+        found.append(_Found(result, cases, others, elsewhere, tuple(sets or ())))
+        known.keep_evaluation(found[-1].as_json())
+        of = f"{result.engine}: " if len(several) > 1 else ""
+        requirements += [(f"{of}{words}", met, reason) for words, met, reason in gates.requirements(result, episodes or usual)]
+    if csv is not None:
+        results.write_csv(csv, [each for one in found for each in (one.result, *one.cases, *one.baselines)])
     if len(found) > 1:
-        _show_engines(known, found, elsewhere, sets or [], as_json=as_json)
+        _show_engines(known, found, as_json=as_json)
     elif as_json:
-        terminal.show_json({**with_cases(*found[0]), "set": sets or []})
+        terminal.show_json(found[0].as_json())
     else:
-        show(*found[0], elsewhere=elsewhere)
-    for result, _ in found:
-        _require(result, gates, require_solved=require_solved)
+        found[0].show(details=details)
+    _require(requirements, known.program.name, junit)
 
 
-def _show_engines(
-    run: Run,
-    found: Sequence[tuple[EvaluationResult, Sequence[EvaluationResult]]],
-    elsewhere: str | None,
-    sets: Sequence[str],
-    *,
-    as_json: bool,
-) -> None:
+@dataclass(frozen=True)
+class _Found:
+    """The evaluations of a run in one engine; `elsewhere` is a scenario in words that replaces the scenario of the run."""
+
+    result: EvaluationResult
+    cases: Sequence[EvaluationResult]
+    baselines: Sequence[EvaluationResult]
+    elsewhere: str | None
+    sets: tuple[str, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        data = {**with_cases(self.result, self.cases), "baselines": [report.to_json(other) for other in self.baselines]}
+        return data | {"elsewhere": self.elsewhere, "set": list(self.sets)}
+
+    def show(self, *, details: bool) -> None:
+        show(self.result, self.cases, elsewhere=self.elsewhere)
+        if self.baselines:
+            names = ["the trained policy", *(other.model for other in self.baselines)]
+            rows = results.rows_of("policy", [self.result, *self.baselines], names)
+            terminal.say("\nbaselines, on the same starts\n" + table(rows))
+        if details:
+            terminal.say("\n" + results.drawn_text(self.result))
+
+
+def _refuse(reason: str, **options: object) -> None:
+    """Raises: UsageError: One of the options is given."""
+    for option, wish in options.items():
+        if wish:
+            raise UsageError(f"--{option} {reason}")
+
+
+def _show_engines(run: Run, found: Sequence[_Found], *, as_json: bool) -> None:
     """The evaluations in several engines side by side, and the difference of each from the first, from the same starts."""
     from deepbots_cli.learning.comparison import across_engines
 
     pairs = [
         across_engines(one, other)
-        for column in zip(*((result, *cases) for result, cases in found), strict=True)
+        for column in zip(*((each.result, *each.cases) for each in found), strict=True)
         for one, other in ((column[0], other) for other in column[1:])
     ]
     if as_json:
-        evaluations = [with_cases(result, cases) for result, cases in found]
-        terminal.show_json({"evaluations": evaluations, "differences": [asdict(pair) for pair in pairs], "set": list(sets)})
+        differences = [asdict(pair) for pair in pairs]
+        terminal.show_json({"evaluations": [each.as_json() for each in found], "differences": differences, "set": list(found[0].sets)})
         return
-    first = found[0][0]
+    first, elsewhere = found[0].result, found[0].elsewhere
     trained = f"trained in {run.record.engine}"
     terminal.say(f"evaluation of {first.scenario} in {len(found)} engines, {trained}" + (f"; scenario {elsewhere}" if elsewhere else ""))
     terminal.say(f"  {first.episodes:,} held-out starts from seed {first.seed}, the same in every engine")
-    rows = report.case_rows([each for result, cases in found for each in (result, *cases)])
-    engines = [each.engine for result, cases in found for each in (result, *cases)]
-    one_case = len({row["case"] for row in rows}) == 1
+    every = [result for each in found for result in (each.result, *each.cases)]
+    has_cases = any(result.case for result in every)
+    rows = results.case_rows(every)
     terminal.say(
         table(
             [
-                {"engine": name, **{key: value for key, value in row.items() if key != "case" or not one_case}}
-                for name, row in zip(engines, rows, strict=True)
+                {"engine": result.engine, **{key: value for key, value in row.items() if key != "case" or has_cases}}
+                for result, row in zip(every, rows, strict=True)
             ]
         )
     )
     terminal.say("\ndifferences on the same starts, with 95 % intervals")
-    terminal.say(table([pair.row(with_case=not one_case) for pair in pairs]))
-    for result, _ in found:
-        terminal.say(f"{result.engine}: {result.verdict}")
-    for note in dict.fromkeys(note for result, _ in found for note in result.notes):
+    terminal.say(table([pair.row(with_case=has_cases) for pair in pairs]))
+    for each in found:
+        terminal.say(f"{each.result.engine}: {each.result.verdict}")
+    for note in dict.fromkeys(note for each in found for note in each.result.notes):
         terminal.say(f"note: {note}")
+
+
+def _judged(
+    folder: Path,
+    trained_in: str,
+    scenario: str | None,
+    sets: Sequence[str] | None,
+    engine: str | None,
+    allow_paths: Sequence[Path] | None,
+    allow_code: bool,
+) -> Compiled | None:
+    """The scenario to evaluate in, where it is not that of the run or group in `folder`."""
+    if scenario is None and not sets and engine in (None, trained_in):
+        return None
+    options: dict[str, Any] = {"sets": on_engine(sets, engine), "allow_paths": allow_paths or (), "allow_code": allow_code}
+    if scenario is None:
+        return api.compile(api.load(folder / RESOLVED, project=folder, **options))
+    compiled = api.compile(api.load(scenario, **options))
+    terminal.mention(compiled.findings, scenario)
+    return compiled
+
+
+Requirement = tuple[str, bool, str]
+"""What is required, whether it is met, and the reason."""
 
 
 @dataclass(frozen=True)
 class Gates:
-    """What `--min-success` and `--min-return` require of an evaluation of `planned` episodes."""
+    """What `--min-success`, `--min-return` and `--require-solved` ask for."""
 
     min_success: float | None
     min_return: float | None
-    planned: int
+    solved: bool
 
-    def verdicts(self, episodes: Sequence[Episode]) -> Iterator[tuple[str, Verdict]]:
-        """Each requirement in words, and its answer after these episodes."""
+    def check(self, program: Program) -> None:
+        """Raises: UsageError: A success rate is required, and the scenario defines no success."""
+        if self.min_success is not None and not program.defines_success:
+            raise UsageError(
+                f"--min-success: {program.name} defines no success; use --min-return or --require-solved,"
+                " or add `termination.success` or a `goal` to the scenario"
+            )
+
+    def verdicts(self, episodes: Sequence[Episode], planned: int) -> Iterator[tuple[str, Verdict]]:
+        """Each requirement of a number in words, and its answer after these of `planned` episodes."""
         from deepbots_cli.learning.statistics import gate_mean, gate_rate
 
         if self.min_success is not None:
             successes = sum(episode.is_success for episode in episodes)
-            yield f"success rate of at least {self.min_success:g}", gate_rate(self.min_success, successes, len(episodes), self.planned)
+            yield f"success rate of at least {self.min_success:g}", gate_rate(self.min_success, successes, len(episodes), planned)
         if self.min_return is not None:
             returns = [episode.total_return for episode in episodes]
-            yield f"mean return of at least {self.min_return:g}", gate_mean(self.min_return, returns, self.planned)
+            yield f"mean return of at least {self.min_return:g}", gate_mean(self.min_return, returns, planned)
 
-    def decided(self, episodes: Sequence[Episode]) -> bool:
+    def decided(self, episodes: Sequence[Episode], planned: int) -> bool:
         """Whether every requirement is certainly met, or one certainly not."""
-        answers = [verdict.met for _, verdict in self.verdicts(episodes)]
+        answers = [verdict.met for _, verdict in self.verdicts(episodes, planned)]
         return bool(answers) and (False in answers or None not in answers)
+
+    def requirements(self, result: EvaluationResult, planned: int) -> list[Requirement]:
+        """The answers for a run; a requirement that another one has left undecided is left out."""
+        found = [("the task is solved", bool(result.solved), result.verdict)] if self.solved else []
+        answers = self.verdicts(result.outcomes, planned)
+        return found + [(words, verdict.met, verdict.reason) for words, verdict in answers if verdict.met is not None]
+
+    def requirements_of_group(self, group: GroupResult) -> list[Requirement]:
+        """The answers for the means over the seeds of a group."""
+        over = f"over {len(group.evaluations)} seeds"
+        unsolved = [result.run.name for result in group.evaluations if not result.solved]
+        found = []
+        if self.solved:
+            found.append(
+                ("the task is solved", not unsolved, f"not solved by {', '.join(unsolved)}" if unsolved else "solved by every seed")
+            )
+        if self.min_success is not None:
+            met = group.success_rate >= self.min_success
+            found.append((f"success rate of at least {self.min_success:g}", met, f"mean success rate {group.success_rate:.4g} {over}"))
+        if self.min_return is not None:
+            met = group.mean_return >= self.min_return
+            found.append((f"mean return of at least {self.min_return:g}", met, f"mean return {group.mean_return:.4g} {over}"))
+        return found
+
+
+def _evaluate_group(
+    folder: Path, compiled: Compiled | None, gates: Gates, *, csv: Path | None, junit: Path | None, as_json: bool, **chosen: Any
+) -> None:
+    with terminal.passing("loading the policies ..."):
+        evaluate_group = learning.evaluate_group  # which imports torch
+    group = Group.open(folder)
+    if group.runs:
+        gates.check(Run.open(group.runs[0]).program if compiled is None else compiled.program)
+    with terminal.progress("runs", always=False) as show_run:
+        found = evaluate_group(folder, scenario=compiled, on_run=show_run, **chosen)
+    if csv is not None:
+        results.write_csv(csv, found.evaluations)
+    if as_json:
+        terminal.show_json(results.group_json(found))
+    else:
+        terminal.say(results.group_text(found))
+    _require(gates.requirements_of_group(found), found.name, junit)
+
+
+def _robustness(
+    known: Run,
+    gates: Gates,
+    sets: Sequence[str],
+    allow_paths: Sequence[Path],
+    scenario: str | None,
+    case: str | None,
+    stage: str | None,
+    *,
+    as_json: bool,
+    **chosen: Any,
+) -> None:
+    gates.check(known.program)
+    with terminal.passing("loading the policy ..."):
+        from deepbots_cli.learning.robustness import evaluate_robustness  # which imports torch
+    with terminal.progress("evaluations") as show_level:
+        found = evaluate_robustness(
+            known,
+            scenario=scenario,
+            sets=sets,
+            allow_paths=allow_paths,
+            min_success=gates.min_success,
+            min_return=gates.min_return,
+            on_level=show_level,
+            case=case,
+            stage=stage,
+            **chosen,
+        )
+    if as_json:
+        terminal.show_json(results.robustness_json(found))
+    else:
+        terminal.say(results.robustness_text(found))
 
 
 def _elsewhere(run: Run, scenario: str | None, sets: Sequence[str], compiled: Compiled | None) -> str | None:
@@ -237,9 +419,9 @@ def _elsewhere(run: Run, scenario: str | None, sets: Sequence[str], compiled: Co
 
 def show(result: EvaluationResult, cases: Sequence[EvaluationResult], *, elsewhere: str | None = None) -> None:
     """An evaluation, and the cases beside it."""
-    terminal.say(report.evaluation_text(result, elsewhere))
+    terminal.say(results.evaluation_text(result, elsewhere))
     if cases:
-        terminal.say("\ncases\n" + table(report.case_rows([result, *cases])))
+        terminal.say("\ncases\n" + table(results.case_rows([result, *cases])))
 
 
 def with_cases(result: EvaluationResult, cases: Sequence[EvaluationResult]) -> dict[str, Any]:
@@ -247,20 +429,14 @@ def with_cases(result: EvaluationResult, cases: Sequence[EvaluationResult]) -> d
     return {**report.to_json(result), "cases": [report.to_json(other) for other in cases]}
 
 
-def _require(result: EvaluationResult, gates: Gates, *, require_solved: bool) -> None:
-    """Report each requirement, and exit with 1 if the result does not meet all of them."""
-    unmet = []
-    if require_solved and not result.solved:
-        unmet.append(
-            "the task is not solved"
-            if result.solved is False
-            else f"the evaluation cannot say whether the task is solved ({result.verdict})"
-        )
-    for requirement, verdict in gates.verdicts(result.outcomes):
-        if verdict.met is False:
-            unmet.append(f"not met: {requirement} ({verdict.reason})")
-        elif verdict.met:
-            terminal.note(f"met: {requirement} ({verdict.reason})")
-    if unmet:
-        terminal.complain(" and ".join(unmet))
+def _require(requirements: Sequence[Requirement], suite: str, junit: Path | None) -> None:
+    """Report each requirement, and exit with 1 if one is not met."""
+    if junit is not None:
+        results.write_junit(junit, suite, requirements)
+    for words, met, reason in requirements:
+        if met:
+            terminal.note(f"met: {words} ({reason})")
+        else:
+            terminal.complain(f"not met: {words} ({reason})")
+    if not all(met for _, met, _ in requirements):
         raise typer.Exit(FAILED)

@@ -13,12 +13,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepbots_cli import api
-from deepbots_cli.cli import terminal
+from deepbots_cli.cli import results, terminal
 from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Engine, Json, Scenario, Seed, Sets, Stage, whole, with_case_or_stage
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.engine_kinds import on_engine
 from deepbots_cli.errors import UsageError
-from deepbots_cli.learning import report
 from deepbots_cli.learning.episodes import Episode, EpisodeAccumulator, Summary
 from deepbots_cli.program.task import ActionRange, Choices
 
@@ -114,7 +113,7 @@ def command(
         return
     _show(done)
     if len(done) > 1:
-        terminal.say("\n" + report.summary_text(summary, success_defined=program.defines_success))
+        terminal.say("\n" + results.summary_text(summary, success_defined=program.defines_success))
 
 
 def _row(episode: Episode) -> Row:

@@ -10,22 +10,24 @@ from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from deepbots_cli import api, learning
-from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Engine, Json, Sets, whole
-from deepbots_cli.cli.exits import INTERRUPTED
+from deepbots_cli.cli import results, terminal
+from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Engine, Json, Sets, seed_list, whole
+from deepbots_cli.cli.exits import FAILED, INTERRUPTED
 from deepbots_cli.cli.verbs.eval import show, with_cases
 from deepbots_cli.engine_kinds import on_engine
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning import report
+from deepbots_cli.learning.group import Group, is_group
 from deepbots_cli.learning.run import Run
 
 if TYPE_CHECKING:
     from deepbots_cli.learning import TrainingResult
+    from deepbots_cli.learning.group import GroupTraining
     from deepbots_cli.program import Program
 
 
@@ -37,6 +39,9 @@ def command(
     seed: Annotated[
         int | None, typer.Option("--seed", metavar="N", parser=whole(0, MAX_SEED), help="Root seed of all random numbers; 0 by default.")
     ] = None,
+    seeds: Annotated[
+        str | None, typer.Option("--seeds", metavar="LIST", help="Train a group: a run for each of several seeds, such as 0..4 or 0,3,7.")
+    ] = None,
     timesteps: Annotated[
         int | None,
         typer.Option(
@@ -47,9 +52,9 @@ def command(
         ),
     ] = None,
     run: Annotated[
-        Path | None, typer.Option("--run", metavar="DIR", help="Run directory to create; by default a new one in ./runs.")
+        Path | None, typer.Option("--run", metavar="DIR", help="Directory to create for the run or group; by default a new one in ./runs.")
     ] = None,
-    resume: Annotated[Path | None, typer.Option("--resume", metavar="RUN", help="Continue the training of this run.")] = None,
+    resume: Annotated[Path | None, typer.Option("--resume", metavar="RUN", help="Continue the training of this run or group.")] = None,
     full: Annotated[bool, typer.Option("--full", "--no-stop", help="Train for all timesteps, even if the task is solved earlier.")] = False,
     stage: Annotated[
         str | None, typer.Option("--stage", metavar="NAME", help="Begin with this stage of the curriculum; by default with the first.")
@@ -81,25 +86,40 @@ def command(
     \b
       deepbots train cartpole
       deepbots train cartpole.yaml --seed 1 --set fall_angle=10deg
+      deepbots train cartpole --seeds 0..4
       deepbots train cartpole --timesteps 200k --full --run runs/long
       deepbots train find_ball_random --stage crowded
       deepbots train find_ball --view
       deepbots train --resume runs/cartpole-0-1 --timesteps 200k
+      deepbots train --resume runs/cartpole-seeds-1
       deepbots train longer_pole.yaml --initialize-from runs/cartpole-0-1
 
     Timesteps are counted over all parallel environments. A resumed training gives the same weights and logs, bit for bit, as a training
     without interruption. With --resume, --timesteps is the new total, which includes the timesteps so far. --initialize-from copies the
     tensors of the policy that have the same name and shape, and initializes the others as usual.
 
+    --seeds trains a group: one folder with a run for each seed, one after the other. --resume of a group skips finished seeds.
+
     Next: `deepbots eval RUN --video film.mp4` records an episode of the policy.
     """
     told = not quiet
     if resume is not None:
-        made_with = (scenario, sets, seed, run, stage, engine, allow_paths, keep_checkpoints, initialize_from)
+        made_with = (scenario, sets, seed, seeds, run, stage, engine, allow_paths, keep_checkpoints, initialize_from)
         if any(option is not None for option in made_with):
             raise UsageError(
                 "a resumed run keeps its scenario and options; --resume accepts only --timesteps, --full, --quiet, --allow-code and --json"
             )
+        if is_group(resume):
+            group = learning.resume_group(
+                resume,
+                total_timesteps=timesteps,
+                stop_when_solved=False if full else None,
+                progress=told,
+                allow_code=allow_code,
+                on_seed=None if quiet else _announce_seed,
+            )
+            _finish_group(group, quiet=quiet, as_json=as_json, allow_code=allow_code)
+            return
         with _page(wanted=to_view, allow_code=allow_code) as show_page:
             show_page(resume)
             result = learning.resume(
@@ -107,36 +127,39 @@ def command(
             )
     elif scenario is None:
         raise UsageError("there is no scenario to train; name one, such as: deepbots train cartpole")
+    elif seeds is not None and seed is not None:
+        raise UsageError("--seed and --seeds exclude each other")
     else:
         compiled = api.compile(scenario, sets=on_engine(sets, engine), allow_paths=allow_paths or (), allow_code=allow_code)
         terminal.mention(compiled.findings, scenario)
+        settings: dict[str, Any] = {
+            "total_timesteps": timesteps,
+            "stop_when_solved": not full,
+            "stage": stage,
+            "keep_checkpoints": keep_checkpoints or 0,
+            "initialize_from": initialize_from,
+            "progress": told,
+            "command": ["deepbots", *sys.argv[1:]],
+        }
         with terminal.passing("loading PyTorch ..." if told else ""):
             train = learning.train  # which imports torch
         if told:
-            _announce(compiled.program, seed or 0, timesteps, full=full)
+            _announce(compiled.program, seeds or str(seed or 0), timesteps, full=full)
+        if seeds is not None:
+            group = learning.train_group(compiled, seed_list(seeds), group=run, on_seed=None if quiet else _announce_seed, **settings)
+            _finish_group(group, quiet=quiet, as_json=as_json, allow_code=allow_code)
+            return
         with _page(wanted=to_view, allow_code=allow_code) as show_page:
-            result = train(
-                compiled,
-                run=run,
-                seed=seed or 0,
-                total_timesteps=timesteps,
-                stop_when_solved=not full,
-                stage=stage,
-                keep_checkpoints=keep_checkpoints or 0,
-                initialize_from=initialize_from,
-                progress=told,
-                command=["deepbots", *sys.argv[1:]],
-                on_start=show_page,
-            )
+            result = train(compiled, run=run, seed=seed or 0, on_start=show_page, **settings)
     _finish(result, quiet=quiet, as_json=as_json, allow_code=allow_code)
 
 
-def _announce(program: Program, seed: int, timesteps: int | None, *, full: bool) -> None:
+def _announce(program: Program, seeds: str, timesteps: int | None, *, full: bool) -> None:
     """Say what is trained, when it ends, and how to end it earlier."""
     training, solved = program.policy.training, program.solved
     if training is not None:
         until = f", or until it is solved ({solved.words})" if solved and not full else ""
-        terminal.note(f"training {program.name} with {training.algorithm} from seed {seed}")
+        terminal.note(f"training {program.name} with {training.algorithm} from seed {seeds}")
         terminal.note(f"at most {timesteps or training.total_timesteps:,} timesteps{until}; Ctrl-C ends it and keeps the policy")
 
 
@@ -165,10 +188,43 @@ def _page(*, wanted: bool, allow_code: bool) -> Iterator[Callable[[Path], None]]
             process.wait()
 
 
+def _announce_seed(seed: int, number: int, count: int) -> None:
+    terminal.note(f"seed {seed}, {number} of {count}")
+
+
+def _finish_group(group: GroupTraining, *, quiet: bool, as_json: bool, allow_code: bool) -> None:
+    """Show the trainings of a group; unless it was interrupted, evaluate all of its runs and name the next commands."""
+    if not as_json:
+        terminal.say(results.group_training_text(group))
+    if group.interrupted:
+        if as_json:
+            terminal.show_json({"training": results.group_training_json(group), "evaluation": None})
+        raise typer.Exit(INTERRUPTED)
+    if not quiet:
+        terminal.note("evaluating on held-out episodes ...")
+    with terminal.progress("runs", always=False) as show_run:
+        evaluation = learning.evaluate_group(group.group, allow_code=allow_code, on_run=show_run)
+    for found in evaluation.evaluations:
+        Run.open(found.run).keep_evaluation({**with_cases(found, ()), "engine": Group.open(group.group).record.engine})
+    if as_json:
+        terminal.show_json({"training": results.group_training_json(group), "evaluation": results.group_json(evaluation)})
+    else:
+        terminal.say("\n" + results.group_text(evaluation))
+        path = quote(str(group.group))
+        terminal.note(
+            f"\nnext:\n"
+            f"  deepbots eval {path} --csv {quote(f'{group.group.name}.csv')}\n"
+            f"  deepbots compare {path} OTHER_GROUP\n"
+            f"  tensorboard --logdir {path}"
+        )
+    if group.failed:
+        raise typer.Exit(FAILED)
+
+
 def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, allow_code: bool) -> None:
     """Show the result of the training; unless it was interrupted, evaluate the policy and name the next commands."""
     if not as_json:
-        terminal.say(report.training_text(result))
+        terminal.say(results.training_text(result))
     if result.interrupted:
         if as_json:
             terminal.show_json({"training": report.to_json(result), "evaluation": None})

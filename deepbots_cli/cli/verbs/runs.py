@@ -1,0 +1,152 @@
+"""`deepbots runs`."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from deepbots_cli.cli import results, terminal
+from deepbots_cli.cli.command import Json
+from deepbots_cli.cli.tables import Row, table
+from deepbots_cli.errors import UsageError
+from deepbots_cli.learning.group import is_group
+from deepbots_cli.learning.listing import ListedRun, evaluations, list_runs, read_listed, sort_runs
+from deepbots_cli.learning.run import NAME, KeptEvaluation
+
+
+class Sort(StrEnum):
+    date = "date"
+    name = "name"
+    steps = "steps"
+    cpu = "cpu"
+    returns = "return"
+    success = "success"
+
+
+def command(
+    folder: Annotated[Path, typer.Argument(metavar="[FOLDER]", help="A folder of runs, a group, or a run; by default `runs`.")] = Path(
+        "runs"
+    ),
+    scenario: Annotated[
+        str | None, typer.Option("--scenario", metavar="NAME", help="Only runs of this scenario, or of one whose name contains NAME.")
+    ] = None,
+    solved: Annotated[bool, typer.Option("--solved", help="Only runs that solve their task.")] = False,
+    live: Annotated[bool, typer.Option("--live", help="Only runs that are training now.")] = False,
+    sort: Annotated[
+        Sort, typer.Option("--sort", help="Order: by date or name, or from the largest number of steps, CPU time, return or success on.")
+    ] = Sort.date,
+    as_json: Json = False,
+) -> None:
+    """List your runs and groups, with their results.
+
+    The list is read from the files of the runs, also while they train. A group is one row, with the means over its seeds;
+    `deepbots runs GROUP` lists its runs, and `deepbots runs RUN` the evaluations that a run keeps.
+
+    The return and the success rate are those of the last evaluation of the best model, on held-out episodes. Before there is one, they are
+    those of the recent episodes of the training, in which the policy explores: the column `score` tells which.
+
+    \b
+      deepbots runs
+      deepbots runs --live
+      deepbots runs --scenario cartpole --solved --sort cpu
+      deepbots runs runs/cartpole-seeds-1
+      deepbots runs /data/runs --json
+
+    Next: `deepbots eval RUN` evaluates a run or a group, and `deepbots compare RUN RUN` compares them.
+    """
+    if (folder / NAME).is_file():
+        _show_run(folder, as_json=as_json)
+        return
+    if not folder.is_dir() and folder != Path("runs"):
+        raise UsageError(f"there is no folder {folder}")
+    wanted = "" if scenario is None else scenario.lower().replace("_", "")
+    found = [
+        run
+        for run in sort_runs(list_runs(folder), sort.value)
+        if wanted in run.scenario.lower().replace("_", "") and (run.solved or not solved) and (run.state == "training" or not live)
+    ]
+    if as_json:
+        terminal.show_json([_data(run) for run in found])
+    elif found:
+        terminal.say(f"{'group' if is_group(folder) else 'runs in'} {folder}\n" + table(list(map(_row, found))))
+        for run in found:
+            if run.problem is not None:
+                terminal.note(f"{run.path.name}: {run.problem}")
+    elif scenario is not None or solved or live:
+        terminal.note(f"no run in {folder} is so; without options, `deepbots runs` lists all")
+    else:
+        terminal.note(f"there are no runs in {folder}; next: deepbots train cartpole")
+
+
+def _data(run: ListedRun) -> dict[str, Any]:
+    return {**asdict(run), "path": str(run.path), "name": run.path.name, "runs": [_data(inner) for inner in run.runs]}
+
+
+def _row(run: ListedRun) -> Row:
+    finished = sum(inner.state == "finished" for inner in run.runs)
+    state: str = run.state
+    if run.runs and state != "finished":
+        state += f", {finished} of {len(run.seeds)} done"
+    elif state == "training" and run.total_timesteps:
+        state += f" {(run.steps or 0) / run.total_timesteps:.0%}"
+    return {
+        "run": run.path.name,
+        "scenario": run.scenario,
+        "seed": _seeds(run.seeds),
+        "state": state,
+        "steps": run.steps,
+        "return": run.mean_return,
+        "success": "" if run.success_rate is None else f"{run.success_rate:.0%}",
+        "score": run.score,
+        "solved": "" if run.solved is None else "yes" if run.solved else "no",
+        "cpu_s": None if run.cpu_seconds is None else round(run.cpu_seconds, 1),
+        "digest": run.digest[:8],
+        "updated": run.updated[:16].replace("T", " "),
+    }
+
+
+def _seeds(seeds: tuple[int, ...]) -> str:
+    """`0..4` for seeds that follow each other."""
+    if len(seeds) > 2 and seeds == tuple(range(seeds[0], seeds[0] + len(seeds))):
+        return f"{seeds[0]}..{seeds[-1]}"
+    return ", ".join(map(str, seeds))
+
+
+def _show_run(folder: Path, *, as_json: bool) -> None:
+    """A run, and the evaluations that it keeps."""
+    run, kept = read_listed(folder), evaluations(folder)
+    if as_json:
+        rows = [{"number": number, **({"problem": one} if isinstance(one, str) else one.model_dump())} for number, one in kept]
+        terminal.show_json({**_data(run), "evaluations": rows})
+        return
+    terminal.say(f"run {folder}\n" + table([_row(run)]))
+    if run.problem is not None:
+        terminal.note(run.problem)
+    readable = [(number, one) for number, one in kept if not isinstance(one, str)]
+    if readable:
+        terminal.say("\nevaluations\n" + table([_evaluation(number, one) for number, one in readable]))
+    else:
+        terminal.note(f"there is no evaluation yet; next: deepbots eval {folder}")
+    for number, one in kept:
+        if isinstance(one, str):
+            terminal.note(f"evaluation {number}: {one}")
+
+
+def _evaluation(number: int, kept: KeptEvaluation) -> Row:
+    return {
+        "number": number,
+        "evaluated": kept.evaluated[:16].replace("T", " "),
+        "model": kept.model + ("" if kept.deterministic else ", sampled"),
+        "in": kept.elsewhere or kept.case or (f"stage {kept.stage}" if kept.stage else ""),
+        "episodes": kept.episodes,
+        "seed": kept.seed,
+        "return": kept.mean_return,
+        "return_95 %": results.between(kept.return_interval),
+        "success": f"{kept.success_rate:.1%}" if kept.success_defined else "",
+        "success_95 %": results.between(kept.success_interval, percent=True) if kept.success_defined else "",
+        "solved": "" if kept.solved is None else "yes" if kept.solved else "no",
+    }

@@ -1,0 +1,271 @@
+"""Groups: one folder with a run for each of several seeds, which differ in nothing else.
+
+    runs/cartpole-seeds-1/
+    ├── group.json           seeds, settings of the trainings, command
+    ├── inputs/, resolved.yaml   the scenario, from which seeds that have not begun are trained
+    └── seed-0/, seed-1/ ... the runs
+
+The seeds are trained one after the other. Importing this module loads neither torch nor Stable-Baselines3.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pydantic import BaseModel, ConfigDict, Field
+
+import deepbots_cli
+from deepbots_cli import api, engine_kinds
+from deepbots_cli.api import Compiled
+from deepbots_cli.compiler.inputs import FOLDER, RESOLVED, write_copies
+from deepbots_cli.errors import DeepbotsError, RunError, UsageError
+from deepbots_cli.learning.report import Reporter
+from deepbots_cli.learning.run import GROUP_NAME, NAME, Record, TrainingResult, new_directory, now, read_json, run_lock, write_text
+
+if TYPE_CHECKING:
+    from deepbots_cli.learning.environments import BuildWorld
+
+FORMAT = 1
+MAX_SEEDS = 1000
+_LIMIT = 1_000_000
+
+
+class GroupRecord(BaseModel):
+    """The content of `group.json`: the seeds, and the settings that all trainings share; see `train` for their meaning."""
+
+    model_config = ConfigDict(frozen=True, strict=True)
+
+    format: int
+    deepbots: str
+    scenario: str
+    source: str
+    engine: str
+    seeds: tuple[int, ...] = Field(min_length=1, max_length=MAX_SEEDS)
+    total_timesteps: int | None
+    stop_when_solved: bool
+    stage: str | None
+    keep_checkpoints: int
+    initialize_from: str | None
+    command: tuple[str, ...]
+    started: str
+
+
+@dataclass(frozen=True)
+class Group:
+    """A group on disk."""
+
+    path: Path
+    record: GroupRecord
+
+    @staticmethod
+    def open(path: str | Path) -> Group:
+        """A group that exists.
+
+        Raises:
+            RunError: The folder is no group, its record is damaged, or a newer deepbots wrote it.
+        """
+        path = Path(path)
+        if not is_group(path):
+            raise RunError(f"{path} is not a group of runs: it holds no {GROUP_NAME}")
+        record = read_json(path / GROUP_NAME, GroupRecord, _LIMIT)
+        if record.format != FORMAT:
+            raise RunError(f"{path} is a group of format {record.format}, this deepbots reads {FORMAT}; use the deepbots that wrote it")
+        for name in (GROUP_NAME, RESOLVED, FOLDER, *(f"seed-{seed}" for seed in record.seeds)):
+            if (path / name).is_symlink():
+                raise RunError(f"{path / name} is a symbolic link, which no group of ours holds")
+        return Group(path, record)
+
+    def run(self, seed: int) -> Path:
+        """The folder of the run of a seed, which exists once its training has begun."""
+        return self.path / f"seed-{seed}"
+
+    @property
+    def runs(self) -> list[Path]:
+        """The folders of the runs that have begun, in the order of the seeds."""
+        return [self.run(seed) for seed in self.record.seeds if (self.run(seed) / NAME).is_file()]
+
+
+def is_group(path: Path) -> bool:
+    """Whether the folder is a group of runs."""
+    return (path / GROUP_NAME).is_file()
+
+
+@dataclass(frozen=True)
+class GroupTraining:
+    """What a training of a group came to.
+
+    `trained` are the results of the runs that this call has trained, `skipped` the seeds that were finished before, and `failed` the
+    reasons why a training failed, by seed. `waiting` are the seeds that an interruption leaves untrained or unfinished.
+    """
+
+    group: Path
+    trained: tuple[TrainingResult, ...]
+    skipped: tuple[int, ...]
+    failed: dict[int, str]
+    waiting: tuple[int, ...]
+
+    @property
+    def interrupted(self) -> bool:
+        return bool(self.waiting)
+
+
+OnSeed = Callable[[int, int, int], object]
+"""Called before the training of a seed, with the seed, its number from 1, and the number of all seeds."""
+
+
+def train_group(
+    compiled: Compiled,
+    seeds: Sequence[int],
+    *,
+    group: str | Path | None = None,
+    runs: str | Path = "runs",
+    total_timesteps: int | None = None,
+    stop_when_solved: bool = True,
+    stage: str | None = None,
+    keep_checkpoints: int = 0,
+    initialize_from: str | Path | None = None,
+    progress: bool | Reporter = False,
+    command: Sequence[str] = (),
+    engine: str | None = None,
+    on_seed: OnSeed | None = None,
+    build: BuildWorld | None = None,
+) -> GroupTraining:
+    """Train a scenario with several seeds, one after the other, in a new folder.
+
+    If a training fails, the others go on. An interruption ends the group after the roll-out that is under way.
+
+    Args:
+        compiled: The scenario.
+        seeds: The root seeds, each once.
+        group: The folder to make; by default `runs/<scenario>-seeds-<n>`.
+        on_seed: Is called before each training.
+
+    The other arguments are those of `train`.
+
+    Raises:
+        UsageError: The folder exists, a seed is given twice, or the settings cannot be trained with.
+    """
+    if not seeds or len(set(seeds)) < len(seeds) or len(seeds) > MAX_SEEDS:
+        raise UsageError(f"a group has from 1 to {MAX_SEEDS} seeds, each of them once")
+    path = new_directory(group, runs, compiled.program.name, "seeds")
+    record = GroupRecord(
+        format=FORMAT,
+        deepbots=deepbots_cli.__version__,
+        scenario=compiled.program.name,
+        source=str(compiled.source),
+        engine=engine_kinds.chosen(engine or compiled.program.engine),
+        seeds=tuple(seeds),
+        total_timesteps=total_timesteps,
+        stop_when_solved=stop_when_solved,
+        stage=stage,
+        keep_checkpoints=keep_checkpoints,
+        initialize_from=None if initialize_from is None else str(Path(initialize_from).absolute()),
+        command=tuple(command),
+        started=now(),
+    )
+    write_copies(path, compiled.resolved, compiled.inputs)
+    write_text(path / GROUP_NAME, record.model_dump_json(indent=2) + "\n")
+    made = Group(path, record)
+    try:
+        with run_lock(path):
+            return _train_seeds(made, compiled, None, None, progress, on_seed, build, allow_code=compiled.allow_code)
+    except DeepbotsError:
+        if not made.runs:  # nothing can be trained with these settings
+            shutil.rmtree(path)
+        raise
+
+
+def resume_group(
+    group: str | Path,
+    *,
+    total_timesteps: int | None = None,
+    stop_when_solved: bool | None = None,
+    progress: bool | Reporter = False,
+    allow_code: bool = False,
+    on_seed: OnSeed | None = None,
+    build: BuildWorld | None = None,
+) -> GroupTraining:
+    """Go on with a group: finished seeds are skipped, interrupted ones continue from their last checkpoint, the others begin.
+
+    Arguments are those of `resume`; with a higher `total_timesteps`, finished seeds continue too.
+
+    Raises:
+        RunError: The folder is no group, or it is damaged.
+        UsageError: Another training is at work in it.
+    """
+    known = Group.open(group)
+    with run_lock(known.path):
+        compiled = api.compile(api.load(known.path / RESOLVED, allow_code=True, project=known.path))
+        compiled = replace(compiled, source=Path(known.record.source), allow_code=allow_code)
+        return _train_seeds(known, compiled, total_timesteps, stop_when_solved, progress, on_seed, build, allow_code=allow_code)
+
+
+def _train_seeds(
+    group: Group,
+    compiled: Compiled,
+    total_timesteps: int | None,
+    stop_when_solved: bool | None,
+    progress: bool | Reporter,
+    on_seed: OnSeed | None,
+    build: BuildWorld | None,
+    *,
+    allow_code: bool,
+) -> GroupTraining:
+    """Train or continue every seed that is not finished; a total of None is the one that the group began with."""
+    from deepbots_cli.learning.training import resume, train  # which imports torch
+
+    record = group.record
+    trained: list[TrainingResult] = []
+    skipped: list[int] = []
+    failed: dict[int, str] = {}
+    for number, seed in enumerate(record.seeds, start=1):
+        path = group.run(seed)
+        try:
+            begun = Record.read(path) if (path / NAME).is_file() else None
+            if begun is not None and _is_done(begun, total_timesteps):
+                skipped.append(seed)
+                continue
+            if on_seed is not None:
+                on_seed(seed, number, len(record.seeds))
+            if begun is not None:
+                result = resume(
+                    path,
+                    total_timesteps=total_timesteps,
+                    stop_when_solved=stop_when_solved,
+                    progress=progress,
+                    allow_code=allow_code,
+                    build=build,
+                )
+            else:
+                result = train(
+                    compiled,
+                    run=path,
+                    seed=seed,
+                    total_timesteps=record.total_timesteps if total_timesteps is None else total_timesteps,
+                    stop_when_solved=record.stop_when_solved if stop_when_solved is None else stop_when_solved,
+                    stage=record.stage,
+                    keep_checkpoints=record.keep_checkpoints,
+                    initialize_from=record.initialize_from,
+                    progress=progress,
+                    command=record.command,
+                    engine=record.engine,
+                    build=build,
+                )
+        except DeepbotsError as error:
+            if not path.exists():
+                raise
+            failed[seed] = str(error)
+            continue
+        trained.append(result)
+        if result.interrupted:
+            return GroupTraining(group.path, tuple(trained), tuple(skipped), failed, record.seeds[number - 1 :])
+    return GroupTraining(group.path, tuple(trained), tuple(skipped), failed, ())
+
+
+def _is_done(record: Record, total_timesteps: int | None) -> bool:
+    reached = record.result is not None and total_timesteps is not None and record.result.steps >= total_timesteps
+    return record.status == "finished" and (total_timesteps is None or reached)

@@ -1,0 +1,228 @@
+"""What is known of runs and groups from their own files alone, also while they train. Nothing is compiled, and torch is not imported."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from statistics import fmean
+from typing import Literal
+
+from deepbots_cli.compiler.inputs import RESOLVED
+from deepbots_cli.document import Mapping, load
+from deepbots_cli.errors import DeepbotsError, RunError
+from deepbots_cli.files import read_at_most
+from deepbots_cli.learning.episodes import WINDOW
+from deepbots_cli.learning.group import Group, is_group
+from deepbots_cli.learning.run import NAME, KeptEvaluation, Record, is_training, kept_evaluations, read_evaluation
+
+State = Literal["training", "finished", "interrupted", "failed", "damaged"]
+_TAIL = 64_000
+"""Bytes of a log that hold its last 100 episodes."""
+_STATE_LIMIT = 100_000_000
+
+
+@dataclass(frozen=True)
+class ListedRun:
+    """A run or a group, from its files.
+
+    Of a group, `mean_return` and `success_rate` are means over the runs that have one, `steps` and `cpu_seconds` are sums, and `runs` are
+    its members. `score` says what the return and the success rate are of: `evaluation` is the last evaluation of the best model in the
+    scenario of the training, since the training ended; `training` the recent episodes of the training, of which the policy explores.
+    `success_rate` is None where the scenario defines no success. `solved` is the answer of the evaluation, or of the training. Of a run
+    that trains, `cpu_seconds` is as old as its last checkpoint. `updated` is a time in UTC, `problem` why the files cannot be read.
+    """
+
+    path: Path
+    state: State
+    scenario: str = "?"
+    digest: str = ""
+    engine: str = ""
+    seeds: tuple[int, ...] = ()
+    steps: int | None = None
+    total_timesteps: int | None = None
+    episodes: int | None = None
+    mean_return: float | None = None
+    return_interval: tuple[float, float] | None = None
+    success_rate: float | None = None
+    score: Literal["evaluation", "training"] | None = None
+    solved: bool | None = None
+    solved_in_episode: int | None = None
+    cpu_seconds: float | None = None
+    updated: str = ""
+    problem: str | None = None
+    runs: tuple[ListedRun, ...] = ()
+
+
+def list_runs(folder: Path) -> list[ListedRun]:
+    """The runs and groups in a folder, the one that changed last at the end; those of a group in the order of their seeds."""
+    if not folder.is_dir():
+        return []
+    if is_group(folder):
+        return list(_of_group(folder).runs)
+    found = [path for path in folder.iterdir() if (path / NAME).is_file() or is_group(path)]
+    return sorted((read_listed(path) for path in found), key=lambda run: (run.updated, run.path.name))
+
+
+def read_listed(path: Path) -> ListedRun:
+    """A run or a group; files that cannot be read are its `problem`."""
+    try:
+        return _of_group(path) if is_group(path) else _of_run(path)
+    except DeepbotsError as error:
+        return ListedRun(path, "damaged", problem=str(error))
+
+
+def _of_run(path: Path) -> ListedRun:
+    record = Record.read(path)
+    result = record.result
+    state: State = "interrupted" if record.status == "running" else record.status
+    if record.status == "running" and is_training(path):
+        state = "training"
+    recent = list(_recent_episodes(path / "monitor.csv")) if result is None or state == "training" else []
+    mean: float | None
+    success: float | None
+    evaluation = _last_evaluation(path, record) if state != "training" else None
+    steps, episodes = (recent[-1].steps, recent[-1].number) if recent else (result.steps, result.episodes) if result else (0, 0)
+    if evaluation is not None:
+        mean, success = evaluation.mean_return, evaluation.success_rate if evaluation.success_defined else None
+    elif recent:
+        mean, success = fmean(episode.total_return for episode in recent), fmean(episode.is_success for episode in recent)
+    else:
+        mean, success = (result.mean_return, result.success_rate) if result else (None, None)
+    if evaluation is None and not _defines_success(path):
+        success = None
+    solved_at = result.solved_at if result else None
+    return ListedRun(
+        path,
+        state,
+        scenario=record.scenario,
+        digest=record.digest,
+        engine=record.engine,
+        seeds=(record.seed,),
+        steps=steps,
+        total_timesteps=record.total_timesteps,
+        episodes=episodes,
+        mean_return=mean,
+        return_interval=evaluation.return_interval if evaluation else None,
+        success_rate=success,
+        score="evaluation" if evaluation else "training" if mean is not None else None,
+        solved=evaluation.solved if evaluation is not None and solved_at is None else solved_at is not None,
+        solved_in_episode=solved_at.episode if solved_at else None,
+        cpu_seconds=result.cpu_seconds if result and state != "training" else _cpu_of_checkpoint(path),
+        updated=record.updated,
+    )
+
+
+def _of_group(path: Path) -> ListedRun:
+    group = Group.open(path)
+    runs = tuple(read_listed(run) for run in group.runs)
+    readable = [run for run in runs if run.problem is None]
+    returns = [run.mean_return for run in readable if run.mean_return is not None]
+    rates = [run.success_rate for run in readable if run.success_rate is not None]
+    costs = [run.cpu_seconds for run in readable if run.cpu_seconds is not None]
+    states = {run.state for run in runs}
+    state: State = "training" if is_training(path) else "failed" if states & {"failed", "damaged"} else "interrupted"
+    if state != "training" and states == {"finished"} and len(runs) == len(group.record.seeds):
+        state = "finished"
+    return ListedRun(
+        path,
+        state,
+        scenario=group.record.scenario,
+        digest=readable[0].digest if readable else "",
+        engine=group.record.engine,
+        seeds=group.record.seeds,
+        steps=sum(run.steps or 0 for run in readable),
+        total_timesteps=readable[0].total_timesteps * len(group.record.seeds) if readable and readable[0].total_timesteps else None,
+        episodes=sum(run.episodes or 0 for run in readable),
+        mean_return=fmean(returns) if returns else None,
+        success_rate=fmean(rates) if rates else None,
+        score="training" if "training" in {run.score for run in readable} else "evaluation" if returns else None,
+        solved=bool(readable) and len(readable) == len(group.record.seeds) and all(run.solved for run in readable),
+        cpu_seconds=sum(costs) if costs else None,
+        updated=max((run.updated for run in readable), default=group.record.started),
+        runs=runs,
+    )
+
+
+def evaluations(run: Path) -> list[tuple[int, KeptEvaluation | str]]:
+    """The evaluations that a run keeps, by number; of one that cannot be read, the reason."""
+    found: list[tuple[int, KeptEvaluation | str]] = []
+    for number, path in kept_evaluations(run):
+        try:
+            found.append((number, read_evaluation(path)))
+        except RunError as error:
+            found.append((number, str(error)))
+    return found
+
+
+def _last_evaluation(path: Path, record: Record) -> KeptEvaluation | None:
+    """The last evaluation of the best model in the scenario of the training, since the training ended."""
+    for _, kept in reversed(kept_evaluations(path)):
+        try:
+            found = read_evaluation(kept)
+        except RunError:
+            continue
+        plain = found.model == "best" and found.deterministic and not (found.set or found.elsewhere or found.case or found.stage)
+        if plain and found.engine in (None, record.engine) and found.evaluated >= record.updated:
+            return found
+    return None
+
+
+@dataclass(frozen=True)
+class _Logged:
+    number: int
+    steps: int
+    total_return: float
+    is_success: bool
+
+
+def _recent_episodes(log: Path) -> Iterator[_Logged]:
+    """The last episodes of a `monitor.csv`, of which the last line may still be written."""
+    if not log.is_file():  # opening a pipe waits for ever
+        return
+    try:
+        with log.open("rb") as stream:
+            names = next(csv.reader(line.decode() for line in islice(stream, 1, 2)), [])
+            stream.seek(0, 2)
+            stream.seek(max(0, stream.tell() - _TAIL))
+            lines = stream.read().decode(errors="replace").splitlines(keepends=True)
+    except OSError:
+        return
+    whole = [line for line in lines[1:] if line.endswith("\n")][-WINDOW:]
+    for row in csv.DictReader(whole, names):
+        try:
+            yield _Logged(int(row["episode"]), int(row["steps"]), float(row["r"]), row["is_success"] == "1")
+        except (KeyError, TypeError, ValueError):  # the header, or a line that was cut
+            continue
+
+
+def _cpu_of_checkpoint(run: Path) -> float | None:
+    """CPU time of the training when the last checkpoint was written, s."""
+    states = sorted((run / "checkpoints").glob("[0-9]*/state.json"))
+    try:
+        return float(json.loads(read_at_most(states[-1], _STATE_LIMIT))["statistics"]["cpu_seconds"])
+    except (IndexError, OSError, ValueError, KeyError, TypeError):  # there is none yet, or it has just been replaced
+        return None
+
+
+def _defines_success(run: Path) -> bool:
+    """Whether the scenario of a run has a goal or an ending that is a success."""
+    try:
+        root = load(run / RESOLVED, project=run).root
+    except DeepbotsError:
+        return False
+    endings = root.get("termination") if root is not None else None
+    return root is not None and (root.get("goal") is not None or (isinstance(endings, Mapping) and endings.get("success") is not None))
+
+
+def sort_runs(runs: Sequence[ListedRun], key: Literal["date", "name", "steps", "cpu", "return", "success"]) -> list[ListedRun]:
+    """Runs by date or name upwards, by anything else from the largest value on; runs without a value come last."""
+    if key == "date":
+        return list(runs)
+    if key == "name":
+        return sorted(runs, key=lambda run: run.path.name)
+    value = {"steps": "steps", "cpu": "cpu_seconds", "return": "mean_return", "success": "success_rate"}[key]
+    return sorted(runs, key=lambda run: (getattr(run, value) is None, -(getattr(run, value) or 0.0)))

@@ -1,0 +1,324 @@
+"""Robustness: a policy under conditions that it was not trained for, one changed at a time and by several amounts.
+
+Each condition is a change of the scenario, which is compiled anew: a small scenario that `extends` it. The changes therefore apply to
+any scenario that has such values. All levels have the same starts.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any, Literal
+
+from deepbots_cli import api
+from deepbots_cli.api import Compiled
+from deepbots_cli.compiler import check
+from deepbots_cli.compiler.inputs import RESOLVED
+from deepbots_cli.document import Mapping, Node, Scalar, load
+from deepbots_cli.document.nodes import Sequence as ListNode
+from deepbots_cli.errors import DeepbotsError, ScenarioError
+from deepbots_cli.learning.evaluation import EvaluationResult, evaluate
+from deepbots_cli.learning.run import ModelName, Run
+from deepbots_cli.program import Program
+
+EPISODES = 50
+"""Episodes of a level, unless the scenario asks for fewer."""
+STEPS, LOSSES, NOISES = (1, 2, 4, 8), (0.05, 0.1, 0.2, 0.4), (0.01, 0.02, 0.05, 0.1)
+FACTORS = (0.5, 0.75, 1.25, 1.5, 2.0)
+WEAKER = (0.9, 0.75, 0.5, 0.25)
+SHARE_OF_NOMINAL = 0.8
+"""Where neither the caller nor the scenario names a bar: 80 % of the success rate or mean return without any change."""
+
+Metric = Literal["success_rate", "mean_return"]
+Change = dict[str, Any]
+"""Keys of a scenario that replace or add to those of the scenario that it extends."""
+
+
+@dataclass(frozen=True)
+class RobustnessLevel:
+    """One amount of a condition: its label, such as `+64 ms`, and the evaluation.
+
+    `holds` tells whether the score reaches the bar, and `certain` whether its 95 % interval excludes the bar.
+    """
+
+    level: str
+    evaluation: EvaluationResult
+    holds: bool
+    certain: bool
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One changed condition at all of its levels, from the smallest change on.
+
+    `skipped` is the reason why this scenario cannot be changed so; `levels` is empty then.
+    """
+
+    name: str
+    levels: tuple[RobustnessLevel, ...]
+    skipped: str | None = None
+
+    @property
+    def threshold(self) -> str:
+        """Between which levels the score falls below the bar, in words."""
+        if self.skipped is not None:
+            return f"not measured: {self.skipped}"
+        failed = [entry.level for entry in self.levels if not entry.holds]
+        held = [entry.level for entry in self.levels if entry.holds]
+        if not failed:
+            return "holds at all levels"
+        if not held:
+            return "below the bar at all levels"
+        if failed == [entry.level for entry in self.levels[len(held) :]]:
+            return f"holds up to {held[-1]}, below the bar from {failed[0]} on"
+        return f"holds at {', '.join(held)}; below the bar at {', '.join(failed)}"
+
+
+@dataclass(frozen=True)
+class Robustness:
+    """A policy under changed conditions.
+
+    `metric` is what is compared with `bar`: the success rate where the scenario defines success, else the mean return. `nominal` is the
+    evaluation without any change.
+    """
+
+    run: Path
+    scenario: str
+    metric: Metric
+    bar: float
+    bar_source: str
+    nominal: EvaluationResult
+    conditions: tuple[Condition, ...]
+
+
+def evaluate_robustness(
+    run: Run | str | Path,
+    *,
+    episodes: int | None = None,
+    seed: int | None = None,
+    model: ModelName = "best",
+    scenario: str | Path | None = None,
+    sets: Sequence[str] = (),
+    min_success: float | None = None,
+    min_return: float | None = None,
+    allow_paths: Sequence[str | Path] = (),
+    allow_code: bool = False,
+    on_level: Callable[[int, int], object] | None = None,
+    **options: Any,
+) -> Robustness:
+    """Evaluate a policy with latency and loss of messages, noise of the observation, other masses, friction, and weaker motors.
+
+    Latencies are added to those of the scenario, one way at a time, in timesteps. Losses hold for both ways, and replace those of the
+    scenario. Noise is Gaussian, its standard deviation a share of the range of each entry of the observation; it replaces that of the
+    scenario. Masses of all robots and objects, the friction of the ground and the strength of all actuators are multiplied by a factor.
+
+    Args:
+        run: The run, or its directory.
+        episodes: Episodes of each level; by default those of the scenario, at most 50.
+        scenario: Another scenario to change, by its path or name.
+        sets: Assignments `path=value` that hold at all levels.
+        min_success: The bar of the success rate; by default that of `solved`, or 80 % of the rate without any change.
+        min_return: The bar of the mean return, in the place of the success rate.
+        on_level: Is called after each evaluation with the number of those done and of all.
+        options: Further arguments of `evaluate`; `seed`, `model` and `allow_code` are as there.
+
+    Raises:
+        RunError: No run, a damaged one, or one that does not fit `scenario`.
+        UsageError: There is no such scenario.
+    """
+    known = run if isinstance(run, Run) else Run.open(run)
+    base, project = (known.path / RESOLVED, known.path) if scenario is None else (api.locate(scenario)[0], None)
+    base = base.resolve()
+
+    code = allow_code or scenario is None  # worlds that run the functions of a run ask again
+
+    def changed(change: Change) -> Compiled:
+        return changed_scenario(base, change, sets=sets, allow_paths=allow_paths, allow_code=code, project=project)
+
+    plain = changed({})
+    root = load(base, sets, allow_paths=allow_paths, project=project).root
+    count = min(EPISODES, plain.program.evaluation.episodes) if episodes is None else episodes
+    given: dict[str, Any] = {"episodes": count, "seed": seed, "model": model, "allow_code": allow_code, **options}
+    planned = list(plans(root, plain.program)) if root is not None else []
+    total = 1 + sum(len(levels) for _, levels in planned)
+    done = 0
+
+    def measured(compiled: Compiled) -> EvaluationResult:
+        nonlocal done
+        result = evaluate(known, scenario=compiled, **given)
+        done += 1
+        if on_level is not None:
+            on_level(done, total)
+        return result
+
+    nominal = measured(plain)
+    metric, bar, source = _bar(plain.program, nominal, min_success, min_return)
+    conditions = []
+    for name, levels in planned:
+        try:
+            compiled = [(label, changed(change)) for label, change in levels]
+            results = [(label, measured(level)) for label, level in compiled]
+        except ScenarioError as error:
+            total -= len(levels)
+            conditions.append(Condition(name, (), f"the changed scenario does not compile ({error})"))
+            continue
+        except DeepbotsError as error:
+            raise type(error)(f"{name}: {error}") from error
+        conditions.append(Condition(name, tuple(_level(label, result, metric, bar) for label, result in results)))
+    return Robustness(known.path, plain.program.name, metric, bar, source, nominal, tuple(conditions))
+
+
+def changed_scenario(
+    base: Path,
+    change: Change,
+    *,
+    sets: Sequence[str] = (),
+    allow_paths: Sequence[str | Path] = (),
+    allow_code: bool = False,
+    project: Path | None = None,
+) -> Compiled:
+    """The scenario in the file `base` with the keys of `change`, compiled; `sets` are applied last.
+
+    Raises:
+        ScenarioError: The changed scenario has errors.
+    """
+    # A draft beside the scenario: nothing is written, and relative paths mean the same.
+    path = base.with_name(f"{base.stem}.changed.yaml")
+    text = json.dumps({"extends": base.name, **change})
+    document = load(path, sets, allow_paths=allow_paths, drafts={path: text.encode()}, project=project)
+    return api.compile(check(replace(document, allow_code=allow_code)))
+
+
+def _level(label: str, result: EvaluationResult, metric: Metric, bar: float) -> RobustnessLevel:
+    is_rate = metric == "success_rate"
+    score, interval = (result.success_rate, result.success_interval) if is_rate else (result.mean_return, result.return_interval)
+    certain = interval is not None and not interval[0] <= bar <= interval[1]
+    return RobustnessLevel(label, result, score >= bar, certain)
+
+
+def _bar(program: Program, nominal: EvaluationResult, min_success: float | None, min_return: float | None) -> tuple[Metric, float, str]:
+    """The metric, its bar, and where the bar comes from."""
+    solved = program.solved
+    if min_return is not None:
+        return "mean_return", min_return, "given"
+    if min_success is not None:
+        return "success_rate", min_success, "given"
+    if solved is not None and solved.success_rate is not None:
+        return "success_rate", solved.success_rate, "`solved` of the scenario"
+    if solved is not None and solved.mean_return is not None and not nominal.success_defined:
+        return "mean_return", solved.mean_return, "`solved` of the scenario"
+    source = f"{SHARE_OF_NOMINAL:.0%} of the value without any change"
+    if nominal.success_defined:
+        return "success_rate", SHARE_OF_NOMINAL * nominal.success_rate, source
+    return "mean_return", nominal.mean_return - (1 - SHARE_OF_NOMINAL) * abs(nominal.mean_return), source
+
+
+# The conditions
+
+Plan = tuple[str, list[tuple[str, Change]]]
+"""A condition, and its levels: label and change."""
+
+
+def plans(root: Mapping, program: Program) -> Iterator[Plan]:
+    """The conditions that a scenario has."""
+    if program.format != "none":
+        for way, words in (("to_robot", "latency to the robot"), ("from_robot", "latency from the robot")):
+            own = _text(root, "messages", way, "latency")
+            delays = [1000 * program.world.timestep * steps for steps in STEPS]
+            levels = [(f"+{delay:g} ms", f"{delay:g} ms" + (f" + {own}" if own else "")) for delay in delays]
+            yield words, [(label, {"messages": {way: {"latency": latency}}}) for label, latency in levels]
+        yield (
+            "message loss",
+            [(f"{loss:.0%}", {"messages": {way: {"loss": loss} for way in ("to_robot", "from_robot")}}) for loss in LOSSES],
+        )
+    noisy = [(f"{share:.0%} of the range", _noise(root, program, share)) for share in NOISES]
+    if all(change for _, change in noisy):
+        yield "observation noise", [(label, {"observation": change}) for label, change in noisy]
+    if _masses(root, program, 1.0):
+        yield "mass", [(f"x {factor:g}", _masses(root, program, factor)) for factor in FACTORS]
+    ground = "terrain" if program.world.terrain is not None else "ground"
+    if program.world.terrain is not None or program.world.ground is not None:
+        own = _text(root, "world", ground, "friction") or "1"
+        yield (
+            "friction of the ground",
+            [(f"x {factor:g}", {"world": {ground: {"friction": f"{factor:g} * ({own})"}}}) for factor in FACTORS],
+        )
+    yield "motor strength", [(f"x {factor:g}", {"robots": _strengths(root, factor)}) for factor in WEAKER]
+
+
+def _node(root: Node | None, *path: str) -> Node | None:
+    for key in path:
+        root = root.get(key) if isinstance(root, Mapping) else None
+    return root
+
+
+def _text(root: Node | None, *path: str) -> str | None:
+    """The single value that is written at a path; None where nothing is."""
+    found = _node(root, *path)
+    return found.text if isinstance(found, Scalar) else None
+
+
+def _keys(root: Node | None, *path: str) -> list[str]:
+    found = _node(root, *path)
+    return list(found.entries) if isinstance(found, Mapping) else []
+
+
+def _noise(root: Mapping, program: Program, share: float) -> Change:
+    """Noise on each entry of the observation with a finite range, that of its narrowest component."""
+    widths: dict[str, tuple[float, str]] = {}
+    for number in program.policy.numbers:
+        width = number.high - number.low
+        if number.truth or not 0 < width < 1e9:
+            continue
+        widths[number.name] = min((width, number.unit), widths.get(number.name, (width, number.unit)))
+    change: Change = {}
+    for name, (width, unit) in widths.items():
+        noise = f"{share * width:.6g}" + (f" {unit}" if unit != "1" else "")
+        text = _text(root, "observation", name)
+        if text is not None:
+            change[name] = {"range": text, "noise": noise}
+        elif isinstance(_node(root, "observation", name), Mapping):
+            change[name] = {"noise": noise}
+    return change
+
+
+def _masses(root: Mapping, program: Program, factor: float) -> Change:
+    """All masses of robots and objects times a factor."""
+    robots: Change = {}
+    for body in program.world.robots:
+        written = {
+            pattern: _text(root, "robots", body.name, "links", pattern, "mass") for pattern in _keys(root, "robots", body.name, "links")
+        }
+        massive = {pattern: text for pattern, text in written.items() if text is not None}
+        links: Change = {pattern: {"mass": f"{factor:g} * ({text})"} for pattern, text in massive.items()}
+        covered = [inner for pattern in massive for inner in _members(root, body.name, pattern)]
+        for link in body.model.links:
+            if link.inertial is not None and link.inertial.mass > 0 and not any(fnmatchcase(link.name, pattern) for pattern in covered):
+                links[link.name] = {"mass": f"{factor:g} * urdf"}
+        robots[body.name] = {"links": links}
+    written_masses = {name: _text(root, "objects", name, "mass") for name in _keys(root, "objects")}
+    objects = {name: {"mass": f"{factor:g} * ({text})"} for name, text in written_masses.items() if text is not None}
+    return ({"robots": robots} if robots else {}) | ({"objects": objects} if objects else {})
+
+
+def _members(root: Mapping, robot: str, pattern: str) -> list[str]:
+    """The patterns that a name in `links` stands for: those of a group, or itself."""
+    group = _node(root, "robots", robot, "groups", pattern)
+    items = group.items if isinstance(group, ListNode) else (group,)
+    return [item.text for item in items if isinstance(item, Scalar)] or [pattern]
+
+
+def _strengths(root: Mapping, factor: float) -> Change:
+    """The strength of every actuator times a factor."""
+    return {
+        robot: {
+            "actuators": {
+                name: {"strength": f"{factor:g} * ({_text(root, 'robots', robot, 'actuators', name, 'strength') or '1'})"}
+                for name in _keys(root, "robots", robot, "actuators")
+            }
+        }
+        for robot in _keys(root, "robots")
+    }

@@ -1,0 +1,181 @@
+"""Groups of runs: trained seed by seed, resumed, evaluated and compared as one, and listed from their files."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+from pathlib import Path
+from statistics import fmean
+
+import pytest
+import stand_in
+
+from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.learning import TrainingResult, compare, evaluate, evaluate_group, resume_group, train, train_group
+from deepbots_cli.learning.group import Group, GroupTraining
+from deepbots_cli.learning.listing import list_runs, read_listed, sort_runs
+from deepbots_cli.learning.report import Reporter, TrainingProgress, to_json
+from deepbots_cli.learning.run import Run, run_lock
+from deepbots_cli.learning.statistics import interquartile_mean, mean_interval
+from deepbots_cli.program.task import Hyperparameter, Solved, Training
+
+SHORT = Training("PPO", 400, 2, tuple(Hyperparameter(name, 32) for name in ("n_steps", "batch_size")))
+SCENARIO = stand_in.compiled(training=SHORT, solved=Solved(10, mean_return=195.0))
+
+
+@pytest.fixture(scope="module")
+def trained_group(tmp_path_factory: pytest.TempPathFactory) -> GroupTraining:
+    """Three short trainings; not to be changed."""
+    return train_group(SCENARIO, (0, 1, 4), runs=tmp_path_factory.mktemp("runs"), build=stand_in.build)
+
+
+class InterruptsSeed(Reporter):
+    """Sends Ctrl-C in the training of a certain number."""
+
+    def __init__(self, number: int) -> None:
+        self._left = number
+
+    def start(self, progress: TrainingProgress) -> None:
+        self._left -= 1
+
+    def update(self, progress: TrainingProgress) -> None:
+        if self._left == 0 and progress.steps > 100:
+            self._left -= 1
+            os.kill(os.getpid(), signal.SIGINT)
+
+
+def test_each_seed_of_a_group_is_the_run_that_this_seed_alone_would_be(trained_group: GroupTraining, tmp_path: Path) -> None:
+    assert trained_group.group.name == "stand_in-seeds-1"
+    assert [found.run.name for found in trained_group.trained] == ["seed-0", "seed-1", "seed-4"]
+    alone = train(SCENARIO, run=tmp_path / "alone", seed=4, build=stand_in.build)
+    assert trained_group.trained[2].weights_digest == alone.weights_digest != trained_group.trained[1].weights_digest
+
+
+def test_the_cpu_time_of_a_seed_is_its_own(trained_group: GroupTraining) -> None:
+    first, *_, last = (found.cpu_seconds for found in trained_group.trained)
+    assert 0 < last < 2.5 * first
+
+
+def test_an_interrupted_group_goes_on_and_skips_what_is_finished(trained_group: GroupTraining, tmp_path: Path) -> None:
+    begun = train_group(SCENARIO, (0, 1, 4), group=tmp_path / "group", progress=InterruptsSeed(2), build=stand_in.build)
+    assert [found.status for found in begun.trained] == ["finished", "interrupted"]
+    assert begun.waiting == (1, 4)
+    listed = read_listed(tmp_path / "group")
+    assert (listed.state, [run.state for run in listed.runs]) == ("interrupted", ["finished", "interrupted"])
+    rest = resume_group(tmp_path / "group", build=stand_in.build)
+    assert (rest.skipped, rest.waiting) == ((0,), ())
+    assert [found.weights_digest for found in rest.trained] == [found.weights_digest for found in trained_group.trained[1:]]
+    assert read_listed(tmp_path / "group").state == "finished"
+    again = resume_group(tmp_path / "group", build=stand_in.build)
+    assert (again.trained, again.skipped) == ((), (0, 1, 4))
+    longer = resume_group(tmp_path / "group", total_timesteps=600, build=stand_in.build)
+    assert all(found.steps >= 600 for found in longer.trained)
+
+
+def test_a_seed_that_diverges_does_not_end_the_others(tmp_path: Path) -> None:
+    found = train_group(SCENARIO, (0, 1), group=tmp_path / "group", build=lambda program, render_mode=None: stand_in.Failing(program))
+    assert (found.trained, sorted(found.failed)) == ((), [0, 1])
+    assert "no longer finite" in found.failed[0]
+    assert read_listed(tmp_path / "group").state == "failed"
+
+
+def test_a_group_that_cannot_be_trained_leaves_nothing_behind(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="no stage"):
+        train_group(SCENARIO, (0, 1), runs=tmp_path, stage="late", build=stand_in.build)
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(UsageError, match="each of them once"):
+        train_group(SCENARIO, (1, 1), runs=tmp_path, build=stand_in.build)
+
+
+def test_a_group_is_evaluated_by_one_score_per_seed(trained_group: GroupTraining) -> None:
+    found = evaluate_group(trained_group.group, episodes=6, build=stand_in.build)
+    starts = [[episode.seed for episode in result.outcomes] for result in found.evaluations]
+    assert starts[0] == starts[1] == starts[2]
+    assert found.returns == [result.mean_return for result in found.evaluations]
+    assert found.mean_return == fmean(found.returns)
+    assert found.return_interval == mean_interval(found.returns)
+    assert found.interquartile_mean == interquartile_mean(found.returns)
+    alone = evaluate(trained_group.group / "seed-1", episodes=6, seed=0, build=stand_in.build)
+    assert to_json(alone) == to_json(found.evaluations[1])
+
+
+def test_two_groups_are_compared_by_their_seeds_though_their_scenario_is_the_same(trained_group: GroupTraining, tmp_path: Path) -> None:
+    longer = shutil.copytree(trained_group.group, tmp_path / "longer")
+    resume_group(longer, total_timesteps=1_200, build=stand_in.build)
+    found = compare([trained_group.group, longer], episodes=5, build=stand_in.build)
+    assert [(group.name, len(group.evaluations)) for group in found.groups] == [("stand_in-seeds-1", 3), ("longer", 3)]
+    (difference,) = found.differences
+    assert difference.between_seeds
+    assert difference.mean_return.mean == pytest.approx(found.groups[1].mean_return - found.groups[0].mean_return)
+    with pytest.raises(UsageError, match="at least two runs"):
+        compare([trained_group.group / "seed-0"], build=stand_in.build)
+
+
+def test_variants_that_see_something_else_are_compared_in_their_own_scenarios(trained_group: GroupTraining, tmp_path: Path) -> None:
+    other = train(stand_in.compiled(training=SHORT, speed_range=1.0), run=tmp_path / "other", build=stand_in.build).run
+    with pytest.raises(RunError, match=r"observation\.speed"):
+        compare([trained_group.group / "seed-0", other], build=stand_in.build)
+    found = compare([trained_group.group / "seed-0", other], episodes=4, own=True, build=stand_in.build)
+    assert found.scenario is None
+    assert not any("rewards differ" in note for note in found.notes)
+
+
+def test_a_group_that_is_no_group_any_more_is_told_in_one_sentence(trained_group: GroupTraining, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(trained_group.group, tmp_path / "copy"))
+    record = json.loads((copy / "group.json").read_text())
+    (copy / "group.json").write_text(json.dumps(record | {"format": 9}))
+    with pytest.raises(RunError, match="of format 9, this deepbots reads 1"):
+        Group.open(copy)
+    (copy / "group.json").write_text(json.dumps(record | {"seeds": []}))
+    with pytest.raises(RunError, match=r"group\.json is damaged: 'seeds'"):
+        Group.open(copy)
+    shutil.move(copy / "seed-0", tmp_path / "elsewhere")
+    (copy / "seed-0").symlink_to(tmp_path / "elsewhere")
+    (copy / "group.json").write_text(json.dumps(record))
+    with pytest.raises(RunError, match="symbolic link"):
+        Group.open(copy)
+    with pytest.raises(RunError, match=r"is a group of runs, and not a run; name one of its runs, such as .*/seed-0"):
+        Run.open(trained_group.group)
+
+
+# The list
+
+
+def test_the_list_follows_a_training_by_its_own_files(run_copy: Path, trained: TrainingResult) -> None:
+    Run.open(run_copy).update(status="running", result=None)
+    assert read_listed(run_copy).state == "interrupted"  # the process is gone
+    with run_lock(run_copy):
+        found = read_listed(run_copy)
+    assert (found.state, found.episodes, found.score) == ("training", trained.episodes, "training")
+    assert found.mean_return == pytest.approx(fmean(_returns(run_copy)[-100:]))
+    assert found.cpu_seconds is not None
+    with (run_copy / "monitor.csv").open("a") as log:
+        log.write("12.0,12")  # a line that is being written
+    assert read_listed(run_copy).episodes == found.episodes
+
+
+def _returns(run: Path) -> list[float]:
+    return [float(line.split(",")[0]) for line in (run / "monitor.csv").read_text().splitlines()[2:]]
+
+
+def test_the_list_shows_the_last_evaluation_in_the_scenario_of_the_training(run_copy: Path) -> None:
+    assert read_listed(run_copy).score == "training"
+    plain = evaluate(run_copy, episodes=3, build=stand_in.build)
+    run = Run.open(run_copy)
+    run.keep_evaluation(to_json(plain))
+    run.keep_evaluation(to_json(plain) | {"mean_return": 1e6, "set": ["world.substeps=2"]})
+    run.keep_evaluation(to_json(plain) | {"mean_return": 1e6, "model": "last"})
+    (run_copy / "evaluations" / "0009.json").write_text("{")
+    found = read_listed(run_copy)
+    assert (found.score, found.mean_return, found.return_interval) == ("evaluation", plain.mean_return, plain.return_interval)
+
+
+def test_runs_are_sorted_with_those_without_a_value_at_the_end(run_copy: Path) -> None:
+    damaged = run_copy.parent / "damaged"
+    damaged.mkdir()
+    (damaged / "run.json").write_text("[]")
+    assert [run.path.name for run in sort_runs(list_runs(run_copy.parent), "return")] == ["copy", "damaged"]
+    assert [run.path.name for run in sort_runs(list_runs(run_copy.parent), "name")] == ["copy", "damaged"]
+    assert list_runs(run_copy.parent / "nowhere") == []

@@ -1,0 +1,86 @@
+"""Changed conditions of an evaluation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import stand_in
+
+from deepbots_cli import api, interface
+from deepbots_cli.document import load, shipped
+from deepbots_cli.learning import TrainingResult, evaluate_robustness
+from deepbots_cli.learning.robustness import Change, changed_scenario, plans
+from deepbots_cli.program import Program
+
+
+def changes(name: str) -> tuple[Path, dict[str, dict[str, Change]]]:
+    """The file of a shipped scenario, and the changes of each condition by level."""
+    base = shipped.scenario_path(name)
+    assert base is not None
+    root = load(base).root
+    assert root is not None
+    return base.resolve(), {condition: dict(levels) for condition, levels in plans(root, api.compile(name).program)}
+
+
+def masses(program: Program) -> list[float]:
+    return [link.inertial.mass for robot in program.world.robots for link in robot.model.links if link.inertial is not None]
+
+
+@pytest.mark.parametrize("name", ["cartpole_wireless", "quadruped", "find_ball_random", "panda_push"])
+def test_every_condition_compiles_and_leaves_the_interface_of_the_policy_alone(name: str) -> None:
+    base, found = changes(name)
+    plain = api.compile(name)
+    for levels in found.values():
+        changed = changed_scenario(base, [*levels.values()][-1])
+        assert interface.differences(plain.program, changed.program) == []
+        assert changed.digest != plain.digest
+
+
+def test_each_condition_changes_what_it_says_and_nothing_else() -> None:
+    base, found = changes("cartpole")
+    plain = api.compile("cartpole").program
+    assert list(found) == [
+        "latency to the robot",
+        "latency from the robot",
+        "message loss",
+        "observation noise",
+        "mass",
+        "friction of the ground",
+        "motor strength",
+    ]
+
+    def changed(condition: str, level: str) -> Program:
+        return changed_scenario(base, found[condition][level]).program
+
+    heavy = changed("mass", "x 2")
+    assert masses(heavy) == pytest.approx([2 * mass for mass in masses(plain)])
+    assert heavy.robots[0].to_route.perfect
+    late = changed("latency to the robot", "+64 ms").robots[0]
+    assert late.to_route.latency is not None
+    assert late.to_route.latency.scalar.value == pytest.approx(0.064)  # type: ignore[union-attr]
+    assert late.from_route.perfect
+    lossy = changed("message loss", "20%").robots[0]
+    assert lossy.to_route.loses
+    assert lossy.from_route.loses
+    ground = changed("friction of the ground", "x 0.5").world.ground
+    assert ground is not None
+    assert ground.friction == 0.5
+    noisy = changed("observation noise", "10% of the range").policy.numbers
+    assert [number.std.value / (number.high - number.low) for number in noisy] == pytest.approx([0.1] * 4)  # type: ignore[union-attr]
+
+
+def test_a_policy_is_measured_against_a_bar_at_every_level(trained: TrainingResult) -> None:
+    told: list[tuple[int, int]] = []
+    found = evaluate_robustness(
+        trained.run, episodes=2, min_return=1.0, build=stand_in.build, on_level=lambda done, of: told.append((done, of))
+    )
+    assert (found.metric, found.bar, found.bar_source) == ("mean_return", 1.0, "given")
+    levels = [entry for condition in found.conditions for entry in condition.levels]
+    assert told[-1] == (1 + len(levels), 1 + len(levels))
+    assert {condition.threshold for condition in found.conditions} == {"holds at all levels"}
+    starts = {tuple(episode.seed for episode in entry.evaluation.outcomes) for entry in levels}
+    assert starts == {tuple(episode.seed for episode in found.nominal.outcomes)}
+    strict = evaluate_robustness(trained.run, episodes=1, min_return=1e6, build=stand_in.build)
+    assert {condition.threshold for condition in strict.conditions} == {"below the bar at all levels"}
+    assert evaluate_robustness(trained.run, episodes=1, build=stand_in.build).bar == 195.0
