@@ -8,7 +8,7 @@ The way of the data, and the packages along it:
 program/      the compiled scenario     canonical.py  its JSON and its digest
 lint/         rules about scenarios     cli/, lsp/    the command and the language server
 interface.py  observation, action and messages, by which a policy fits a scenario
-port.py       the interface of engines  engines/      the engines behind it
+port.py       the interface of engines  engines/      the engines behind it   engine_kinds.py  their names, and what they need
 frames.py     rotations and frames        footprint.py  footprints, link frames, bounding boxes
 geometry.py   meshes at simulation time
 arrays.py     expressions over arrays    terrain.py    heights of the ground
