@@ -7,7 +7,7 @@ The way of the data, and the packages along it:
 
 program/      the compiled scenario     lint/         rules about scenarios
 cli/, lsp/    the command and the language server
-port.py       the interface of engines  engines/      the engines behind it
+port.py       the interface of engines  engines/      the engines behind it   engine_kinds.py  their names, and what they need
 frames.py     rotations and frames        footprint.py  footprints, link frames, bounding boxes
 geometry.py   terrain and meshes at simulation time
 arrays.py     expressions over arrays
