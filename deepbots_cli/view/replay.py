@@ -145,7 +145,7 @@ def verify(recording: Recording, player: Player, on_episode: Callable[[int], obj
                         continue
                     before, after = msgspec.json.decode(old.get(topic, b"{}")), msgspec.json.decode(new[topic])
                     if before != after:  # other programs write the same numbers in another way
-                        return Divergence(recorded.number, place, *_first(topic, before, after))
+                        return Divergence(recorded.number, place, *_first(topic.removeprefix("/"), before, after))
         time += SECOND
         on_episode(done)
     return None

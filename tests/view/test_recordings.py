@@ -109,7 +109,7 @@ def test_the_first_step_and_quantity_that_differ_are_named(find_ball, tmp_path, 
 
     path = _changed(find_ball[0], tmp_path / "changed.mcap", payload=edit)
     assert main(["replay", "--verify", str(path)]) == 1
-    assert "episode 2, step 10: /tf epuck/left_wheel.translation.y differs" in capsys.readouterr().out
+    assert "episode 2, step 10: tf epuck/left_wheel.translation.y differs" in capsys.readouterr().out
     assert main(["replay", "--verify", str(find_ball[0])]) == 0
     assert "2 episodes and " in capsys.readouterr().out
 
