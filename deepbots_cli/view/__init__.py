@@ -1,14 +1,15 @@
-"""Everything that is seen: a page in the browser, pictures and clips, drawn from the same frames.
+"""Everything that is seen: a page in the browser, pictures, clips and recordings, made of the same frames; and plots of trainings.
 
-frames.py    what is drawn of an environment at one moment, read by the engine port
-episodes.py  what is opened, who acts, and the frames of an episode
-scene.py     the world in viser's scene
-hand.py      driving by keys, gamepad, buttons and sliders
-server.py    viser's web server behind checks
-page.py      the page: panel, time, plots, and the loop that steps and draws
+frames.py      what is drawn of an environment at one moment, read by the engine port
+episodes.py    what is opened, who acts, and the frames of an episode
+scene.py       the world in viser's scene
+hand.py        driving by keys, gamepad, buttons and sliders
+server.py      viser's web server behind checks
+page.py        the page: panel, time, plots, and the loop that steps and draws
+pictures.py    PNG pictures, MP4 and GIF clips, and offline pages
 recordings.py  episodes as MCAP files: what is written and read
-replay.py    playing a recording, and running it again to compare
-pictures.py  PNG pictures, MP4 and GIF clips, and offline pages
+replay.py      playing a recording, and running it again to compare
+plots.py       learning curves of runs
 
-viser is the extra `view`; pictures and clips other than offline pages do without it.
+viser and mcap are in the extra `view`; pictures and clips other than offline pages do without it.
 """

@@ -18,7 +18,7 @@ import numpy as np
 
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.render import render
-from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.runtime.view import overview
 from deepbots_cli.view import server
 from deepbots_cli.view.episodes import HAND, RANDOM, ZERO, Opened, Player, Source, stamps
@@ -102,6 +102,8 @@ class Page:
         self.seed, self.episode, self.paused, self.speed = seed, episode, False, 1.0
         self._message, self._best, self._successes, self._played = "", -math.inf, 0, 0
         opened = source.open()
+        if playing and opened.recording is not None:
+            raise UsageError(f"{source.reference} is a recording, which nobody can drive; see it with: deepbots view {source.reference}")
         self.server, self.address = server.serve(host, port, f"deepbots {source.reference}", lambda keys, axes: self._hand.hold(keys, axes))
         self._theme(dark=False)
         self._seen = stamps(opened.files)

@@ -148,3 +148,19 @@ def test_an_offline_page_turns_without_a_server(new_tab, tmp_path):
     tab.open(out.as_uri())
     _soon(lambda: _is_world(tab.see().astype(int), (215, 200, 80), 60))
     assert not [address for address in tab.requests if address.startswith(("http", "ws"))]
+
+
+def test_a_recording_is_scrubbed_beside_its_messages(new_tab, tmp_path):
+    from deepbots_cli.cli import main
+
+    path = tmp_path / "found.mcap"
+    assert main(["record", "find_ball", "--script", "around", "--out", str(path)]) == 0
+    with served(str(path)) as page:
+        tab = new_tab()
+        tab.open(page.address)
+        tab.wait("document.body.innerText.includes('reward terms of this step')")
+        page._todo.put(lambda: page.seek(40))
+        tab.wait("document.body.innerText.includes('step 40,')")
+        tab.click("Messages")
+        tab.wait("document.body.innerText.includes('to epuck')")
+        assert tab.errors == []

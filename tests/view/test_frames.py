@@ -100,3 +100,32 @@ def test_a_person_drives_by_the_names_of_action_fields():
         player.begin(0, 0)
         player.hand.values = {"gas": 1.0, "wheel": -0.5}
         assert player.step().agents["agent"].action == pytest.approx((1.0, -0.5))
+
+
+def test_messages_are_those_that_receivers_go_by():
+    """A message that arrives k ticks after it was made has the age k ticks, and holds the value of that tick."""
+    with closing(Player(Source("cartpole_wireless").open(), RANDOM)) as player:
+        frames = list(player.episode(0, 0))
+    for frame in frames[1:]:
+        message = frame.messages["cart/from_robot"]
+        made = frame.step - round(message.age / player.program.period)
+        assert message.values == frames[made].readings["cart.pole_angle"]
+    assert {frame.messages["cart/to_robot"].received for frame in frames} == {True, False}
+
+
+def test_what_was_drawn_makes_the_same_episode():
+    with closing(deepbots_cli.make("find_ball")) as env:
+        reader = FrameReader(env)
+        first = reader.read(env.reset(seed=5)[0])
+        assert {"reset.place.epuck.x", "reset.place.epuck.y", "reset.place.epuck.yaw"} <= set(first.drawn)
+        other = reader.read(env.reset(seed=6, options=dict(first.drawn))[0])
+    assert other.links == first.links
+
+
+def test_forbidden_options_are_told():
+    with closing(Player(Source("find_and_avoid").open(), RANDOM)) as player:
+        for frame in player.episode(0, 0, 60):
+            allowed = frame.agents["agent"].allowed
+            assert allowed == () or (len(allowed) == sum(len(field.options) for field in player.reader.layout.action) and any(allowed))
+            if frame.ended_by is None:
+                assert (allowed or (True,) * len(player.env.action_masks())) == tuple(player.env.action_masks())

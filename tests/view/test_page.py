@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("viser")
+import deepbots_cli.codegen
+from deepbots_cli.cli import main
 from deepbots_cli.errors import UsageError
 from deepbots_cli.view.episodes import HAND, Source
 from deepbots_cli.view.frames import Field
@@ -53,10 +55,10 @@ def test_keys_drive_and_let_go():
     with closing(Page(Source("find_ball"), port=0, playing=True)) as page:
         assert page.player.driver_name == HAND
         page._hand.hold(frozenset({"KeyW", "KeyD"}), ())
-        page._step()
+        page.step_once()
         assert page.player.frame.agents["agent"].action == pytest.approx((1.0, 1.0))
         time.sleep(0.3)
-        page._step()
+        page.step_once()
         assert page.player.frame.agents["agent"].action == pytest.approx((0.625, 0.0))
         assert "onward" in page._banner.content or page._rival.driver_name == "onward"
 
@@ -106,3 +108,56 @@ def test_what_cannot_be_opened_is_told():
         Page(Source("nothing_here"), port=0)
     with pytest.raises(UsageError, match="no script 'nobody'"):
         Page(Source("find_ball"), port=0, driver="nobody")
+
+
+def test_a_recording_is_played_and_scrubbed(tmp_path):
+    pytest.importorskip("mcap")
+    path = tmp_path / "cartpole.mcap"
+    assert main(["record", "cartpole", "--episodes", "2", "--out", str(path)]) == 0
+    with closing(Page(Source(str(path)), port=0)) as page:
+        page.play(False)
+        page.seek(7)
+        assert [frame.step for frame in page.shown[0].past] == list(range(8))
+        assert "step 7," in page._banner.content
+        page._tell()
+        assert page._slider.value == 7
+        page.play(True)
+        _run(page, lambda: page.player.frame.ended_by is not None)
+        page._begin(1)
+        assert page.episode == 1
+        page._begin(1)
+        assert page.episode == 0
+
+
+def test_two_worlds_begin_alike_and_go_on_until_both_have_ended():
+    with closing(Page(Source("cartpole"), compare=Source("cartpole"), port=0, driver="zero")) as page:
+        one, other = page.shown
+        page.speed = 5.0
+        assert one.player.frame.links == other.player.frame.links
+        assert one.player.seed == other.player.seed
+        _run(page, lambda: one.ended and other.ended)
+        assert "A: cartpole" in page._banner.content
+        assert "B: cartpole" in page._banner.content
+
+
+def test_a_changed_parameter_counts_at_the_same_seed():
+    with closing(Page(Source("find_ball"), port=0)) as page:
+        start, panel = page.player.frame.links, page._values
+        page._change("goal", "31 cm")
+        old = page.player
+        _run(page, lambda: page.player is not old)
+        assert page.shown[0].past[0].links == start
+        assert page._values is panel  # and the panel stays as it is
+        assert "0.31" in deepbots_cli.codegen.emit(page.player.program)
+        page._change("goal", "31 kg")
+        _run(page, lambda: "DB503" in page._banner.content)
+        page._change("goal", "20 cm")
+        _run(page, lambda: "DB503" not in page._banner.content)
+
+
+def test_messages_are_shown_with_their_age():
+    with closing(Page(Source("cartpole_wireless"), port=0)) as page:
+        page.step_once()
+        page._tell()
+        assert "to cart" in page._messages.content
+        assert "32 ms" in page._messages.content or "64 ms" in page._messages.content

@@ -100,12 +100,13 @@ def test_keys_and_axes_arrive_and_rubbish_does_not(page, capfd):
             wire.send(text)
     with _open(port, "/drive", origin=origin) as wire:
         wire.send("KeyW+KeyA|0.5,-7")
-        wire.send("|nan")
+        wire.send("|nan,0.25")
         held = (frozenset({"KeyW", "KeyA"}), (0.5, -1.0))
-        end = time.monotonic() + 10
-        while held not in arrived and time.monotonic() < end:
-            time.sleep(0.01)
-    assert held in arrived
+        for sent in (held, (frozenset(), (0.0, 0.25))):
+            end = time.monotonic() + 10
+            while sent not in arrived and time.monotonic() < end:
+                time.sleep(0.01)
+            assert sent in arrived
     assert all(-1.0 <= value <= 1.0 for _, axes in arrived for value in axes)
     assert capfd.readouterr().err == ""
 

@@ -22,8 +22,9 @@ def command(
     ] = 100,
     dark: Annotated[bool, typer.Option("--dark", help="Light lines on a dark ground.")] = False,
 ) -> None:
-    """Plot the training of runs: returns, success rates, reward terms and endings over the timesteps.
+    """Plot the training of runs over the timesteps.
 
+    The panels show returns, success rates, reward terms and endings.
     Runs of the same scenario with other seeds are one line, the mean over the seeds, with a band from the lowest to the highest seed. Other
     scenarios are lines of their own. Dots are the evaluations during the training.
 

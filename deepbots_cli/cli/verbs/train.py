@@ -184,7 +184,7 @@ def _page(*, wanted: bool, allow_code: bool) -> Iterator[Callable[[Path], None]]
         yield show
     finally:
         for process in started:
-            process.terminate()
+            process.kill()  # which, unlike SIGTERM, it does not report
             process.wait()
 
 

@@ -1,0 +1,96 @@
+"""Plots of trainings, by the data of their lines."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+pytest.importorskip("matplotlib")
+pytest.importorskip("tensorboard")
+from deepbots_cli.cli import main
+from deepbots_cli.errors import RunError
+from deepbots_cli.learning.run import FORMAT, Record, write_record
+from deepbots_cli.view import plots
+
+
+def _events(folder, **scalars):
+    from tensorboard.compat.proto.event_pb2 import Event
+    from tensorboard.compat.proto.summary_pb2 import Summary
+    from tensorboard.summary.writer.event_file_writer import EventFileWriter
+
+    writer = EventFileWriter(str(folder))
+    for tag, values in scalars.items():
+        for step, value in values:
+            writer.add_event(Event(step=step, summary=Summary(value=[Summary.Value(tag=tag.replace("__", "/"), simple_value=value)])))
+    writer.close()
+    return folder
+
+
+def _run(folder, digest, returns):
+    """A run directory as far as it is plotted; the first of four episodes is a success."""
+    folder.mkdir()
+    record = Record(
+        format=FORMAT, deepbots="0", status="running", scenario="FindBall", source="", digest=digest, interface={}, inputs={},
+        engine="pybullet", seed=0, seeds={}, total_timesteps=100, stop_when_solved=False, first_stage=None, keep_checkpoints=0,
+        initialized_from=None, command=(), versions={}, platform="", started="", updated="", resumed_at=(), result=None,
+    )  # fmt: skip
+    write_record(folder, record)
+    endings = ["found", "crashed", "crashed", "crashed"]
+    rows = [f"{r},10,0.1,{n},{10 * n},0.1,{int(e == 'found')},{e}," for n, (r, e) in enumerate(zip(returns, endings, strict=True), 1)]
+    head = "r,l,t,episode,steps,simulated_hours,is_success,ended_by,stage"
+    (folder / "monitor.csv").write_text("\n".join(['#{"t_start": 0}', head, *rows]) + "\n7,1")  # the last line is being written
+    (folder / "evaluations").mkdir()
+    (folder / "evaluations" / "training.jsonl").write_text(json.dumps({"steps": 30, "returns": [1.0, 3.0]}) + "\n")
+    _events(folder / "tensorboard", reward__closer=[(10, 1.0), (40, 4.0)])
+
+
+@pytest.fixture
+def runs(tmp_path):
+    for name, digest, returns in (("a0", "x", [0, 2, 4, 6]), ("a1", "x", [2, 4, 6, 8]), ("b0", "y", [5, 5, 5, 5])):
+        _run(tmp_path / name, digest, returns)
+    return tmp_path
+
+
+def test_curves_are_means_over_the_window_and_the_band_holds_all_seeds(runs):
+    logs = plots.read([runs], window=2)
+    assert [log.name for log in logs] == ["a0", "a0", "b0"]
+    steps, values = logs[0].returns
+    assert list(steps) == [10, 20, 30, 40]
+    assert list(values) == [0, 1, 3, 5]
+    assert [tuple(map(float, axis)) for axis in logs[0].evaluations] == [(30.0,), (2.0,)]
+    figure = plots.plot(logs)
+    lines = {line.get_label(): line.get_data() for line in figure.axes[0].lines}
+    at, mean = lines["a0 (2 seeds)"]
+    assert np.interp([10, 20, 30, 40], at, mean) == pytest.approx([1, 2, 4, 6], abs=0.02)
+    band = figure.axes[0].collections[0].get_paths()[0].vertices
+    assert (band[:, 1].min(), band[:, 1].max()) == pytest.approx((0, 7))
+    assert np.interp(25, *figure.axes[2].lines[0].get_data()) == pytest.approx(2.5, abs=0.02)
+
+
+def test_endings_are_shares_of_episodes(runs):
+    figure = plots.plot(plots.read([runs / "a0"]))
+    tops = [area.get_paths()[0].vertices[:, 1].max() for area in figure.axes[3].collections]
+    assert tops == [1.0, 1.0]
+    assert [area.get_label() for area in figure.axes[3].collections] == ["crashed", "found"]
+
+
+def test_files_of_other_programs_are_plotted(tmp_path, capsys):
+    folder = _events(tmp_path / "sb3", rollout__ep_rew_mean=[(0, 1.0), (100, 3.0)])
+    for suffix in (".png", ".svg"):
+        out = tmp_path / f"plot{suffix}"
+        assert main(["plot", str(folder), "--dark", "--out", str(out)]) == 0
+        assert out.read_bytes()[:5] in (b"\x89PNG\r", b"<?xml")
+    assert main(["plot", str(folder), "--out", str(tmp_path / "plot.pdf")]) == 2
+    assert "must end in .png or .svg" in capsys.readouterr().err
+
+
+def test_what_cannot_be_plotted_is_told(tmp_path, runs):
+    with pytest.raises(RunError, match="neither a run nor a folder"):
+        plots.read([tmp_path / "nothing"])
+    with pytest.raises(RunError, match="hold none of"):
+        plots.read([_events(tmp_path / "other", loss=[(0, 1.0)])])
+    (runs / "a0" / "monitor.csv").write_text("#{}\nr,l\n")
+    with pytest.raises(RunError, match="no finished episode"):
+        plots.read([runs / "a0"])

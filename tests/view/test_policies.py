@@ -1,0 +1,64 @@
+"""Policies of runs in the page: masked and recurrent ones, and the newest one of a training that goes on."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from contextlib import closing
+
+import numpy as np
+import pytest
+
+pytest.importorskip("sb3_contrib")
+import deepbots_cli
+from deepbots_cli import learning
+from deepbots_cli.errors import RunError
+from deepbots_cli.learning.run import Run
+from deepbots_cli.view.episodes import POLICY, Source
+
+SMALL = ["train.environments=1", "train.n_steps=64", "train.batch_size=64", "train.n_epochs=1"]
+
+
+def _trained(folder, name, *sets):
+    compiled = deepbots_cli.compile(name, sets=[*SMALL, *sets])
+    return learning.train(compiled, run=folder / "run", total_timesteps=64).run
+
+
+@pytest.mark.parametrize(
+    ("name", "algorithm"), [pytest.param("find_and_avoid", "MaskablePPO", marks=pytest.mark.slow), ("cartpole", "RecurrentPPO")]
+)
+def test_the_policy_of_the_page_acts_as_in_an_evaluation(tmp_path, name, algorithm):
+    run = _trained(tmp_path, name, f"train.algorithm={algorithm}")
+    evaluated = learning.evaluate(run, episodes=2, seed=5)
+    with closing(Source(str(run)).open().player()) as player:
+        for number, episode in enumerate(evaluated.outcomes):
+            *_, last = player.episode(5, number)
+            assert player.driver_name == POLICY
+            assert (last.step, last.ended_by) == (episode.length, episode.ended_by)
+            assert last.agents["agent"].episode_return == pytest.approx(episode.total_return)
+
+
+def test_a_training_is_followed_to_its_newest_policy(tmp_path):
+    run = Run.open(_trained(tmp_path, "cartpole"))
+    kept = tmp_path / "kept.zip"
+    shutil.copyfile(run.model("last"), kept)
+    for name in ("best", "last"):
+        run.model(name).unlink(missing_ok=True)
+    with pytest.raises(RunError, match="holds no model yet"):
+        Source(str(run.path)).open().player()
+    run.update(status="running")
+    with closing(Source(str(run.path)).open().player()) as player:
+        player.begin(0, 0)
+        assert "no policy yet" in player.driver.note
+        player.step()
+        for name, time in (("last", 1_000), ("best", 2_000)):
+            shutil.copyfile(kept, run.model(name))
+            os.utime(run.model(name), (time, time))
+            before = player.driver._model
+            player.begin(0, 0)
+            assert player.driver._model is not before
+            assert player.driver.note == "policy after 64 steps"
+            assert np.isfinite(player.step().agents["agent"].reward)
+        before = player.driver._model
+        player.begin(0, 1)
+        assert player.driver._model is before

@@ -1,0 +1,242 @@
+"""Recordings: what is read is what was recorded, a replay is the same to the bit, and files of others do no harm."""
+
+from __future__ import annotations
+
+import io
+import json
+import random
+from contextlib import closing
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mcap")
+from mcap.reader import make_reader
+from mcap.writer import Writer
+
+from deepbots_cli.cli import main
+from deepbots_cli.view import recordings
+from deepbots_cli.view.episodes import Player, Source
+from deepbots_cli.view.frames import Beams, WorldFrame
+from deepbots_cli.view.recordings import Recording, RecordingError
+from deepbots_cli.view.replay import Replayed, verify
+
+
+def _recorded(folder: Path, name: str, driver: str = "random", engine: str | None = None) -> tuple[Path, list[WorldFrame]]:
+    """A recording of the episodes 2 and 3, and their frames."""
+    path, kept = folder / f"{name}.mcap", []
+
+    class Kept(Player):
+        def episode(self, *arguments):
+            for frame in super().episode(*arguments):
+                kept.append(frame)
+                yield frame
+
+    with closing(Kept(Source(name, engine=engine).open(), driver)) as player:
+        recordings.record(player, path, 1, [2, 3])
+    return path, kept
+
+
+@pytest.fixture(scope="module")
+def find_ball(tmp_path_factory):
+    return _recorded(tmp_path_factory.mktemp("recordings"), "find_ball", "around")
+
+
+def _same(one, other) -> bool:
+    if isinstance(one, np.ndarray):
+        return np.array_equal(one, other)
+    if hasattr(one, "__dataclass_fields__"):
+        return all(_same(getattr(one, field.name), getattr(other, field.name)) for field in fields(one))
+    if hasattr(one, "keys"):
+        return one.keys() == other.keys() and all(_same(one[key], other[key]) for key in one)
+    if isinstance(one, list | tuple):
+        return len(one) == len(other) and all(map(_same, one, other))
+    return one == other or (one != one and other != other)
+
+
+@pytest.mark.parametrize(
+    ("name", "engine"),
+    [
+        ("cartpole_wireless", None),
+        ("multi_cartpole", None),
+        ("cartpole_continuous", "mujoco"),
+        pytest.param("see_ball", None, marks=pytest.mark.slow),
+    ],
+)
+def test_frames_come_back_and_a_replay_is_the_same(tmp_path, name, engine):
+    path, frames = _recorded(tmp_path, name, engine=engine)
+    opened = Source(str(path)).open()
+    with closing(Replayed(opened)) as player:
+        found = [frame for number in (2, 3) for frame in player.episode(0, number)]
+    assert len(found) == len(frames)
+    assert all(map(_same, frames, found))
+    with closing(Player(opened, "zero")) as player:
+        assert verify(opened.recording, player) is None
+
+
+def _changed(path: Path, out: Path, **change) -> Path:
+    """The recording written again, with other metadata, other attachments, or another payload of a topic in one step."""
+    with path.open("rb") as stream, out.open("wb") as target:
+        reader, writer, channels = make_reader(stream), Writer(target), {}
+        writer.start("", "test")
+        for found in reader.iter_metadata():
+            writer.add_metadata(found.name, found.metadata | change.get("metadata", {}))
+        for found in reader.iter_attachments():
+            writer.add_attachment(0, 0, change.get("attachments", {}).get(found.name, found.name), found.media_type, found.data)
+        for place, (schema, channel, message) in enumerate(reader.iter_messages()):
+            if channel.topic not in channels:
+                known = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.topic] = writer.register_channel(channel.topic, "json", known)
+            edit = change.get("payload", lambda place, topic, content: content)
+            content = edit(place, channel.topic, json.loads(message.data))
+            writer.add_message(
+                channels[channel.topic], message.log_time, json.dumps(content, separators=(",", ":")).encode(), message.log_time
+            )
+        writer.finish()
+    return out
+
+
+def test_the_first_step_and_quantity_that_differ_are_named(find_ball, tmp_path, capsys):
+    """A step of the script is 0.128 s."""
+
+    def edit(place, topic, content):
+        if topic == "/tf" and content["transforms"][0]["timestamp"] == {"sec": 1, "nsec": 280_000_000}:
+            moved = next(each for each in content["transforms"] if each["child_frame_id"] == "epuck/left_wheel")
+            moved["translation"]["y"] = np.nextafter(moved["translation"]["y"], 9.0)
+        return content
+
+    path = _changed(find_ball[0], tmp_path / "changed.mcap", payload=edit)
+    assert main(["replay", "--verify", str(path)]) == 1
+    assert "episode 2, step 10: tf epuck/left_wheel.translation.y differs" in capsys.readouterr().out
+    assert main(["replay", "--verify", str(find_ball[0])]) == 0
+    assert "2 episodes and " in capsys.readouterr().out
+
+
+def test_foxglove_finds_its_types(find_ball):
+    with find_ball[0].open("rb") as stream:
+        reader = make_reader(stream)
+        summary = reader.get_summary()
+        names = {channel.topic: summary.schemas[channel.schema_id] for channel in summary.channels.values()}
+        assert names["/tf"].name == "foxglove.FrameTransforms"
+        assert names["/scan/epuck.proximity"].name == "foxglove.PointCloud"
+        data = json.loads(names["/scan/epuck.proximity"].data)["properties"]["data"]
+        assert data == {"type": "string", "contentEncoding": "base64"}
+        first = next(json.loads(message.data) for _, channel, message in reader.iter_messages() if channel.topic == "/tf")
+    frame = find_ball[1][0]
+    for each in first["transforms"]:
+        place, turn = frame.links[tuple(each["child_frame_id"].split("/"))]
+        assert tuple(each["translation"].values()) == place
+        assert tuple(each["rotation"].values()) == turn
+
+
+@pytest.mark.parametrize("count", [3, 90, 360])
+def test_the_points_of_a_scan_are_where_the_rays_end(count):
+    """A scan is in the plane of its frame: range r at angle a is (r cos a, r sin a, 0) there."""
+    angles = np.linspace(-2.5, 2.5, count)
+    tilt = np.array([[1, 0, 0], [0, 0.6, -0.8], [0, 0.8, 0.6]])
+    ways = np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1) @ tilt.T
+    beams = Beams(("robot", "base"), np.tile([0.1, 0.2, 0.3], (count, 1)), ways, 4.0)
+    free = list(np.linspace(1.0, 3.0, count))
+    scan = recordings._scan(beams, recordings._fan(beams), free, {})
+    from scipy.spatial.transform import Rotation
+
+    at = np.linspace(scan["start_angle"], scan["end_angle"], count)
+    flat = np.array(scan["ranges"])[:, None] * np.stack([np.cos(at), np.sin(at), 0 * at], axis=1)
+    points = Rotation.from_quat(list(scan["pose"]["orientation"].values())).apply(flat) + list(scan["pose"]["position"].values())
+    assert points == pytest.approx(beams.starts + np.array(free)[:, None] * ways, abs=1e-6)
+
+
+def test_a_picture_of_a_recording_is_that_of_the_episode(find_ball, tmp_path):
+    live, replayed = tmp_path / "live.png", tmp_path / "replayed.png"
+    options = ["--size", "240x180", "--steps", "40", "--rays", "--episode", "2", "--out"]
+    assert main(["picture", "find_ball", "--script", "around", "--seed", "1", *options, str(live)]) == 0
+    assert main(["picture", str(find_ball[0]), *options, str(replayed)]) == 0
+    assert live.read_bytes() == replayed.read_bytes()
+
+
+# Files of others
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"metadata": {"format": "99"}}, "format 99"),
+        ({"attachments": {"inputs/scenarios/find_ball.yaml": "inputs/../../evil"}}, "damaged"),
+        ({"attachments": {"inputs/scenarios/find_ball.yaml": "/etc/evil"}}, "damaged"),
+        ({"attachments": {"resolved.yaml": "inputs/other.yaml"}}, "no scenario|damaged"),
+    ],
+)
+def test_what_cannot_be_read_is_told_in_a_sentence(find_ball, tmp_path, change, told):
+    with pytest.raises(RecordingError, match=told) as caught:
+        Recording.read(_changed(find_ball[0], tmp_path / "changed.mcap", **change))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("topic", "edit"),
+    [
+        ("/tf", lambda content: {"transforms": content["transforms"][1:2]}),
+        ("/world", lambda content: content | {"rays": {}}),
+        ("/world", lambda content: content | {"time": "soon"}),
+        ("/agent/agent", lambda content: content | {"observation": {"apart": 1.0}}),
+        ("/agent/agent", lambda content: content | {"terms": [1, 2]}),
+        ("/message/epuck/to_robot", lambda content: []),
+    ],
+)
+def test_a_step_that_cannot_be_is_told_in_a_sentence(find_ball, tmp_path, capsys, topic, edit):
+    path = _changed(find_ball[0], tmp_path / "changed.mcap", payload=lambda _, name, content: edit(content) if name == topic else content)
+    assert main(["picture", str(path), "--episode", "2", "--out", str(tmp_path / "x.png")]) == 2
+    assert "is damaged: a step of it cannot be read" in capsys.readouterr().err
+
+
+def test_a_cut_or_flipped_file_is_refused_or_read(find_ball, tmp_path):
+    data, dice, path = find_ball[0].read_bytes(), random.Random(1), tmp_path / "other.mcap"
+    for number in range(60):
+        changed = bytearray(data[: dice.randrange(len(data))] if number % 2 else data)
+        for _ in range(dice.randrange(4) if number % 2 else 1 + dice.randrange(30)):
+            if changed:
+                changed[dice.randrange(len(changed))] = dice.randrange(256)
+        path.write_bytes(changed)
+        if number % 2:
+            with pytest.raises(RecordingError):
+                Recording.read(path)
+        else:
+            try:
+                Recording.read(path)
+            except RecordingError:
+                continue
+
+
+def test_a_bomb_is_not_unpacked(find_ball, tmp_path):
+    import zstandard
+    from mcap.data_stream import RecordBuilder
+    from mcap.records import Chunk, DataEnd, Footer, Header
+
+    packer = zstandard.ZstdCompressor().compressobj(size=1 << 34)  # what the frame promises
+    packed = packer.compress(bytes(1000)) + packer.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK)
+    builder, stream = RecordBuilder(), io.BytesIO(b"\x89MCAP0\r\n")
+    stream.seek(0, 2)
+    for record in (Header("", ""), Chunk("zstd", packed, 0, 0, 0, 100), DataEnd(0), Footer(0, 0, 0)):
+        record.write(builder)
+    stream.write(builder.end())
+    stream.write(b"\x89MCAP0\r\n")
+    path = tmp_path / "bomb.mcap"
+    path.write_bytes(stream.getvalue())
+    with pytest.raises(RecordingError, match="unpacks to more than 512 MiB"):
+        Recording.read(path)
+
+
+def test_options_and_files_of_the_command(tmp_path, monkeypatch, capsys, find_ball):
+    monkeypatch.chdir(tmp_path)
+    assert main(["record", "cartpole", "--episodes", "2", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["recording"] == "cartpole-0-0.mcap"
+    assert [each["episode"] for each in told["episodes"]] == [0, 1]
+    assert main(["record", "cartpole"]) == 2
+    assert "cartpole-0-0.mcap exists" in capsys.readouterr().err
+    assert main(["clip", str(find_ball[0]), "--episode", "7", "--out", "x.gif"]) == 2
+    assert "holds no episode 7; it holds 2 to 3" in capsys.readouterr().err
+    assert main(["replay", "cartpole-0-0.mcap", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["scenario"] == "CartPole"
