@@ -53,7 +53,7 @@ M = TypeVar("M", bound=BaseModel)
 _LIMIT = 4_000_000
 _DISTRIBUTIONS = ("gymnasium", "mujoco", "numpy", "pybullet", "stable-baselines3", "torch")
 _FILES = (NAME, RESOLVED, "monitor.csv", ".lock")
-_FOLDERS = (FOLDER, "tensorboard", "models", "evaluations", "checkpoints")
+_FOLDERS = (FOLDER, "tensorboard", "models", "evaluations", "checkpoints", "failures")
 
 
 class Result(BaseModel):

@@ -26,7 +26,8 @@ from deepbots_cli import api
 from deepbots_cli.document import shipped
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import checkpoints, evaluate, resume, train
-from deepbots_cli.learning.environments import History, VectorEnvironment, fingerprint
+from deepbots_cli.learning.environments import VectorEnvironment, fingerprint
+from deepbots_cli.learning.failures import History
 from deepbots_cli.learning.report import TrainingProgress, training_text
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
