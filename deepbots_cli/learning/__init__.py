@@ -14,6 +14,8 @@ episodes.py      what episodes leave behind: log, statistics, solved, summaries 
 comparison.py    compare: groups of runs on the same starts
 statistics.py    intervals, gates that may stop early, comparisons of groups of runs
 report.py        results as text and as JSON, progress
+failures.py      what failed in an episode, kept to be reproduced
+policy.py        a trained policy as an object to call
 video.py         one episode as mp4
 
 The names below are imported on first use: torch alone takes a second.
@@ -29,18 +31,32 @@ from deepbots_cli.errors import MissingExtraError
 if TYPE_CHECKING:
     from deepbots_cli.learning.comparison import Comparison, compare
     from deepbots_cli.learning.evaluation import EvaluationResult, evaluate, evaluate_cases
+    from deepbots_cli.learning.policy import Policy, load_policy
     from deepbots_cli.learning.run import TrainingResult
     from deepbots_cli.learning.training import resume, train
 
-__all__ = ["Comparison", "EvaluationResult", "TrainingResult", "compare", "evaluate", "evaluate_cases", "resume", "train"]
+__all__ = [
+    "Comparison",
+    "EvaluationResult",
+    "Policy",
+    "TrainingResult",
+    "compare",
+    "evaluate",
+    "evaluate_cases",
+    "load_policy",
+    "resume",
+    "train",
+]
 
 _HOMES = {
     "Comparison": "comparison",
     "EvaluationResult": "evaluation",
+    "Policy": "policy",
     "TrainingResult": "run",
     "compare": "comparison",
     "evaluate": "evaluation",
     "evaluate_cases": "evaluation",
+    "load_policy": "policy",
     "resume": "training",
     "train": "training",
 }

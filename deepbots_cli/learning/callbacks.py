@@ -216,7 +216,8 @@ class TrainingCallback(BaseCallback):
         s = self.statistics
         stage = self.curriculum.describe(s.steps) if self.curriculum.stages else ""
         success_rate = s.success_rate if self._has_success else None
-        return TrainingProgress(s.steps, self.total, s.episodes, s.mean_return, success_rate, stage)
+        best = self.best.mean_return if self.best else None
+        return TrainingProgress(s.steps, self.total, s.episodes, s.mean_return, success_rate, stage, s.solved, best, s.period)
 
     def _on_training_start(self) -> None:
         if not self._has_success:
