@@ -89,11 +89,11 @@ def signals_handled(interruption: Interruption) -> Iterator[None]:
 class Evaluator:
     """Evaluates the current policy without noise, in a world of its own, from starts that neither training nor a later evaluation has."""
 
-    def __init__(self, build: BuildWorld, run: Run) -> None:
+    def __init__(self, build: BuildWorld, seed: int, run: Run | None = None) -> None:
         self.steps = 0
         """Those of all evaluations."""
         self._build, self._run = build, run
-        self._seeds: Sequence[int] = [derive(run.record.seed, "trial", k) for k in range(CONFIRMATION_EPISODES)]
+        self._seeds: Sequence[int] = [derive(seed, "trial", k) for k in range(CONFIRMATION_EPISODES)]
         self._scenario: Program | None = None
         self._world: World | None = None
 
@@ -101,13 +101,15 @@ class Evaluator:
         """Whether another evaluation fits into this share of `trained` steps, if its episodes are of that length."""
         return self.steps + EPISODES * length <= share * trained
 
-    def episodes(self, model: BaseAlgorithm, curriculum: Curriculum, interruption: Interruption, count: int = EPISODES) -> list[Episode]:
-        """The episodes of an evaluation in the present stage. The training's random numbers stay as they were.
+    def episodes(
+        self, model: BaseAlgorithm, scenario: Program, interruption: Interruption, count: int = EPISODES, stage: str | None = None
+    ) -> list[Episode]:
+        """The episodes of an evaluation in `scenario`, which is that of `stage`. The training's random numbers stay as they were.
 
         Raises:
             KeyboardInterrupt: Somebody wants the training to end; it goes on from its last checkpoint, before this evaluation.
         """
-        world = self._world_of(curriculum)
+        world = self._world_of(scenario, stage)
         state = torch.get_rng_state()
         done: list[Episode] = []
         try:
@@ -120,12 +122,11 @@ class Evaluator:
             torch.set_rng_state(state)
         return done
 
-    def _world_of(self, curriculum: Curriculum) -> World:
-        scenario = curriculum.scenario
+    def _world_of(self, scenario: Program, stage: str | None) -> World:
         if self._world is None or scenario is not self._scenario:
             self.close()
             built, self._scenario = self._build(scenario), scenario
-            self._world = Guarded(built, self._run, scenario, seeds=self._seeds, stage=curriculum.name)
+            self._world = Guarded(built, self._run, scenario, seeds=self._seeds, stage=stage)
         return self._world
 
     def close(self) -> None:
@@ -249,10 +250,11 @@ class TrainingCallback(BaseCallback):
         steps, solved = self.statistics.steps, self.statistics.solved
         if not self.statistics.full or steps == self._evaluated_at or not self.evaluator.due(steps, self.statistics.mean_length, share):
             return
-        done = self.evaluator.episodes(self.model, self.curriculum, self.interruption)
+        scenario, stage = self.curriculum.scenario, self.curriculum.name
+        done = self.evaluator.episodes(self.model, scenario, self.interruption, stage=stage)
         ends = self.statistics.solved_at is not None
         if ends and Summary.of(done).meets(solved) and isinstance(self.model, OffPolicyAlgorithm):
-            done = self.evaluator.episodes(self.model, self.curriculum, self.interruption, CONFIRMATION_EPISODES)
+            done = self.evaluator.episodes(self.model, scenario, self.interruption, CONFIRMATION_EPISODES, stage)
         summary = Summary.of(done)
         self._evaluated_at = steps
         self.confirmed = ends and summary.meets(solved)
@@ -313,7 +315,7 @@ class TrainingCallback(BaseCallback):
         observations = buffer.observations
         if isinstance(observations, dict):
             observations = observations.get("observation")
-        if observations is not None:
+        if observations is not None and observations.shape[-1] > max(self._seen.values(), default=0):  # not a world of the caller's
             shares = (np.abs(observations[rows]) >= 1.0).mean(axis=(0, 1))
             for name, place in self._seen.items():
                 self.logger.record(f"saturation/{name}", float(shares[place]))

@@ -241,7 +241,7 @@ def _learn(run: Run, training: Training, checkpoints: Checkpoints, build: BuildW
         statistics.restore(checkpoints.state.statistics)
         curriculum.restore(checkpoints.state.curriculum)
     statistics.final = curriculum.is_last
-    callback = TrainingCallback(run, statistics, curriculum, Evaluator(build, run), told, training.total_timesteps)
+    callback = TrainingCallback(run, statistics, curriculum, Evaluator(build, run.record.seed, run), told, training.total_timesteps)
     checkpoints.attach(callback)
     status: Status = "failed"
     digest = ""

@@ -160,7 +160,7 @@ CASES: dict[str, dict[str, Any]] = {
         "training": Training("SAC", 700, 2, hyper(learning_starts=200, buffer_size=500), SMALL, None, Hindsight()),
         "continuous": True,
         "max_steps": 30,
-        "more": "goal: {achieved: x, desired: 0.1 m, within: 2 cm, range: -0.4 .. 0.4 m}\n",
+        "more": "goal: {achieved: x, desired: 0.1 m, tolerance: 2 cm, range: -0.4 .. 0.4 m}\n",
     },
     "curriculum": {
         "training": Training("PPO", 2_000, 3, hyper(n_steps=32, batch_size=32)),
@@ -195,7 +195,7 @@ def compiled_of(name: str) -> api.Compiled:
 
 def _shipped(scenario: str, section: str) -> api.Compiled:
     """A scenario with another section `train`; the stages of its curriculum end after a quarter of the steps each."""
-    base = Scenario.from_yaml(shipped.scenario_path(scenario))
+    base = Scenario.from_yaml(api.locate(scenario)[0])
     training = yaml.safe_load(f"{{{section}}}")
     changes: dict[str, Any] = {"train": training, "evaluation": {"episodes": 5}}
     if base.curriculum:

@@ -18,7 +18,7 @@ from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Engine, Json, Scenario, Seed, Sets, Stage, whole, with_case_or_stage
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.errors import UsageError
-from deepbots_cli.learning import failures, report
+from deepbots_cli.learning import report
 from deepbots_cli.learning.episodes import Episode, EpisodeAccumulator, Summary
 from deepbots_cli.program.task import ActionRange, Choices
 
@@ -83,7 +83,7 @@ def command(
     given = [name for name, value in (("--policy", policy), ("--actions", actions), ("--script", script)) if value is not None]
     if len(given) > 1:
         raise UsageError(f"{' and '.join(given)} exclude each other")
-    if scenario.endswith(".json") and Path(scenario).parent.name == failures.FOLDER:
+    if scenario.endswith(".json") and Path(scenario).parent.name == "failures":
         _reproduce(Path(scenario), allow_code=allow_code, as_json=as_json)
         return
     compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
@@ -117,6 +117,8 @@ def command(
 
 
 def _reproduce(path: Path, *, allow_code: bool, as_json: bool) -> None:
+    from deepbots_cli.learning import failures  # which imports gymnasium
+
     failure, error = failures.reproduce(path, allow_code=allow_code)
     if as_json:
         terminal.show_json({**failure.model_dump(), "reproduced": error})
