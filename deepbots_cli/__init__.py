@@ -18,8 +18,8 @@ plugins.py    what other packages add     message_formats.py  how messages may b
 progress.py   a bar or lines on standard error
 renames.py    former names of the language
 
-The documented Python API is `Scenario`, `load`, `compile`, `make`, `train`, `evaluate` and `compare`; each is imported when
-it is first asked for, so that importing this package costs nothing.
+The documented Python API is `Scenario`, `load`, `compile`, `make`, `train`, `resume`, `evaluate`, `compare` and `load_policy`; each is
+imported when it is first asked for, so that importing this package costs nothing.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from deepbots_cli.api import compile, load, make
-    from deepbots_cli.learning import compare, evaluate, train
+    from deepbots_cli.learning import compare, evaluate, load_policy, resume, train
     from deepbots_cli.scenario import Scenario
 
 __version__ = "0.1.0"
-__all__ = ["Scenario", "__version__", "compare", "compile", "evaluate", "load", "make", "train"]
+__all__ = ["Scenario", "__version__", "compare", "compile", "evaluate", "load", "load_policy", "make", "resume", "train"]
 
 _HOMES = {
     "Scenario": "deepbots_cli.scenario",
@@ -40,8 +40,10 @@ _HOMES = {
     "load": "deepbots_cli.api",
     "make": "deepbots_cli.api",
     "train": "deepbots_cli.learning",
+    "resume": "deepbots_cli.learning",
     "evaluate": "deepbots_cli.learning",
     "compare": "deepbots_cli.learning",
+    "load_policy": "deepbots_cli.learning",
 }
 
 

@@ -17,6 +17,8 @@ comparison.py    compare: groups of runs on the same starts; a group as one
 robustness.py    a policy under changed conditions
 statistics.py    intervals, gates that may stop early, comparisons of groups of runs
 report.py        results as JSON, progress
+failures.py      what failed in an episode, kept to be reproduced
+policy.py        a trained policy as an object to call
 video.py         one episode as mp4
 
 The names below are imported on first use: torch alone takes a second.
@@ -33,6 +35,7 @@ if TYPE_CHECKING:
     from deepbots_cli.learning.comparison import Comparison, GroupResult, compare, evaluate_group
     from deepbots_cli.learning.evaluation import EvaluationResult, evaluate, evaluate_baselines, evaluate_cases
     from deepbots_cli.learning.group import resume_group, train_group
+    from deepbots_cli.learning.policy import Policy, load_policy
     from deepbots_cli.learning.robustness import Robustness, evaluate_robustness
     from deepbots_cli.learning.run import TrainingResult
     from deepbots_cli.learning.training import resume, train
@@ -41,6 +44,7 @@ _HOMES = {
     "Comparison": "comparison",
     "EvaluationResult": "evaluation",
     "GroupResult": "comparison",
+    "Policy": "policy",
     "Robustness": "robustness",
     "TrainingResult": "run",
     "compare": "comparison",
@@ -49,6 +53,7 @@ _HOMES = {
     "evaluate_cases": "evaluation",
     "evaluate_group": "comparison",
     "evaluate_robustness": "robustness",
+    "load_policy": "policy",
     "resume": "training",
     "resume_group": "group",
     "train": "training",
@@ -58,6 +63,7 @@ __all__ = [
     "Comparison",
     "EvaluationResult",
     "GroupResult",
+    "Policy",
     "Robustness",
     "TrainingResult",
     "compare",
@@ -66,6 +72,7 @@ __all__ = [
     "evaluate_cases",
     "evaluate_group",
     "evaluate_robustness",
+    "load_policy",
     "resume",
     "resume_group",
     "train",

@@ -11,27 +11,35 @@ import json
 import math
 import signal
 import threading
+import time
 from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import numpy as np
+import numpy.typing as npt
 import torch
 from pydantic import BaseModel, NonNegativeInt
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import HParam, Logger, TensorBoardOutputFormat
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
+from deepbots_cli.compiler.inputs import RESOLVED
 from deepbots_cli.errors import RunError
 from deepbots_cli.learning import models
 from deepbots_cli.learning.curriculum import Curriculum
+from deepbots_cli.learning.defaults import effective
 from deepbots_cli.learning.environments import BuildWorld, World
 from deepbots_cli.learning.episodes import Episode, Statistics, Summary
 from deepbots_cli.learning.evaluation import rollout
+from deepbots_cli.learning.failures import Guarded
 from deepbots_cli.learning.report import Reporter, TrainingProgress
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
+from deepbots_cli.program.task import Choices, Training, viewed
 from deepbots_cli.runtime.streams import derive
 
 EPISODES = 20
@@ -40,6 +48,9 @@ EPISODES = 20
 CONFIRMATION_EPISODES = 50
 """Starts of the evaluation that ends a training of an off-policy algorithm: of 20 episodes, a network that succeeds in 85 % of all
 loses at most one in 18 % of the cases; of 50, at most two in 1 %. With the small updates of PPO, past episodes tell enough."""
+
+RECENT = 256
+"""Steps of each copy of the environment that the scalars of an off-policy algorithm describe."""
 
 SHARE, OVERTIME_SHARE, AT_ONCE = 0.1, 0.5, math.inf
 """What evaluations may take of the steps that are trained: little as a rule, half when only one is missing to end the training."""
@@ -78,10 +89,10 @@ def signals_handled(interruption: Interruption) -> Iterator[None]:
 class Evaluator:
     """Evaluates the current policy without noise, in a world of its own, from starts that neither training nor a later evaluation has."""
 
-    def __init__(self, build: BuildWorld, seed: int) -> None:
+    def __init__(self, build: BuildWorld, seed: int, run: Run | None = None) -> None:
         self.steps = 0
         """Those of all evaluations."""
-        self._build = build
+        self._build, self._run = build, run
         self._seeds: Sequence[int] = [derive(seed, "trial", k) for k in range(CONFIRMATION_EPISODES)]
         self._scenario: Program | None = None
         self._world: World | None = None
@@ -90,13 +101,15 @@ class Evaluator:
         """Whether another evaluation fits into this share of `trained` steps, if its episodes are of that length."""
         return self.steps + EPISODES * length <= share * trained
 
-    def episodes(self, model: BaseAlgorithm, scenario: Program, interruption: Interruption, count: int = EPISODES) -> list[Episode]:
-        """The episodes of an evaluation in `scenario`. The training's random numbers stay as they were.
+    def episodes(
+        self, model: BaseAlgorithm, scenario: Program, interruption: Interruption, count: int = EPISODES, stage: str | None = None
+    ) -> list[Episode]:
+        """The episodes of an evaluation in `scenario`, which is that of `stage`. The training's random numbers stay as they were.
 
         Raises:
             KeyboardInterrupt: Somebody wants the training to end; it goes on from its last checkpoint, before this evaluation.
         """
-        world = self._world_of(scenario)
+        world = self._world_of(scenario, stage)
         state = torch.get_rng_state()
         done: list[Episode] = []
         try:
@@ -109,10 +122,11 @@ class Evaluator:
             torch.set_rng_state(state)
         return done
 
-    def _world_of(self, scenario: Program) -> World:
+    def _world_of(self, scenario: Program, stage: str | None) -> World:
         if self._world is None or scenario is not self._scenario:
             self.close()
-            self._world, self._scenario = self._build(scenario), scenario
+            built, self._scenario = self._build(scenario), scenario
+            self._world = Guarded(built, self._run, scenario, seeds=self._seeds, stage=stage)
         return self._world
 
     def close(self) -> None:
@@ -167,6 +181,9 @@ class TrainingCallback(BaseCallback):
         self._evaluated_at = -1
         self._beat = max(1, min(2_000, total // 100))
         self._next_beat = 0
+        self._beat_passed = False
+        self._seen = _first_frame(run.program)
+        self._began = time.monotonic(), statistics.steps
 
     def state(self) -> CallbackState:
         return CallbackState(
@@ -190,11 +207,18 @@ class TrainingCallback(BaseCallback):
         self.statistics.recent.clear()
         self.statistics.final = self.curriculum.is_last
 
+    @property
+    def real_time_factor(self) -> float:
+        """Simulated seconds per second since this process began."""
+        began, steps = self._began
+        return (self.statistics.steps - steps) * self.statistics.period / max(1e-9, time.monotonic() - began)
+
     def progress(self) -> TrainingProgress:
         s = self.statistics
         stage = self.curriculum.describe(s.steps) if self.curriculum.stages else ""
         success_rate = s.success_rate if self._has_success else None
-        return TrainingProgress(s.steps, self.total, s.episodes, s.mean_return, success_rate, stage)
+        best = self.best.mean_return if self.best else None
+        return TrainingProgress(s.steps, self.total, s.episodes, s.mean_return, success_rate, stage, s.solved, best, s.period)
 
     def _on_training_start(self) -> None:
         if not self._has_success:
@@ -209,7 +233,13 @@ class TrainingCallback(BaseCallback):
             self.reporter.update(self.progress())
             self.evaluate(AT_ONCE if just_solved else OVERTIME_SHARE if solved else SHARE)
             self._record_scalars()
+            self._beat_passed = True
         return not (solved and self.confirmed)
+
+    def _on_rollout_end(self) -> None:
+        if self._beat_passed:  # always False between two roll-outs of a checkpoint, which therefore does not keep it
+            self._beat_passed = False
+            self._record_policy()
 
     def evaluate(self, share: float) -> None:
         """Evaluate the networks, once there are enough episodes, and keep them as best if none did better.
@@ -220,10 +250,11 @@ class TrainingCallback(BaseCallback):
         steps, solved = self.statistics.steps, self.statistics.solved
         if not self.statistics.full or steps == self._evaluated_at or not self.evaluator.due(steps, self.statistics.mean_length, share):
             return
-        done = self.evaluator.episodes(self.model, self.curriculum.scenario, self.interruption)
+        scenario, stage = self.curriculum.scenario, self.curriculum.name
+        done = self.evaluator.episodes(self.model, scenario, self.interruption, stage=stage)
         ends = self.statistics.solved_at is not None
         if ends and Summary.of(done).meets(solved) and isinstance(self.model, OffPolicyAlgorithm):
-            done = self.evaluator.episodes(self.model, self.curriculum.scenario, self.interruption, CONFIRMATION_EPISODES)
+            done = self.evaluator.episodes(self.model, scenario, self.interruption, CONFIRMATION_EPISODES, stage)
         summary = Summary.of(done)
         self._evaluated_at = steps
         self.confirmed = ends and summary.meets(solved)
@@ -254,6 +285,7 @@ class TrainingCallback(BaseCallback):
         """Scalars beside those of Stable-Baselines3, which writes them with its own."""
         self.logger.record("rollout/episodes", self.statistics.episodes)
         self.logger.record("rollout/simulated_hours", self.statistics.simulated_hours)
+        self.logger.record("time/real_time_factor", self.real_time_factor)
         curriculum = self.curriculum
         value = curriculum.value(self.statistics.steps)
         if curriculum.stages:
@@ -266,9 +298,66 @@ class TrainingCallback(BaseCallback):
         for name, share in self.statistics.ended_by().items():
             self.logger.record(f"ended_by/{name}", share)
 
+    def _record_policy(self) -> None:
+        """What the policy has seen and done in the last roll-out, or in the last steps of the replay buffer.
+
+        `saturation/NAME` is the share of observations at the ends of their range, `action/OPTION` how often an option was chosen, and
+        `action/probability` the mean probability of the chosen actions.
+        """
+        if isinstance(self.model, OffPolicyAlgorithm):
+            buffer: Any = self.model.replay_buffer
+            rows = np.arange(buffer.pos - min(RECENT, buffer.size()), buffer.pos) % buffer.buffer_size
+        else:
+            buffer = self.model.rollout_buffer  # type: ignore[attr-defined]  # of OnPolicyAlgorithm
+            rows = slice(None)
+            if any(isinstance(part, Choices) for part in self.run.program.policy.action):
+                self.logger.record("action/probability", float(np.exp(buffer.log_probs).mean()))
+        observations = buffer.observations
+        if isinstance(observations, dict):
+            observations = observations.get("observation")
+        if observations is not None and observations.shape[-1] > max(self._seen.values(), default=0):  # not a world of the caller's
+            shares = (np.abs(observations[rows]) >= 1.0).mean(axis=(0, 1))
+            for name, place in self._seen.items():
+                self.logger.record(f"saturation/{name}", float(shares[place]))
+        for name, share in option_shares(self.run.program, buffer.actions[rows]).items():
+            self.logger.record(f"action/{name}", share)
+
     def _on_training_end(self) -> None:
         self._record_scalars()
         self.logger.dump(self.num_timesteps)
+
+
+def _first_frame(program: Program) -> dict[str, int]:
+    """Where the newest value of each clipped number stands in an observation, by name; a truth value is always at an end of its range."""
+    numbers = program.policy.numbers
+    places = enumerate(viewed(numbers, program.policy.frame_stack))
+    return {numbers[i].full_name: place for place, (i, age) in places if age == 0 and numbers[i].clip and not numbers[i].truth}
+
+
+def option_shares(program: Program, actions: npt.NDArray[Any]) -> dict[str, float]:
+    """The share of each option in actions of shape (..., choices): `forward`, or `drive/forward` if there are several choices."""
+    choices = [part for part in program.policy.action if isinstance(part, Choices)]
+    columns = np.asarray(actions).reshape(-1, max(1, len(choices)))
+    return {
+        f"{part.name}/{option.name}" if len(choices) > 1 else option.name: float((column == index).mean())
+        for part, column in zip(choices, columns.T, strict=False)
+        for index, option in enumerate(part.options)
+    }
+
+
+def describe(run: Run, logger: Logger, training: Training) -> None:
+    """Write the scenario as text, and the hyperparameters as a page of TensorBoard; once for each run."""
+    known = effective(run.program, training.total_timesteps)
+    values = {entry.name: entry.value if isinstance(entry.value, bool | int | float | str) else str(entry.value) for entry in known}
+    values |= {"algorithm": training.algorithm, "environments": training.environments, "seed": run.record.seed}
+    metrics = {"rollout/ep_rew_mean": 0.0, "eval/mean_return": 0.0}
+    if run.program.defines_success:
+        metrics |= {"rollout/success_rate": 0.0, "eval/success_rate": 0.0}
+    scenario = (run.path / RESOLVED).read_text(encoding="utf-8")
+    content = {"hparams": HParam(values, metrics), "scenario": "".join(f"    {line}\n" for line in scenario.splitlines())}
+    for output in logger.output_formats:
+        if isinstance(output, TensorBoardOutputFormat):
+            output.write(content, dict.fromkeys(content, ()))
 
 
 def check_finite(model: BaseAlgorithm, run: Run, steps: int) -> None:

@@ -40,8 +40,9 @@ from deepbots_cli.learning import models
 from deepbots_cli.learning.algorithms import DecayingNoise
 from deepbots_cli.learning.callbacks import CallbackState, TrainingCallback, check_finite
 from deepbots_cli.learning.curriculum import CurriculumState
-from deepbots_cli.learning.environments import History, VectorEnvironment, fingerprint
+from deepbots_cli.learning.environments import VectorEnvironment, fingerprint
 from deepbots_cli.learning.episodes import StatisticsState
+from deepbots_cli.learning.failures import History
 from deepbots_cli.learning.run import Run, read_json
 from deepbots_cli.runtime.streams import derive
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
@@ -23,6 +22,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvO
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
 from deepbots_cli.learning.episodes import Episode, EpisodeAccumulator
+from deepbots_cli.learning.failures import Guarded, History, set_random_state
 from deepbots_cli.program import Program
 from deepbots_cli.scenario import Scenario
 
@@ -45,18 +45,6 @@ def compiled_of(scenario: Compiled | Scenario | str | Path) -> Compiled:
 def default_build(engine: str, *, allow_code: bool = False) -> BuildWorld:
     """The generated supervisor on `engine`; with `allow_code`, terms in Python run."""
     return partial(api.build, engine=engine, allow_code=allow_code)
-
-
-@dataclass
-class History:
-    """The running episode of a world: how it began, and the actions since then.
-
-    PyBullet has no exact snapshot. A world is therefore brought back by beginning the episode again, from the same seed or the same
-    states of its random generators, and repeating its actions.
-    """
-
-    start: int | dict[str, Any]
-    actions: list[Any] = field(default_factory=list)
 
 
 class VectorEnvironment(VecEnv):
@@ -82,7 +70,7 @@ class VectorEnvironment(VecEnv):
         on_episode: Callable[[int, Episode], None] = lambda world, episode: None,
         next_world: Callable[[int], tuple[World, int] | None] = lambda world: None,
     ) -> None:
-        self.worlds = list(worlds)
+        self.worlds = [_guarded(world) for world in worlds]
         self.starts = list(seeds)
         self._on_step = on_step
         self._on_episode = on_episode
@@ -91,7 +79,8 @@ class VectorEnvironment(VecEnv):
         first = self._agents(self.worlds[0])
         self._rows = len(first)
         self._accumulators = [EpisodeAccumulator() for _ in range(self._rows * len(self.worlds))]
-        self._histories = [History(seed) for seed in seeds]
+        self.drawn: list[Mapping[str, Any]] = [{} for _ in self.worlds]
+        """What the running episode of each world drew, by name."""
         self._actions: npt.NDArray[Any] = np.zeros(0)
         self.last_observations: VecEnvObs = np.zeros(0)
         space = first[0].observation_space
@@ -142,7 +131,6 @@ class VectorEnvironment(VecEnv):
 
     def _act(self, index: int, action: Any) -> tuple[list[Outcome], bool]:
         """A step of a world: the outcome of each row, and whether the episode is over."""
-        self._histories[index].actions.append(action)
         world = self.worlds[index]
         observation, reward, terminated, truncated, info = world.step(action)
         done = terminated or truncated
@@ -156,14 +144,15 @@ class VectorEnvironment(VecEnv):
         if following is None:
             return self._begin(index, None)
         self.worlds[index].close()
-        self.worlds[index], seed = following
+        world, seed = following
+        self.worlds[index] = _guarded(world)
         return self._begin(index, seed)
 
     def _begin(self, index: int, seed: int | None) -> list[Any]:
         """Begin an episode; the observation of each row."""
         world = self.worlds[index]
-        self._histories[index] = History(_random_state(world) if seed is None else seed)
         observation, info = world.reset(seed=seed)
+        self.drawn[index] = info.get("drawn", {})
         rows = slice(index * self._rows, (index + 1) * self._rows)
         if not self._is_team:
             self.reset_infos[rows] = [info]
@@ -180,7 +169,7 @@ class VectorEnvironment(VecEnv):
 
     def histories(self) -> list[History]:
         """The running episode of each world, enough to bring it back."""
-        return self._histories
+        return [world.history for world in self.worlds]
 
     def repeat(self, histories: Sequence[History]) -> VecEnvObs:
         """Bring the worlds back to the moment at which `histories` were taken; the observations, which are the same if the physics is."""
@@ -188,7 +177,7 @@ class VectorEnvironment(VecEnv):
         for index, history in enumerate(histories):
             seed = history.start if isinstance(history.start, int) else None
             if isinstance(history.start, dict):
-                _set_random_state(self.worlds[index], history.start)
+                set_random_state(self.worlds[index], history.start)
             seen = self._begin(index, seed)
             for action in history.actions:
                 outcomes, _ = self._act(index, action)
@@ -227,6 +216,10 @@ class VectorEnvironment(VecEnv):
         return [agents[index] for index in self._get_indices(indices)]
 
 
+def _guarded(world: World) -> Guarded:
+    return world if isinstance(world, Guarded) else Guarded(world)
+
+
 def is_team(world: World) -> bool:
     """Whether the agents of the world are copies of a robot, and not the world itself."""
     return world.has_wrapper_attr("agents") and world.unwrapped not in world.get_wrapper_attr("agents").values()
@@ -236,21 +229,6 @@ def fingerprint(observations: VecEnvObs) -> str:
     """SHA-256 of observations, to the bit."""
     parts = [observations[key] for key in sorted(observations)] if isinstance(observations, dict) else [observations]
     return hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in parts)).hexdigest()
-
-
-def _random_state(world: World) -> dict[str, Any]:
-    """The states of all random generators of a world, as JSON can hold them."""
-    if world.has_wrapper_attr("random_state"):
-        state: dict[str, Any] = world.get_wrapper_attr("random_state")()
-        return state
-    return dict(world.unwrapped.np_random.bit_generator.state)
-
-
-def _set_random_state(world: World, state: dict[str, Any]) -> None:
-    if world.has_wrapper_attr("set_random_state"):
-        world.get_wrapper_attr("set_random_state")(state)
-    else:
-        world.unwrapped.np_random.bit_generator.state = state
 
 
 def _last_info(info: Mapping[str, Any], observation: Any, episode: Episode, *, timed_out: bool) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import time
 from collections import Counter, deque
@@ -81,10 +82,10 @@ class EpisodeAccumulator:
 class EpisodeLog:
     """`monitor.csv`: a line per episode, in the format that Stable-Baselines3's `load_results` reads.
 
-    r, l, t (return, length, seconds since the start), then our columns. Appends to what is there.
+    r, l, t (return, length, seconds since the start), then our columns; `drawn` holds the drawn values as JSON. Appends to what is there.
     """
 
-    COLUMNS = ("episode", "steps", "simulated_hours", "is_success", "ended_by", "stage")
+    COLUMNS = ("episode", "steps", "simulated_hours", "is_success", "ended_by", "stage", "drawn")
 
     def __init__(self, path: Path, scenario: str) -> None:
         from stable_baselines3.common.monitor import ResultsWriter  # which imports torch
@@ -96,7 +97,7 @@ class EpisodeLog:
             raise RunError(f"{path} cannot be written: {error.strerror}") from error
         self._started = time.time()
 
-    def write(self, episode: Episode, statistics: Statistics, stage: str | None = None) -> None:
+    def write(self, episode: Episode, statistics: Statistics, stage: str | None = None, drawn: Mapping[str, Any] | None = None) -> None:
         row: dict[str, Any] = {
             "r": round(episode.total_return, 6),
             "l": episode.length,
@@ -107,6 +108,7 @@ class EpisodeLog:
             "is_success": int(episode.is_success),
             "ended_by": episode.ended_by or "",
             "stage": stage or "",
+            "drawn": json.dumps(drawn) if drawn else "",
         }
         self._writer.write_row(row)
 

@@ -25,6 +25,7 @@ from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import algorithms, models, video
 from deepbots_cli.learning.environments import BuildWorld, VectorEnvironment, World, compiled_of, default_build, is_team
 from deepbots_cli.learning.episodes import DrawnBin, Episode, EpisodeAccumulator, Summary, by_drawn_value, meets, statistics_of
+from deepbots_cli.learning.failures import Guarded
 from deepbots_cli.learning.run import ModelName, Run
 from deepbots_cli.learning.statistics import gate_rate
 from deepbots_cli.program import Program, identity
@@ -135,7 +136,7 @@ def evaluate(
     with algorithms.torch_settings(), ExitStack() as stack:
         worlds = []
         for _ in range(min(count, max(1, min(copies, ROWS)) if deterministic else 1)):
-            worlds.append(make(program))
+            worlds.append(Guarded(make(program), known if scenario is None else None, program, seeds=seeds, case=case, stage=stage))
             stack.callback(worlds[-1].close)
         policy = load(known, model, worlds[0])
         done = rollout(policy, worlds, seeds, deterministic=deterministic, on_episode=on_episode, until=until)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
@@ -10,9 +12,12 @@ from pydantic import BaseModel
 
 from deepbots_cli.learning.episodes import SolvedAt
 from deepbots_cli.learning.run import TrainingResult
-from deepbots_cli.progress import ProgressBar
+from deepbots_cli.program.task import Solved
 
 if TYPE_CHECKING:
+    from rich.console import Group
+    from rich.live import Live
+
     from deepbots_cli.learning.evaluation import EvaluationResult
 
 
@@ -30,13 +35,17 @@ def solved_text(at: SolvedAt | None) -> str:
 
 # The progress of a training
 
+PAUSE = 0.25
+"""Seconds between two refreshes of the table; it has no thread of its own."""
+
 
 @dataclass(frozen=True)
 class TrainingProgress:
     """How far a training is.
 
-    The means are over the recent episodes, None before the first has ended; the success rate is None too where the scenario knows no
-    success. `stage` is for people to read.
+    The means are over the recent episodes, None before the first has ended; the success rate is None too where the scenario defines no
+    success. `solved` is the criterion of the scenario, `best_return` the mean return of the best model in its evaluation, `stage` the
+    stage of the curriculum with its criterion, for people to read. `period` is the time of a step in s.
     """
 
     steps: int
@@ -45,6 +54,9 @@ class TrainingProgress:
     mean_return: float | None
     success_rate: float | None
     stage: str = ""
+    solved: Solved | None = None
+    best_return: float | None = None
+    period: float = 0.0
 
 
 class Reporter:
@@ -61,22 +73,37 @@ class Reporter:
 
 
 class ProgressReporter(Reporter):
-    """A bar on a terminal, a line for every tenth of the way elsewhere."""
+    """A table on a terminal, which is refreshed in place; a line for every tenth of the way elsewhere."""
 
     def __init__(self, stream: TextIO | None = None) -> None:
-        self._stream = stream
-        self._bar: ProgressBar | None = None
+        self._stream = sys.stderr if stream is None else stream
+        self._live: Live | None = None
+        self._first, self._began, self._shown, self._tenth = 0, 0.0, 0.0, 0
 
     def start(self, progress: TrainingProgress) -> None:
-        self._bar = ProgressBar(progress.total_steps, "steps", done=progress.steps, stream=self._stream)
+        self._first, self._began = progress.steps, time.perf_counter()
+        self._tenth = 10 * progress.steps // progress.total_steps
+        if self._stream.isatty():
+            from rich.console import Console  # 60 ms, which only a terminal pays
+            from rich.live import Live
+
+            self._live = Live(console=Console(file=self._stream), auto_refresh=False)
+            self._live.start()
 
     def update(self, progress: TrainingProgress) -> None:
-        if self._bar is not None:
-            self._bar.update(progress.steps, progress_text(progress))
+        now = time.perf_counter()
+        speed = (progress.steps - self._first) / max(1e-9, now - self._began)
+        if self._live is not None:
+            if now - self._shown >= PAUSE or progress.steps >= progress.total_steps:
+                self._live.update(_table(progress, speed, now - self._began), refresh=True)
+                self._shown = now
+        elif 10 * progress.steps // progress.total_steps > self._tenth:
+            self._tenth = 10 * progress.steps // progress.total_steps
+            print(progress_text(progress, speed), file=self._stream, flush=True)
 
     def stop(self) -> None:
-        if self._bar is not None:
-            self._bar.close()
+        if self._live is not None:
+            self._live.stop()
 
 
 def reporter(wish: bool | Reporter) -> Reporter:
@@ -86,13 +113,65 @@ def reporter(wish: bool | Reporter) -> Reporter:
     return ProgressReporter() if wish else Reporter()
 
 
-def progress_text(progress: TrainingProgress) -> str:
-    """`return 182.4  success 40 %  94 episodes`; what matters most comes first, as a narrow terminal cuts the rest off."""
-    parts = []
-    if progress.mean_return is not None:
-        parts.append(f"return {progress.mean_return:.1f}")
+def progress_text(progress: TrainingProgress, speed: float = 0.0) -> str:
+    """`2,000 of 20,000 steps  success 40 % of 90 %  return 182.4  ...` in one line; `speed` in steps per second."""
+    values = progress_values(progress, speed)
+    values.pop("episodes", None)
+    steps = f"{progress.steps:,} of {progress.total_steps:,} steps"
+    return "  ".join([steps, *(text if name in ("speed", "stage", "remaining") else f"{name} {text}" for name, text in values.items())])
+
+
+def progress_values(progress: TrainingProgress, speed: float) -> dict[str, str]:
+    """The rows of the display, by name: what is reached, beside what `solved` asks for."""
+    solved, rows = progress.solved, {}
     if progress.success_rate is not None:
-        parts.append(f"success {progress.success_rate:.0%}")
+        goal = f" of {solved.success_rate:.0%}" if solved and solved.success_rate is not None else ""
+        rows["success"] = f"{progress.success_rate:.0%}{goal}"
+    if progress.mean_return is not None:
+        goal = f" of {solved.mean_return:g}" if solved and solved.mean_return is not None else ""
+        rows["return"] = f"{progress.mean_return:.1f}{goal}"
+    if progress.best_return is not None:
+        rows["best"] = f"{progress.best_return:.1f}"
     if progress.stage:
-        parts.append(progress.stage)
-    return "  ".join([*parts, f"{progress.episodes:,} episodes"])
+        rows["stage"] = progress.stage
+    rows["episodes"] = f"{progress.episodes:,}"
+    if speed >= 1.0:
+        rows["speed"] = f"{speed:,.0f} steps/s"
+    if speed > 0.0 and progress.steps < progress.total_steps:
+        rows["remaining"] = f"{duration((progress.total_steps - progress.steps) / speed)} to go"
+    return rows
+
+
+def duration(seconds: float) -> str:
+    """`42 s`, `3:07 min` or `2:15 h`."""
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    return f"{whole // 60}:{whole % 60:02} min" if whole < 3600 else f"{whole // 3600}:{whole % 3600 // 60:02} h"
+
+
+_LABELS = {"success": "success", "return": "mean return", "best": "best evaluation", "stage": "stage", "episodes": "episodes"}
+
+
+def _table(progress: TrainingProgress, speed: float, elapsed: float) -> Group:
+    """The display of a terminal: a bar, and a row for each value."""
+    from rich.console import Group
+    from rich.progress_bar import ProgressBar as Bar
+    from rich.table import Table
+    from rich.text import Text
+
+    values = progress_values(progress, speed)
+    values["time"] = "  ".join(filter(None, [f"{duration(elapsed)} so far", values.pop("remaining", "")]))
+    if "speed" in values and progress.period:
+        values["speed"] += f", {speed * progress.period:,.0f} times real time"
+    head = Table.grid(padding=(0, 1))
+    head.add_row(
+        Bar(progress.total_steps, progress.steps, width=30),
+        Text(f"{progress.steps / progress.total_steps:4.0%}  {progress.steps:,} of {progress.total_steps:,} steps"),
+    )
+    rows = Table.grid(padding=(0, 2))
+    rows.add_column(no_wrap=True)
+    rows.add_column(no_wrap=True, overflow="ellipsis", max_width=60)
+    for name, value in values.items():
+        rows.add_row(Text(_LABELS.get(name, name), style="dim"), Text(value))
+    return Group(head, rows)

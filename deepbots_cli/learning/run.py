@@ -56,7 +56,7 @@ _LIMIT = 4_000_000
 _EVALUATION_LIMIT = 200_000_000
 _DISTRIBUTIONS = ("gymnasium", "mujoco", "numpy", "pybullet", "stable-baselines3", "torch")
 _FILES = (NAME, RESOLVED, "monitor.csv", ".lock")
-_FOLDERS = (FOLDER, "tensorboard", "models", "evaluations", "checkpoints")
+_FOLDERS = (FOLDER, "tensorboard", "models", "evaluations", "checkpoints", "failures")
 
 
 class Result(BaseModel):

@@ -20,12 +20,13 @@ from deepbots_cli import engine_kinds
 from deepbots_cli.api import Compiled
 from deepbots_cli.errors import MissingExtraError, RunError, UsageError
 from deepbots_cli.learning import algorithms, models
-from deepbots_cli.learning.callbacks import AT_ONCE, Evaluator, TrainingCallback, check_finite, signals_handled
+from deepbots_cli.learning.callbacks import AT_ONCE, Evaluator, TrainingCallback, check_finite, describe, signals_handled
 from deepbots_cli.learning.checkpoints import Checkpoints, Resumable, latest
 from deepbots_cli.learning.curriculum import Curriculum
 from deepbots_cli.learning.defaults import longest_episode
 from deepbots_cli.learning.environments import BuildWorld, VectorEnvironment, World, compiled_of, default_build
 from deepbots_cli.learning.episodes import Episode, EpisodeLog, Statistics
+from deepbots_cli.learning.failures import Guarded
 from deepbots_cli.learning.report import Reporter, reporter
 from deepbots_cli.learning.run import (
     FORMAT,
@@ -244,7 +245,7 @@ def _learn(run: Run, training: Training, checkpoints: Checkpoints, build: BuildW
         statistics.restore(checkpoints.state.statistics)
         curriculum.restore(checkpoints.state.curriculum)
     statistics.final = curriculum.is_last
-    callback = TrainingCallback(run, statistics, curriculum, Evaluator(build, run.record.seed), told, training.total_timesteps)
+    callback = TrainingCallback(run, statistics, curriculum, Evaluator(build, run.record.seed, run), told, training.total_timesteps)
     checkpoints.attach(callback)
     status: Status = "failed"
     digest = ""
@@ -268,7 +269,7 @@ def _learn(run: Run, training: Training, checkpoints: Checkpoints, build: BuildW
             told.start(callback.progress())
             stack.callback(told.stop)
             try:
-                status = _drive(model, callback, checkpoints)
+                status = _drive(model, training, callback, checkpoints)
                 told.update(callback.progress())
             finally:
                 digest = models.digest(model)
@@ -318,7 +319,7 @@ def _environment(
         present = stages[index] == curriculum.index
         stage = curriculum.stages[stages[index]].name if curriculum.stages else None
         statistics.add(episode, present=present)
-        log.write(episode, statistics, stage)
+        log.write(episode, statistics, stage, env.drawn[index])
         if present and curriculum.add(episode, statistics.steps, statistics.episodes):
             callback.begin_stage()
 
@@ -326,8 +327,13 @@ def _environment(
         if stages[index] == curriculum.index:
             return None
         stages[index] = curriculum.index
-        worlds[index] = build(curriculum.scenario)
+        worlds[index] = guarded(curriculum.index)
         return worlds[index], derive(run.record.seed, "environment", index, "stage", curriculum.index)
+
+    def guarded(stage: int) -> World:
+        scenario = curriculum.scenario_of(stage)
+        name = curriculum.stages[stage].name if curriculum.stages else None
+        return Guarded(build(scenario), run, scenario, episode=lambda: statistics.episodes + 1, stage=name)
 
     def close() -> None:
         for world in worlds:
@@ -336,7 +342,7 @@ def _environment(
     worlds: list[World] = []
     stack.callback(close)
     for stage in stages:
-        worlds.append(build(curriculum.scenario_of(stage)))
+        worlds.append(guarded(stage))
     seeds = [derive(run.record.seed, "environment", i) for i in range(len(stages))]
     env = VectorEnvironment(worlds, seeds, on_step=count_step, on_episode=count_episode, next_world=next_world)
     if training.normalize is None:
@@ -345,10 +351,12 @@ def _environment(
     return VecNormalize(env, norm_obs=False, gamma=gamma)
 
 
-def _drive(model: Any, callback: TrainingCallback, checkpoints: Checkpoints) -> Status:
+def _drive(model: Any, training: Training, callback: TrainingCallback, checkpoints: Checkpoints) -> Status:
     """Learn until the goal, a solved task or an interruption."""
     run, statistics = callback.run, callback.statistics
     model.set_logger(configure(str(run.tensorboard), ["tensorboard"]))
+    if checkpoints.state is None:
+        describe(run, model.logger, training)
     masks: dict[str, Any] = {"use_masking": algorithms.has_masks(model)} if algorithms.takes_masks(model) else {}
     try:
         model.learn(callback.total, callback=callback, **masks)
@@ -359,8 +367,8 @@ def _drive(model: Any, callback: TrainingCallback, checkpoints: Checkpoints) -> 
             checkpoints.finish(model)
         else:  # in the middle of a roll-out, since the task is solved
             models.save(run.model("last"), model)
-    except ValueError:
-        # torch's distributions refuse parameters that are no numbers before we look at the weights.
+    except (ValueError, UsageError):
+        # torch's distributions refuse parameters that are not finite, and a world an action, before we look at the weights.
         check_finite(model, run, statistics.steps)
         raise
     finally:

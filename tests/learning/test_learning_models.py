@@ -19,9 +19,10 @@ import numpy as np
 import pytest
 import stand_in
 import torch
+from stable_baselines3 import PPO
 
-from deepbots_cli.errors import RunError
-from deepbots_cli.learning import evaluate, resume, train
+from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.learning import TrainingResult, evaluate, load_policy, resume, train
 from deepbots_cli.learning.evaluation import load
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program.task import Hyperparameter, Network, Schedule, Training
@@ -217,3 +218,19 @@ def test_an_optimiser_that_counts_below_zero_is_refused(run_copy: Path) -> None:
     changed(path, "policy.optimizer", lambda state: state["state"][0].update(step=torch.tensor(-1.0)))
     with pytest.raises(RunError, match=r"'policy\.optimizer/0/step' counts below zero"):
         resume(run_copy, total_timesteps=3_000, build=stand_in.build)
+
+
+def test_a_policy_acts_like_the_model_by_names_and_units_and_leaves_the_generators_alone(trained: TrainingResult) -> None:
+    before = np.random.get_state()[1].sum(), torch.get_rng_state().sum()  # type: ignore[union-attr]
+    policy = load_policy(trained.run)
+    assert (np.random.get_state()[1].sum(), torch.get_rng_state().sum()) == before  # type: ignore[union-attr]
+    assert [(value.name, value.unit) for value in policy.observation][:2] == [("x", "m"), ("speed", "m/s")]
+    values = {"x": 0.2, "speed": -0.4, "cart.pole_angle": 0.35, "tip_speed": 9.0}
+    observation = policy.observe(values)
+    assert observation.tolist() == pytest.approx([0.5, -0.5, 1.0, 1.0])
+    plain = PPO.load(trained.run / "models" / "policy" / "best.zip")
+    assert policy(observation) == policy.predict(observation) == plain.predict(observation, deterministic=True)[0]
+    assert policy.predict(np.stack([observation] * 3)).shape == (3,)
+    assert policy.named(0) == {"drive": "forward"}
+    with pytest.raises(UsageError, match="tip_speed"):
+        policy.observe({"x": 0.0})

@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 import stand_in
 import torch
+import yaml
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from deepbots_cli import api
@@ -26,11 +27,13 @@ from deepbots_cli.cli.results import training_text
 from deepbots_cli.document import shipped
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import checkpoints, evaluate, resume, train
-from deepbots_cli.learning.environments import History, VectorEnvironment, fingerprint
+from deepbots_cli.learning.environments import VectorEnvironment, fingerprint
+from deepbots_cli.learning.failures import History
 from deepbots_cli.learning.report import TrainingProgress
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionNoise, Hindsight, Hyperparameter, Network, Schedule, Solved, Training
+from deepbots_cli.scenario import Scenario
 from tests.few import few
 
 SMALL = Network((16,))
@@ -86,20 +89,20 @@ FORKS = multiprocessing.get_context("forkserver")
 FORKS.set_forkserver_preload(["stand_in", "deepbots_cli.learning.training"])
 
 
-def work(name: str, run: Path) -> None:
-    """Begin a training, or go on with it; checkpoints come after 20 ms, and how often they are taken changes nothing in the result."""
-    checkpoints.SECONDS, checkpoints.COST = 0.02, 2
+def work(name: str, run: Path, seed: int) -> None:
+    """Begin a training, or continue it; checkpoints follow each other fast, and their times change nothing in the result."""
+    checkpoints.SECONDS, checkpoints.COST = (0.5, 10) if name in SHIPPED else (0.02, 2)
     if (run / "run.json").exists():
         if Run.open(run).record.status != "finished":
             resume(run, build=build_of(name))
     else:
         shutil.rmtree(run, ignore_errors=True)  # killed while it was made
-        train(compiled_of(name), run=run, build=build_of(name))
+        train(compiled_of(name), run=run, seed=seed, stop_when_solved=name not in SHIPPED, build=build_of(name))
 
 
-def in_a_process(name: str, run: Path, kill_after: float, number: int = signal.SIGKILL) -> int:
-    """Work in a process of its own, and kill it; how that ended."""
-    process = FORKS.Process(target=work, args=(name, run))
+def in_a_process(name: str, run: Path, kill_after: float, number: int = signal.SIGKILL, seed: int = 0) -> int:
+    """Work in a process of its own, and kill it; its exit code."""
+    process = FORKS.Process(target=work, args=(name, run, seed))
     process.start()
     process.join(kill_after)
     if process.is_alive():
@@ -110,22 +113,23 @@ def in_a_process(name: str, run: Path, kill_after: float, number: int = signal.S
 
 
 def survives(name: str, folder: Path, kills: int, seed: int = 0, number: int = signal.SIGKILL) -> None:
-    """Train twice, once with kills at random moments."""
-    whole, parts, generator = folder / "whole", folder / f"parts-{seed}", random.Random(seed)
+    """Train twice, once with kills at random moments; a shipped scenario takes its seed, the small ones have a single uninterrupted run."""
+    root = seed if name in SHIPPED else 0
+    whole, parts, generator = folder / f"whole-{root}", folder / f"parts-{seed}", random.Random(seed)
     began = time.perf_counter()
     if not whole.exists():
-        assert in_a_process(name, whole, 120.0) == 0
-        (folder / "seconds").write_text(str(time.perf_counter() - began))
-    took, code = float((folder / "seconds").read_text()), 1
+        assert in_a_process(name, whole, 1800.0, seed=root) == 0
+        (folder / f"seconds-{root}").write_text(str(time.perf_counter() - began))
+    took, code = float((folder / f"seconds-{root}").read_text()), 1
     for _ in range(kills):
-        code = in_a_process(name, parts, generator.uniform(0.1, 1.2) * took / 2, number)
+        code = in_a_process(name, parts, generator.uniform(0.1, 1.2) * took / 2, number, root)
         if code == 0 and number == signal.SIGKILL:
             break
         assert code == -number or number == signal.SIGINT
         if (parts / "run.json").exists():
             Run.open(parts)
     if code != 0 or ((parts / "run.json").exists() and Run.open(parts).record.status != "finished"):
-        assert in_a_process(name, parts, 120.0) == 0
+        assert in_a_process(name, parts, 1800.0, seed=root) == 0
     expected, found = outcome(whole), outcome(parts)
     for part in expected:
         assert found[part] == expected[part], part
@@ -157,7 +161,7 @@ CASES: dict[str, dict[str, Any]] = {
         "training": Training("SAC", 700, 2, hyper(learning_starts=200, buffer_size=500), SMALL, None, Hindsight()),
         "continuous": True,
         "max_steps": 30,
-        "more": "goal: {achieved: x, desired: 0.1 m, within: 2 cm, range: -0.4 .. 0.4 m}\n",
+        "more": "goal: {achieved: x, desired: 0.1 m, tolerance: 2 cm, range: -0.4 .. 0.4 m}\n",
     },
     "curriculum": {
         "training": Training("PPO", 1_200, 3, hyper(n_steps=32, batch_size=32)),
@@ -168,12 +172,44 @@ CASES: dict[str, dict[str, Any]] = {
     },
 }
 
+_CARTPOLE = "n_steps: 64, batch_size: 64, learning_rate: 3e-3 -> 0"
+SHIPPED = {
+    "CartPole PPO": ("cartpole", f"algorithm: PPO, total_timesteps: 20000, environments: 4, {_CARTPOLE}"),
+    "FindBall PPO": ("find_ball_random", "algorithm: PPO, total_timesteps: 20000, environments: 4"),
+    **{
+        f"CartPole {algorithm}": ("cartpole_continuous", f"algorithm: {algorithm}, total_timesteps: 3000, environments: 2")
+        for algorithm in ("TD3", "SAC", "DDPG")
+    },
+    **{
+        f"FindBall {algorithm}": ("find_ball_random", f"algorithm: {algorithm}, total_timesteps: 2400, environments: 2")
+        for algorithm in ("TD3", "SAC", "DDPG")
+    },
+}
+"""Shipped scenarios in the simulator: the scenario, and its section `train`. FindBall goes through its curriculum by steps."""
+
 
 def compiled_of(name: str) -> api.Compiled:
+    if name in SHIPPED:
+        return _shipped(*SHIPPED[name])
     return stand_in.compiled(**{"solved": Solved(30, mean_return=190.0)} | CASES[name])
 
 
+def _shipped(scenario: str, section: str) -> api.Compiled:
+    """A scenario with another section `train`; the stages of its curriculum end after a quarter of the steps each."""
+    base = Scenario.from_yaml(api.locate(scenario)[0])
+    training = yaml.safe_load(f"{{{section}}}")
+    changes: dict[str, Any] = {"train": training, "evaluation": {"episodes": 5}}
+    if base.curriculum:
+        stages = [stage.model_dump(exclude_unset=True) for stage in base.curriculum]
+        changes["curriculum"] = [
+            stage | {"until": f"{training['total_timesteps'] // 4} steps"} if "until" in stage else stage for stage in stages
+        ]
+    return api.compile(Scenario(**base.model_dump(exclude_unset=True) | changes))
+
+
 def build_of(name: str) -> Any:
+    if name in SHIPPED:
+        return None
     return Reach if name == "HER" else stand_in.build
 
 
@@ -203,6 +239,21 @@ def test_a_training_that_is_killed_becomes_the_same_as_one_that_is_not(tmp_path:
 def test_so_do_many(tmp_path: Path, name: str, trainings: int) -> None:
     for seed in range(trainings):
         survives(name, tmp_path, 3, seed)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "seed"),
+    [(f"{task} PPO", seed) for task in ("CartPole", "FindBall") for seed in range(10)]
+    + [
+        (f"{task} {name}", seed)
+        for name in ("TD3", "SAC", "DDPG")
+        for task, count in (("CartPole", 3), ("FindBall", 2))
+        for seed in range(count)
+    ],
+)
+def test_so_does_a_training_in_the_simulator(tmp_path: Path, name: str, seed: int) -> None:
+    survives(name, tmp_path, 1 + seed % 3, seed)
 
 
 @pytest.mark.slow

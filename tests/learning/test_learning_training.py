@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -90,7 +91,11 @@ def test_tensorboard_shows_returns_terms_and_simulated_time(trained: TrainingRes
     events = EventAccumulator(str(trained.run / "tensorboard"))
     events.Reload()
     tags = set(events.Tags()["scalars"])
-    assert {"rollout/ep_rew_mean", "rollout/simulated_hours", "reward/alive", "reward/centre", "time/fps"} <= tags
+    assert {"rollout/ep_rew_mean", "rollout/simulated_hours", "reward/alive", "reward/centre", "time/fps", "time/real_time_factor"} <= tags
+    assert {"action/probability", "action/forward", "action/backward", "saturation/x", "saturation/cart.pole_angle"} <= tags
+    assert events.Scalars("action/forward")[0].value + events.Scalars("action/backward")[0].value == pytest.approx(1.0)
+    assert 0.0 <= events.Scalars("saturation/x")[0].value <= 1.0
+    assert {"scenario/text_summary", "_hparams_/experiment"} <= set(events.summary_metadata)
     assert "rollout/success_rate" not in tags  # no episode of this task ends in success: 0 % would look like a failure
 
 
@@ -298,6 +303,41 @@ def test_without_a_terminal_progress_is_a_line_for_every_tenth(tmp_path: Path) -
     lines = stream.getvalue().splitlines()
     assert 5 <= len(lines) <= 11
     assert all("steps/s" in line and "return" in line for line in lines)
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_the_table_of_a_terminal_fits_80_columns_and_shows_a_success_rate_of_0(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("TERM", "xterm")
+    stream, solved = Terminal(), Solved(100, mean_return=195.0, success_rate=0.9)
+    stage = "crowded (2 of 3): success rate 0.45 of 0.7, of episodes with a very long name of the criterion"
+    display = ProgressReporter(stream)
+    display.start(TrainingProgress(0, 20_000, 0, None, 0.0, stage, solved))
+    display.update(TrainingProgress(20_000, 20_000, 300, 26.6, 0.0, stage, solved, 31.0, 0.032))
+    display.stop()
+    lines = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", stream.getvalue()).splitlines()
+    assert max(map(len, lines)) <= 80
+    text = " ".join(" ".join(lines).split())
+    assert all(
+        part in text for part in ("success 0% of 90%", "mean return 26.6 of 195", "best evaluation 31.0", "crowded (2 of 3)", "so far")
+    )
+
+
+def test_a_drawn_value_stands_in_the_log_of_its_episode(tmp_path: Path) -> None:
+    class Drawing(stand_in.CartPole):
+        def reset(self, **settings: Any) -> Any:
+            observation, info = super().reset(**settings)
+            return observation, info | {"drawn": {"reset.set.cart.pole_hinge": self.angle}}
+
+    run = train(stand_in.compiled(), run=tmp_path / "run", build=Drawing).run
+    with (run / "monitor.csv").open(newline="") as file:
+        next(file)
+        drawn = [json.loads(row["drawn"])["reset.set.cart.pole_hinge"] for row in csv.DictReader(file)]
+    assert len(set(drawn)) == len(drawn) > 5
 
 
 NEEDS_EXTRA = """

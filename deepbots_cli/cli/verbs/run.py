@@ -7,6 +7,7 @@ from contextlib import closing
 from enum import StrEnum
 from functools import partial
 from itertools import cycle
+from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -72,11 +73,19 @@ def command(
 
     Commas separate actions, and colons separate the numbers of one action: --actions 0.5:0.5,0.5:-0.5
 
+    The file of a failed episode, which training and evaluation leave in the run, repeats this episode:
+
+    \b
+      deepbots run runs/cartpole-0-1/failures/0001.json
+
     Next: `deepbots train SCENARIO` trains a policy.
     """
     given = [name for name, value in (("--policy", policy), ("--actions", actions), ("--script", script)) if value is not None]
     if len(given) > 1:
         raise UsageError(f"{' and '.join(given)} exclude each other")
+    if scenario.endswith(".json") and Path(scenario).parent.name == "failures":
+        _reproduce(Path(scenario), allow_code=allow_code, as_json=as_json)
+        return
     compiled = api.compile(scenario, sets=on_engine(sets, engine), allow_paths=allow_paths or (), allow_code=allow_code)
     terminal.mention(compiled.findings, scenario)
     program = with_case_or_stage(compiled.program, case, stage)
@@ -114,6 +123,17 @@ def command(
     _show(done)
     if len(done) > 1:
         terminal.say("\n" + results.summary_text(summary, success_defined=program.defines_success))
+
+
+def _reproduce(path: Path, *, allow_code: bool, as_json: bool) -> None:
+    from deepbots_cli.learning import failures  # which imports gymnasium
+
+    failure, error = failures.reproduce(path, allow_code=allow_code)
+    if as_json:
+        terminal.show_json({**failure.model_dump(), "reproduced": error})
+        return
+    terminal.say(f"{path}: {failure.error}")
+    terminal.say(f"repeated {len(failure.actions):,} actions: {'the episode does not fail' if error is None else error}")
 
 
 def _row(episode: Episode) -> Row:

@@ -1,0 +1,227 @@
+"""Failures of an episode: a number that is not finite, a world that explodes. They are located, and kept for reproduction.
+
+    failures/0001.json      the start of the episode, its actions, and the error
+
+`Guarded` wraps each world of a training or an evaluation of a run. `reproduce` repeats the episode of a file.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
+from pathlib import Path
+from shlex import quote
+from typing import Any, NoReturn
+
+import gymnasium as gym
+import numpy as np
+from pydantic import BaseModel, NonNegativeInt, PositiveInt
+
+from deepbots_cli import api
+from deepbots_cli.errors import DeepbotsError, EvaluationError, RunError, UsageError
+from deepbots_cli.files import atomic
+from deepbots_cli.learning.run import Run, read_json
+from deepbots_cli.program import Program
+from deepbots_cli.program.task import viewed
+
+FOLDER = "failures"
+_LIMIT = 400_000_000
+
+
+class Failure(BaseModel, strict=True):
+    """An episode that failed.
+
+    `start` is the seed of its reset, or the states of the random generators before it. `actions` are in the action space, one per step.
+    `case` and `stage` name the variant of the scenario, if it is not the scenario itself.
+    """
+
+    error: str
+    step: NonNegativeInt
+    episode: PositiveInt
+    case: str | None
+    stage: str | None
+    start: int | dict[str, Any]
+    actions: list[Any]
+
+
+@dataclass
+class History:
+    """The running episode of a world: its start and the actions since then.
+
+    Physics engines have no exact snapshot. An episode is therefore repeated from the same seed, or from the same states of the random
+    generators, with the same actions.
+    """
+
+    start: int | dict[str, Any]
+    actions: list[Any] = field(default_factory=list)
+
+
+class Guarded(gym.Wrapper[Any, Any, Any, Any]):
+    """A world with the `history` of its running episode, whose failures name field or term, step, episode and seed.
+
+    A failure is an error of the world, a reward that is not finite, or an observation that is not finite.
+
+    Args:
+        world: The world; the wrapper closes it.
+        run: The run that keeps a file of each failure.
+        program: The scenario of the world, for the names of the observation.
+        seeds: The seeds of the first, second, ... episode, if they are known.
+        episode: Returns the number of an episode that none of the seeds begins, from 1.
+        case: The case of the scenario, by name.
+        stage: The stage of the curriculum, by name.
+    """
+
+    def __init__(
+        self,
+        world: gym.Env[Any, Any],
+        run: Run | None = None,
+        program: Program | None = None,
+        *,
+        seeds: Sequence[int] = (),
+        episode: Callable[[], int] = lambda: 1,
+        case: str | None = None,
+        stage: str | None = None,
+    ) -> None:
+        super().__init__(world)
+        self.history = History(0)
+        self._run, self._program, self._seeds, self._episode = run, program, seeds, episode
+        self._case, self._stage = case, stage
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        self.history = History(random_state(self.env) if seed is None else seed)
+        try:
+            observation, info = self.env.reset(seed=seed, options=options)
+        except DeepbotsError as error:
+            self._fail(error)
+        if not is_finite(observation):
+            self._fail(EvaluationError(f"at reset {self._name(observation)} is not finite"))
+        return observation, info
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        self.history.actions.append(action)
+        try:
+            outcome = self.env.step(action)
+        except DeepbotsError as error:
+            self._fail(error)
+        if not math.isfinite(outcome[1]):
+            terms = [name for name, value in outcome[4].get("reward_terms", {}).items() if not math.isfinite(value)]
+            culprit = f"the reward term '{terms[0]}'" if terms else "the sum of the reward terms"
+            self._fail(EvaluationError(f"step {len(self.history.actions)}: {culprit} is not finite"))
+        if not is_finite(outcome[0]):
+            self._fail(EvaluationError(f"step {len(self.history.actions)}: {self._name(outcome[0])} is not finite"))
+        return outcome
+
+    def _name(self, observation: Any) -> str:
+        """The first field of an observation that is not finite."""
+        parts = observation if isinstance(observation, dict) else {"observation": observation}
+        key, part = next((key, part) for key, part in parts.items() if not np.isfinite(part).all())
+        if key != "observation" or self._program is None:
+            return f"the {key.replace('_', ' ')}"
+        policy = self._program.policy
+        names = [policy.numbers[index].full_name for index, _ in viewed(policy.numbers, policy.frame_stack)]
+        place = int(np.flatnonzero(~np.isfinite(part).reshape(-1))[0])
+        return f"the observation '{names[place % len(names)]}'" if names else "the observation"
+
+    def _fail(self, error: DeepbotsError) -> NoReturn:
+        """Raise the error with its place, and with the command that reproduces it.
+
+        An action that is not finite is the policy's fault; the world only refuses it.
+        """
+        if isinstance(error, UsageError):
+            raise error
+        history, start = self.history, self.history.start
+        number = 1 + self._seeds.index(start) if isinstance(start, int) and start in self._seeds else self._episode()
+        root = start if isinstance(start, int) else start.get("root")
+        text = f"episode {number:,}{'' if root is None else f' (seed {root})'}, {error}"
+        if self._run is not None:
+            failure = Failure(
+                error=str(error),
+                step=len(history.actions),
+                episode=number,
+                case=self._case,
+                stage=self._stage,
+                start=start,
+                actions=[_plain(action) for action in history.actions],
+            )
+            path = keep(self._run, failure)
+            text += "" if path is None else f"\nreproduce it with: deepbots run {quote(str(path))}"
+        raise type(error)(text) from error
+
+
+def is_finite(observation: Any) -> bool:
+    """Whether all numbers of an observation are finite. A dot product takes 0.3 us, a third of `numpy.isfinite`."""
+    parts = observation.values() if isinstance(observation, dict) else (observation,)
+    return all(math.isfinite(np.vdot(part, part)) or bool(np.isfinite(part).all()) for part in parts if part.dtype != np.uint8)
+
+
+def keep(run: Run, failure: Failure) -> Path | None:
+    """Write a failure under the next free number; None if the run cannot be written to."""
+    folder = run.path / FOLDER
+    try:
+        folder.mkdir(exist_ok=True)
+        number = 1 + max((int(path.stem) for path in folder.glob("[0-9][0-9][0-9][0-9].json")), default=0)
+        path = folder / f"{number:04d}.json"
+        with atomic(path, RunError) as draft:
+            draft.write_text(failure.model_dump_json() + "\n", encoding="utf-8")
+    except (OSError, RunError):
+        return None
+    return path
+
+
+def reproduce(path: Path, *, allow_code: bool = False) -> tuple[Failure, str | None]:
+    """Repeat the episode of a file that `Guarded` wrote; the failure, and the error of the repetition (None: it did not fail).
+
+    Raises:
+        RunError: The file is damaged, or does not lie in the folder `failures` of a run.
+    """
+    failure, run = read_json(path, Failure, _LIMIT), Run.open(path.absolute().parent.parent)
+    program = run.program
+    if failure.case is not None:
+        program = program.case(failure.case).program
+    elif failure.stage is not None:
+        program = program.stage(failure.stage).program
+    with closing(api.build(program, engine=run.record.engine, allow_code=allow_code)) as world:
+        try:
+            if isinstance(failure.start, dict):
+                set_random_state(world, failure.start)
+            actions = [_action(world.action_space, action) for action in failure.actions]
+        except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
+            raise RunError(f"{path} is damaged, or of another scenario ({type(error).__name__})") from error
+        guarded = Guarded(world, program=program, episode=lambda: failure.episode)
+        try:
+            guarded.reset(seed=failure.start if isinstance(failure.start, int) else None)
+            for action in actions:
+                guarded.step(action)
+        except DeepbotsError as error:
+            return failure, str(error)
+    return failure, None
+
+
+def random_state(world: gym.Env[Any, Any]) -> dict[str, Any]:
+    """The states of all random generators of a world, as JSON can hold them."""
+    if world.has_wrapper_attr("random_state"):
+        state: dict[str, Any] = world.get_wrapper_attr("random_state")()
+        return state
+    return dict(world.unwrapped.np_random.bit_generator.state)
+
+
+def set_random_state(world: gym.Env[Any, Any], state: dict[str, Any]) -> None:
+    """Take up what `random_state` gave; the next reset without a seed begins from it."""
+    if world.has_wrapper_attr("set_random_state"):
+        world.get_wrapper_attr("set_random_state")(state)
+    else:
+        world.unwrapped.np_random.bit_generator.state = state
+
+
+def _plain(action: Any) -> Any:
+    if isinstance(action, dict):
+        return {key: _plain(part) for key, part in action.items()}
+    return np.asarray(action).tolist()
+
+
+def _action(space: gym.Space[Any], action: Any) -> Any:
+    if isinstance(space, gym.spaces.Dict):
+        return {key: _action(part, action[key]) for key, part in space.spaces.items()}
+    return np.array(action, dtype=space.dtype)

@@ -1,0 +1,164 @@
+"""A trained policy as an object to call, without a simulator and without a training."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
+
+from deepbots_cli.errors import UsageError
+from deepbots_cli.learning import algorithms, evaluation
+from deepbots_cli.learning.run import ModelName, Run
+from deepbots_cli.program import Program
+from deepbots_cli.program.task import ActionRange, Choices, viewed
+from deepbots_cli.runtime.spaces import action_space, observation_space
+
+
+@dataclass(frozen=True)
+class ObservedValue:
+    """A number of the observation: its name, its unit (SI), and the range in this unit that maps to [-1, 1].
+
+    A truth value (`truth`) is 0 or 1 and has no range to map. `steps_ago` is 0 for the present value, more for an older one.
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    truth: bool
+    steps_ago: int
+
+
+@dataclass(frozen=True)
+class ActionValue:
+    """A part of the action: a choice between `options`, or a number whose [-1, 1] maps to `low` .. `high` in `unit`."""
+
+    name: str
+    options: tuple[str, ...] = ()
+    unit: str = ""
+    low: float = -1.0
+    high: float = 1.0
+
+
+class Policy:
+    """The policy of a run; made by `load_policy`.
+
+    Attributes:
+        scenario: The name of the scenario.
+        observation_space: The space of one observation.
+        action_space: The space of one action.
+        observation: The numbers of the observation vector, in order.
+        action: The parts of the action, in order.
+    """
+
+    def __init__(self, program: Program, model: BaseAlgorithm) -> None:
+        self.scenario = program.name
+        self.observation_space, self.action_space = observation_space(program), action_space(program)
+        numbers = program.policy.numbers
+        self.observation = tuple(
+            ObservedValue(n.full_name, n.unit.removeprefix("1"), n.low, n.high, n.truth, age)
+            for n, age in ((numbers[index], age) for index, age in viewed(numbers, program.policy.frame_stack))
+        )
+        self.action = tuple(value for part in program.policy.action for value in _values(part))
+        self._model = model
+        self._takes_masks = algorithms.takes_masks(model)
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin an episode: a recurrent policy forgets the last one."""
+        self._memory: Any = None
+        self._begins = True
+
+    def predict(self, observation: Any, *, deterministic: bool = True, action_mask: Any = None) -> Any:
+        """The action for an observation.
+
+        Args:
+            observation: An observation of the environment, or several as rows (n, k); see `observe` for values in units.
+            deterministic: Whether to take the likeliest action; otherwise the policy samples from torch's generator.
+            action_mask: Which options are allowed, as `env.unwrapped.action_masks()` returns it; only MaskablePPO takes it.
+
+        Returns:
+            An action in the action space, or one per row.
+        """
+        masks = {"action_masks": action_mask} if self._takes_masks else {}
+        rows = len(observation) if np.ndim(observation) > 1 and not isinstance(observation, dict) else 1
+        action, self._memory = self._model.predict(
+            observation, state=self._memory, episode_start=np.full(rows, self._begins), deterministic=deterministic, **masks
+        )
+        self._begins = False
+        return action
+
+    __call__ = predict
+
+    def observe(self, values: Mapping[str, float]) -> np.ndarray[Any, np.dtype[np.float32]]:
+        """The observation of shape (k,) for values by name, in their units; values beyond a range are clipped.
+
+        Raises:
+            UsageError: A name is missing or unknown, or the policy sees more than one vector of present values.
+        """
+        if not isinstance(self.observation_space, gym.spaces.Box) or any(value.steps_ago for value in self.observation):
+            raise UsageError("this policy sees older values, images or a goal; take observations from the environment")
+        names = [value.name for value in self.observation]
+        if set(names) != set(values):
+            odd = sorted({*names} ^ {*values})
+            raise UsageError(f"the observation is {', '.join(names)}; missing or unknown: {', '.join(odd)}")
+        scaled = [
+            values[value.name] if value.truth else 2.0 * (values[value.name] - value.low) / (value.high - value.low) - 1.0
+            for value in self.observation
+        ]
+        return np.clip(scaled, self.observation_space.low, self.observation_space.high).astype(np.float32)
+
+    def named(self, action: Any) -> dict[str, float | str]:
+        """An action by name: the chosen option of a choice, or the number in its unit."""
+        numbers = np.asarray(action).reshape(-1).tolist()
+        return {
+            value.name: value.options[int(number)] if value.options else value.low + (number + 1.0) / 2.0 * (value.high - value.low)
+            for value, number in zip(self.action, numbers, strict=True)
+        }
+
+    def __repr__(self) -> str:
+        return f"<policy of {self.scenario}: {len(self.observation)} numbers to {', '.join(value.name for value in self.action)}>"
+
+
+def load_policy(run: str | Path, *, model: ModelName = "best") -> Policy:
+    """The policy of a run, `best` or `last`. Nothing is unpickled; the random generators of the caller stay as they are.
+
+    Raises:
+        RunError: No run, or a damaged one.
+        MissingExtraError: The extra `train` is not installed.
+    """
+    known = Run.open(run)
+    with _generators_kept():
+        return Policy(known.program, evaluation.load(known, model, _Spaces(known.program)))
+
+
+class _Spaces(gym.Env[Any, Any]):
+    """The spaces of a scenario, without a world."""
+
+    def __init__(self, program: Program) -> None:
+        self.observation_space, self.action_space = observation_space(program), action_space(program)
+
+
+def _values(part: Choices | ActionRange) -> list[ActionValue]:
+    if isinstance(part, Choices):
+        return [ActionValue(part.name, tuple(option.name for option in part.options))]
+    names = [f"{part.name}.{component}" for component in part.components] or [part.name]
+    return [ActionValue(name, (), part.unit.removeprefix("1"), part.low, part.high) for name in names]
+
+
+@contextmanager
+def _generators_kept() -> Iterator[None]:
+    """Stable-Baselines3 seeds the global generators when it makes a model."""
+    python, legacy = random.getstate(), np.random.get_state()
+    with torch.random.fork_rng():
+        yield
+    random.setstate(python)
+    np.random.set_state(legacy)

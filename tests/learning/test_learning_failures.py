@@ -1,0 +1,94 @@
+"""A number that is not finite, or a world that explodes, is located, and its episode can be repeated."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import stand_in
+
+from deepbots_cli import api
+from deepbots_cli.api import Compiled
+from deepbots_cli.compiler import check
+from deepbots_cli.document import loads
+from deepbots_cli.errors import DeepbotsError, RunError
+from deepbots_cli.learning import TrainingResult, evaluate, train
+from deepbots_cli.learning.failures import Guarded, reproduce
+
+ODD = {
+    "reward": "reward: {alive: 1, odd: 1 / (20 - step)}",
+    "observation": "augment: {growth: exp(step * 4)}\nobservation: {growth: {range: 0 .. 1, clip: false}}",
+}
+
+
+def odd(name: str) -> Compiled:
+    """The CartPole, in which a reward term or an observed value has no value after some steps."""
+    return api.compile(check(loads(f"deepbots: 1\nextends: cartpole.yaml\nname: Odd\n{ODD[name]}\n", base=Path("scenarios").absolute())))
+
+
+@pytest.mark.parametrize(("name", "field"), [("reward", "term_odd"), ("observation", "growth")])
+def test_a_scenario_without_a_value_is_told_with_its_place_and_repeated_from_a_file(tmp_path: Path, name: str, field: str) -> None:
+    with pytest.raises(DeepbotsError) as caught:
+        train(odd(name), run=tmp_path / "run", total_timesteps=2_000)
+    text = str(caught.value)
+    path = tmp_path / "run" / "failures" / "0001.json"
+    assert all(part in text for part in ("episode 1 (seed ", "step ", field, f"deepbots run {path}"))
+    failure, error = reproduce(path)
+    assert failure.error in text
+    assert error is not None
+    assert text.startswith(error)
+
+
+def test_a_reward_that_is_not_finite_names_its_term(tmp_path: Path) -> None:
+    with pytest.raises(DeepbotsError, match=r"episode 1 \(seed \d+\), step 5: the reward term 'centre' is not finite"):
+        train(stand_in.compiled(), run=tmp_path / "run", build=stand_in.Failing)
+
+
+def test_an_evaluation_names_the_episode_and_its_seed(run_copy: Path) -> None:
+    class Late(stand_in.Failing):
+        """Fails in its second episode."""
+
+        episodes = 0
+
+        def reset(self, **settings: Any) -> Any:
+            self.episodes += 1
+            return super().reset(**settings)
+
+        def step(self, action: Any) -> Any:
+            return super().step(action) if self.episodes > 1 else stand_in.CartPole.step(self, action)
+
+    with pytest.raises(DeepbotsError, match=r"episode 2 \(seed \d+\), step 5: .*'centre'"):
+        evaluate(run_copy, episodes=2, copies=1, build=Late)
+    assert (run_copy / "failures" / "0001.json").exists()
+
+
+def test_an_observation_that_is_not_finite_is_named() -> None:
+    class Blind(stand_in.CartPole):
+        def _observation(self) -> Any:
+            seen = super()._observation()
+            seen[2] = np.nan if self.steps == 3 else seen[2]
+            return seen
+
+        def reset(self, **settings: Any) -> Any:
+            self.steps = 0
+            return super().reset(**settings)
+
+    program = stand_in.scenario()
+    world = Guarded(Blind(program), program=program)
+    world.reset(seed=1)
+    for _ in range(2):
+        world.step(0)
+    with pytest.raises(DeepbotsError, match=r"step 3: the observation 'cart.pole_angle' is not finite"):
+        world.step(0)
+
+
+def test_a_damaged_file_is_refused(trained: TrainingResult, run_copy: Path) -> None:
+    folder = run_copy / "failures"
+    folder.mkdir()
+    whole = '{"error": "", "step": 1, "episode": 1, "case": null, "stage": null, "start": %s, "actions": [%s]}'
+    for content in ("{", whole % ('{"root": "x"}', "0"), whole % ("0", '"x"')):
+        (folder / "0001.json").write_text(content)
+        with pytest.raises(RunError, match="damaged"):
+            reproduce(folder / "0001.json")
