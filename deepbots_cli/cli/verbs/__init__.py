@@ -20,7 +20,7 @@ VERBS: Mapping[str, tuple[str, str]] = {
     "view": ("view.view", "Show a scenario or a run in the browser."),
     "play": ("view.play", "Drive the robot of a scenario in the browser."),
     "picture": ("view.picture", "Draw a picture of a scenario."),
-    "clip": ("view.clip", "Make a moving picture of an episode: MP4, GIF or an offline page."),
+    "clip": ("view.clip", "Make a video of an episode: MP4, GIF or an offline page."),
     "compile": ("code.compile_", "Print the Python module that a scenario compiles to."),
     "diff": ("diff.command", "Compare the meaning of two scenarios."),
     "new": ("new.new", "Write a first scenario from a template or for a robot file."),
