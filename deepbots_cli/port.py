@@ -1,4 +1,4 @@
-"""The engine port: all that the runtime asks of a physics engine.
+"""The engine port: everything that the runtime requires of a physics engine.
 
 SI units, world frame (x forward, y left, z up), quaternions (x, y, z, w). Bodies, links and joints go
 by name. Whatever happens in every step is bound once, when the environment is built: the engine hands
@@ -30,14 +30,14 @@ if TYPE_CHECKING:
     Image = NDArray[np.uint8]
 
 SERVO_TIME = 0.02
-"""s in which the servo of an engine, without stiffness, closes all but 1/e of its error."""
+"""Time (s) in which the servo of an engine, without stiffness, reduces its error to 1/e."""
 Capability = Literal["contacts", "rendering", "snapshot"]
 """What an engine may leave out: contacts between bodies, pictures, an exact `snapshot` of the world."""
 Part = tuple[str, str | None]
 """A body and one of its links; None for all of its links, or for the root link where one frame is needed."""
 JointStates = Sequence[Sequence[float]]
 JointReader = Callable[[], JointStates]
-"""One item per joint: position (rad or m) at index 0, velocity (rad/s or m/s) at index 1; what follows is the engine's."""
+"""One item per joint: position (rad or m) at index 0, velocity (rad/s or m/s) at index 1. Further items depend on the engine."""
 TorqueReader = Callable[[], Sequence[float]]
 """The torque (N m) or force (N) of the motor of each joint in the last engine step."""
 PoseReader = Callable[[], tuple[Triple, Quaternion]]
@@ -46,7 +46,7 @@ VelocityReader = Callable[[], tuple[Triple, Triple]]
 """Velocity of the link's origin (m/s) and its angular velocity (rad/s), both in the world frame."""
 Motion = tuple[tuple[Triple, Quaternion], tuple[Triple, Triple]]
 MotionReader = Callable[[], Motion]
-"""What a `PoseReader` and a `VelocityReader` say, read together."""
+"""The results of a `PoseReader` and a `VelocityReader`, read together."""
 MotorWriter = Callable[[Sequence[float]], object]
 """Sets one target per joint, in force until the next call; after a reset motors exert nothing until written.
 
@@ -113,25 +113,25 @@ class Engine(Protocol):
     def reset(self) -> None:
         """Put every body where the world model has it, at rest, joints at 0, motors off, no memory of contacts.
 
-        What follows is bit for bit what follows in a world that was just built.
+        The same calls then give the same results, to the bit, as in a world that was just built.
         """
 
     def place(
         self, body: str, position: Triple, orientation: Quaternion, velocity: Triple = STILL, angular_velocity: Triple = STILL
     ) -> None:
-        """Put the origin of a body's root link there, moving so (world frame). Meant between `reset` and the first step.
+        """Set the frame and the velocities of a body's root link (world frame). Called between `reset` and the first step.
 
-        A pooled body is absent after a reset, touching nothing and seen by nobody, until it is placed.
+        A pooled body is absent from a reset until it is placed: it touches nothing, and sensors do not see it.
         """
 
     def set_joint(self, robot: str, joint: str, position: float, velocity: float) -> None:
-        """Put a joint there (rad or m; rad/s or m/s). Meant between `reset` and the first step."""
+        """Set position and velocity of a joint (rad or m; rad/s or m/s). Called between `reset` and the first step."""
 
     def choose(self, body: str, variant: str) -> None:
-        """Let a pooled body take the form of one of its variants. Meant between `reset` and `place`, before figures are set."""
+        """Let a pooled body take the form of one of its variants. Called between `reset` and `place`, before parameters are set."""
 
     def set_parameter(self, what: EngineParameter, of: tuple[str, ...], *values: float) -> None:
-        """Set what an episode varies. Meant between `reset` and `place`, and in force until the next reset, which restores the world model.
+        """Set a parameter of an episode. Called between `reset` and `place`; it holds until the next reset, which restores the model.
 
         Of the world, `()`: `gravity` (x, y, z in m/s^2, world frame), `light` (brightness of pictures; 1 is ordinary). Of a body and its
         link, or "" for its root link: `mass` (kg; the inertia scales along), `colour` (red, green, blue and opacity, 0 to 1),
@@ -144,7 +144,7 @@ class Engine(Protocol):
 
     @property
     def gravity(self) -> Triple:
-        """Of the present episode, in m/s^2, world frame."""
+        """Gravity of the present episode, in m/s^2, world frame."""
 
     # What acts in every engine step; bound at build, called in the order of binding
 
@@ -152,7 +152,7 @@ class Engine(Protocol):
         """Call `act` before each engine step of `step`."""
 
     def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
-        """Pushes a link in the next engine step alone, at its origin; the axes are those of the world or of the link."""
+        """Pushes a link at its origin, in the next engine step only; the axes are those of the world or of the link."""
 
     def contact(self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True) -> ContactReader:
         """Whether `one` touched one of `others` in any engine step of the last `step`; false after a reset.
@@ -205,7 +205,7 @@ class Engine(Protocol):
         """
 
     def restore(self, snapshot: object) -> None:
-        """Bring the world back to a snapshot of this engine object, taken at any time before; any number of times, across resets too.
+        """Restore a snapshot that this engine object took at any time before; any number of times, also across resets.
 
         The same calls then give bit for bit the same readings as after the snapshot was taken. Readers and writers stay bound.
 
@@ -214,7 +214,7 @@ class Engine(Protocol):
         """
 
     def overlaps(self) -> Sequence[Overlap]:
-        """What lies within something else as the world stands now, the deepest pair of links of every two bodies; deepest first.
+        """Overlaps in the present state of the world: the deepest pair of links of every two bodies; deepest first.
 
         At least one of the two can move; the ground counts as a body. Looking may change how contacts go on from here by a rounding.
         """
@@ -231,7 +231,7 @@ class Engine(Protocol):
     def joint_torques(self, robot: str, joints: Sequence[str]) -> TorqueReader: ...
 
     def pose(self, body: str, link: str | None = None) -> PoseReader:
-        """Of a link, or of the root link of a robot or object."""
+        """Pose of a link, or of the root link of a robot or object."""
 
     def velocity(self, body: str, link: str | None = None) -> VelocityReader: ...
 

@@ -31,10 +31,10 @@ _ITEM = {
     "cross_track_error": 0,
     "arc_length": 1,
 }
-"""Where a fact stands in what its reader returns, or returns for a joint."""
+"""The index of a fact in the result of its reader, or in the result for a joint."""
 _XYZ = "xyzw"
 ARRIVALS = ("age", "message_received")
-"""What the channel tells, and no engine."""
+"""Values that the channel has, not the engine."""
 _SINGLE = {
     "clearance": "engine.clearance({0}, {1})",
     "contact": "engine.contact({0}, ({1},))",
@@ -140,7 +140,7 @@ class Readers:
 
     @property
     def charts(self) -> bool:
-        """Whether ways around obstacles are asked for."""
+        """Whether the class needs paths around obstacles."""
         return any(kind in ("path_distance", "reachable") for kind, _ in self._bound)
 
     def _sorted(self, keys: Needs) -> list[Key]:

@@ -80,13 +80,13 @@ class Controller:
         """Sampling, and what advances once per timestep."""
         sampling = [f"self.sense_{name}()" for name in self._devices]
         if not self._keeps_state:
-            return block("def observe(self) -> None:", ['"""Read the sensors, once per tick."""', *sampling]) if sampling else []
+            return block("def observe(self) -> None:", ['"""Read the sensors, once per timestep."""', *sampling]) if sampling else []
         printer = self._printer()
         for entry, values in zip(self._robot.emitted, self._emitted, strict=True):
             printer.assign(self._stored(entry.name), printer.either(entry.components, values))
-        doc = '"""Compute what is emitted; what it remembers advances."""'
+        doc = '"""Compute the emitted values, and update memories."""'
         return [
-            *block("def observe(self) -> None:", ['"""Read the sensors and compute, once per tick."""', *sampling, "self.compute()"]),
+            *block("def observe(self) -> None:", ['"""Read the sensors and compute, once per timestep."""', *sampling, "self.compute()"]),
             *block("def compute(self) -> None:", self._finished(printer, [doc])),
         ]
 

@@ -116,7 +116,7 @@ def _ends(scenario: Program) -> list[str]:
 
 
 def _allowed(space: Workspace) -> list[str]:
-    """The method that tells what may be chosen next; nothing where no option is ever forbidden."""
+    """The method that returns the options that may be chosen next; nothing if no option is ever forbidden."""
     if not space.forbids:
         return []
     rows = [
@@ -128,7 +128,7 @@ def _allowed(space: Workspace) -> list[str]:
 
 
 def _compute_reward(space: Workspace) -> list[str]:
-    """The method that hindsight replay asks for; nothing without a goal."""
+    """The method that hindsight replay calls; nothing without a goal."""
     if space.scenario.policy.goal is None:
         return []
     doc = docstring("The reward for other goals, as the policy sees them: arrays (n, k) or (k,).")
@@ -140,7 +140,7 @@ def _compute_reward(space: Workspace) -> list[str]:
 
 
 def _script(space: Workspace, script: Script) -> list[str]:
-    """A method that tells the next action from what the last timestep left; it is called between two steps, by who asks for it."""
+    """A method that computes the next action from the values of the last timestep. It is called between two steps, on request only."""
     # Between two steps the reward of the last one is known.
     printer = Printer(space, settable=space.settable, renamed={"previous_reward": "self.reward"})
     used = space.named(script.scalars)

@@ -16,8 +16,8 @@ from deepbots_cli.program.task import ActionRange, Choices, action_names
 class Workspace:
     """One per printed supervisor.
 
-    `evaluated` are the expressions of every tick; `sent` those of messages to robots, which tell of the
-    tick before; `scripted` those of hand-written policies, which are asked between two steps.
+    `evaluated` are the expressions of every timestep; `sent` are those of messages to robots, with values of the
+    timestep before; `scripted` are those of hand-written policies, which are called between two steps.
     """
 
     def __init__(self, scenario: Program, constants: Constants) -> None:
@@ -108,7 +108,7 @@ class Workspace:
         return f"self.{self.names.called(f'present {group}', 'present', group)}"
 
     def told(self) -> list[str]:
-        """Locals of one timestep that the messages of the next one tell: signals, and fields that robots sent."""
+        """Locals of one timestep that the messages of the next one contain: signals, and fields that robots sent."""
         named = self.named(self.sent)
         return [self.local(name) for name in self._results() if name in named]
 
@@ -119,7 +119,7 @@ class Workspace:
         return [*(name for name in self._results() if name in told or name in read), *acted]
 
     def keeping(self) -> list[str]:
-        """Statements that store what the next message to a robot, or a script, tells of this timestep."""
+        """Statements that store the values of this timestep that the next message to a robot, or a script, uses."""
         return [f"self.told_{local} = {local}" for local in map(self.local, self.kept())]
 
     def _results(self) -> list[str]:
@@ -168,7 +168,7 @@ class Workspace:
         return self._arrival(leaf) if leaf.function in ARRIVALS else self.readers.code(leaf, needs)
 
     def _arrival(self, leaf: World) -> str:
-        """What the channel of a robot tells: how old the message is that the supervisor goes by, and whether it came in this timestep."""
+        """Values of the channel of a robot: the age of the message that the supervisor uses, and whether it arrived in this timestep."""
         name = leaf.subjects[0]
         if leaf.function == "age" and name in self._ages:
             return f"({self._arrival(World('age', (name.partition('.')[0],)))} + {self.local(self._ages[name])})"

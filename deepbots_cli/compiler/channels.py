@@ -167,5 +167,5 @@ def _check_overlap(every: Expression, duration: Expression, namespace: Namespace
     """DB105 where a push may begin while the one before still acts."""
     longest, soonest = duration.typed.type.interval.high, every.typed.type.interval.low
     if longest > soonest * (1 + 1e-9):
-        headline = f"a push that may last {longest:g} s, where the next may begin after {soonest:g} s"
+        headline = f"a push may last {longest:g} s, and the next may begin after {soonest:g} s"
         namespace.values.findings.add("DB105", duration.span, headline, help="make it shorter than `every`")

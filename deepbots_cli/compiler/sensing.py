@@ -291,7 +291,7 @@ def _refuse_errors(values: Values, spec: SensorSpec, known: Type) -> None:
     tells, keys = ("takes pictures", _OF_NUMBERS[:-2]) if known.picture else ("reads true or false", _OF_NUMBERS)
     for key in keys:
         if key in spec.model_fields_set:
-            values.findings.add("DB403", values.key_span((*spec.path, key)), f"`{key}` of a sensor that {tells}", help="remove it")
+            values.findings.add("DB403", values.key_span((*spec.path, key)), f"a sensor that {tells} has no `{key}`", help="remove it")
 
 
 def _latency(namespace: Namespace, spec: SensorSpec) -> float:

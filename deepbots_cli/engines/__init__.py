@@ -32,7 +32,7 @@ _OF_EXTRA_SIM = ("pybullet", "mujoco", "numpy", "trimesh", "yourdfpy")
 
 
 def names() -> tuple[str, ...]:
-    """Every engine that can be asked for, our own first."""
+    """The names of all engines, those of deepbots first."""
     return tuple(ALL)
 
 

@@ -453,7 +453,7 @@ class _Checker:
         is_allowed = function.family in ALLOWED[context]
         if not is_allowed:
             help = _CONTEXT_HELP.get((context, function.family)) or _FAMILY_HELP.get(function.family)
-            self._fault("DB407", called, f"`{function.name}` in {context.value}", help)
+            self._fault("DB407", called, f"`{function.name}` cannot be used in {context.value}", help)
         subjects, bound = self._arguments(node, function)
         values = tuple(value for _, value in bound)
         result = self._result(node, function, subjects, bound)

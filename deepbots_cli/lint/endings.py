@@ -133,7 +133,7 @@ def shadowed_limit(context: Context) -> Iterator[Finding]:
             )
         elif not _leaves(analysis, node) <= _CLOCK and last > 1 and _with_return(analysis, last - 1, last - 1).of(node) == ALWAYS:
             headline = f"`{ending.value.name}` always holds before {limit}"
-            help = "remove it: `truncation` ends an episode, and `solved` defines a good one"
+            help = "remove this ending: `truncation` ends the episode, and the section `solved` defines a good result"
             yield Finding(
                 "DB804", ending.value.span, headline, help=help, also=(Label(context.values.key_span(("truncation",)), "never reached"),)
             )

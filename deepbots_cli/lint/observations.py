@@ -161,7 +161,7 @@ def goal_in_observation(context: Context) -> Iterator[Finding]:
     for entry in program.policy.observation:
         shared = sources(entry.value) & goal_sources
         if shared:
-            headline = f"`{entry.value.name}` depends on the goal, which hindsight replaces only in `desired`"
+            headline = f"`{entry.value.name}` depends on the goal, but hindsight replay replaces only `desired`"
             help = "remove it: the policy sees `achieved` and `desired` in addition to the observation"
             also = (Label(program.policy.goal.desired.span, f"also depends on `{min(shared)}`"),)
             yield Finding("DB614", entry.value.span, headline, help=help, also=also)

@@ -311,7 +311,7 @@ def _turned_in_place(simulation: Simulation, miss: Miss) -> Finding:
     angles = [round(degrees(angle)) for angle in miss.start]
     start = " ".join(str(180 if angle == -180 else angle) for angle in angles)
     headline = f"the first command turns `{miss.actuator}` by {degrees(miss.turn):.3g} deg in place"
-    help = f"write `rpy: {start} deg`, about the initial attitude, or start the arm in another pose"
+    help = f"write `rpy: {start} deg`, which is near the initial attitude, or start the arm in another pose"
     notes = (simulation.when(Where(miss.by, miss.seed, miss.step)), "the arm contorts itself, and may swing far on its way")
     return Finding("DB315", span, headline, help=help, notes=notes)
 

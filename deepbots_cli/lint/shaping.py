@@ -207,7 +207,7 @@ def hidden_state_reward(context: Context) -> Iterator[Finding]:
         hidden = sorted((analysis.sources(node) - seen) & (drawn | bodies))
         if hidden:
             what = f"the {'drawn parameter' if hidden[0] in drawn else 'body'} `{hidden[0]}`"
-            help = "add a value of it under `augment`, and observe this value"
+            help = f"add an entry that uses `{hidden[0]}` under `augment`, and observe this entry"
             yield Finding("DB706", term.span, f"`{term.name}` depends on {what}, which the observation does not show", help=help)
 
 

@@ -269,7 +269,7 @@ class Site(NamedTuple):
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """The parameters that the kind has of its own, in SI units."""
+        """The parameters that only this kind has, in SI units."""
         return dict(self.actuator.parameters)
 
 

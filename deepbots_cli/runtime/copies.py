@@ -228,7 +228,7 @@ class CopiesSupervisor(Supervisor):
         return _rows([agent.scripted(name) for agent in self.agents.values()])
 
     def acting(self, choices: Sequence[int], ranges: Sequence[float]) -> Any:
-        """Every copy acts alike."""
+        """Every copy takes the same action."""
         return _rows([agent.acting(choices, ranges) for agent in self.agents.values()])
 
     def get_observations(self) -> Any:

@@ -44,8 +44,8 @@ MALFORMED = (ValueError, TypeError, AttributeError, RecursionError, struct.error
 class Codec:
     """`encode(*values)` gives a message; `decode(message)` gives `(stamp, *values)` or raises one of MALFORMED.
 
-    `parts` gives the values of a message that is short, long or of another layout as far as they can be told apart, the stamp first;
-    it raises one of MALFORMED where there are none. An error message tells of them.
+    `parts` gives the values of a message that is short, long or of another layout as far as they can be decoded, the stamp first;
+    it raises one of MALFORMED where there are none. They are shown in an error message.
     """
 
     encode: Callable[..., Any]
@@ -135,7 +135,7 @@ def _scalar_names(field: MessageField) -> list[str]:
 
 
 def zeros(layout: MessageLayout) -> list[Any]:
-    """The values of a message that says nothing."""
+    """The values of a message of zeros."""
     usual = {"bool": False, "float64": 0.0}
     return [
         np.zeros(field.shape, np.uint8) if field.dtype == "uint8" else usual[field.dtype]
@@ -361,7 +361,7 @@ class LossyChannel:
         self.begin(Streams(0))
 
     def begin(self, streams: Streams) -> None:
-        """Forget what is under way; `streams` gives the draws of what follows."""
+        """Discard messages in flight; `streams` gives the random values of the next ones."""
         self._random = streams[f"{self._name}.loss"].random if self._loses else None
         self._queue.clear()
         self._tick = self._sent = self.measured = 0
@@ -410,7 +410,7 @@ class LossyChannel:
         return [self.wire.decode(message) for message in taken] if self.wire else taken
 
     def newest(self) -> Any:
-        """The message that the receiver goes by in this timestep: it arrived in this one or in an earlier one."""
+        """The message that the receiver uses in this timestep. It arrived in this timestep or in an earlier one."""
         if self._begins:
             self._begins = False
         else:
@@ -438,7 +438,7 @@ class LossyChannel:
         return taken
 
     def __len__(self) -> int:
-        """How many messages are under way."""
+        """The number of messages in flight."""
         return len(self._queue)
 
 
@@ -467,7 +467,7 @@ class Channel:
         return self.wire.decode(self._queue.popleft())
 
     def begin(self, streams: Streams) -> None:
-        """Forget what is under way; a reset leaves no message behind."""
+        """Discard messages in flight; none remains after a reset."""
         self._queue.clear()
 
     def __len__(self) -> int:

@@ -1,4 +1,4 @@
-"""Where bodies stand when an episode begins.
+"""The poses of bodies at the beginning of an episode.
 
 `Arrangement` takes bodies with coordinates first, then looks for a free spot for each of the others, in order, again and again
 until the start is as required. `Floor` knows the spots that are taken, `Forms` the footprint and the height of each body.
@@ -133,7 +133,7 @@ class Arrangement:
         clearance: float = 0.0,
         spacing: Spot = (0.0, 0.0),
     ) -> None:
-        """Place a body at coordinates, whatever is there."""
+        """Place a body at coordinates, without a check for other bodies."""
         if body not in self.forms.chosen:
             self.forms.draw(body, self._streams)
         x, y, z = xyz
@@ -201,7 +201,7 @@ class Arrangement:
         return Surface(self.forms.footprint(support, rpy).at(x, y, rpy[2]), self.forms.top(support, z, rpy))
 
     def choose(self) -> None:
-        """Let bodies of several kinds take the kind that was drawn."""
+        """Give bodies of several kinds the kind that was drawn."""
         for body, variant in self.forms.chosen.items():
             self._engine.choose(body, variant.name)
 
@@ -359,7 +359,7 @@ class Forms:
             self.chosen[body] = variants[int(stream.integers(len(variants)))]
 
     def is_fixed(self, body: str) -> bool:
-        """Whether it will never move."""
+        """Whether the body never moves."""
         return body in self.things and (self.chosen.get(body) or self.things[body]).fixed
 
     def shape(self, body: str) -> Shape:
@@ -379,7 +379,7 @@ class Forms:
         return self._widths[body] if body in self._widths else self.footprint(body).narrowest
 
     def resting(self, body: str, rpy: Triple) -> float:
-        """The height (m) of its origin where it rests on flat ground."""
+        """The height (m) of the body's origin if its lowest point touches flat ground."""
         return footprint.resting(self.models.get(body) or self.shape(body), rpy[0], rpy[1])
 
     def top(self, body: str, z: float, rpy: Triple) -> float:

@@ -41,12 +41,12 @@ def velocities(site: Site) -> Instrument:
 
 
 def torques(site: Site) -> Instrument:
-    """What the motors exerted in the last physics step, in N m or N."""
+    """Torques or forces that the motors exerted in the last physics step, in N m or N."""
     return Instrument(site.engine.joint_torques(site.robot, site.sensor.subjects))
 
 
 def mounted_pose(site: Site) -> PoseReader:
-    """Where the sensor is, and how it is turned."""
+    """Position and orientation of the sensor, in the world frame."""
     read, mount = site.engine.pose(site.robot, site.link), site.mount
     if mount == IDENTITY_FRAME:
         return read
@@ -224,7 +224,7 @@ def _part(name: str) -> Part:
 
 
 def ranging(site: Site) -> Instrument:
-    """How far each ray is free, or one figure of all, in m; or what the lookup table makes of that."""
+    """The free distance along each ray, or one value for all rays, in m; or the reading that the lookup table gives for it."""
     beams, mount = site.sensor.beams or RayConfig((), 0.0), site.mount
     rays = [frames.compose(mount, frames.frame(ray)) for ray in beams.rays]
     read = _combined(site.engine.rays((site.robot, site.link), rays, beams.reach), beams)
@@ -356,9 +356,9 @@ def _segmentation(sight: Sight, _optics: CameraIntrinsics) -> Image:
     return _bytes(np.clip(sight.bodies + 1, 0, 255))
 
 
-def _bytes(figures: NDArray[Any]) -> Image:
-    """One channel of whole figures from 0 to 255."""
-    return np.asarray(np.rint(figures), np.uint8)[..., None]
+def _bytes(values: NDArray[Any]) -> Image:
+    """One channel of whole numbers from 0 to 255."""
+    return np.asarray(np.rint(values), np.uint8)[..., None]
 
 
 _PICTURES: dict[str, Callable[[Sight, CameraIntrinsics], Image]] = {

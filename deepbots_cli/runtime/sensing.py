@@ -26,11 +26,11 @@ from deepbots_cli.runtime.streams import Streams
 Figures = Sequence[float]
 _ROWS = 128
 Reading = Sequence[Any]
-"""One figure, truth value or picture per component; a single one for a sensor without components."""
+"""One number, truth value or picture per component; a single one for a sensor without components."""
 
 
 class Normals:
-    """Rows of `width` figures of the standard normal distribution, all out of one generator."""
+    """Rows of `width` samples of the standard normal distribution, all from one generator."""
 
     def __init__(self, width: int) -> None:
         self._width = width
@@ -40,12 +40,12 @@ class Normals:
         self._generator: Any = None
 
     def restart(self, generator: Any) -> None:
-        """Draw from `generator` from here on; what was drawn before is forgotten."""
+        """Draw from `generator` from now on, and discard samples that were drawn before."""
         self._generator = generator
         self._rows = []
 
     def scale(self, deviations: Figures | float) -> None:
-        """Multiply the figures of all further rows, one by one or all alike; a block at once costs a tenth of row by row."""
+        """Multiply all further rows by one factor, or by one factor per sample. A block at once costs a tenth of row by row."""
         self._scale = deviations
         if self._rows:
             self._rows = (self._drawn[: len(self._rows)] * deviations).tolist()
@@ -58,7 +58,7 @@ class Normals:
 
 
 class Chain:
-    """The faults of one sensor of `width` figures."""
+    """The faults of one sensor with `width` values."""
 
     def __init__(self, spec: NoiseModel, width: int) -> None:
         self._spec = spec
@@ -74,7 +74,7 @@ class Chain:
         self._settle()
 
     def vary(self, figure: str, values: Figures) -> None:
-        """Give this episode's figures of a fault, one per component."""
+        """Set the values of a fault for this episode, one per component."""
         if figure not in self._figures or len(values) != len(self._zeros):
             raise KeyError(figure)
         self._figures[figure] = values
@@ -89,11 +89,11 @@ class Chain:
         self._normals.scale(self._noise if self._only_noise else 1.0)
 
     def restart(self, generator: Any) -> None:
-        """Begin an episode, whose noise comes from `generator`."""
+        """Begin an episode. Its noise is drawn from `generator`."""
         self._normals.restart(generator)
 
     def __call__(self, values: Figures, time: float) -> Figures:
-        """What the sensor says of `values`, `time` s after the reset."""
+        """The readings for the true `values`, `time` s after the reset."""
         values = self._with_noise(values) if self._only_noise else self._with_all(values, time)
         spec = self._spec
         if spec.low:
@@ -149,7 +149,7 @@ class Site(NamedTuple):
 
     @property
     def link(self) -> str:
-        """The link or joint that it sits on, or the first of them."""
+        """The link or joint on which the sensor is mounted, or the first of them."""
         return self.sensor.subjects[0]
 
     @property
@@ -158,7 +158,7 @@ class Site(NamedTuple):
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """The parameters that the kind has of its own, in SI units."""
+        """The parameters that only this kind has, in SI units."""
         return dict(self.sensor.parameters)
 
 
@@ -191,7 +191,7 @@ class Device:
         self._under_way: deque[tuple[int, int, Reading]] = deque()
 
     def vary(self, figure: str, values: Sequence[float]) -> None:
-        """Give this episode's figures of a fault (a field of `NoiseModel`), one per component, or the latency in s."""
+        """Set the values of a fault (a field of `NoiseModel`) for this episode, one per component, or the latency in s."""
         if figure == "latency":
             (self._latency,) = values
         elif self._chain is not None:
@@ -209,7 +209,7 @@ class Device:
 
     @property
     def age(self) -> float:
-        """How old the reading is, in s."""
+        """The age of the reading, in s."""
         return (self._tick - self.measured) * self._timestep
 
     def __call__(self) -> None:

@@ -59,7 +59,7 @@ class Streams:
 
     @classmethod
     def restored(cls, state: Mapping[str, Any], copy: str = "") -> Self:
-        """Streams that go on from what `state` gave."""
+        """Streams that continue from the result of `state`."""
         streams = cls(state["root"], copy)
         for name, inner in state["generators"].items():
             streams[name].bit_generator.state = inner

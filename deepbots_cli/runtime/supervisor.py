@@ -260,7 +260,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         return self.streams.state()
 
     def set_random_state(self, state: Mapping[str, Any]) -> None:
-        """Take up what `random_state` gave; the next reset begins from it."""
+        """Restore the result of `random_state`; the next reset begins from it."""
         self.streams = Streams.restored(state)
 
     def render(self) -> Any:
@@ -302,7 +302,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         return np.array([may for mask in masks for may in mask])
 
     def action_mask(self) -> Any:
-        """The same as `action_space.sample` takes it."""
+        """The same masks in the form that `action_space.sample` takes."""
         masks = tuple(np.array(mask, np.int8) for mask in self.allowed())
         if isinstance(self.action_space, gym.spaces.Dict):
             return {"choices": masks[0] if len(masks) == 1 else masks, "ranges": None}
@@ -337,7 +337,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
             raise self._no_value(error) from error
 
     def scripted(self, name: str) -> Any:
-        """The same without a look at whether there is one."""
+        """The same, without a check that the script exists."""
         return getattr(self, f"script_{name}")()
 
     def acting(self, choices: Sequence[int], ranges: Sequence[float]) -> Any:
@@ -371,7 +371,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
 
     @abstractmethod
     def _begin(self) -> None:
-        """Draw what the episode varies, and put the world where it begins."""
+        """Draw the random values of the episode, and set the world to its initial state."""
 
     @abstractmethod
     def _start(self) -> None:
@@ -379,7 +379,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
 
     @abstractmethod
     def _advance(self, action: Any) -> Any:
-        """One step: act, let the world go on, and observe.
+        """One step: act, advance the world, and observe.
 
         Where there are copies of the robot it is a generator, which waits where the world goes on (`copies.py`).
         """
@@ -435,7 +435,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         return self.episode_values[name]
 
     def vary_sensor(self, robot: str, sensor: str, fault: str, values: Sequence[float]) -> None:
-        """Give a fault of a sensor the figures of this episode; of one that nothing reads there is no device."""
+        """Set the values of a sensor fault for this episode. A sensor that nothing reads has no device."""
         controller = self.controllers[robot]
         if sensor in controller.devices:
             controller.devices[sensor].vary(fault, values)
@@ -453,7 +453,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
     # The end of an episode, and failures: off the fast path
 
     def _terminate(self, endings: Mapping[str, bool], *, success: bool = False) -> None:
-        """End the task by the endings that hold, of which the first counts."""
+        """End the task by the endings that hold; the first of them is `ended_by`."""
         self.terminated = True
         self.is_success = success
         self.endings = tuple(name for name, holds in endings.items() if holds)
@@ -544,10 +544,10 @@ class Drive(Protocol):
     """An actuator with a state of its own."""
 
     def reset(self) -> None:
-        """As before the first command: it exerts nothing."""
+        """Return to the state before the first command, in which the actuator exerts nothing."""
 
     def hold(self) -> None:
-        """Keep what it drives where it is, as far as it can."""
+        """Hold the driven joints in place, as far as the actuator can."""
 
 
 class RobotController(_WithMemories):
@@ -589,7 +589,7 @@ class RobotController(_WithMemories):
         return sees(self.device(sensor), body)
 
     def begin(self, streams: Streams) -> None:
-        """Begin an episode: first readings are taken, and nothing is left of earlier ones."""
+        """Begin an episode: discard earlier readings and take the first ones."""
         for device in self.devices.values():
             device.reset(streams)
         self.clear_memories()
@@ -602,13 +602,13 @@ class RobotController(_WithMemories):
         """Sample what is sampled once per timestep."""
 
     def release(self) -> None:
-        """Let the actuators take the figures of this episode and forget their commands: they exert nothing until `hold`."""
+        """Set the values of the actuators for this episode and discard their commands: they exert nothing until `hold`."""
         for _, drive in self._drives:
             if isinstance(drive, Drive):
                 drive.reset()
 
     def hold(self) -> None:
-        """Hold everything that is driven in its reset state until the first command takes effect."""
+        """Hold all driven joints in their reset state until the first command takes effect."""
         for actuator, drive in self._drives:
             _hold(self._engine, self.spec.name, actuator, drive)
 

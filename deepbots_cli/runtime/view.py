@@ -1,4 +1,4 @@
-"""Where to look from: a view that holds the whole scene."""
+"""Camera positions for a view of the whole scene."""
 
 from __future__ import annotations
 

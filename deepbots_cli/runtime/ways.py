@@ -1,4 +1,4 @@
-"""Ways in the plane: along painted lines, and the shortest ones around solid objects.
+"""Paths in the plane: along painted lines, and the shortest ones around solid objects.
 
 `Follower` gives the place of a body beside and along a line, `Paint` the light that the ground throws back. Both use plain floats and
 only the pieces near by, so that the cost does not grow with the length of a line.
@@ -46,7 +46,7 @@ _Shown = tuple[Area, float, list[Patch], Spot, float]
 
 
 class Ways:
-    """Ways of robots and objects around the solid objects of a world; robots are no obstacles.
+    """Paths of robots and objects around the solid objects of a world; robots are not obstacles.
 
     A body moves as a disc as wide as its narrower side, since it can turn.
     """
@@ -67,11 +67,11 @@ class Ways:
             way.is_current = False
 
     def distance(self, one: Part, other: Part) -> Callable[[], float]:
-        """A reader of the length of the shortest way, m."""
+        """A reader of the length of the shortest path, m."""
         return self._way(one, other).length
 
     def reachable(self, one: Part, other: Part) -> Callable[[], bool]:
-        """A reader of whether there is a way."""
+        """A reader of whether there is a path."""
         return self._way(one, other).is_open
 
     def _way(self, one: Part, other: Part) -> _Way:
@@ -419,7 +419,7 @@ class Follower:
 
 
 class Paint:
-    """The light that the ground throws back at a place: 1 where nothing is painted, a later line over an earlier one."""
+    """The reflectance of the ground at a position: 1 where nothing is painted. A later line covers an earlier one."""
 
     def __init__(self, lines: Sequence[Line], spot: float) -> None:
         """`spot` is the radius (m) of the patch of ground that is looked at, over which the light is a mean."""

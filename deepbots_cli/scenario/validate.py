@@ -388,7 +388,7 @@ def _help_for_unknown(data: object, path: Path) -> str | None:
     belongs = _nearest_home(parent, key)
     if belongs is not None and (near is None or near.replace("_", "") != key.lower().replace("_", "")):
         return f"it belongs {belongs}; {here}"
-    return f"did you mean `{near}`? {_keys_of(section)}" if near else _keys_of(section)
+    return f"did you mean `{near}`? {here}" if near else _keys_of(section)
 
 
 def meant_by(data: object, path: Path) -> Meant | None:

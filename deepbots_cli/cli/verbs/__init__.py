@@ -22,7 +22,7 @@ VERBS: Mapping[str, tuple[str, str]] = {
     "view": ("view.view", "Show a scenario, a run or a recording in the browser."),
     "play": ("view.play", "Drive the robot of a scenario in the browser."),
     "picture": ("view.picture", "Draw a picture of a scenario."),
-    "clip": ("view.clip", "Make a moving picture of an episode: MP4, GIF or an offline page."),
+    "clip": ("view.clip", "Make a video of an episode: MP4, GIF or an offline page."),
     "record": ("record.command", "Record episodes as an MCAP file."),
     "replay": ("replay.command", "Show what a recording holds, or run it again and compare."),
     "compile": ("code.compile_", "Print the Python module that a scenario compiles to."),

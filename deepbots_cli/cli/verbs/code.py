@@ -134,7 +134,10 @@ def schema(
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output", "-o", metavar="FILE", help="Write to this file, and replace it if it exists; by default, and with -, print."
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="Write to this file, and replace it if it exists. By default, or with - as FILE, print to standard output.",
         ),
     ] = None,
     allow_paths: AllowPaths = None,
@@ -148,7 +151,10 @@ def schema(
       deepbots schema -o deepbots.schema.json
       deepbots schema --for mine.yaml -o mine.schema.json
 
-    Next: make this the first line of mine.yaml: # yaml-language-server: $schema=mine.schema.json
+    Next: make this the first line of mine.yaml:
+
+    \b
+      # yaml-language-server: $schema=mine.schema.json
     """
     if output == Path("-"):
         output = None

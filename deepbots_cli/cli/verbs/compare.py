@@ -43,11 +43,11 @@ def command(
 ) -> None:
     """Compare policies on the same starts.
 
-    The folder of a group (`deepbots train --seeds`) is a group; other runs of the same scenario with other seeds are a group too. Every run
-    is evaluated in the scenario of the first run, on the same held-out starts, and every group is compared with the first group. The table
-    shows the difference of the mean returns over seeds with Welch's 95 % confidence interval, and the probability that a run of the group
-    is better than a run of the first group. If all runs have the same scenario, or each group is one run, the policies themselves are
-    compared, episode by episode.
+    A folder of `deepbots train --seeds` is a group. Other runs that differ only in their seed form a group too. Every run is evaluated in
+    the scenario of the first run, on the same held-out starts, and every group is compared with the first group. The table shows the
+    difference of the mean returns over seeds with Welch's 95 % confidence interval, and the probability that a run of the group is better
+    than a run of the first group. If all runs have the same scenario, each run is a group of its own. Groups of one run are compared
+    episode by episode.
 
     \b
       deepbots compare runs/cartpole-0-1 runs/cartpole-1-1

@@ -68,7 +68,9 @@ def lint(
     ignore: Annotated[
         Codes,
         typer.Option(
-            "--ignore", metavar="CODES", help="Do not report these findings; if --select also matches, the longer prefix applies."
+            "--ignore",
+            metavar="CODES",
+            help="Do not report these findings. If --select also matches a finding, the longer of the two prefixes decides.",
         ),
     ] = None,
     fail_on: Annotated[
@@ -108,7 +110,10 @@ def lint(
       deepbots lint cartpole.yaml --fix --unsafe-fixes
       deepbots lint scenarios/ --select DB6,DB7 --ignore term-dominates
 
-    A comment on the line of a warning, or on the line above, suppresses it: # deepbots: ignore[DB603]
+    A comment on the line of a warning, or on the line above, suppresses it:
+
+    \b
+      # deepbots: ignore[DB603]
 
     Next: `deepbots explain DB603` explains a finding.
     """

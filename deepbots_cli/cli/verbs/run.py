@@ -41,7 +41,7 @@ def command(
     case: Case = None,
     stage: Stage = None,
     policy: Annotated[
-        Policy | None, typer.Option("--policy", help="`random`, the default, draws actions; `zero` takes the middle of each range.")
+        Policy | None, typer.Option("--policy", help="`random`, the default, draws actions; `zero`: middle of each range, first option.")
     ] = None,
     actions: Annotated[
         str | None, typer.Option("--actions", metavar="A,B,...", help="Repeat these actions: names of options, or numbers.")

@@ -52,7 +52,7 @@ Host = Annotated[
     typer.Option(
         "--host",
         metavar="ADDRESS",
-        help="Address to serve on. On an address that other machines reach, such as 0.0.0.0, a token is needed.",
+        help="Address to serve on. If other machines can reach it (0.0.0.0), the printed address of the page contains a token.",
     ),
 ]
 Port = Annotated[
@@ -213,7 +213,7 @@ def picture(
       deepbots picture find_ball --path --script around
       deepbots picture runs/find_ball-0-1 --path --episode 3
 
-    Next: `deepbots clip SCENARIO` makes a moving picture.
+    Next: `deepbots clip SCENARIO` writes a video.
     """
     from deepbots_cli.view import pictures
     from deepbots_cli.view.episodes import player
@@ -255,7 +255,7 @@ def clip(
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
 ) -> None:
-    """Make a moving picture of an episode: MP4, GIF or an offline page.
+    """Make a video of an episode: MP4, GIF or an offline page.
 
     In a run, the policy acts. In a scenario, the first script acts; without a script, actions are random.
 

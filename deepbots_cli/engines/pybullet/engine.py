@@ -78,12 +78,12 @@ class Substeps:
         self._after.append(look)
 
     def drive(self, drives: list[Act]) -> None:
-        """Have these drives, and no others."""
+        """Replace all drives by these."""
         self._drives = drives
         self._arrange()
 
     def only(self, act: Act) -> None:
-        """Call nothing else any more."""
+        """Call only `act`, and no other function or drive."""
         self._acts, self._drives = [act], []
         self._begins.clear()
         self._moments.go_on()
@@ -147,7 +147,7 @@ class PyBulletEngine:
             raise
 
     def reset(self) -> None:
-        """As the port says. A world whose figures are no longer finite cannot be reset, only built again."""
+        """See `Engine.reset`. A world with values that are not finite cannot be reset; it must be built again."""
         self.require_finite()
         self._parameters.restore()
         for springs in self._springs.values():
@@ -261,8 +261,8 @@ class PyBulletEngine:
         client = self._client
         for body in reversed(self._open()._moving):  # robots before objects, to which they spread what is not a number
             joints = p.getJointStates(body.number, tuple(body.brakes), client) if body.brakes else ()
-            for what, figures in (("pose", p.getBasePositionAndOrientation(body.number, client)), ("joints", (j[:2] for j in joints))):
-                if not isfinite(sum(map(sum, figures))):
+            for what, values in (("pose", p.getBasePositionAndOrientation(body.number, client)), ("joints", (j[:2] for j in joints))):
+                if not isfinite(sum(map(sum, values))):
                     raise EngineError(f"the {what} of '{body.name}' left the range of numbers")
 
     def joint_states(self, robot: str, joints: Sequence[str]) -> JointReader:

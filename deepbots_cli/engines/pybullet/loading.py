@@ -55,7 +55,7 @@ def create_client(world: WorldModel) -> int:
     p.setPhysicsEngineParameter(
         fixedTimeStep=world.timestep / world.substeps, deterministicOverlappingPairs=1, enableFileCaching=0, physicsClientId=client
     )
-    if any(figure > 0.0 for figure in _restitutions(world)):
+    if any(value > 0.0 for value in _restitutions(world)):
         # Contact error reduction turns penetration into velocity, more with every step of an impact: a restitution of 0.8
         # measured 0.82 to 0.88 at 1 ms steps. With a reduction within 0.2 s it measures 0.80 to 0.81. Worlds without
         # restitution keep the default.
@@ -162,10 +162,10 @@ def _make_contact(client: int, body: Body) -> None:
     between 0.06 and 0.82 was left, at 1 ms a step.
     """
     for link in body.model.links:
-        figures = contact_parameters(link.friction)
-        if figures["restitution"] > 0.0:
-            figures["contactProcessingThreshold"] = 0.0
-        for what, value in figures.items():
+        parameters = contact_parameters(link.friction)
+        if parameters["restitution"] > 0.0:
+            parameters["contactProcessingThreshold"] = 0.0
+        for what, value in parameters.items():
             p.changeDynamics(body.number, body.links[link.name], **{what: value}, physicsClientId=client)
 
 

@@ -62,7 +62,7 @@ class Springs:
     """Exerts `stiffness * (target - position) - damping * velocity`, limited, once joints have targets; `act` renews it.
 
     `exerted` is what the joints got in the last engine step. 12 joints take 5 us of an engine step of 45 us (a walking
-    robot); PyBullet's own plug-in for the same purpose takes 20, and cannot be told to stop.
+    robot); PyBullet's own plug-in for the same purpose takes 20, and cannot be stopped.
     """
 
     def __init__(

@@ -97,7 +97,7 @@ class Body:
             p.changeDynamics(self.number, BASE, mass=0.0, physicsClientId=self._client)
 
     def wake(self) -> None:
-        """Move again, as heavy as it was told to be."""
+        """Move again, with the mass that was set."""
         if self.suspended:
             self.suspended = False
             if BASE not in self._weights:
@@ -106,7 +106,7 @@ class Body:
 
     @property
     def centred(self) -> bool:
-        """Whether the root link's frame is that of its inertia, so that PyBullet's figures are ours."""
+        """Whether the root link's frame is that of its inertia, so that the poses of PyBullet need no conversion."""
         return self.centre == STILL and self._parallel
 
     def of_centre(self, position: Triple, orientation: Quaternion) -> Frame:
@@ -151,14 +151,14 @@ class Moments:
 
 
 def _keeping(now: list[int], read: Callable[[], Told]) -> Callable[[], Told]:
-    moment, told = -1, None
+    moment, value = -1, None
 
     def reader() -> Told | None:
-        nonlocal moment, told
+        nonlocal moment, value
         if moment != now[0]:
-            told = read()
+            value = read()
             moment = now[0]
-        return told
+        return value
 
     return reader  # type: ignore[return-value]
 

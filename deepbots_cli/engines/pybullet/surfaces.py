@@ -183,7 +183,7 @@ class Rays:
         if body.number not in self._groups:
             place = FIRST_GROUP + len(self._groups)
             if place > LAST_GROUP:
-                raise EngineError(f"PyBullet tells {LAST_GROUP - FIRST_GROUP + 1} robots with rays apart, and '{body.name}' is one more")
+                raise EngineError(f"PyBullet supports {LAST_GROUP - FIRST_GROUP + 1} robots with rays, and '{body.name}' is one more")
             self._groups[body.number] = 1 << place
             for name, index in body.links.items():
                 mask = NOT_STATIC if name in body.still else EVERYTHING
