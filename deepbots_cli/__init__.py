@@ -28,18 +28,19 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from deepbots_cli.api import compile, load, make
+    from deepbots_cli.api import compile, load, make, make_vec
     from deepbots_cli.learning import evaluate, train
     from deepbots_cli.scenario import Scenario
 
 __version__ = "0.1.0"
-__all__ = ["Scenario", "__version__", "compile", "evaluate", "load", "make", "train"]
+__all__ = ["Scenario", "__version__", "compile", "evaluate", "load", "make", "make_vec", "train"]
 
 _HOMES = {
     "Scenario": "deepbots_cli.scenario",
     "compile": "deepbots_cli.api",
     "load": "deepbots_cli.api",
     "make": "deepbots_cli.api",
+    "make_vec": "deepbots_cli.api",
     "train": "deepbots_cli.learning",
     "evaluate": "deepbots_cli.learning",
 }

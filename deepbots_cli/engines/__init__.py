@@ -12,11 +12,11 @@ An engine is imported when it is first used. Other packages add theirs as an ent
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from deepbots_cli import plugins
 from deepbots_cli.diagnostics.nearest import nearest
-from deepbots_cli.errors import MissingExtraError, UsageError
+from deepbots_cli.errors import BatchError, MissingExtraError, UsageError
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -28,6 +28,8 @@ ENGINES = {
     "pybullet": "deepbots_cli.engines.pybullet.engine:PyBulletEngine",
     "mujoco": "deepbots_cli.engines.mujoco.engine:MuJoCoEngine",
 }
+BATCHES = {"mujoco": "deepbots_cli.engines.mujoco.batch:MuJoCoBatch"}
+"""The engines that hold many worlds of one model at once."""
 GROUP = "deepbots.engines"
 _OF_EXTRA_SIM = ("pybullet", "mujoco", "numpy", "trimesh", "yourdfpy")
 
@@ -47,6 +49,24 @@ def create(name: str, world: WorldModel) -> Engine:
     """
     try:
         return _factory(name)(_with_masses(world))
+    except ModuleNotFoundError as error:
+        if error.name in _OF_EXTRA_SIM:
+            raise MissingExtraError("sim", "running a scenario") from error
+        raise
+
+
+def create_batch(name: str, world: WorldModel, count: int) -> Any:
+    """`count` worlds in the engine called `name`.
+
+    Raises:
+        MissingExtraError: The engine's library is not installed.
+        BatchError: The engine holds single worlds only.
+        EngineError: The engine cannot hold this world.
+    """
+    if name not in BATCHES:
+        raise BatchError(f"the engine '{name}' has no batches of worlds; use one of {', '.join(BATCHES)}")
+    try:
+        return plugins.attribute(BATCHES[name])(_with_masses(world), count)
     except ModuleNotFoundError as error:
         if error.name in _OF_EXTRA_SIM:
             raise MissingExtraError("sim", "running a scenario") from error

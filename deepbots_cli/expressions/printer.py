@@ -59,6 +59,20 @@ def _on_floats(function: Function) -> str:
 
 SCALAR = Target("scalar", _on_floats)
 
+_ON_COLUMNS = {"hypot": "hypot(x, *y)", "min": "minimum(*x)", "max": "maximum(*x)"}
+"""What has a function of its own in `runtime.columns`; the array Python of `hypot` takes each number by itself."""
+
+
+def _on_columns(function: Function) -> str:
+    if function.helper:
+        return _on_floats(function)
+    return _ON_COLUMNS.get(function.name) or function.array or function.python
+
+
+BATCH = Target("batch", _on_columns)
+"""For many worlds at once: each value is a column with one number per world."""
+TARGETS = (SCALAR, BATCH)
+
 
 def python(scalar: Scalar, leaf: Leaf, target: Target = SCALAR) -> str:
     """The tree as one Python expression; `leaf` gives the code of what is read, as an atom."""
@@ -80,6 +94,8 @@ def applied(name: str, args: Sequence[Code], scalars: Sequence[Scalar], target: 
     names = function.arguments
     text = target.written(function)
     if len(args) > len(names) and not names[-1].startswith("*"):  # `a + b` of more than two
+        if isinstance(_template(text), ast.Call):
+            return applied(name, [applied(name, args[:-1], scalars[:-1], target), args[-1]], scalars[:2], target)
         return _infix(_template(text).op, args)  # type: ignore[attr-defined]
     if names[-1].startswith("*"):
         rest = len(names) - 1
@@ -155,6 +171,8 @@ def _printed(node: ast.expr, args: Mapping[str, Code]) -> Code:
             return number(value)
         case ast.Call(func=ast.Name(id=name), args=parts, keywords=[]):
             return Code(f"{name}({', '.join(_printed(part, args).text for part in parts)})")
+        case ast.Call(func=ast.Attribute(value=ast.Name(id="np"), attr=name), args=parts, keywords=[]):
+            return Code(f"np.{name}({', '.join(_printed(part, args).text for part in parts)})")
         case ast.Starred(value=ast.Name(id=name)):
             return args[f"*{name}"]
         case ast.BinOp(op=sign, left=left, right=right) | ast.Compare(ops=[sign], left=left, comparators=[right]) if type(sign) in _SIGNS:

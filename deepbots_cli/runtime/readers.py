@@ -367,3 +367,7 @@ _PICTURES: dict[str, Callable[[Sight, CameraIntrinsics], Image]] = {
     "depth": _depth,
     "segmentation": _segmentation,
 }
+
+
+ON_COLUMNS = frozenset({positions, velocities, torques, position, velocity, angular_velocity, gyro, projected_gravity})
+"""Readers whose arithmetic is the same with a column of many worlds in the place of each number."""
