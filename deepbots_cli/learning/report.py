@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -162,6 +163,9 @@ class TrainingProgress:
 class Reporter:
     """Follows a training: `start` once, `update` from time to time, `stop` once, also after a failure. This one reports nothing."""
 
+    def note(self, text: str) -> None:
+        """Called before `start` with what the user should know."""
+
     def start(self, progress: TrainingProgress) -> None:
         pass
 
@@ -178,6 +182,9 @@ class ProgressReporter(Reporter):
     def __init__(self, stream: TextIO | None = None) -> None:
         self._stream = stream
         self._bar: ProgressBar | None = None
+
+    def note(self, text: str) -> None:
+        print(f"note: {text}", file=self._stream or sys.stderr)
 
     def start(self, progress: TrainingProgress) -> None:
         self._bar = ProgressBar(progress.total_steps, "steps", done=progress.steps, stream=self._stream)

@@ -33,17 +33,25 @@ LOST = "not_finite"
 class Outcome(NamedTuple):
     """What a step came to, one row per world; observations are those that the agent acts on next.
 
-    `done` holds the numbers of the worlds whose episode ended, `last` their last observations, `infos` their infos. Their next
-    episodes have begun.
+    `terms` has a row per term of the reward and a column per world. `done` holds the numbers of the worlds whose episode ended, `last` their
+    last observations, `infos` their infos. Their next episodes have begun.
     """
 
     observations: Any
     rewards: Column
+    terms: Column
     terminated: Column
     truncated: Column
     done: Column
     last: Any
     infos: list[dict[str, Any]]
+
+
+class Running(NamedTuple):
+    """The running episode of a world: its seed or the states of its random generators when it began, and the actions since then."""
+
+    start: int | dict[str, Any]
+    actions: list[Any]
 
 
 class Each:
@@ -205,6 +213,7 @@ class BatchSupervisor(_Part, ABC):
         self.controllers: dict[str, BatchController] = {}
         self.losses: list[tuple[int, int]] = []
         """Seed and step of each world that was lost because it was no longer finite."""
+        self._episodes = [Running(0, []) for _ in singles]
         self._views = views(self.scenario)
         self.depth, self.newest = len(self._views), 0
         self.frames = np.zeros((self.depth, len(self.scenario.policy.numbers), self.count), np.float32)
@@ -268,26 +277,67 @@ class BatchSupervisor(_Part, ABC):
         Raises:
             EvaluationError: An expression has no value in a world that is finite, or an episode would end before its first step.
         """
+        action = _copied(action)
+        for episode, act in zip(self._episodes, _each_of(action, self.count), strict=True):
+            episode.actions.append(act)
         with np.errstate(all="ignore"):
             self._advance(action)
         if self._lost.any():
             self._give_up()
-        observations, rewards = self.observations(), np.array(np.broadcast_to(self.reward, self.count), float)
+        observations, rewards, terms = self.observations(), self.rewards(), self.terms()
         terminated, truncated = self.terminated, self.truncated
         done = np.flatnonzero(terminated | truncated)
         if not len(done):
-            return Outcome(observations, rewards, terminated, truncated, done, None, [])
+            return Outcome(observations, rewards, terms, terminated, truncated, done, None, [])
         last, infos = _taken(observations, done), [self.info(world) for world in done.tolist()]
         self._begin(done.tolist(), [None] * len(done))
-        return Outcome(self.observations(), rewards, terminated, truncated, done, last, infos)
+        return Outcome(self.observations(), rewards, terms, terminated, truncated, done, last, infos)
 
     def _begin(self, worlds: Sequence[int], seeds: Sequence[int | None]) -> None:
         """Let single worlds begin episodes, and take over what they begin with."""
         for world, seed in zip(worlds, seeds, strict=True):
-            self.singles[world].reset(seed=seed)
-        self.take_over(worlds)
+            single = self.singles[world]
+            self._episodes[world] = Running(single.random_state() if seed is None else seed, [])
+            single.reset(seed=seed)
+        self._take_over_from(worlds)
 
-    def take_over(self, worlds: Sequence[int]) -> None:
+    def snapshot(self) -> list[Running]:
+        """The running episode of each world, from which `restore` goes on; it holds as much as the episodes have actions."""
+        return [Running(episode.start, list(episode.actions)) for episode in self._episodes]
+
+    def restore(self, episodes: Sequence[Running], on_step: Callable[[Column], None] = lambda acting: None) -> Any:
+        """Bring the worlds back to the moment of a snapshot, exactly: each episode begins again and repeats its actions.
+
+        All end in the same step, so that short ones begin late. `on_step` is called after each step with the worlds that repeated an action
+        in it, as truth values.
+
+        Returns:
+            The observations.
+        """
+        last = max(len(episode.actions) for episode in episodes)
+        idle = next((episode.actions[0] for episode in episodes if episode.actions), None)
+        self._forget()
+        for step in range(last + 1):
+            self._begin_again([world for world, episode in enumerate(episodes) if step == last - len(episode.actions)], episodes)
+            if step < last:
+                places = [step - last + len(episode.actions) for episode in episodes]
+                rows = [episode.actions[place] if place >= 0 else idle for place, episode in zip(places, episodes, strict=True)]
+                with np.errstate(all="ignore"):
+                    self._advance(_joined(rows))
+                on_step(np.array(places) >= 0)
+        self._episodes = [Running(episode.start, list(episode.actions)) for episode in episodes]
+        return self.observations()
+
+    def _begin_again(self, worlds: Sequence[int], episodes: Sequence[Running]) -> None:
+        for world in worlds:
+            start, single = episodes[world].start, self.singles[world]
+            if isinstance(start, dict):
+                single.set_random_state(start)
+            single.reset(seed=None if isinstance(start, dict) else start)
+        if worlds:
+            self._take_over_from(worlds)
+
+    def _take_over_from(self, worlds: Sequence[int]) -> None:
         """Go on from what single worlds have begun with."""
         worlds = list(worlds)
         self.engine.begun(worlds)
@@ -328,9 +378,16 @@ class BatchSupervisor(_Part, ABC):
         success = bool(self.is_success[world])
         return {"is_success": success, "ended_by": held[0] if held else None, "endings": held, "reward_terms": terms}
 
-    def terms(self) -> dict[str, Column]:
-        """The terms of the last reward, a column each."""
-        return {name: np.broadcast_to(getattr(self, f"term_{name}"), self.count) for name in self.TERMS}
+    def rewards(self) -> Column:
+        """Those of the last step, a copy."""
+        return np.array(np.broadcast_to(self.reward, self.count), float)
+
+    def terms(self) -> Column:
+        """The terms of the last rewards, a row each; a copy."""
+        terms = np.zeros((len(self.TERMS), self.count))
+        for row, name in zip(terms, self.TERMS, strict=True):
+            row[:] = getattr(self, f"term_{name}")
+        return terms
 
     def observations(self) -> Any:
         """What the policies see, float32, a row per world; a copy."""
@@ -460,12 +517,27 @@ class BatchSupervisor(_Part, ABC):
         wrong = ~(np.abs(reward) < 1e300) & ~self._lost
         if wrong.any() and (self.running is None or (wrong & self.running).any()):
             world = int(np.flatnonzero(wrong)[0])
-            terms = [name for name, column in self.terms().items() if not np.isfinite(column[world])]
+            terms = [name for name, value in zip(self.TERMS, self.terms()[:, world], strict=True) if not np.isfinite(value)]
             raise self._no_value(world, f"the reward term '{terms[0]}'" if terms else "the sum of the reward terms")
 
     def _no_value(self, world: int, what: str) -> EvaluationError:
         seed = self.singles[world].streams.root
         return EvaluationError(f"step {int(self.step_count[world])} of world {world} (seed {seed}): {what} is not finite")
+
+
+def _copied(action: Any) -> Any:
+    """The actions of all worlds, which the caller may write over."""
+    return {key: np.array(part) for key, part in action.items()} if isinstance(action, dict) else np.array(action)
+
+
+def _each_of(action: Any, count: int) -> Sequence[Any]:
+    """The action of each world."""
+    return [{key: part[world] for key, part in action.items()} for world in range(count)] if isinstance(action, dict) else action
+
+
+def _joined(rows: Sequence[Any]) -> Any:
+    """The actions of all worlds from that of each."""
+    return {key: np.array([row[key] for row in rows]) for key in rows[0]} if isinstance(rows[0], dict) else np.array(rows)
 
 
 def _taken(observations: Any, worlds: Column) -> Any:
