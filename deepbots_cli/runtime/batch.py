@@ -33,8 +33,8 @@ LOST = "not_finite"
 class Outcome(NamedTuple):
     """What a step came to, one row per world; observations are those that the agent acts on next.
 
-    `terms` has a row per term of the reward and a column per world. `done` holds the numbers of the worlds whose episode ended, `last` their
-    last observations, `infos` their infos. Their next episodes have begun.
+    `terms` has a row per term of the reward and a column per world. `done` holds the numbers of the worlds whose episode ended, `last`
+    their last observations, `infos` their infos. Their next episodes have begun.
     """
 
     observations: Any

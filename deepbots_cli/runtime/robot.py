@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Protocol, TypeVar, runtime_checkable
 
 from deepbots_cli.port import Engine, MotorWriter
@@ -43,7 +44,12 @@ class RobotController:
         self._memories: list[Memory | Memories] = []
         self.bind(engine)
         drives = [(actuator, getattr(self, f"drive_{actuator.name}", None)) for actuator in spec.actuators]
-        self._drives = [(actuator, drive) for actuator, drive in drives if drive is not None]
+        found = [(actuator, drive) for actuator, drive in drives if drive is not None]
+        # Each look at a protocol takes as long as a physics step of a light robot.
+        self._holds: list[Callable[[], object]] = [
+            drive.hold if isinstance(drive, Drive) else partial(_hold, engine, spec.name, actuator, drive) for actuator, drive in found
+        ]
+        self._releases = [drive.reset for _, drive in found if isinstance(drive, Drive)]
 
     def bind(self, engine: Engine) -> None:
         """Take readers and writers from the engine; called once."""
@@ -94,21 +100,18 @@ class RobotController:
 
     def release(self) -> None:
         """Let the actuators take the figures of this episode and forget their commands: they exert nothing until `hold`."""
-        for _, drive in self._drives:
-            if isinstance(drive, Drive):
-                drive.reset()
+        for release in self._releases:
+            release()
 
     def hold(self) -> None:
         """Hold everything that is driven in its reset state until the first command takes effect."""
-        for actuator, drive in self._drives:
-            _hold(self._engine, self.spec.name, actuator, drive)
+        for hold in self._holds:
+            hold()
 
 
-def _hold(engine: Engine, robot: str, actuator: Actuator, drive: MotorWriter | Drive) -> None:
-    """Keep what an actuator drives where it is; a motor that commands torques lets its joints go."""
-    if isinstance(drive, Drive):
-        drive.hold()
-    elif isinstance(actuator, Motor) and actuator.kind == "velocity_motor":
+def _hold(engine: Engine, robot: str, actuator: Actuator, drive: MotorWriter) -> None:
+    """Keep what a plain motor drives where it is; one that commands torques lets its joints go."""
+    if isinstance(actuator, Motor) and actuator.kind == "velocity_motor":
         drive((0.0,) * len(actuator.joints))
     elif isinstance(actuator, Motor) and actuator.kind == "position_motor":
         drive([state[0] for state in engine.joint_states(robot, actuator.joints)()])

@@ -31,9 +31,6 @@ if TYPE_CHECKING:
 
     Column = NDArray[Any]
 
-PORTION = 8
-"""Worlds that a thread takes at a time; with 128, a thread that was disturbed let the others wait."""
-
 
 class Member(MuJoCoEngine):
     """One world of a batch, from a model that was compiled once for all of them."""
@@ -63,10 +60,12 @@ class MuJoCoBatch:
         self._threads = threads or len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else threads or os.cpu_count() or 1
         self._pool = ThreadPoolExecutor(self._threads, thread_name_prefix="worlds") if min(self._threads, count) > 1 else None
         self._gathered: dict[str, Column] = {}
-        self._views: dict[str, list[Column]] = {}
+        self._views: dict[str, list[memoryview]] = {}
         """Of arrays of all worlds, whose memory stays where it is."""
         self._motors: list[Motor] = []
         self._derives: Callable[[World], object] | None = None
+        """Computes what readers need beside the state; `_derived` is what was computed in all worlds since they changed."""
+        self._derived: Callable[[World], object] | None = None
         self.chosen: Column | None = None
         """The worlds that motors are written in, as truth values; None for all."""
 
@@ -81,25 +80,28 @@ class MuJoCoBatch:
         """Let the worlds go on, or only those that are `running` (truth values)."""
         chosen = self.members if running is None else [self.members[index] for index in np.flatnonzero(running)]
         derives = self._derives
+        waiting = iter(chosen)  # each thread takes the next world, so that none waits for one that was disturbed
 
-        def advance(portion: Sequence[Member]) -> None:
-            for member in portion:
+        def advance(_: int) -> None:
+            for member in waiting:
                 member.step(substeps)
                 if derives is not None:
                     derives(member._world)
 
         if self._pool is None:
-            advance(chosen)
+            advance(0)
         else:
-            for _ in self._pool.map(advance, [chosen[at : at + PORTION] for at in range(0, len(chosen), PORTION)]):
+            for _ in self._pool.map(advance, range(self._threads)):
                 pass
         self._gathered = {}
+        self._derived = derives if running is None else None
 
     def begun(self, worlds: Iterable[int]) -> None:
         """Take notice of new episodes in these worlds."""
         self._gathered = {}
+        self._derived = None
         for motor in self._motors:
-            motor.driven[list(worlds)] = False
+            motor.begun(list(worlds))
 
     def lost(self) -> Column:
         """The numbers of the worlds whose state is not finite."""
@@ -122,8 +124,9 @@ class MuJoCoBatch:
         if found is None:
             parts = self._views.get(name)
             if parts is None:
-                parts = self._views[name] = [part(world).reshape(-1) for world in self._worlds]
-            found = self._gathered[name] = np.concatenate(parts).reshape(len(parts), -1).T
+                parts = self._views[name] = [part(world).reshape(-1).data.cast("B") for world in self._worlds]
+            # Joining bytes takes a sixth of `np.concatenate`. What results cannot be written, so nothing is changed by mistake.
+            found = self._gathered[name] = np.frombuffer(b"".join(parts)).reshape(len(parts), -1).T
         return found
 
     def joint_states(self, robot: str, joints: Sequence[str]) -> Callable[[], Any]:
@@ -168,7 +171,8 @@ class MuJoCoBatch:
             self._derives = self._derives or World.pose
 
         def read() -> Any:
-            self._derive(World.pose, index if places == "xpos" else None)
+            if places == "xpos":
+                self._derive()
             w, x, y, z = self._of(f"{turns}{index}", lambda world: getattr(world.data, turns)[index])
             return tuple(self._of(f"{places}{index}", lambda world: getattr(world.data, places)[index])), (x, y, z, w)
 
@@ -192,7 +196,7 @@ class MuJoCoBatch:
 
         def read() -> Any:
             """Of the link's origin, from the velocity of the body at the centre of mass of its tree, as `mj_objectVelocity` does."""
-            self._derive(World.motion, number)
+            self._derive()
             spatial = self._of(f"cvel{number}", lambda world: world.data.cvel[number])
             apart = self._of(f"xpos{number}", lambda world: world.data.xpos[number])
             apart = apart - self._of(f"subtree_com{root}", lambda world: world.data.subtree_com[root])
@@ -205,12 +209,13 @@ class MuJoCoBatch:
         pose, velocity = self.pose(body, link), self.velocity(body, link)
         return lambda: (pose(), velocity())
 
-    def _derive(self, compute: Callable[[World], object], link: int | None) -> None:
-        """Compute what was not, because a reset or no step came before."""
-        if link is not None and compute.__name__ not in self._gathered:
+    def _derive(self) -> None:
+        """Compute for all worlds what a step computes, since some began an episode."""
+        compute = self._derives
+        if compute is not None and self._derived is not compute:
             for world in self._worlds:
                 compute(world)
-            self._gathered[compute.__name__] = np.zeros(0)
+            self._derived = compute
 
     def _place(self, body: str, link: str | None) -> tuple[Body, int] | None:
         """The form of a body and the number of the link; None where it has several forms."""
@@ -235,7 +240,7 @@ class MuJoCoBatch:
     def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
         motor = Motor(self, [member.torque_motor(robot, joints, max_torque) for member in self.members], robot, joints)
         limits = np.array([limited(limit) for limit in max_torque])[:, None]
-        return motor.writer(lambda targets: np.minimum(np.maximum(targets, -limits), limits))
+        return motor.writer(lambda targets: np.minimum(np.maximum(targets, -limits), limits), holds=False)
 
     def position_motor(
         self,
@@ -251,7 +256,7 @@ class MuJoCoBatch:
         if stiffness is None:
             return motor.each
         rates = np.array(stiffness)[:, None]
-        return motor.writer(lambda targets: rates * targets)
+        return motor.writer(lambda targets: rates * targets, holds=True)
 
 
 class Motor:
@@ -264,22 +269,34 @@ class Motor:
         self._model = batch._worlds[0].model
         self._acts = drives.places([batch.members[0]._motors.actuators[number] for number in numbers])
         self._ctrl = [world.data.ctrl for world in batch._worlds]
-        self.driven = np.zeros(len(own), bool)
+        self._known = np.full((len(joints), len(own)), np.nan)
+        self._let_go = np.zeros(len(own), bool)
+        self._holds = True
         batch._motors.append(self)
+
+    def begun(self, worlds: Sequence[int]) -> None:
+        """These worlds have begun an episode; most motors hold their joints since then, and drive them."""
+        self._known[:, worlds] = np.nan
+        self._let_go[worlds] = not self._holds
 
     def each(self, targets: Any) -> None:
         """Command each world by itself."""
         self._write_own(self._columns(targets), self._chosen())
 
-    def writer(self, control: Callable[[Column], Column]) -> MotorWriter:
-        """A motor whose law stays the same: the numbers that its actuators get follow from the targets."""
+    def writer(self, control: Callable[[Column], Column], *, holds: bool) -> MotorWriter:
+        """A motor whose law stays the same: the numbers that its actuators get follow from the targets.
+
+        One that does not hold its joints at the beginning takes them by the first command of an episode.
+        """
+        self._holds = holds
+        self._let_go[:] = not holds
+        ctrl, acts = self._ctrl, self._acts
 
         def write(targets: Any) -> None:
             columns, chosen = self._columns(targets), self._chosen()
-            before = chosen[self.driven[chosen]]
-            self._write_own(columns, chosen[~self.driven[chosen]])
-            ctrl, acts = self._ctrl, self._acts
-            for world, row in zip(before.tolist(), control(columns).T[before], strict=True):
+            if self._let_go.any():
+                self._write_own(columns, chosen[self._let_go[chosen]])
+            for world, row in zip(chosen.tolist(), np.ascontiguousarray(control(columns).T[chosen]), strict=True):
                 ctrl[world][acts] = row
 
         return write
@@ -292,28 +309,23 @@ class Motor:
         usual, moved = motors.usual_armature[dofs][:, None], 1.0 / motors.usual_inverse[dofs][:, None]
         bounds = np.array(limits)[:, None]
         stiffest = drives.STIFFEST * model.dof_M0[dofs][:, None] / step
-        known = np.full((self._count, len(self._own)), np.nan)
         changing = ("actuator_biasprm", "dof_armature", "dof_invweight0")
         biases, armatures, inverses = ([getattr(world.model, name) for world in batch._worlds] for name in changing)
+        biases = [bias[:, 2] for bias in biases]
 
         def write(targets: Any) -> None:
-            columns, chosen = self._columns(targets), self._chosen()
-            fresh = chosen[~self.driven[chosen]]
-            if len(fresh):
-                known[:, fresh] = np.nan
-                self._write_own(columns, fresh)
-                if len(fresh) == len(chosen):
-                    return
-            before = chosen[self.driven[chosen]] if len(fresh) == 0 else np.setdiff1d(chosen, fresh, assume_unique=True)
+            columns, chosen, known = self._columns(targets), self._chosen(), self._known
             off = np.maximum(np.abs(columns - batch._state("qvel")[dofs]), drives.SLACK * np.abs(columns))
             gains = np.where(off * stiffest > bounds, bounds / off, stiffest)
-            changed = before[(gains != known)[:, before].any(axis=0)]
+            changed = chosen[(gains != known)[:, chosen].any(axis=0)]
             known[:, changed] = gains[:, changed]
             added = gains * step
-            rows = zip(changed.tolist(), (-gains).T[changed], (usual + added).T[changed], (1.0 / (moved + added)).T[changed], strict=True)
-            for world, bias, armature, inverse in rows:
-                biases[world][acts, 2], armatures[world][dofs], inverses[world][dofs] = bias, armature, inverse
-            for world, row in zip(before.tolist(), (gains * columns).T[before], strict=True):
+            values = (part.T[changed] for part in (-gains, usual + added, 1.0 / (moved + added)))
+            for world, bias, armature, inverse in zip(changed.tolist(), *values, strict=True):
+                biases[world][acts] = bias
+                armatures[world][dofs] = armature
+                inverses[world][dofs] = inverse
+            for world, row in zip(chosen.tolist(), (gains * columns).T[chosen], strict=True):
                 ctrl[world][acts] = row
 
         return write
@@ -329,4 +341,4 @@ class Motor:
     def _write_own(self, columns: Column, worlds: Column) -> None:
         for world, row in zip(worlds.tolist(), columns.T[worlds].tolist(), strict=True):
             self._own[world](row)
-        self.driven[worlds] = True
+        self._let_go[worlds] = False
