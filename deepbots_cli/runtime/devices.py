@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from deepbots_cli.plugins import attribute
 from deepbots_cli.program.robots import NoiseModel, Sensor
 from deepbots_cli.runtime.readers import ON_COLUMNS
-from deepbots_cli.runtime.sensing import BLOCK, Device, Normals, Site
+from deepbots_cli.runtime.sensing import BLOCK, Device, Lookup, Normals, Site
 
 if TYPE_CHECKING:
     from deepbots_cli.runtime.batch import BatchSupervisor
@@ -95,6 +95,26 @@ class Faults:
         return values if self._steps is None else self._steps * np.rint(values / self._steps)
 
 
+class Lookups:
+    """The lookup table of one sensor, with the noise of each world; see `readers.Table`."""
+
+    def __init__(self, tables: Sequence[Lookup], width: int) -> None:
+        self._rows = np.array(tables[0].rows)
+        normals = [table.normals for table in tables if table.normals is not None]
+        self._noise = Noise(normals, width) if normals else None
+
+    def load(self, world: int) -> None:
+        if self._noise is not None:
+            self._noise.load(world)
+
+    def __call__(self, values: Column, sampled: Column | None) -> Column:
+        known = self._rows[1:, 0]
+        start, value, noise, slope, growth = np.moveaxis(self._rows[np.searchsorted(known, values, side="right")], -1, 0)
+        along = values - start
+        readings: Column = value + slope * along
+        return readings if self._noise is None else readings * (1.0 + (noise + growth * along) * self._noise.row(sampled))
+
+
 class Devices:
     """The same device in all worlds, called once per tick; `reading` is the newest that was delivered, a row per component."""
 
@@ -104,14 +124,19 @@ class Devices:
         faults = sensor.faults or NoiseModel()
         self._period, self._timestep = faults.period, batch.scenario.world.timestep
         self._faults = Faults(devices, self._width) if devices[0].chain is not None else None
+        tables = [device.instrument.lookup for device in devices if device.instrument.lookup is not None]
+        self._lookups = Lookups(tables, self._width) if tables else None
         self.reading: Any = np.zeros((self._width, count))
         self._tick, self._delay, self.measured = (np.zeros(count, np.intp) for _ in range(3))
         self._ring: list[Any] = []
         reader = attribute(sensor.reader)
         self._read: Callable[[], Any] | None = None
-        if reader in ON_COLUMNS and not any(variation.what == "gravity" for variation in batch.scenario.reset.variations):
+        varies = any(variation.what == "gravity" for variation in batch.scenario.reset.variations)
+        joins = sensor.beams is not None and sensor.beams.combined not in (None, "each")
+        if reader in ON_COLUMNS and not (varies or joins):
             made = reader(Site(batch.engine, robot, sensor, batch.scenario.world))
-            made.restart(None)
+            if made.lookup is None:
+                made.restart(None)
             self._read = made.read
 
     def load(self, world: int) -> None:
@@ -123,8 +148,9 @@ class Devices:
             self.reading = self.reading.copy()
         self.reading[:, world] = reading
         self._tick[world], self.measured[world], self._delay[world] = 0, 0, device.delay
-        if self._faults is not None:
-            self._faults.load(world)
+        for part in (self._faults, self._lookups):
+            if part is not None:
+                part.load(world)
 
     @property
     def age(self) -> Column:
@@ -164,6 +190,8 @@ class Devices:
             values = np.stack([np.broadcast_to(column, len(self._devices)) for column in self._read()])
         else:
             values = np.stack([self._single(world, sampled) for world in range(len(self._devices))], axis=1)
+        if self._lookups is not None:
+            values = self._lookups(values, sampled)
         return values if self._faults is None else self._faults(values, self._tick * self._timestep, sampled)
 
     def _single(self, world: int, sampled: Column | None) -> Column:

@@ -13,7 +13,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from operator import add
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -148,15 +148,31 @@ def _nothing(_generator: Any = None) -> None:
     """What most instruments do at a reset, and between two readings."""
 
 
+class Lookup(Protocol):
+    """A table between what an instrument reads and its readings; see `readers.Table`."""
+
+    @property
+    def rows(self) -> Sequence[tuple[float, float, float, float, float]]:
+        """Where each stretch starts: distance, value, noise, and by how much value and noise grow; the first lies before the table."""
+
+    @property
+    def normals(self) -> Normals | None:
+        """The noise, if the table has any."""
+
+    def __call__(self, values: Figures, /) -> Figures:
+        """The readings."""
+
+
 class Instrument(NamedTuple):
     """What a sensor measures: `read` gives the true values at this moment, `restart` begins an episode with a random generator.
 
-    `follow` is called in the ticks without a reading.
+    `follow` is called in the ticks without a reading. `lookup` turns what was read into a reading, with noise of its own.
     """
 
     read: Callable[[], Reading]
     restart: Callable[[Any], None] = _nothing
     follow: Callable[[], None] = _nothing
+    lookup: Lookup | None = None
 
 
 class Site(NamedTuple):
@@ -202,6 +218,7 @@ class Device:
         faults = sensor.faults or NoiseModel()
         self._sensor = sensor
         self.instrument = instrument
+        self._lookup = instrument.lookup
         self._timestep = timestep
         self._stream = f"robots.{robot}.sensors.{sensor.name}"
         self._period = faults.period
@@ -247,4 +264,6 @@ class Device:
 
     def _sampled(self) -> Reading:
         values = self.instrument.read()
+        if self._lookup is not None:
+            values = self._lookup(values)
         return values if self.chain is None else self.chain(values, self._tick * self._timestep)

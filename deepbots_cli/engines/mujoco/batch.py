@@ -17,16 +17,17 @@ import numpy as np
 from deepbots_cli import frames
 from deepbots_cli.engines.mujoco import cameras
 from deepbots_cli.engines.mujoco import motors as drives
+from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.engine import MuJoCoEngine, _link
-from deepbots_cli.engines.mujoco.model import Body, Builder, limited
+from deepbots_cli.engines.mujoco.model import HIDDEN, Body, Builder, limited
 from deepbots_cli.engines.mujoco.state import World
 from deepbots_cli.engines.objects import Pool
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from deepbots_cli.frames import Triple
-    from deepbots_cli.port import MotorWriter
+    from deepbots_cli.frames import Frame, Triple
+    from deepbots_cli.port import MotorWriter, Part
     from deepbots_cli.program.world import WorldModel
 
     Column = NDArray[Any]
@@ -208,6 +209,38 @@ class MuJoCoBatch:
     def motion(self, body: str, link: str | None = None) -> Callable[[], Any]:
         pose, velocity = self.pose(body, link), self.velocity(body, link)
         return lambda: (pose(), velocity())
+
+    def rays(self, part: Part, rays: Sequence[Frame], reach: float) -> Callable[[], Column]:
+        """See `Engine.rays`; from each link by itself, since a robot is hidden while its rays are cast."""
+        place = self._place(*part)
+        if place is None:
+            readers = [member.rays(part, rays, reach) for member in self.members]
+            return lambda: np.array([reader() for reader in readers]).T
+        form, link = place
+        own = form.of(None)
+        starts = np.array([origin for origin, _ in rays])
+        ways = np.array([frames.rotate(turned, (1.0, 0.0, 0.0)) for _, turned in rays])
+        seen = np.ones(6, np.uint8)
+        seen[HIDDEN] = 0
+        groups = [world.model.geom_group[min(own, default=0) : max(own, default=-1) + 1] for world in self._worlds]
+        self._derives = self._derives or World.pose
+        free = np.zeros((len(self._worlds), len(rays)))
+        ray, range_ = mj.mj_ray, range(len(rays))
+
+        def read() -> Column:
+            self._derive()
+            axes = self._of(f"xmat{link}", lambda world: world.data.xmat[link]).T.reshape(-1, 3, 3)
+            position = self._of(f"xpos{link}", lambda world: world.data.xpos[link]).T
+            origins, directions = position[:, None] + starts @ axes.transpose(0, 2, 1), ways @ axes.transpose(0, 2, 1)
+            for world, group, met, origin, direction in zip(self._worlds, groups, free, origins, directions, strict=True):
+                model, data, usual = world.model, world.data, int(group[0]) if len(group) else 0
+                group.fill(HIDDEN)
+                for number in range_:
+                    met[number] = ray(model, data, origin[number], direction[number], seen, True, -1, None, None)
+                group.fill(usual)
+            return np.where((free < 0.0) | (free > reach), reach, free).T
+
+        return read
 
     def _derive(self) -> None:
         """Compute for all worlds what a step computes, since some began an episode."""
