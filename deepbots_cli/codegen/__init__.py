@@ -30,7 +30,7 @@ from deepbots_cli.codegen.robot import Controller
 from deepbots_cli.codegen.supervisor import batch_supervisor, supervisor
 from deepbots_cli.errors import BatchError
 from deepbots_cli.expressions.functions import math_names
-from deepbots_cli.expressions.printer import BATCH, SCALAR
+from deepbots_cli.expressions.printer import BATCH, SCALAR, Target
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Choices
 
@@ -95,8 +95,7 @@ def emit(scenario: Program, target: str = "scalar") -> str:
     on_floats = target == "scalar"
     constants = Constants()
     chosen = SCALAR if on_floats else BATCH
-    classes = [line for robot in scenario.robots for line in (*Controller(scenario, robot, constants, chosen).lines(), "", "")]
-    classes += supervisor(scenario, constants) if on_floats else batch_supervisor(scenario, constants)
+    classes = _classes(scenario, constants, chosen)
     used = {node.id for node in ast.walk(ast.parse("\n".join([*constants.lines, *classes]))) if isinstance(node, ast.Name)}
     used_math = sorted((math_names() if on_floats else _NUMBERS) & used)
     lines = filled(
@@ -112,6 +111,11 @@ def emit(scenario: Program, target: str = "scalar") -> str:
         classes=classes,
     )
     return "\n".join(part for line in _without_gaps(lines) for part in wrapped(line)).rstrip("\n") + "\n"
+
+
+def _classes(scenario: Program, constants: Constants, target: Target) -> list[str]:
+    lines = [line for robot in scenario.robots for line in (*Controller(scenario, robot, constants, target).lines(), "", "")]
+    return [*lines, *(supervisor(scenario, constants) if target is SCALAR else batch_supervisor(scenario, constants))]
 
 
 _NUMBERS = frozenset({"pi", "tau", "e", "inf"})
@@ -137,7 +141,13 @@ def not_batched(scenario: Program) -> list[str]:
         (bool(scenario.foreign), "it runs code of packages"),
         (any(option.forbidden for part in policy.action if isinstance(part, Choices) for option in part.options), "it forbids choices"),
     ]
-    return [reason for holds, reason in reasons if holds]
+    found = [reason for holds, reason in reasons if holds]
+    if not found:
+        try:
+            _classes(scenario, Constants(), BATCH)
+        except BatchError as error:
+            found = [str(error)]
+    return found
 
 
 def _names(scenario: Program) -> Iterator[str]:

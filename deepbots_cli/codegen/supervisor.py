@@ -69,7 +69,7 @@ def batch_supervisor(scenario: Program, constants: Constants) -> list[str]:
         doc = '"""Draw a value for the next message of a single world."""'
         methods += ["@staticmethod", *block(f"def {name}(self: Any) -> None:", [doc, line])]
     lines = [line for line in methods if "@staticmethod" not in line]
-    read = re.findall(r"self\.((?:parameter|due|std|told|present)_\w+)", "\n".join(lines))
+    read = re.findall(r"""(?:self\.|")((?:parameter|due|std|told|present)_\w+)""", "\n".join(lines))
     kept = tuple(dict.fromkeys(read))
     tables = choice_tables(space)
     terms = tuple(term.name for term in scenario.policy.reward)

@@ -14,6 +14,7 @@ from enum import IntEnum
 from functools import cache
 from typing import NamedTuple
 
+from deepbots_cli.errors import BatchError
 from deepbots_cli.expressions.functions import Function, operation, whole_exponent
 from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar, State, World
 
@@ -66,7 +67,17 @@ _ON_COLUMNS = {"hypot": "hypot(x, *y)", "min": "minimum(*x)", "max": "maximum(*x
 def _on_columns(function: Function) -> str:
     if function.helper:
         return _on_floats(function)
-    return _ON_COLUMNS.get(function.name) or function.array or function.python
+    text = _ON_COLUMNS.get(function.name) or function.array
+    if not text and not all(_is_same_on_columns(node) for node in ast.walk(_template(function.python))):
+        raise BatchError(f"it calls '{function.name}', which has no Python for arrays")
+    return text or function.python
+
+
+def _is_same_on_columns(node: ast.AST) -> bool:
+    """Whether a part of a function's Python means the same for a column: arithmetic, comparisons and `abs`."""
+    if isinstance(node, ast.Call):
+        return isinstance(node.func, ast.Name) and node.func.id == "abs"
+    return not isinstance(node, (ast.IfExp, ast.BoolOp, ast.Not, ast.Starred))
 
 
 BATCH = Target("batch", _on_columns)
