@@ -27,18 +27,19 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from deepbots_cli.api import compile, load, make
+    from deepbots_cli.api import compile, load, make, make_vec
     from deepbots_cli.learning import compare, evaluate, load_policy, resume, train
     from deepbots_cli.scenario import Scenario
 
 __version__ = "0.1.0"
-__all__ = ["Scenario", "__version__", "compare", "compile", "evaluate", "load", "load_policy", "make", "resume", "train"]
+__all__ = ["Scenario", "__version__", "compare", "compile", "evaluate", "load", "load_policy", "make", "make_vec", "resume", "train"]
 
 _HOMES = {
     "Scenario": "deepbots_cli.scenario",
     "compile": "deepbots_cli.api",
     "load": "deepbots_cli.api",
     "make": "deepbots_cli.api",
+    "make_vec": "deepbots_cli.api",
     "train": "deepbots_cli.learning",
     "resume": "deepbots_cli.learning",
     "evaluate": "deepbots_cli.learning",

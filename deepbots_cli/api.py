@@ -33,6 +33,8 @@ from deepbots_cli.scenario import Scenario
 if TYPE_CHECKING:
     from deepbots_cli.program import Program
     from deepbots_cli.runtime import Supervisor
+    from deepbots_cli.runtime.batch import BatchSupervisor
+    from deepbots_cli.runtime.vector import BatchEnvironment
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,6 +194,65 @@ def make(
         allowed = allow_code or source.allow_code
         return build(source.program, engine=engine, render_mode=render_mode, allow_code=allowed, fixed=source.fixed)
     return build(source, engine=engine, render_mode=render_mode, allow_code=allow_code)
+
+
+def make_vec(
+    source: str | Path | Scenario | Checked | Compiled | Program,
+    num_envs: int = 256,
+    *,
+    sets: Sequence[str] = (),
+    allow_paths: Iterable[str | Path] = (),
+    engine: str = "mujoco",
+) -> BatchEnvironment:
+    """Many worlds of a scenario as one `gymnasium.vector.VectorEnv`, stepped together on all cores.
+
+    World i lives the same episodes as the single world of `make` with its seed. An episode that ends is followed by the next one in the
+    same step, as `AutoresetMode.SAME_STEP` says: `final_obs` and `final_info` tell of its end.
+
+    Args:
+        num_envs: How many worlds, from 1.
+        engine: `mujoco` is the only engine with batches of worlds.
+
+    Raises:
+        ScenarioError: The scenario has findings at error level.
+        BatchError: A batch cannot hold the scenario, or the engine has no batches; says why.
+        UsageError: There is no such file.
+        MissingExtraError: The simulator is not installed.
+    """
+    if isinstance(source, (str, Path, Scenario, Checked)):
+        source = compile(source, sets=sets, allow_paths=allow_paths)
+    program, fixed = (source.program, source.fixed) if isinstance(source, Compiled) else (source, ())
+    batch = build_batch(program, num_envs, engine=engine, fixed=fixed)
+    from deepbots_cli.runtime.vector import BatchEnvironment
+
+    return BatchEnvironment(batch)
+
+
+def build_batch(program: Program, count: int, *, engine: str = "mujoco", fixed: tuple[str, ...] = ()) -> BatchSupervisor:
+    """The supervisor of `count` worlds of a compiled scenario; see `make_vec`."""
+    if not 1 <= count <= MAX_WORLDS:
+        raise UsageError(f"a batch of {count} worlds cannot be made; from 1 to {MAX_WORLDS} are possible")
+    try:
+        from deepbots_cli import engines
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("sim", "running a scenario") from error
+    from deepbots_cli.canonical import digest
+    from deepbots_cli.codegen import emit, load_module
+    from deepbots_cli.codegen.names import class_name
+
+    name, mark = class_name(program.name), digest(program)[:12]
+    of_batch = load_module(emit(program, "batch"), f"deepbots_batch_{name}", f"<deepbots {name} {mark} batch>")
+    of_one = load_module(emit(program), f"deepbots_generated_{name}", f"<deepbots {name} {mark}>")
+    made = engines.create_batch(engine, program.world, count)
+    singles = [vars(of_one)[f"{name}Supervisor"](program, member) for member in made.members]
+    for single in singles:
+        single.fixed = fixed
+    batch: BatchSupervisor = vars(of_batch)[f"{name}Batch"](singles, made)
+    return batch
+
+
+MAX_WORLDS = 4096
+"""Worlds in a batch; each takes 0.1 to 1 MB of memory."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

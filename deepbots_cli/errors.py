@@ -41,6 +41,10 @@ class UsageError(DeepbotsError):
     """The request itself cannot be met: wrong arguments, a missing file, not a run."""
 
 
+class BatchError(UsageError):
+    """A batch of worlds cannot hold a scenario; says why."""
+
+
 class MissingExtraError(UsageError):
     """An optional dependency is needed for this and is not installed."""
 

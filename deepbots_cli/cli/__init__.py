@@ -7,6 +7,7 @@ exits.py       exceptions to exit codes
 terminal.py    output, colour, progress
 tables.py      tables as text
 inspection.py  the tables of `inspect`
+throughput.py  the measurements of `bench` for several engines and batches
 starters/      the scenarios that `new` writes
 glossary.yaml  the glossary: what `explain` prints and docs/reference/glossary.md holds
 project/       templates of `eject`

@@ -24,12 +24,15 @@ from types import CodeType, ModuleType
 from typing import Any
 
 from deepbots_cli.codegen.layout import filled, wrapped
-from deepbots_cli.codegen.names import RUNTIME, Constants, class_name
+from deepbots_cli.codegen.names import COLUMNS, RUNTIME, Constants, class_name
 from deepbots_cli.codegen.robot import Controller
-from deepbots_cli.codegen.supervisor import supervisor
+from deepbots_cli.codegen.supervisor import batch_supervisor, supervisor
+from deepbots_cli.errors import BatchError
 from deepbots_cli.expressions.functions import math_names
+from deepbots_cli.expressions.printer import BATCH, SCALAR, Target
 from deepbots_cli.program import Program
 from deepbots_cli.program.identity import digest
+from deepbots_cli.program.task import Choices
 
 _MODULE = '''
 """{name}, compiled by deepbots; scenario {digest}.
@@ -53,33 +56,98 @@ from typing import Any
 _NAME = re.compile(r"[a-z_][a-z0-9_]*", re.ASCII)
 
 
-def emit(scenario: Program) -> str:
+_BATCH_MODULE = '''
+"""{name}, compiled by deepbots for a batch of worlds; scenario {digest}.
+
+SI units. Each number is a column: an array with one number per world. A vector is a sequence of columns. Episodes
+begin in single worlds, and what they begin with is taken over. `step` calls `_advance`, which observes. What is bound
+by `each` is asked of the single worlds in turn.
+"""
+
+from __future__ import annotations
+
+{standard}
+from typing import Any
+
+{runtime}
+
+{constants}
+
+{classes}
+'''
+
+
+def emit(scenario: Program, target: str = "scalar") -> str:
     """The module that runs `scenario`: one controller class per robot and the supervisor class.
 
+    Args:
+        target: `scalar` for single worlds, or `batch` for many at once.
+
     Raises:
+        BatchError: A batch cannot hold the scenario; says why.
         ValueError: A name is no identifier of the language, which is a fault of the compiler.
     """
     for name in _names(scenario):
         if not _NAME.fullmatch(name):
             raise ValueError(f"{name[:40]!r} cannot be a name in the code")
+    if target == "batch" and (reasons := not_batched(scenario)):
+        raise BatchError(f"{scenario.name} does not fit a batch: {'; '.join(reasons)}")
+    on_floats = target == "scalar"
     constants = Constants()
-    classes = [line for robot in scenario.robots for line in (*Controller(scenario, robot, constants).lines(), "", "")]
-    classes += supervisor(scenario, constants)
+    chosen = SCALAR if on_floats else BATCH
+    classes = _classes(scenario, constants, chosen)
     used = {node.id for node in ast.walk(ast.parse("\n".join([*constants.lines, *classes]))) if isinstance(node, ast.Name)}
-    used_math = sorted(math_names() & used)
+    used_math = sorted((math_names() if on_floats else _NUMBERS) & used)
     lines = filled(
-        _MODULE,
+        _MODULE if on_floats else _BATCH_MODULE,
         name=class_name(scenario.name),
         digest=digest(scenario)[:12],
         standard=[
             *(["from collections.abc import Iterator"] if "Iterator" in used else []),
             *([f"from math import {', '.join(used_math)}"] if used_math else []),
         ],
-        runtime=[f"from deepbots_cli.runtime import {', '.join(sorted(used & set(RUNTIME), key=_as_isort))}"],
+        runtime=_imports(used, on_floats),
         constants=[*constants.lines, "", ""] if constants.lines else [""],
         classes=classes,
     )
     return "\n".join(part for line in _without_gaps(lines) for part in wrapped(line)).rstrip("\n") + "\n"
+
+
+def _classes(scenario: Program, constants: Constants, target: Target) -> list[str]:
+    lines = [line for robot in scenario.robots for line in (*Controller(scenario, robot, constants, target).lines(), "", "")]
+    return [*lines, *(supervisor(scenario, constants) if target is SCALAR else batch_supervisor(scenario, constants))]
+
+
+_NUMBERS = frozenset({"pi", "tau", "e", "inf"})
+
+
+def _imports(used: set[str], on_floats: bool) -> list[str]:
+    if on_floats:
+        return [f"from deepbots_cli.runtime import {', '.join(sorted(used & set(RUNTIME), key=_as_isort))}"]
+    columns = sorted(used & set(COLUMNS))
+    return [
+        *(["import numpy as np", ""] if "np" in used else []),
+        "from deepbots_cli.runtime.batch import BatchController, BatchSupervisor",
+        *([f"from deepbots_cli.runtime.columns import {', '.join(columns)}"] if columns else []),
+    ]
+
+
+def not_batched(scenario: Program) -> list[str]:
+    """Why a batch cannot hold a scenario; nothing where it can."""
+    policy = scenario.policy
+    reasons = [
+        (policy.copies is not None, "it has several copies of a robot"),
+        (bool(policy.images) or any(sensor.optics for robot in scenario.robots for sensor in robot.sensors), "it has cameras"),
+        (bool(scenario.foreign), "it runs code of packages"),
+        (any(option.forbidden for part in policy.action if isinstance(part, Choices) for option in part.options), "it forbids choices"),
+    ]
+    found = [reason for holds, reason in reasons if holds]
+    if not found:
+        try:
+            _classes(scenario, Constants(), BATCH)
+        except BatchError as error:
+            found = [str(error)]
+    return found
 
 
 def _names(scenario: Program) -> Iterator[str]:

@@ -23,6 +23,11 @@ RUNTIME = (
     *("clip", "foreign", "to_body_frame", "quaternion", "scale", "scale_each", "scale_freely", "total"),
 )
 """What a printed module may import from `deepbots_cli.runtime`."""
+COLUMNS = (
+    *("all_of", "any_of", "hypot", "maximum", "minimum", "pick", "scale", "scale_each", "scale_freely", "to_body_frame", "total"),
+    *sorted(FORMULAS),
+)
+"""What a module for a batch may import from `deepbots_cli.runtime.columns`."""
 
 VARIABLES = "abcdefgh"
 """The variables of comprehensions."""

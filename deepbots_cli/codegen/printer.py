@@ -15,14 +15,17 @@ from deepbots_cli.codegen.layout import noted, quoted, tuple_code
 from deepbots_cli.codegen.names import VARIABLES, Constants, Names
 from deepbots_cli.codegen.readers import Needs, Readers
 from deepbots_cli.expressions.functions import FUNCTIONS, Family, rotation
-from deepbots_cli.expressions.printer import SCALAR, Code, applied, number
+from deepbots_cli.expressions.printer import SCALAR, Code, Target, applied, number
 from deepbots_cli.expressions.scalar import Const, Draw, Name, NamedFloat, Op, Scalar, State, World, is_drawn
 
 NOTHING: Mapping[int, str] = MappingProxyType({})
 NO_NAMES: Mapping[str, str] = MappingProxyType({})
 
-_JOINED = {"add": "total", "min": "min", "max": "max", "or": "any", "and": "all"}
-"""The function that an operation on many arguments of the same form is printed as; it takes one vector."""
+_JOINED = {
+    "scalar": {"add": "total", "min": "min", "max": "max", "or": "any", "and": "all"},
+    "batch": {"add": "total", "min": "minimum", "max": "maximum", "or": "any_of", "and": "all_of"},
+}
+"""By target, the function that an operation on many arguments of the same form is printed as; it takes one vector."""
 _MANY = 4
 _NEUTRAL = {"add": 0.0, "sub": 0.0, "mul": 1.0}
 
@@ -42,6 +45,7 @@ class Column(NamedTuple):
 class Scope(Protocol):
     """The class that a method is printed for: what its names mean, and what its methods share."""
 
+    target: Target
     names: Names
     constants: Constants
     readers: Readers
@@ -102,6 +106,20 @@ class Printer:
             self._hoisted = {state: re.sub(rf"^{made[:-3]}\b", target, name) for state, name in self._hoisted.items()}
         self.lines += noted(f"{target} = {code}", text)
 
+    def increase(self, target: str, code: str) -> None:
+        """Add to what is kept. A column is made anew, since the old one may be told, and only in worlds whose episode goes on."""
+        self.line(f"{target} += {code}" if self.on_floats else f"{target} = self.add({target}, {code})")
+
+    def joined(self, operation: str, codes: Sequence[str]) -> str:
+        """The code of an operation on values with this code."""
+        args = [Code(code) for code in codes]
+        return applied(operation, args, (), self.scope.target).text if len(args) > 1 or operation == "not" else codes[0]
+
+    @property
+    def on_floats(self) -> bool:
+        """Whether the code is for one world."""
+        return self.scope.target is SCALAR
+
     def tuple(self, trees: Sequence[Scalar]) -> str:
         """The code of a tuple with one item per tree."""
         return tuple_code([self.value(tree) for tree in trees])
@@ -143,7 +161,7 @@ class Printer:
                 return (
                     self._pose_function_code(tree)
                     or self._reduction_code(tree)
-                    or applied(tree.op, [self.code(arg) for arg in tree.args], tree.args, SCALAR)
+                    or applied(tree.op, [self.code(arg) for arg in tree.args], tree.args, self.scope.target)
                 )
             case State():
                 return Code(self._state(tree))
@@ -175,7 +193,8 @@ class Printer:
         """An operation on many arguments of the same form, as one operation on a vector."""
         if tree.op == "hypot" and (column := self._column(tree.args)) is not None:
             return Code(f"hypot(*{column.plain})")
-        if tree.op not in _JOINED or len(tree.args) < _MANY:
+        joined = _JOINED[self.scope.target.name].get(tree.op)
+        if joined is None or len(tree.args) < _MANY:
             return None
         column = self._column(tree.args)
         try:
@@ -184,7 +203,9 @@ class Printer:
         except _DifferentShapesError:
             return None
         lazy = tree.op in ("or", "and") and code.startswith("[")
-        return Code(f"{_JOINED[tree.op]}({code[1:-1] if lazy else code})")
+        if joined in ("minimum", "maximum"):
+            code = f"*{code}"
+        return Code(f"{joined}({code[1:-1] if lazy else code})")
 
     def _column(self, trees: Sequence[Scalar]) -> Column | None:
         """A vector that is there as a whole, or a constant one."""
@@ -239,7 +260,8 @@ class Printer:
         owner = first.slot.partition("#")[0].rpartition(".")[2]
         name = self.names.called(f"memory {first.slot}", first.function, owner)
         kind = FUNCTIONS[first.function].memory
-        self.scope.memories[name] = f"self.memories({kind}, {len(states)})" if len(states) > 1 else f"self.memory({kind})"
+        kinds = f"self.memories({kind}, {len(states)})" if len(states) > 1 else f"self.memory({kind})"
+        self.scope.memories[name] = kinds if self.on_floats else f"self.memory({quoted(name)})"
         return name
 
 
@@ -305,7 +327,7 @@ class _Loop:
         name = operations[0].op
         if name == "pow" and len({tree.args[1] for tree in operations}) > 1:
             raise _DifferentShapesError
-        return applied(name, self._bodies([tree.args for tree in operations]), operations[0].args, SCALAR)
+        return applied(name, self._bodies([tree.args for tree in operations]), operations[0].args, self._printer.scope.target)
 
     def _bodies(self, rows: Sequence[tuple[Scalar, ...]]) -> list[Code]:
         if len({len(row) for row in rows}) > 1:

@@ -50,8 +50,12 @@ _ORDER = (*_KINDS, *_SINGLE, "line")
 class Readers:
     """The readers of one class; one reader covers all joints of a robot."""
 
-    def __init__(self, names: Names, constants: Constants, roots: Mapping[str, str]) -> None:
-        """`roots` has the full name of the root link of each robot, whose readers are named after the robot alone."""
+    def __init__(self, names: Names, constants: Constants, roots: Mapping[str, str], *, on_columns: bool = False) -> None:
+        """`roots` has the full name of the root link of each robot, whose readers are named after the robot alone.
+
+        For a batch (`on_columns`), motion is read as columns, and everything else from the single worlds.
+        """
+        self._on_columns = on_columns
         self._names = names
         self._constants = constants
         self._short = {link: robot for robot, link in roots.items()}
@@ -156,6 +160,9 @@ class Readers:
         kind, subject = key
         parts = subject.split(_AND)
         body, _, link = subject.partition(".")
+        if self._on_columns and kind not in _KINDS:
+            name = quoted(f"read_{self._local(key)}")
+            return f"[self.each({name}, index) for index in range({len(parts) - 2})]" if kind == "contacts" else f"self.each({name})"
         match kind:
             case "joints" | "torques":
                 method = "joint_states" if kind == "joints" else "joint_torques"

@@ -5,20 +5,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from deepbots_cli import frames
-from deepbots_cli.codegen.layout import block, docstring, filled, quoted, repeated, sentence_list, targets_code, tuple_code
+from deepbots_cli.codegen.layout import block, docstring, filled, quoted, quoted_tuple, repeated, sentence_list, targets_code, tuple_code
 from deepbots_cli.codegen.names import Constants, Names, class_name
 from deepbots_cli.codegen.printer import Printer, outer_states
 from deepbots_cli.codegen.readers import Needs, Readers
 from deepbots_cli.codegen.workspace import root_links, whole_vector
 from deepbots_cli.compiler.robots import held
+from deepbots_cli.expressions.printer import SCALAR, Target
 from deepbots_cli.expressions.scalar import Draw, Name, Op, Scalar, State, World, names_in, walk
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Actuator, Cartesian, CustomActuator, Motor, Robot, Sensor, Thrust
 
 _CLASS = """
-class {name}(RobotController):
+class {name}({base}):
     {doc}
 
+    {keeps}
     def bind(self, engine: Any) -> None:
         {binding}
 
@@ -29,13 +31,14 @@ class {name}(RobotController):
 class Controller:
     """Prints the controller of one robot."""
 
-    def __init__(self, scenario: Program, robot: Robot, constants: Constants) -> None:
+    def __init__(self, scenario: Program, robot: Robot, constants: Constants, target: Target = SCALAR) -> None:
         self._scenario = scenario
         self._robot = robot
+        self.target = target
         self.names = Names()
         self.constants = constants
         self.memories: dict[str, str] = {}
-        self.readers = Readers(self.names, constants, root_links(scenario))
+        self.readers = Readers(self.names, constants, root_links(scenario), on_columns=target is not SCALAR)
         self._received = {entry.name: entry.components for entry in robot.received}
         self._sensors = {sensor.name: sensor for sensor in robot.sensors}
         self._devices = devices(scenario, robot)
@@ -49,13 +52,19 @@ class Controller:
         robot = self._robot
         emitted = sentence_list([entry.name for entry in robot.emitted]) or "nothing"
         driven = sentence_list([entry.name for entry in robot.commands]) or "nothing"
-        methods = [*self._reset(), *self._observe(), *self._use_message_data(), *self._create_message()]
-        writers = Drives(self._scenario, robot, self.constants).bind_lines()
+        # A batch begins like its single worlds: the same names are given, and nothing is printed.
+        on_floats = self.target is SCALAR
+        resetting = self._reset()
+        methods = [*(resetting if on_floats else []), *self._observe(), *self._use_message_data(), *self._create_message()]
+        writers = Drives(self._scenario, robot, self.constants).bind_lines(on_columns=not on_floats)
+        kept = [f"emitted_{self.names(entry.name)}" for entry in robot.emitted] if self._keeps_state and not on_floats else []
         devices = [f"self.sense_{name} = self.device({quoted(name)})" for name in self._devices]
         memories = [f"self.{name} = {code}" for name, code in self.memories.items()]
         return filled(
             _CLASS,
             name=controller_name(robot),
+            base="RobotController" if on_floats else "BatchController",
+            keeps=[f"KEEPS = {quoted_tuple(kept)}", ""] if kept else [],
             doc=docstring(f"Robot `{robot.name}`: emits {emitted}; drives {driven}."),
             binding=[*self.readers.bind_lines(), *devices, *memories, *writers] or ["pass"],
             methods=methods,
@@ -200,9 +209,12 @@ class Drives:
         commanded = {entry.name for entry in robot.commands}
         self.actuators = [actuator for actuator in robot.actuators if actuator.name in commanded]
 
-    def bind_lines(self) -> list[str]:
-        """Statements that take each motor from `engine`."""
-        return [f"self.drive_{actuator.name} = {self._code(actuator)}" for actuator in self.actuators]
+    def bind_lines(self, *, on_columns: bool = False) -> list[str]:
+        """Statements that take each motor from `engine`; for a batch (`on_columns`), devices from the single worlds."""
+        names = [f"drive_{actuator.name}" for actuator in self.actuators]
+        apart = [on_columns and self._is_device(actuator) for actuator in self.actuators]
+        parts = zip(names, self.actuators, apart, strict=True)
+        return [f"self.{name} = {f'self.each({quoted(name)})' if single else self._code(actuator)}" for name, actuator, single in parts]
 
     @property
     def has_devices(self) -> bool:

@@ -8,6 +8,7 @@ then terminations, truncation, rewards (which see the endings), then the observa
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 
 from deepbots_cli.codegen.layout import block, indent, noted, quoted, targets_code, tuple_code
@@ -17,7 +18,7 @@ from deepbots_cli.codegen.robot import observes
 from deepbots_cli.codegen.workspace import Workspace, zeros
 from deepbots_cli.expressions.printer import number
 from deepbots_cli.expressions.scalar import Const, Name, names_in
-from deepbots_cli.program.robots import Robot
+from deepbots_cli.program.robots import Robot, Route
 from deepbots_cli.program.task import Ending, Observation, Option
 from deepbots_cli.program.values import Noise
 
@@ -46,11 +47,11 @@ def advance(space: Workspace) -> list[str]:
     if space.uses("previous_reward"):
         printer.line("self.previous_reward = self.reward")
     printer.lines += _zeroed(["self.reward", *_terms(space)])
-    printer.line(f"for _ in range({repeat}):")
+    printer.line(f"for _ in {'range' if printer.on_floats else 'self.ticks'}({repeat}):")
     printer.line(f"    {'yield from ' if space.shares else ''}self._tick({', '.join(acting)})")
-    printer.lines += ["    if self.terminated or self.truncated:", "        break"]
+    printer.lines += ["    if self.terminated or self.truncated:", "        break"] if printer.on_floats else []
     ticking = space.printer()
-    ticking.line("self.tick_count += 1")
+    ticking.increase("self.tick_count", "1")
     _print_tick(space, ticking)
     arguments = ", ".join(["self", *_parameters(space)])
     doc = f'"""Hold an action for {repeat} timesteps; the reward is the sum over them."""'
@@ -123,8 +124,11 @@ def _table(rows: list[str]) -> str:
 def _print_acting(space: Workspace, printer: Printer) -> None:
     """What happens once per step: the action, and the messages that carry it."""
     _print_decoding(space, printer)
-    print_redraws(space, printer)
-    printer.line("self.step_count += 1")
+    if printer.on_floats:
+        print_redraws(space, printer)
+    else:
+        _print_redrawing(space, printer)
+    printer.increase("self.step_count", "1")
     if space.remembers:
         printer.line("self.next_frame()")
     printer.lines += [f"{local} = self.told_{local}" for local in space.told()]
@@ -132,7 +136,7 @@ def _print_acting(space: Workspace, printer: Printer) -> None:
     for robot in space.scenario.robots:
         channel = f"self.to_{robot.name}"
         values = [printer.either(entry.components, entry.scalars) for entry in robot.received]
-        print_draws_of_message(printer, channel, robot.to_route)
+        _print_draws_of_message(space, printer, channel, robot.to_route)
         printer.line(f"{channel}.send({tuple_code(values) if values else '()'})")
         if not _delivers_in_ticks(space, robot):
             _print_delivering(space, printer, robot)
@@ -146,10 +150,11 @@ def _print_decoding(space: Workspace, printer: Printer) -> None:
         printer.line(f'{chosen}, {ranged} = action["choices"], action["ranges"]')
     picks = [chosen] if len(space.choices) == 1 else [space.names(f"{part.name} pick") for part in space.choices]
     if len(picks) > 1:
-        printer.line(f"{', '.join(picks)} = {chosen}")
-    given = {part.name: f"*self.TAKEN_{part.name}[{pick}]" for part, pick in zip(space.choices, picks, strict=True)}
+        printer.line(f"{', '.join(picks)} = {chosen}{'' if printer.on_floats else '.T'}")
+    looked_up = "{}[{}]" if printer.on_floats else "pick({}, {})"
+    given = {part.name: f"*{looked_up.format(f'self.TAKEN_{part.name}', pick)}" for part, pick in zip(space.choices, picks, strict=True)}
     for part, pick in zip(space.choices, picks, strict=True):
-        printer.line(f"{', '.join(map(space.local, part.variables))} = self.CHOICES_{part.name}[{pick}]")
+        printer.line(f"{', '.join(map(space.local, part.variables))} = {looked_up.format(f'self.CHOICES_{part.name}', pick)}")
     names = {interval.name: space.local(interval.name) for interval in space.ranges}
     vectors = [interval.name for interval in space.ranges if interval.components]
     if len(vectors) == len(space.ranges) == 1:
@@ -181,6 +186,40 @@ def _print_decoding(space: Workspace, printer: Printer) -> None:
             printer.lines += noted(f"{name} = {f'[{code} for a in {name}]' if interval.components else code}", said)
 
 
+def redraw(space: Workspace) -> list[str]:
+    """For a batch: the method that draws anew in one world what is due; nothing where nothing ever is."""
+    printer = space.of_one_world().printer()
+    print_redraws(space.of_one_world(), printer)
+    if not printer.lines:
+        return []
+    doc = '"""Draw anew what is due in a single world."""'
+    return ["@staticmethod", *block("def _redraw(self: Any) -> None:", printer.finished([doc]))]
+
+
+def _print_redrawing(space: Workspace, printer: Printer) -> None:
+    lines = redraw(space)
+    if not lines:
+        return
+    kept = dict.fromkeys(name for line in lines for name in re.findall(r"self\.((?:parameter|due)_\w+) (?:=|\+=) ", line))
+    periods = [name for name in kept if name.startswith("due_")]
+    always = any(re.match(r"    self\.", line) for line in lines)
+    due = f"self.{periods[0]}" if len(periods) == 1 else f"minimum({', '.join(f'self.{name}' for name in periods)})"
+    condition = "True" if always else f"{space.tick} * {space.scenario.world.timestep!r} >= {due}"
+    printer.line(f"self.redraw({', '.join([condition, 'self._redraw', *map(quoted, kept)])})")
+
+
+def _print_draws_of_message(space: Workspace, printer: Printer, channel: str, route: Route) -> None:
+    if printer.on_floats:
+        print_draws_of_message(printer, channel, route)
+        return
+    drawing = space.of_one_world().printer()
+    print_draws_of_message(drawing, channel, route)
+    for line in drawing.lines:
+        name = line.partition(" = ")[0].removeprefix("self.").replace(".", "_")
+        space.of_message[f"_draw_{name}"] = line
+        printer.line(f"self.redraw(True, self._draw_{name})")
+
+
 # Messages
 
 
@@ -204,9 +243,9 @@ def _print_receiving(space: Workspace, printer: Printer, robot: Robot) -> None:
     controller, channel = f"self.robot_{robot.name}", f"self.from_{robot.name}"
     targets = [space.local(f"{robot.name}.{entry.name}") for entry in robot.emitted]
     drawing = space.printer()
-    print_draws_of_message(drawing, channel, robot.from_route)
+    _print_draws_of_message(space, drawing, channel, robot.from_route)
     if drawing.lines and space.scenario.format != "none":
-        printer.lines += [f"if {space.tick}:", *indent(drawing.lines)]
+        printer.lines += [f"if {space.tick}:", *indent(drawing.lines)] if printer.on_floats else drawing.lines
     printer.line(f"{channel}.send({controller}.create_message())")
     receive = "receive" if space.is_direct(robot, "from_robot") else "newest"
     printer.line(f"{targets_code(targets)} = {channel}.{receive}()" if targets else f"{channel}.{receive}()")
@@ -263,9 +302,11 @@ def _print_noise(printer: Printer, local: str, components: Sequence[str], stream
     std = _std(printer, stream, noise)
     said = printer.names.called(f"noise {stream}", "noise", local)
     count = max(1, len(components))
-    printer.line(f"{said if components else f'({said},)'} = self.streams.normals({quoted(stream)}, {count})")
+    drawn = "self.streams.normals" if printer.on_floats else "self.normals"
+    printer.line(f"{said if components else f'({said},)'} = {drawn}({quoted(stream)}, {count})")
     if not components:
-        printer.line(f"{local} += {f'{std} * {local}' if noise.relative else std} * {said}")
+        added = f"{f'{std} * {local}' if noise.relative else std} * {said}"
+        printer.line(f"{local} += {added}" if printer.on_floats else f"{local} = {local} + {added}")
         return
     many = len(noise.std.scalars) > 1
     relative = " * a" if noise.relative else ""
@@ -293,6 +334,9 @@ def _print_endings(space: Workspace, printer: Printer) -> None:
         printer.assign(space.local(ending.name), code, ending.value.text)
     failures = [ending for ending in endings if ending.outcome == "failure"]
     successes = [ending for ending in endings if ending.outcome == "success"]
+    if not printer.on_floats:
+        _print_endings_of_batch(space, printer, failures, successes)
+        return
     if endings:
         printer.line(f"if {' or '.join(space.local(ending.name) for ending in endings)}:")
         held = ", ".join(f"{quoted(ending.name)}: {space.local(ending.name)}" for ending in [*failures, *successes])
@@ -308,6 +352,23 @@ def _print_endings(space: Workspace, printer: Printer) -> None:
         printer.line(f"    self._truncate({quoted(limit[1])})")
         if space.scenario.policy.goal is not None and not successes:
             printer.line(f"    self.is_success = {space.local('goal_reached')}")
+
+
+def _print_endings_of_batch(space: Workspace, printer: Printer, failures: list[Ending], successes: list[Ending]) -> None:
+    """The same, for each world by itself."""
+    names = [space.local(ending.name) for ending in [*failures, *successes]]
+    if names:
+        held = ", ".join(f"{quoted(ending.name)}: {local}" for ending, local in zip([*failures, *successes], names, strict=True))
+        success = ""
+        if successes:
+            reached = printer.joined("or", names[len(failures) :])
+            refused = [printer.joined("not", [local]) for local in names[: len(failures)]]
+            success = f", success={printer.joined('and', [reached, *refused])}"
+        printer.line(f"self._terminate({{{held}}}{success})")
+    limit = _tick_limit(space)
+    if limit is not None:
+        reached_goal = f", {space.local('goal_reached')}" if space.scenario.policy.goal is not None and not successes else ""
+        printer.line(f"self._truncate({quoted(limit[1])}, {space.tick} >= {limit[0]}{reached_goal})")
 
 
 def _tick_limit(space: Workspace) -> tuple[int, str] | None:
@@ -366,7 +427,7 @@ def _print_rewards(space: Workspace, printer: Printer) -> None:
         if space.uses(flag):
             printer.line(f"{space.local(flag)} = self.{flag}")
     if space.uses("ended"):
-        printer.line(f"{space.local('ended')} = self.terminated or self.truncated")
+        printer.line(f"{space.local('ended')} = {printer.joined('or', ['self.terminated', 'self.truncated'])}")
     for term in terms:
         printer.remember([term.scalar])
     names = [space.names(f"{term.name} term") if space.repeats else f"self.term_{term.name}" for term in terms]
@@ -379,13 +440,16 @@ def _print_rewards(space: Workspace, printer: Printer) -> None:
     for index, part in enumerate(parts):
         last = index == len(parts) - 1 and not space.repeats
         lines.append(f"{'self.reward = reward' if last else 'reward'} = {'reward + ' if index else ''}{part}")
+    summing = space.printer()
     if space.repeats:
-        lines += [f"self.term_{term.name} += {name}" for name, term in zip(names, terms, strict=True)]
-        lines.append("self.reward += reward")
-    lines += ["if not -1e300 < reward < 1e300:", "    self._not_finite()"]
+        for name, term in zip(names, terms, strict=True):
+            summing.increase(f"self.term_{term.name}", name)
+        summing.increase("self.reward", "reward")
+    summing.lines += ["if not -1e300 < reward < 1e300:", "    self._not_finite()"] if printer.on_floats else ["self.require_finite(reward)"]
     if space.uses("episode_return"):
-        lines.append("self.episode_return += reward")
-    printer.lines += ["if self.step_count:  # there is no reward at the reset", *indent(lines)]
+        summing.increase("self.episode_return", "reward")
+    lines += summing.lines
+    printer.lines += ["if self.step_count:  # there is no reward at the reset", *indent(lines)] if printer.on_floats else lines
 
 
 # Observation
@@ -410,7 +474,8 @@ def _observed(space: Workspace, printer: Printer, entry: Observation) -> str:
     code = "self.reward" if entry.value.scalars == (Name("previous_reward"),) else printer.either(components, entry.value.scalars)
     star = "*" if components else ""
     if entry.numbers[0].truth:
-        return f"{star}{code}" if components or code.replace("_", "").isalnum() else f"bool({code})"
+        as_it_is = components or code.replace("_", "").isalnum() or not printer.on_floats
+        return f"{star}{code}" if as_it_is else f"bool({code})"
     if entry.name == "previous_action" and entry.noise is None and {*entry.low, *entry.high} == {-1.0, 1.0}:
         return f"{star}{code}"  # within the range as it is
     if entry.noise is not None:

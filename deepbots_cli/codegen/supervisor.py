@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from deepbots_cli.codegen.layout import block, docstring, filled, quoted, sentence_list, tuple_code
+import re
+
+from deepbots_cli.codegen.layout import block, docstring, filled, quoted, quoted_tuple, sentence_list, tuple_code
 from deepbots_cli.codegen.names import Constants, class_name
 from deepbots_cli.codegen.printer import Printer
 from deepbots_cli.codegen.reset import begin, bind_pushes, drawing, is_arranged
 from deepbots_cli.codegen.robot import controller_name
-from deepbots_cli.codegen.step import advance, bind_foreign, choice_tables, observe, start
+from deepbots_cli.codegen.step import advance, bind_foreign, choice_tables, observe, redraw, start
 from deepbots_cli.codegen.workspace import Workspace
 from deepbots_cli.expressions.lower import op
+from deepbots_cli.expressions.printer import BATCH
 from deepbots_cli.expressions.scalar import Const, Scalar
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionRange, Choices, Script, ScriptedChoice, ScriptedRange
@@ -44,6 +47,48 @@ class {name}Supervisor(Supervisor):
 '''
 
 
+_BATCH_CLASS = """
+class {name}Batch(BatchSupervisor):
+    {doc}
+
+    {tables}
+    {kept}
+    def bind(self, engine: Any) -> None:
+        {binding}
+
+    {methods}
+"""
+
+
+def batch_supervisor(scenario: Program, constants: Constants) -> list[str]:
+    """The lines of the class for a batch: what happens in each step; episodes begin in the single worlds."""
+    space = Workspace(scenario, constants, BATCH)
+    observing, acting = observe(space), advance(space)
+    methods = [*acting, *observing, *redraw(space)]
+    for name, line in space.of_message.items():
+        doc = '"""Draw a value for the next message of a single world."""'
+        methods += ["@staticmethod", *block(f"def {name}(self: Any) -> None:", [doc, line])]
+    lines = [line for line in methods if "@staticmethod" not in line]
+    read = re.findall(r"""(?:self\.|")((?:parameter|due|std|told|present)_\w+)""", "\n".join(lines))
+    kept = tuple(dict.fromkeys(read))
+    tables = choice_tables(space)
+    terms = tuple(term.name for term in scenario.policy.reward)
+    return filled(
+        _BATCH_CLASS,
+        name=class_name(scenario.name),
+        doc=docstring(scenario.summary or scenario.name),
+        tables=[*tables, ""] if tables else [],
+        kept=[*([f"KEEPS = {quoted_tuple(kept)}"] if kept else []), f"TERMS = {quoted_tuple(terms)}", ""],
+        binding=_bind_batch(space),
+        methods=methods,
+    )
+
+
+def _bind_batch(space: Workspace) -> list[str]:
+    memories = [f"self.{name} = {code}" for name, code in space.memories.items()]
+    return [*_bind_robots(space), *space.readers.bind_lines(), *memories]
+
+
 def supervisor(scenario: Program, constants: Constants) -> list[str]:
     """The lines of the class."""
     space = Workspace(scenario, constants)
@@ -71,13 +116,18 @@ def supervisor(scenario: Program, constants: Constants) -> list[str]:
     )
 
 
-def _bind(space: Workspace) -> list[str]:
-    scenario, lines = space.scenario, []
-    for robot in scenario.robots:
+def _bind_robots(space: Workspace) -> list[str]:
+    lines = []
+    for robot in space.scenario.robots:
         lines.append(f"self.robot_{robot.name} = self.robot({quoted(robot.name)}, {controller_name(robot)})")
         for which, direction in (("to", "to_robot"), ("from", "from_robot")):
             made = "channel" if space.is_direct(robot, direction) else "lossy_channel"  # type: ignore[arg-type]
             lines.append(f"self.{which}_{robot.name} = self.{made}({quoted(robot.name)}, {quoted(direction)})")
+    return lines
+
+
+def _bind(space: Workspace) -> list[str]:
+    scenario, lines = space.scenario, _bind_robots(space)
     arranged = is_arranged(scenario)
     lines += ["self.bodies = Arrangement(self.scenario, engine)"] if arranged else []
     if space.readers.charts:

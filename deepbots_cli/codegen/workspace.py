@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from copy import copy
 
 from deepbots_cli.codegen.names import Constants, Names
 from deepbots_cli.codegen.printer import Printer
 from deepbots_cli.codegen.readers import ARRIVALS, Needs, Readers
+from deepbots_cli.expressions.printer import SCALAR, Target
 from deepbots_cli.expressions.scalar import Name, Scalar, World, is_drawn, names_in, walk
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Direction, Robot
@@ -20,12 +22,15 @@ class Workspace:
     timestep before; `scripted` are those of hand-written policies, which are called between two steps.
     """
 
-    def __init__(self, scenario: Program, constants: Constants) -> None:
+    def __init__(self, scenario: Program, constants: Constants, target: Target = SCALAR) -> None:
         self.scenario = scenario
+        self.target = target
+        self.of_message: dict[str, str] = {}
+        """For a batch: statements that draw a value for each message, by the method that holds each."""
         self.names = Names()
         self.constants = constants
         self.memories: dict[str, str] = {}
-        self.readers = Readers(self.names, constants, root_links(scenario))
+        self.readers = Readers(self.names, constants, root_links(scenario), on_columns=target is not SCALAR)
         self.choices = [part for part in scenario.policy.action if isinstance(part, Choices)]
         self.ranges = [part for part in scenario.policy.action if isinstance(part, ActionRange)]
         evaluated: list[Scalar] = [value for entry in scenario.signals for value in entry.scalars]
@@ -114,7 +119,7 @@ class Workspace:
 
     def kept(self) -> list[str]:
         """Names of what a timestep keeps: that, and what scripts read of the timestep and of the action before it."""
-        told, read = self.named(self.sent), self.named(self.scripted)
+        told, read = self.named(self.sent), self.named(self.scripted) if self.target is SCALAR else set()
         acted = [name for name, _ in (*self.variables, *self.given) if name in read]
         return [*(name for name in self._results() if name in told or name in read), *acted]
 
@@ -132,6 +137,12 @@ class Workspace:
         nodes = [node for value in expressions for node in walk(value)]
         asked = {node.subjects[0] for node in nodes if isinstance(node, World) and node.function == "age"}
         return {node.name for node in nodes if isinstance(node, Name)} | {self._ages[subject] for subject in asked if subject in self._ages}
+
+    def of_one_world(self) -> Workspace:
+        """The same for code that runs in one world."""
+        other = copy(self)
+        other.target = SCALAR
+        return other
 
     def printer(self) -> Printer:
         return Printer(self, settable=self.settable)

@@ -12,13 +12,13 @@ point of the group `deepbots.engines`: a name, and the `module:attribute` of an 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from deepbots_cli import plugins
 from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.engine_kinds import ENGINES as ALL
 from deepbots_cli.engine_kinds import GROUP
-from deepbots_cli.errors import MissingExtraError, UsageError
+from deepbots_cli.errors import BatchError, MissingExtraError, UsageError
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 ENGINES = ALL.own
 """Our own engines."""
+BATCHES = {"mujoco": "deepbots_cli.engines.mujoco.batch:MuJoCoBatch"}
+"""The engines that hold many worlds of one model at once."""
 _OF_EXTRA_SIM = ("pybullet", "mujoco", "numpy", "trimesh", "yourdfpy")
 
 
@@ -50,6 +52,24 @@ def create(name: str, world: WorldModel) -> Engine:
         kind = ENGINES.get(name)
         if kind is not None and error.name == kind.library and any(other.is_installed for other in ENGINES.values()):
             raise UsageError(f"the engine '{name}' cannot be used: {kind.missing}; {kind.way_out}") from error
+        if error.name in _OF_EXTRA_SIM:
+            raise MissingExtraError("sim", "running a scenario") from error
+        raise
+
+
+def create_batch(name: str, world: WorldModel, count: int) -> Any:
+    """`count` worlds in the engine called `name`.
+
+    Raises:
+        MissingExtraError: The engine's library is not installed.
+        BatchError: The engine holds single worlds only.
+        EngineError: The engine cannot hold this world.
+    """
+    if name not in BATCHES:
+        raise BatchError(f"the engine '{name}' has no batches of worlds; use one of {', '.join(BATCHES)}")
+    try:
+        return plugins.attribute(BATCHES[name])(_with_masses(world), count)
+    except ModuleNotFoundError as error:
         if error.name in _OF_EXTRA_SIM:
             raise MissingExtraError("sim", "running a scenario") from error
         raise

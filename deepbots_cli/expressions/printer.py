@@ -14,6 +14,7 @@ from enum import IntEnum
 from functools import cache
 from typing import NamedTuple
 
+from deepbots_cli.errors import BatchError
 from deepbots_cli.expressions.functions import Function, operation, whole_exponent
 from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar, State, World
 
@@ -59,6 +60,30 @@ def _on_floats(function: Function) -> str:
 
 SCALAR = Target("scalar", _on_floats)
 
+_ON_COLUMNS = {"hypot": "hypot(x, *y)", "min": "minimum(*x)", "max": "maximum(*x)"}
+"""What has a function of its own in `runtime.columns`; the array Python of `hypot` takes each number by itself."""
+
+
+def _on_columns(function: Function) -> str:
+    if function.helper:
+        return _on_floats(function)
+    text = _ON_COLUMNS.get(function.name) or function.array
+    if not text and not all(_is_same_on_columns(node) for node in ast.walk(_template(function.python))):
+        raise BatchError(f"it calls '{function.name}', which has no Python for arrays")
+    return text or function.python
+
+
+def _is_same_on_columns(node: ast.AST) -> bool:
+    """Whether a part of a function's Python means the same for a column: arithmetic, comparisons and `abs`."""
+    if isinstance(node, ast.Call):
+        return isinstance(node.func, ast.Name) and node.func.id == "abs"
+    return not isinstance(node, (ast.IfExp, ast.BoolOp, ast.Not, ast.Starred))
+
+
+BATCH = Target("batch", _on_columns)
+"""For many worlds at once: each value is a column with one number per world."""
+TARGETS = (SCALAR, BATCH)
+
 
 def python(scalar: Scalar, leaf: Leaf, target: Target = SCALAR) -> str:
     """The tree as one Python expression; `leaf` gives the code of what is read, as an atom."""
@@ -80,6 +105,8 @@ def applied(name: str, args: Sequence[Code], scalars: Sequence[Scalar], target: 
     names = function.arguments
     text = target.written(function)
     if len(args) > len(names) and not names[-1].startswith("*"):  # `a + b` of more than two
+        if isinstance(_template(text), ast.Call):
+            return applied(name, [applied(name, args[:-1], scalars[:-1], target), args[-1]], scalars[:2], target)
         return _infix(_template(text).op, args)  # type: ignore[attr-defined]
     if names[-1].startswith("*"):
         rest = len(names) - 1
@@ -155,6 +182,8 @@ def _printed(node: ast.expr, args: Mapping[str, Code]) -> Code:
             return number(value)
         case ast.Call(func=ast.Name(id=name), args=parts, keywords=[]):
             return Code(f"{name}({', '.join(_printed(part, args).text for part in parts)})")
+        case ast.Call(func=ast.Attribute(value=ast.Name(id="np"), attr=name), args=parts, keywords=[]):
+            return Code(f"np.{name}({', '.join(_printed(part, args).text for part in parts)})")
         case ast.Starred(value=ast.Name(id=name)):
             return args[f"*{name}"]
         case ast.BinOp(op=sign, left=left, right=right) | ast.Compare(ops=[sign], left=left, comparators=[right]) if type(sign) in _SIGNS:

@@ -9,6 +9,7 @@ callbacks.py     what happens during training: evaluations, the best model, scal
 algorithms.py    algorithms made for a scenario, action noise
 defaults.py      the hyperparameters that a training takes: the scenario's, our defaults, the library's
 environments.py  a vector environment over several worlds
+batch.py         the same over a batch of worlds
 curriculum.py    the stages of a training
 episodes.py      what episodes leave behind: log, statistics, solved, summaries with intervals
 group.py         groups: a folder with a run per seed, trained one after the other

@@ -45,11 +45,22 @@ def _roll_out(training: Training) -> int:
     return max(32, 256 // training.environments // 32 * 32)
 
 
+def _batch(training: Training) -> int:
+    rows = _roll_out(training) * training.environments
+    if training.environments >= _MANY:
+        return rows // 8
+    return 64 if rows % 64 == 0 else 32
+
+
+_MANY = 16
+"""Environments from which on batches grow with their number, so that an epoch has 8 of them: larger batches cost less per row."""
+
+
 _PPO = {
     "n_steps": Default(lambda training, *_: _roll_out(training), "256 / `environments`, rounded down to a multiple of 32, at least 32"),
     "batch_size": Default(
-        lambda training, *_: 64 if _roll_out(training) * training.environments % 64 == 0 else 32,
-        "64, or 32 where a default roll-out of all environments is not a multiple of 64",
+        lambda training, *_: _batch(training),
+        "64, or 32 where a default roll-out of all environments is not a multiple of 64; from 16 `environments` on, an eighth of it",
     ),
     "gae_lambda": Default(lambda *_: 0.9, "0.9"),
     # Narrow layers bear, and need, larger steps; 64x64 learns as fast at a third of the rate and is steadier there.

@@ -117,7 +117,7 @@ class VectorEnvironment(VecEnv):
                     own = terminated or truncated
                     episode = accumulator.close(info if own else {**info, "ended_by": "another_copy"})
                     self._on_episode(index, episode)
-                    info = _last_info(info, observation, episode, timed_out=not terminated)
+                    info = last_info(info, observation, episode, timed_out=not terminated)
                 seen.append(observation)
                 rewards.append(reward)
                 dones.append(done)
@@ -231,7 +231,7 @@ def fingerprint(observations: VecEnvObs) -> str:
     return hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in parts)).hexdigest()
 
 
-def _last_info(info: Mapping[str, Any], observation: Any, episode: Episode, *, timed_out: bool) -> dict[str, Any]:
+def last_info(info: Mapping[str, Any], observation: Any, episode: Episode, *, timed_out: bool) -> dict[str, Any]:
     """What Stable-Baselines3 wants to know of an episode's last step, in a dictionary of its own."""
     return {
         **info,

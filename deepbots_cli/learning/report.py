@@ -62,6 +62,9 @@ class TrainingProgress:
 class Reporter:
     """Follows a training: `start` once, `update` from time to time, `stop` once, also after a failure. This one reports nothing."""
 
+    def note(self, text: str) -> None:
+        """Called before `start` with what the user should know."""
+
     def start(self, progress: TrainingProgress) -> None:
         pass
 
@@ -79,6 +82,9 @@ class ProgressReporter(Reporter):
         self._stream = sys.stderr if stream is None else stream
         self._live: Live | None = None
         self._first, self._began, self._shown, self._tenth = 0, 0.0, 0.0, 0
+
+    def note(self, text: str) -> None:
+        print(f"note: {text}", file=self._stream)
 
     def start(self, progress: TrainingProgress) -> None:
         self._first, self._began = progress.steps, time.perf_counter()

@@ -17,9 +17,9 @@ from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 import deepbots_cli
 from deepbots_cli import engine_kinds
-from deepbots_cli.api import Compiled
+from deepbots_cli.api import Compiled, build_batch
 from deepbots_cli.errors import MissingExtraError, RunError, UsageError
-from deepbots_cli.learning import algorithms, models
+from deepbots_cli.learning import algorithms, batch, models
 from deepbots_cli.learning.callbacks import AT_ONCE, Evaluator, TrainingCallback, check_finite, describe, signals_handled
 from deepbots_cli.learning.checkpoints import Checkpoints, Resumable, latest
 from deepbots_cli.learning.curriculum import Curriculum
@@ -266,6 +266,8 @@ def _learn(run: Run, training: Training, checkpoints: Checkpoints, build: BuildW
             if run.record.initialized_from is not None:
                 models.initialize(_initial(run), model)
             stack.enter_context(signals_handled(callback.interruption))
+            if told_why := batch.worth_telling(run.program, training.environments, run.record.engine, build):
+                told.note(told_why)
             told.start(callback.progress())
             stack.callback(told.stop)
             try:
@@ -341,12 +343,21 @@ def _environment(
 
     worlds: list[World] = []
     stack.callback(close)
-    for stage in stages:
-        worlds.append(guarded(stage))
     seeds = [derive(run.record.seed, "environment", i) for i in range(len(stages))]
-    env = VectorEnvironment(worlds, seeds, on_step=count_step, on_episode=count_episode, next_world=next_world)
-    if training.normalize is None:
-        return env
+    env: VectorEnvironment
+    if not batch.reasons_against(run.program, len(stages), run.record.engine, build):
+        made = build_batch(run.program, len(stages), engine=run.record.engine)
+        stack.callback(made.close)
+        env = batch.BatchedWorlds(made, seeds, on_step=count_step, on_episode=count_episode)
+    else:
+        for stage in stages:
+            worlds.append(guarded(stage))
+        env = VectorEnvironment(worlds, seeds, on_step=count_step, on_episode=count_episode, next_world=next_world)
+    return env if training.normalize is None else _normalized(env, training)
+
+
+def _normalized(env: VecEnv, training: Training) -> VecNormalize:
+    """The environment with rewards divided by a running standard deviation of the return."""
     gamma: Any = next((h.value for h in training.hyperparameters if h.name == "gamma"), 0.99)
     return VecNormalize(env, norm_obs=False, gamma=gamma)
 

@@ -192,13 +192,13 @@ class Memories:
     """One memory for each component of a vector; `update` takes and gives vectors."""
 
     def __init__(self, kind: type[Memory], count: int, timestep: float) -> None:
-        self._each = [kind(timestep) for _ in range(count)]
-        self._advance = [memory.advance for memory in self._each]
+        self.parts = [kind(timestep) for _ in range(count)]
+        self._advance = [memory.advance for memory in self.parts]
         self.reset()
 
     def reset(self) -> None:
         """Forget the last episode."""
-        self._update: list[Callable[..., Any]] = [memory.begin for memory in self._each]
+        self._update: list[Callable[..., Any]] = [memory.begin for memory in self.parts]
 
     def update(self, *arguments: Iterable[Any]) -> list[Any]:
         """The value of each component in this timestep; one vector per argument that the function has in the language."""

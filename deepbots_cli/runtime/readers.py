@@ -231,7 +231,7 @@ def ranging(site: Site) -> Instrument:
     if beams.lookup is None:
         return Instrument(read)
     table = Table(beams.lookup, max(1, len(site.sensor.components)))
-    return Instrument(lambda: table(read()), table.restart)
+    return Instrument(read, table.restart, lookup=table)
 
 
 def _combined(read: RayReader, beams: RayConfig) -> RayReader:
@@ -252,22 +252,22 @@ class Table:
         distance, value = spec.distance, spec.value
         noise = spec.noise or (0.0,) * len(distance)
         self._distances = distance
-        self._normals = Normals(width) if spec.noise else None
+        self.normals = Normals(width) if spec.noise else None
         starts = zip(distance, value, noise, _slopes(distance, value), _slopes(distance, noise), strict=True)
         first = (distance[0], value[0], noise[0], 0.0, 0.0)
-        self._rows = [first, *starts]
+        self.rows = [first, *starts]
         """Distance, value and noise at the start of a stretch, and how value and noise change along it; the first is before the table."""
 
     def restart(self, generator: Any) -> None:
-        if self._normals is not None:
-            self._normals.restart(generator)
+        if self.normals is not None:
+            self.normals.restart(generator)
 
     def __call__(self, distances: Figures) -> Figures:
-        known, rows = self._distances, self._rows
-        if self._normals is None:
+        known, rows = self._distances, self.rows
+        if self.normals is None:
             return [(row := rows[bisect_right(known, x)])[1] + row[3] * (x - row[0]) for x in distances]
         readings = []
-        for x, normal in zip(distances, self._normals.row(), strict=True):
+        for x, normal in zip(distances, self.normals.row(), strict=True):
             start, value, noise, slope, growth = rows[bisect_right(known, x)]
             along = x - start
             readings.append((value + slope * along) * (1.0 + (noise + growth * along) * normal))
@@ -367,3 +367,7 @@ _PICTURES: dict[str, Callable[[Sight, CameraIntrinsics], Image]] = {
     "depth": _depth,
     "segmentation": _segmentation,
 }
+
+
+ON_COLUMNS = frozenset({positions, velocities, torques, position, velocity, angular_velocity, gyro, projected_gravity, ranging})
+"""Readers whose arithmetic is the same with a column of many worlds in the place of each number."""

@@ -13,7 +13,10 @@ import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from operator import add
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from deepbots_cli import frames
 from deepbots_cli.frames import Frame
@@ -24,7 +27,8 @@ from deepbots_cli.program.world import WorldModel
 from deepbots_cli.runtime.streams import Streams
 
 Figures = Sequence[float]
-_ROWS = 128
+BLOCK = 128
+"""Rows of normal numbers that are drawn at once."""
 Reading = Sequence[Any]
 """One number, truth value or picture per component; a single one for a sensor without components."""
 
@@ -35,7 +39,8 @@ class Normals:
     def __init__(self, width: int) -> None:
         self._width = width
         self._scale: Figures | float = 1.0
-        self._drawn: Any = None
+        self.drawn: Any = None
+        """The newest block, before it is scaled."""
         self._rows: list[list[float]] = []
         self._generator: Any = None
 
@@ -48,23 +53,33 @@ class Normals:
         """Multiply all further rows by one factor, or by one factor per sample. A block at once costs a tenth of row by row."""
         self._scale = deviations
         if self._rows:
-            self._rows = (self._drawn[: len(self._rows)] * deviations).tolist()
+            self._rows = (self.drawn[: len(self._rows)] * deviations).tolist()
 
     def row(self) -> list[float]:
         if not self._rows:
-            self._drawn = self._generator.standard_normal((_ROWS, self._width))
-            self._rows = (self._drawn * self._scale).tolist()
+            self.drawn = self.block()
+            self._rows = (self.drawn * self._scale).tolist()
         return self._rows.pop()
+
+    def block(self) -> NDArray[np.float64]:
+        """Draw the next block."""
+        block: NDArray[np.float64] = self._generator.standard_normal((BLOCK, self._width))
+        return block
+
+    @property
+    def left(self) -> int:
+        """How many rows of the newest block were not taken yet; they are taken from its end."""
+        return len(self._rows)
 
 
 class Chain:
     """The faults of one sensor with `width` values."""
 
     def __init__(self, spec: NoiseModel, width: int) -> None:
-        self._spec = spec
-        self._normals = Normals(width)
+        self.spec = spec
+        self.normals = Normals(width)
         self._zeros = (0.0,) * width
-        self._figures: dict[str, Figures] = {
+        self._given: dict[str, Figures] = {
             "noise": spec.noise,
             "relative_noise": spec.relative_noise,
             "bias": spec.bias,
@@ -75,27 +90,32 @@ class Chain:
 
     def vary(self, figure: str, values: Figures) -> None:
         """Set the values of a fault for this episode, one per component."""
-        if figure not in self._figures or len(values) != len(self._zeros):
+        if figure not in self._given or len(values) != len(self._zeros):
             raise KeyError(figure)
-        self._figures[figure] = values
+        self._given[figure] = values
         self._settle()
 
     def _settle(self) -> None:
-        figures = self._figures
+        figures = self._given
         self._noise, self._share, self._drift = figures["noise"], figures["relative_noise"], figures["drift"]
         self._bias = figures["bias"] or (self._zeros if self._drift else ())
         self._gain = [1.0 + error for error in figures["relative_bias"]] or ([1.0] * len(self._zeros) if self._share else [])
         self._only_noise = bool(self._noise) and not (self._share or self._gain or self._bias)
-        self._normals.scale(self._noise if self._only_noise else 1.0)
+        self.normals.scale(self._noise if self._only_noise else 1.0)
+
+    @property
+    def figures(self) -> dict[str, Figures]:
+        """What is in force in this episode, one number per component; nothing for a fault that the sensor has not."""
+        return {"noise": self._noise, "share": self._share, "gain": self._gain, "bias": self._bias, "drift": self._drift}
 
     def restart(self, generator: Any) -> None:
         """Begin an episode. Its noise is drawn from `generator`."""
-        self._normals.restart(generator)
+        self.normals.restart(generator)
 
     def __call__(self, values: Figures, time: float) -> Figures:
         """The readings for the true `values`, `time` s after the reset."""
         values = self._with_noise(values) if self._only_noise else self._with_all(values, time)
-        spec = self._spec
+        spec = self.spec
         if spec.low:
             ends = zip(values, spec.low, spec.high, strict=True)
             values = [low if x < low else high if x > high else x for x, low, high in ends]
@@ -105,11 +125,11 @@ class Chain:
 
     def _with_noise(self, values: Figures) -> Figures:
         """The usual case, in a third of the time."""
-        return list(map(add, values, self._normals.row()))
+        return list(map(add, values, self.normals.row()))
 
     def _with_all(self, values: Figures, time: float) -> Figures:
         if self._share:
-            rows = zip(values, self._gain, self._share, self._normals.row(), strict=True)
+            rows = zip(values, self._gain, self._share, self.normals.row(), strict=True)
             values = [x * (gain + share * normal) for x, gain, share, normal in rows]
         elif self._gain:
             values = [x * gain for x, gain in zip(values, self._gain, strict=True)]
@@ -117,7 +137,7 @@ class Chain:
         if self._drift:
             bias = [b + drift * time for b, drift in zip(bias, self._drift, strict=True)]
         if self._noise:
-            rows = zip(values, bias or self._zeros, self._noise, self._normals.row(), strict=True)
+            rows = zip(values, bias or self._zeros, self._noise, self.normals.row(), strict=True)
             values = [x + b + noise * normal for x, b, noise, normal in rows]
         elif bias:
             values = [x + b for x, b in zip(values, bias, strict=True)]
@@ -128,15 +148,31 @@ def _nothing(_generator: Any = None) -> None:
     """What most instruments do at a reset, and between two readings."""
 
 
+class Lookup(Protocol):
+    """A table between what an instrument reads and its readings; see `readers.Table`."""
+
+    @property
+    def rows(self) -> Sequence[tuple[float, float, float, float, float]]:
+        """Where each stretch starts: distance, value, noise, and by how much value and noise grow; the first lies before the table."""
+
+    @property
+    def normals(self) -> Normals | None:
+        """The noise, if the table has any."""
+
+    def __call__(self, values: Figures, /) -> Figures:
+        """The readings."""
+
+
 class Instrument(NamedTuple):
     """What a sensor measures: `read` gives the true values at this moment, `restart` begins an episode with a random generator.
 
-    `follow` is called in the ticks without a reading.
+    `follow` is called in the ticks without a reading. `lookup` turns what was read into a reading, with noise of its own.
     """
 
     read: Callable[[], Reading]
     restart: Callable[[Any], None] = _nothing
     follow: Callable[[], None] = _nothing
+    lookup: Lookup | None = None
 
 
 class Site(NamedTuple):
@@ -181,30 +217,31 @@ class Device:
     def __init__(self, sensor: Sensor, robot: str, instrument: Instrument, timestep: float) -> None:
         faults = sensor.faults or NoiseModel()
         self._sensor = sensor
-        self._instrument = instrument
+        self.instrument = instrument
+        self._lookup = instrument.lookup
         self._timestep = timestep
         self._stream = f"robots.{robot}.sensors.{sensor.name}"
         self._period = faults.period
         self._latency = faults.latency
         figures = (faults.noise, faults.relative_noise, faults.bias, faults.relative_bias, faults.drift, faults.low, faults.resolution)
-        self._chain = Chain(faults, max(1, len(sensor.components))) if any(figures) else None
+        self.chain = Chain(faults, max(1, len(sensor.components))) if any(figures) else None
         self._under_way: deque[tuple[int, int, Reading]] = deque()
 
     def vary(self, figure: str, values: Sequence[float]) -> None:
         """Set the values of a fault (a field of `NoiseModel`) for this episode, one per component, or the latency in s."""
         if figure == "latency":
             (self._latency,) = values
-        elif self._chain is not None:
-            self._chain.vary(figure, values)
+        elif self.chain is not None:
+            self.chain.vary(figure, values)
 
     def reset(self, streams: Streams) -> None:
         """Begin an episode: a first reading is taken and delivered at once."""
         self._tick = self.measured = 0
-        self._delay = math.ceil(max(0.0, self._latency) / self._timestep - 1e-9)
+        self.delay = math.ceil(max(0.0, self._latency) / self._timestep - 1e-9)
         self._under_way.clear()
-        self._instrument.restart(streams[f"{self._stream}.lookup"])
-        if self._chain is not None:
-            self._chain.restart(streams[self._stream])
+        self.instrument.restart(streams[f"{self._stream}.lookup"])
+        if self.chain is not None:
+            self.chain.restart(streams[self._stream])
         self.reading = self._sampled()
 
     @property
@@ -216,15 +253,17 @@ class Device:
         self._tick = tick = self._tick + 1
         if self._period == 1 or tick % self._period == 0:
             reading = self._sampled()
-            if not self._delay:
+            if not self.delay:
                 self.reading, self.measured = reading, tick
                 return
-            self._under_way.append((tick + self._delay, tick, reading))
+            self._under_way.append((tick + self.delay, tick, reading))
         else:
-            self._instrument.follow()
+            self.instrument.follow()
         while self._under_way and self._under_way[0][0] <= tick:
             _, self.measured, self.reading = self._under_way.popleft()
 
     def _sampled(self) -> Reading:
-        values = self._instrument.read()
-        return values if self._chain is None else self._chain(values, self._tick * self._timestep)
+        values = self.instrument.read()
+        if self._lookup is not None:
+            values = self._lookup(values)
+        return values if self.chain is None else self.chain(values, self._tick * self._timestep)

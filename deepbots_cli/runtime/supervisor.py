@@ -10,6 +10,7 @@ import math
 import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from struct import Struct
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
@@ -565,7 +566,12 @@ class RobotController(_WithMemories):
         self._world, self._engine = scenario.world, engine
         self.bind(engine)
         drives = [(actuator, getattr(self, f"drive_{actuator.name}", None)) for actuator in spec.actuators]
-        self._drives = [(actuator, drive) for actuator, drive in drives if drive is not None]
+        found = [(actuator, drive) for actuator, drive in drives if drive is not None]
+        # Each look at a protocol takes as long as a physics step of a light robot.
+        self._holds: list[Callable[[], object]] = [
+            drive.hold if isinstance(drive, Drive) else partial(_hold, engine, spec.name, actuator, drive) for actuator, drive in found
+        ]
+        self._releases = [drive.reset for _, drive in found if isinstance(drive, Drive)]
 
     def bind(self, engine: Engine) -> None:
         """Take readers and writers from the engine; called once."""
@@ -603,21 +609,18 @@ class RobotController(_WithMemories):
 
     def release(self) -> None:
         """Set the values of the actuators for this episode and discard their commands: they exert nothing until `hold`."""
-        for _, drive in self._drives:
-            if isinstance(drive, Drive):
-                drive.reset()
+        for release in self._releases:
+            release()
 
     def hold(self) -> None:
         """Hold all driven joints in their reset state until the first command takes effect."""
-        for actuator, drive in self._drives:
-            _hold(self._engine, self.spec.name, actuator, drive)
+        for hold in self._holds:
+            hold()
 
 
-def _hold(engine: Engine, robot: str, actuator: Actuator, drive: MotorWriter | Drive) -> None:
-    """Keep what an actuator drives where it is; a motor that commands torques lets its joints go."""
-    if isinstance(drive, Drive):
-        drive.hold()
-    elif isinstance(actuator, Motor) and actuator.kind == "velocity_motor":
+def _hold(engine: Engine, robot: str, actuator: Actuator, drive: MotorWriter) -> None:
+    """Keep what a plain motor drives where it is; one that commands torques lets its joints go."""
+    if isinstance(actuator, Motor) and actuator.kind == "velocity_motor":
         drive((0.0,) * len(actuator.joints))
     elif isinstance(actuator, Motor) and actuator.kind == "position_motor":
         drive([state[0] for state in engine.joint_states(robot, actuator.joints)()])

@@ -16,13 +16,15 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from conftest import Case
 from gymnasium.utils.env_checker import check_env as gymnasium_check
 from rollout import actions, as_bytes, digest, episode, record
 from stable_baselines3.common.env_checker import check_env as sb3_check
 
 from deepbots_cli import api
+from deepbots_cli.codegen import emit, not_batched
 from deepbots_cli.document import shipped
-from deepbots_cli.errors import UsageError
+from deepbots_cli.errors import BatchError, UsageError
 from deepbots_cli.expressions.scalar import Draw
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import viewed
@@ -56,6 +58,17 @@ def agents(environment: Supervisor) -> list[Supervisor]:
 
 def flat_bytes(observation: Any) -> bytes:
     return b"".join(part.tobytes() for part in parts(observation))
+
+
+# What is printed for a batch of worlds
+
+
+def test_a_batch_is_printed_or_refused_with_reasons(case: Case) -> None:
+    if not_batched(case.program):
+        with pytest.raises(BatchError, match=f"{case.program.name} does not fit a batch: it "):
+            emit(case.program, "batch")
+    else:
+        compile(emit(case.program, "batch"), "<batch>", "exec")
 
 
 # The same seed gives the same bytes

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepbots_cli import api
-from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Engine, Json, Scenario, Seed, Sets, whole
+from deepbots_cli.cli import terminal, throughput
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Scenario, Seed, Sets, known_engine, whole
 from deepbots_cli.cli.tables import pairs as aligned
 from deepbots_cli.engine_kinds import on_engine
 from deepbots_cli.errors import UsageError
@@ -43,7 +43,17 @@ def command(
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Measure 3 pairs of 600 steps, which takes a tenth of the time.")] = False,
     seed: Seed = 0,
-    engine: Engine = None,
+    engine: Annotated[
+        str | None,
+        typer.Option(
+            "--engine",
+            metavar="NAME[,NAME]",
+            help="Physics engine, by default that of the scenario, or several to compare; batch is many worlds in MuJoCo.",
+        ),
+    ] = None,
+    worlds: Annotated[
+        str | None, typer.Option("--worlds", metavar="N,N", help="With batch, how many worlds; 1,16,64,256 by default.")
+    ] = None,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
@@ -57,9 +67,28 @@ def command(
       deepbots bench cartpole
       deepbots bench quadruped --quick
       deepbots bench cartpole --set messages.format=csv --pairs 15
+      deepbots bench cartpole --engine pybullet,mujoco,batch --worlds 16,256
+
+    With several engines, or with batch, resets are timed too, actions are random, and a table says where the time goes.
     """
-    compiled = api.compile(scenario, sets=on_engine(sets, engine), allow_paths=allow_paths or (), allow_code=allow_code)
+    names = [] if engine is None else engine.split(",")
+    for name in names:
+        known_engine("mujoco" if name == throughput.BATCH else name)
+    if worlds is not None and throughput.BATCH not in names:
+        raise UsageError("--worlds goes with --engine batch")
+    several = len(names) > 1 or throughput.BATCH in names
+    changed = on_engine(sets, None if several or not names else names[0])
+    compiled = api.compile(scenario, sets=changed, allow_paths=allow_paths or (), allow_code=allow_code)
     terminal.mention(compiled.findings, scenario)
+    if several:
+        rounds = pairs or (1 if quick else 3)
+        numbers = throughput.counts(worlds or "1,16,64,256")
+        rows = throughput.measure(compiled, names, numbers, steps=steps or 2000, rounds=rounds, seed=seed)
+        if as_json:
+            terminal.show_json([asdict(row) for row in rows])
+        else:
+            terminal.say(throughput.text(compiled.program.name, rows, rounds))
+        return
     usual_steps, usual_pairs = (600, 3) if quick else (2000, 9)
     steps, pairs = steps or usual_steps, pairs or usual_pairs
     with closing(api.make(compiled)) as environment, closing(api.make(compiled)) as bare:

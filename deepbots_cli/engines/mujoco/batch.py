@@ -1,0 +1,377 @@
+"""Many worlds of one model, stepped by a pool of threads, which read and write as arrays over the worlds.
+
+Each world is a `MuJoCoEngine` with a copy of the model, since motors and episodes change values of the model. MuJoCo releases
+the interpreter lock while it steps, so that threads use all cores. A vector is a sequence of columns, one number per world in each.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from copy import copy, deepcopy
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from deepbots_cli import frames
+from deepbots_cli.engines.mujoco import cameras
+from deepbots_cli.engines.mujoco import motors as drives
+from deepbots_cli.engines.mujoco import mujoco as mj
+from deepbots_cli.engines.mujoco.engine import MuJoCoEngine, _link
+from deepbots_cli.engines.mujoco.model import HIDDEN, Body, Builder, limited
+from deepbots_cli.engines.mujoco.state import World
+from deepbots_cli.engines.objects import Pool
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from deepbots_cli.frames import Frame, Triple
+    from deepbots_cli.port import MotorWriter, Part
+    from deepbots_cli.program.world import WorldModel
+
+    Column = NDArray[Any]
+
+
+class Member(MuJoCoEngine):
+    """One world of a batch, from a model that was compiled once for all of them."""
+
+    def __init__(self, world: WorldModel, model: Any, pools: Sequence[Pool[Body]]) -> None:
+        self._world = World(model, world, pools)
+        self._motors = drives.Motors(self._world)
+        self._touches = None
+        self._acts = []
+        self._pictures = cameras.Pictures(world, self._world)
+        self.capabilities = frozenset({"contacts", "snapshot"})
+        self.reset()
+
+
+class MuJoCoBatch:
+    """`count` worlds of one model; `members` are the single engines, which a reset and rare readers use."""
+
+    name = "mujoco"
+
+    def __init__(self, world: WorldModel, count: int, threads: int | None = None) -> None:
+        """Without `threads`, as many as there are cores for this process."""
+        built = Builder(world)
+        model = built.compiled()
+        shared = {id(body.model): body.model for pool in built.pools for body in pool}
+        self.members = [Member(world, copy(model), deepcopy(built.pools, dict(shared))) for _ in range(count)]
+        self._worlds = [member._world for member in self.members]
+        self._threads = threads or len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else threads or os.cpu_count() or 1
+        self._pool = ThreadPoolExecutor(self._threads, thread_name_prefix="worlds") if min(self._threads, count) > 1 else None
+        self._gathered: dict[str, Column] = {}
+        self._views: dict[str, list[memoryview]] = {}
+        """Of arrays of all worlds, whose memory stays where it is."""
+        self._motors: list[Motor] = []
+        self._derives: Callable[[World], object] | None = None
+        """Computes what readers need beside the state; `_derived` is what was computed in all worlds since they changed."""
+        self._derived: Callable[[World], object] | None = None
+        self.chosen: Column | None = None
+        """The worlds that motors are written in, as truth values; None for all."""
+
+    @property
+    def gravity(self) -> Triple:
+        """In the first world."""
+        return self.members[0].gravity
+
+    # Time
+
+    def step(self, substeps: int, running: Column | None = None) -> None:
+        """Let the worlds go on, or only those that are `running` (truth values)."""
+        chosen = self.members if running is None else [self.members[index] for index in np.flatnonzero(running)]
+        derives = self._derives
+        waiting = iter(chosen)  # each thread takes the next world, so that none waits for one that was disturbed
+
+        def advance(_: int) -> None:
+            for member in waiting:
+                member.step(substeps)
+                if derives is not None:
+                    derives(member._world)
+
+        if self._pool is None:
+            advance(0)
+        else:
+            for _ in self._pool.map(advance, range(self._threads)):
+                pass
+        self._gathered = {}
+        self._derived = derives if running is None else None
+
+    def begun(self, worlds: Iterable[int]) -> None:
+        """Take notice of new episodes in these worlds."""
+        self._gathered = {}
+        self._derived = None
+        for motor in self._motors:
+            motor.begun(list(worlds))
+
+    def lost(self) -> Column:
+        """The numbers of the worlds whose state is not finite."""
+        return np.flatnonzero(~np.isfinite(self._state("qpos").sum(axis=0) + self._state("qvel").sum(axis=0)))
+
+    def close(self) -> None:
+        if self._pool is not None:
+            self._pool.shutdown()
+        for member in self.members:
+            member.close()
+
+    # What is read
+
+    def _state(self, name: str) -> Column:
+        """An array of MuJoCo's data, flat, with a column per world; made anew after each step, so that what was read stays."""
+        return self._of(name, lambda world: getattr(world.data, name))
+
+    def _of(self, name: str, part: Callable[[World], Column]) -> Column:
+        found = self._gathered.get(name)
+        if found is None:
+            parts = self._views.get(name)
+            if parts is None:
+                parts = self._views[name] = [part(world).reshape(-1).data.cast("B") for world in self._worlds]
+            # Joining bytes takes a sixth of `np.concatenate`. What results cannot be written, so nothing is changed by mistake.
+            found = self._gathered[name] = np.frombuffer(b"".join(parts)).reshape(len(parts), -1).T
+        return found
+
+    def joint_states(self, robot: str, joints: Sequence[str]) -> Callable[[], Any]:
+        first, numbers = self._worlds[0].model, list(self.members[0]._joints(robot, joints))
+        positions, velocities = (adr[numbers].tolist() for adr in (first.jnt_qposadr, first.jnt_dofadr))
+
+        def read() -> Any:
+            qpos, qvel = self._state("qpos"), self._state("qvel")
+            return tuple((qpos[position], qvel[velocity]) for position, velocity in zip(positions, velocities, strict=True))
+
+        return read
+
+    def joint_torques(self, robot: str, joints: Sequence[str]) -> Callable[[], Any]:
+        """See `drives.Motors.torques`."""
+        first = self.members[0]
+        dofs = self._worlds[0].model.jnt_dofadr[list(first._joints(robot, joints))]
+        usual = first._motors.usual_armature[dofs][:, None]
+
+        def read() -> Any:
+            armature = self._of("dof_armature", lambda world: world.model.dof_armature)
+            return self._state("qfrc_actuator")[dofs] - (armature[dofs] - usual) * self._state("qacc")[dofs]
+
+        return read
+
+    def pose(self, body: str, link: str | None = None) -> Callable[[], Any]:
+        place = self._place(body, link)
+        if place is None:
+            return self._each(lambda member: member.pose(body, link))
+        form, number = place
+        if number == form.root and form.position >= 0:
+            at = form.position
+
+            def read_free() -> Any:
+                px, py, pz, w, x, y, z = self._state("qpos")[at : at + 7]
+                return (px, py, pz), (x, y, z, w)
+
+            return read_free
+        if number == form.root and form.mocap >= 0:
+            places, turns, index = "mocap_pos", "mocap_quat", form.mocap
+        else:
+            places, turns, index = "xpos", "xquat", number
+            self._derives = self._derives or World.pose
+
+        def read() -> Any:
+            if places == "xpos":
+                self._derive()
+            w, x, y, z = self._of(f"{turns}{index}", lambda world: getattr(world.data, turns)[index])
+            return tuple(self._of(f"{places}{index}", lambda world: getattr(world.data, places)[index])), (x, y, z, w)
+
+        return read
+
+    def velocity(self, body: str, link: str | None = None) -> Callable[[], Any]:
+        place = self._place(body, link)
+        if place is None:
+            return self._each(lambda member: member.velocity(body, link))
+        form, number = place
+        if number == form.root and form.position >= 0:
+            pose, at = self.pose(body, link), form.velocity
+
+            def read_free() -> Any:
+                numbers = self._state("qvel")[at : at + 6]
+                return tuple(numbers[:3]), frames.rotate(pose()[1], tuple(numbers[3:]))
+
+            return read_free
+        self._derives = World.motion
+        root = int(self._worlds[0].model.body_rootid[number])
+
+        def read() -> Any:
+            """Of the link's origin, from the velocity of the body at the centre of mass of its tree, as `mj_objectVelocity` does."""
+            self._derive()
+            spatial = self._of(f"cvel{number}", lambda world: world.data.cvel[number])
+            apart = self._of(f"xpos{number}", lambda world: world.data.xpos[number])
+            apart = apart - self._of(f"subtree_com{root}", lambda world: world.data.subtree_com[root])
+            angular = tuple(spatial[:3])
+            return frames.subtract(tuple(spatial[3:]), frames.cross(tuple(apart), angular)), angular
+
+        return read
+
+    def motion(self, body: str, link: str | None = None) -> Callable[[], Any]:
+        pose, velocity = self.pose(body, link), self.velocity(body, link)
+        return lambda: (pose(), velocity())
+
+    def rays(self, part: Part, rays: Sequence[Frame], reach: float) -> Callable[[], Column]:
+        """See `Engine.rays`; from each link by itself, since a robot is hidden while its rays are cast."""
+        place = self._place(*part)
+        if place is None:
+            readers = [member.rays(part, rays, reach) for member in self.members]
+            return lambda: np.array([reader() for reader in readers]).T
+        form, link = place
+        own = form.of(None)
+        starts = np.array([origin for origin, _ in rays])
+        ways = np.array([frames.rotate(turned, (1.0, 0.0, 0.0)) for _, turned in rays])
+        seen = np.ones(6, np.uint8)
+        seen[HIDDEN] = 0
+        groups = [world.model.geom_group[min(own, default=0) : max(own, default=-1) + 1] for world in self._worlds]
+        self._derives = self._derives or World.pose
+        free = np.zeros((len(self._worlds), len(rays)))
+        ray, range_ = mj.mj_ray, range(len(rays))
+
+        def read() -> Column:
+            self._derive()
+            axes = self._of(f"xmat{link}", lambda world: world.data.xmat[link]).T.reshape(-1, 3, 3)
+            position = self._of(f"xpos{link}", lambda world: world.data.xpos[link]).T
+            origins, directions = position[:, None] + starts @ axes.transpose(0, 2, 1), ways @ axes.transpose(0, 2, 1)
+            for world, group, met, origin, direction in zip(self._worlds, groups, free, origins, directions, strict=True):
+                model, data, usual = world.model, world.data, int(group[0]) if len(group) else 0
+                group.fill(HIDDEN)
+                for number in range_:
+                    met[number] = ray(model, data, origin[number], direction[number], seen, True, -1, None, None)
+                group.fill(usual)
+            return np.where((free < 0.0) | (free > reach), reach, free).T
+
+        return read
+
+    def _derive(self) -> None:
+        """Compute for all worlds what a step computes, since some began an episode."""
+        compute = self._derives
+        if compute is not None and self._derived is not compute:
+            for world in self._worlds:
+                compute(world)
+            self._derived = compute
+
+    def _place(self, body: str, link: str | None) -> tuple[Body, int] | None:
+        """The form of a body and the number of the link; None where it has several forms."""
+        pool = self.members[0]._pool(body)
+        return (pool.chosen, _link(pool.chosen, link)) if len(list(pool)) == 1 else None
+
+    def _each(self, bind: Callable[[Member], Callable[[], Any]]) -> Callable[[], Any]:
+        readers = [bind(member) for member in self.members]
+
+        def read() -> Any:
+            first, second = zip(*(reader() for reader in readers), strict=True)
+            return np.array(first).T, np.array(second).T
+
+        return read
+
+    # Motors
+
+    def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
+        motor = Motor(self, [member.velocity_motor(robot, joints, max_torque) for member in self.members], robot, joints)
+        return motor.pursuit([limited(limit) for limit in max_torque])
+
+    def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
+        motor = Motor(self, [member.torque_motor(robot, joints, max_torque) for member in self.members], robot, joints)
+        limits = np.array([limited(limit) for limit in max_torque])[:, None]
+        return motor.writer(lambda targets: np.minimum(np.maximum(targets, -limits), limits), holds=False)
+
+    def position_motor(
+        self,
+        robot: str,
+        joints: Sequence[str],
+        max_torque: Sequence[float],
+        stiffness: Sequence[float] | None,
+        damping: Sequence[float] | None,
+    ) -> MotorWriter:
+        """A spring is written as an array; a servo renews its gains in each engine step, and is written world by world."""
+        own = [member.position_motor(robot, joints, max_torque, stiffness, damping) for member in self.members]
+        motor = Motor(self, own, robot, joints)
+        if stiffness is None:
+            return motor.each
+        rates = np.array(stiffness)[:, None]
+        return motor.writer(lambda targets: rates * targets, holds=True)
+
+
+class Motor:
+    """A motor on the same joints of all worlds; in a new episode, its first command goes through the motor of the single world."""
+
+    def __init__(self, batch: MuJoCoBatch, own: Sequence[MotorWriter], robot: str, joints: Sequence[str]) -> None:
+        self._batch, self._own, self._count = batch, own, len(joints)
+        numbers = list(batch.members[0]._joints(robot, joints))
+        self._numbers = numbers
+        self._model = batch._worlds[0].model
+        self._acts = drives.places([batch.members[0]._motors.actuators[number] for number in numbers])
+        self._ctrl = [world.data.ctrl for world in batch._worlds]
+        self._known = np.full((len(joints), len(own)), np.nan)
+        self._let_go = np.zeros(len(own), bool)
+        self._holds = True
+        batch._motors.append(self)
+
+    def begun(self, worlds: Sequence[int]) -> None:
+        """These worlds have begun an episode; most motors hold their joints since then, and drive them."""
+        self._known[:, worlds] = np.nan
+        self._let_go[worlds] = not self._holds
+
+    def each(self, targets: Any) -> None:
+        """Command each world by itself."""
+        self._write_own(self._columns(targets), self._chosen())
+
+    def writer(self, control: Callable[[Column], Column], *, holds: bool) -> MotorWriter:
+        """A motor whose law stays the same: the numbers that its actuators get follow from the targets.
+
+        One that does not hold its joints at the beginning takes them by the first command of an episode.
+        """
+        self._holds = holds
+        self._let_go[:] = not holds
+        ctrl, acts = self._ctrl, self._acts
+
+        def write(targets: Any) -> None:
+            columns, chosen = self._columns(targets), self._chosen()
+            if self._let_go.any():
+                self._write_own(columns, chosen[self._let_go[chosen]])
+            for world, row in zip(chosen.tolist(), np.ascontiguousarray(control(columns).T[chosen]), strict=True):
+                ctrl[world][acts] = row
+
+        return write
+
+    def pursuit(self, limits: Sequence[float]) -> MotorWriter:
+        """A velocity motor; see `drives.Motor.velocity_writer`."""
+        model, batch, acts, ctrl = self._model, self._batch, self._acts, self._ctrl
+        motors, step = batch.members[0]._motors, model.opt.timestep
+        dofs = drives.places(model.jnt_dofadr[self._numbers].tolist())
+        usual, moved = motors.usual_armature[dofs][:, None], 1.0 / motors.usual_inverse[dofs][:, None]
+        bounds = np.array(limits)[:, None]
+        stiffest = drives.STIFFEST * model.dof_M0[dofs][:, None] / step
+        changing = ("actuator_biasprm", "dof_armature", "dof_invweight0")
+        biases, armatures, inverses = ([getattr(world.model, name) for world in batch._worlds] for name in changing)
+        biases = [bias[:, 2] for bias in biases]
+
+        def write(targets: Any) -> None:
+            columns, chosen, known = self._columns(targets), self._chosen(), self._known
+            off = np.maximum(np.abs(columns - batch._state("qvel")[dofs]), drives.SLACK * np.abs(columns))
+            gains = np.where(off * stiffest > bounds, bounds / off, stiffest)
+            changed = chosen[(gains != known)[:, chosen].any(axis=0)]
+            known[:, changed] = gains[:, changed]
+            added = gains * step
+            values = (part.T[changed] for part in (-gains, usual + added, 1.0 / (moved + added)))
+            for world, bias, armature, inverse in zip(changed.tolist(), *values, strict=True):
+                biases[world][acts] = bias
+                armatures[world][dofs] = armature
+                inverses[world][dofs] = inverse
+            for world, row in zip(chosen.tolist(), (gains * columns).T[chosen], strict=True):
+                ctrl[world][acts] = row
+
+        return write
+
+    def _columns(self, targets: Any) -> Column:
+        """The targets as an array with a row per joint and a column per world."""
+        return np.stack([np.broadcast_to(np.asarray(target, float), len(self._own)) for target in targets])
+
+    def _chosen(self) -> Column:
+        chosen = self._batch.chosen
+        return np.arange(len(self._own)) if chosen is None else np.flatnonzero(chosen)
+
+    def _write_own(self, columns: Column, worlds: Column) -> None:
+        for world, row in zip(worlds.tolist(), columns.T[worlds].tolist(), strict=True):
+            self._own[world](row)
+        self._let_go[worlds] = False

@@ -1,0 +1,544 @@
+"""The supervisor of a batch: many worlds of one scenario, acted on, observed and scored as arrays.
+
+Each world of a batch is a single world with its supervisor, which begins its episodes. Generated code for a batch does what
+happens in each step over columns, one number per world in each. It takes over what an episode begins with from the single world: what
+functions remember, drawn parameters, readings. What has no form over columns is asked of the single worlds in turn (`Each`).
+"""
+
+from __future__ import annotations
+
+import warnings
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deepbots_cli.errors import EvaluationError
+from deepbots_cli.program.robots import Direction, Sensor
+from deepbots_cli.program.task import ActionRange
+from deepbots_cli.runtime.columns import Remembered
+from deepbots_cli.runtime.devices import Devices, columns_of
+from deepbots_cli.runtime.messages import LossyChannel
+from deepbots_cli.runtime.spaces import views
+from deepbots_cli.runtime.supervisor import RobotController, Supervisor
+
+Column = NDArray[Any]
+LOST = "not_finite"
+"""How an episode ends whose world is no longer finite."""
+
+
+class Outcome(NamedTuple):
+    """What a step came to, one row per world; observations are those that the agent acts on next.
+
+    `terms` has a row per term of the reward and a column per world. `done` holds the numbers of the worlds whose episode ended, `last`
+    their last observations, `infos` their infos. Their next episodes have begun.
+    """
+
+    observations: Any
+    rewards: Column
+    terms: Column
+    terminated: Column
+    truncated: Column
+    done: Column
+    last: Any
+    infos: list[dict[str, Any]]
+
+
+class Running(NamedTuple):
+    """The running episode of a world: its seed or the states of its random generators when it began, and the actions since then."""
+
+    start: int | dict[str, Any]
+    actions: list[Any]
+
+
+class Each:
+    """Asks the single worlds in turn: functions that take and give single numbers, over columns."""
+
+    def __init__(self, functions: Sequence[Callable[..., Any]], chosen: Callable[[], Column | None]) -> None:
+        self._functions, self._chosen = functions, chosen
+
+    def __call__(self, *arguments: Any) -> Any:
+        if not arguments:
+            return columns_of([function() for function in self._functions])
+        rows = zip(*(_rows(argument, len(self._functions)) for argument in arguments), strict=True)
+        chosen = self._chosen()
+        given = [
+            function(*row) if chosen is None or chosen[world] else None
+            for world, (function, row) in enumerate(zip(self._functions, rows, strict=True))
+        ]
+        return None if given[0] is None else columns_of(given)
+
+
+def _rows(argument: Any, count: int) -> list[Any]:
+    """A column, or a vector of columns, as one number or list per world."""
+    if isinstance(argument, np.ndarray):
+        return list(argument.T.tolist())
+    if isinstance(argument, (tuple, list)):
+        return list(np.stack([np.broadcast_to(part, count) for part in argument], axis=1).tolist())
+    return [argument] * count
+
+
+class Direct:
+    """A channel that delivers each message in the timestep in which it was sent; all formats carry numbers exactly."""
+
+    def __init__(self) -> None:
+        self._message: Any = ()
+
+    def send(self, message: Any) -> None:
+        self._message = message
+
+    def receive(self) -> Any:
+        return self._message
+
+
+class Lossy:
+    """A channel on which messages come late or are lost: those of the single worlds, in turn."""
+
+    def __init__(self, channels: Sequence[LossyChannel], batch: BatchSupervisor) -> None:
+        self._channels, self._batch = channels, batch
+
+    @property
+    def age(self) -> Column:
+        return np.array([channel.age for channel in self._channels])
+
+    @property
+    def message_received(self) -> Column:
+        return np.array([channel.message_received for channel in self._channels])
+
+    def send(self, message: Any) -> None:
+        count = len(self._channels)
+        messages = zip(*(_rows(field, count) for field in message), strict=True) if message else iter([()] * count)
+        for channel, one in zip(self._channels, messages, strict=True):
+            channel.send(one)
+
+    def newest(self) -> Any:
+        return [columns_of(values) for values in zip(*(channel.newest() for channel in self._channels), strict=True)]
+
+    def receive(self) -> Iterator[Any]:
+        """First the first message of each world that got one, then the second; meanwhile motors of the others are left alone."""
+        arrived = [channel.receive() for channel in self._channels]
+        for number in range(max(map(len, arrived))):
+            having = np.array([len(messages) > number for messages in arrived])
+            usual = arrived[int(having.argmax())][number]
+            messages = [messages[number] if len(messages) > number else usual for messages in arrived]
+            self._batch.engine.chosen = having
+            yield [columns_of(values) for values in zip(*messages, strict=True)]
+        self._batch.engine.chosen = None
+
+
+class _Part:
+    """What supervisor and controllers share: they take over from objects of the single worlds by the names of their attributes."""
+
+    def __init__(self, singles: Sequence[Any], batch: BatchSupervisor) -> None:
+        self._singles, self._batch = singles, batch
+        self._loaded: list[Remembered | Devices] = []
+
+    def each(self, attribute: str, index: int | None = None) -> Each:
+        """What each of the single worlds has under this name."""
+        found = [getattr(single, attribute) for single in self._singles]
+        return Each(found if index is None else [parts[index] for parts in found], lambda: self._batch.engine.chosen)
+
+    def memory(self, attribute: str) -> Remembered:
+        """The memory of a stateful function."""
+        made = Remembered([getattr(single, attribute) for single in self._singles])
+        self._loaded.append(made)
+        return made
+
+    def _take_over(self, worlds: Sequence[int], names: Sequence[str]) -> None:
+        """Begin with what the single worlds began with."""
+        for part in self._loaded:
+            for world in worlds:
+                part.load(world)
+        for name in names:
+            values = np.array([getattr(self._singles[world], name) for world in worlds]).T
+            column = getattr(self, name, None)
+            if column is None or len(worlds) == len(self._singles):
+                column = np.zeros((*values.shape[:-1], len(self._singles)), values.dtype)
+            elif not isinstance(column, np.ndarray) or not column.flags.writeable or column.shape[-1:] != (len(self._singles),):
+                column = columns_array(column, len(self._singles))
+            else:
+                column = column.copy()
+            column[..., worlds] = values
+            setattr(self, name, column)
+
+
+def columns_array(value: Any, count: int) -> Column:
+    """A column or a vector of columns as an array that can be written."""
+    if isinstance(value, (tuple, list)):
+        return np.stack([np.broadcast_to(part, count) for part in value])
+    return np.array(np.broadcast_to(value, (*np.shape(value)[:-1], count)))
+
+
+class BatchController(_Part):
+    """Base of the generated controllers of robots."""
+
+    KEEPS: tuple[str, ...] = ()
+
+    def __init__(self, singles: Sequence[RobotController], batch: BatchSupervisor) -> None:
+        super().__init__(singles, batch)
+        self.bind(batch.engine)
+
+    def bind(self, engine: Any) -> None:
+        """Take readers and writers from the engine."""
+
+    def device(self, name: str) -> Devices:
+        """The devices behind a sensor."""
+        sensor: Sensor = next(sensor for sensor in self._singles[0].spec.sensors if sensor.name == name)
+        made = Devices([single.devices[name] for single in self._singles], sensor, self._singles[0].spec.name, self._batch)
+        self._loaded.append(made)
+        return made
+
+    def observe(self) -> None:
+        """Sample what is sampled once per tick."""
+
+    def begin(self, worlds: Sequence[int]) -> None:
+        self._take_over(worlds, self.KEEPS)
+
+
+class BatchSupervisor(_Part, ABC):
+    """Base of the generated supervisors of a batch, over single supervisors and the engine that holds all of their worlds."""
+
+    KEEPS: tuple[str, ...] = ()
+    """Attributes of the single supervisors that a new episode gives: drawn parameters, and what is told in the next step."""
+    TERMS: tuple[str, ...] = ()
+
+    def __init__(self, singles: Sequence[Supervisor], engine: Any) -> None:
+        super().__init__(singles, self)
+        first = singles[0]
+        self.singles, self.engine, self.scenario, self.count = singles, engine, first.scenario, len(singles)
+        self.observation_space, self.action_space = first.observation_space, first.action_space
+        self.controllers: dict[str, BatchController] = {}
+        self.losses: list[tuple[int, int]] = []
+        """Seed and step of each world that was lost because it was no longer finite."""
+        self._episodes = [Running(0, []) for _ in singles]
+        self._views = views(self.scenario)
+        self.depth, self.newest = len(self._views), 0
+        self.frames = np.zeros((self.depth, len(self.scenario.policy.numbers), self.count), np.float32)
+        self.running: Column | None = None
+        self._ranges = sum(max(1, len(part.components)) for part in self.scenario.policy.action if isinstance(part, ActionRange))
+        size = len(self.scenario.policy.goal.low) if self.scenario.policy.goal else 0
+        self.goal = np.zeros((2 * size, self.count), np.float32)
+        self._size = size
+        self._forget()
+        self.bind(engine)
+
+    def _forget(self) -> None:
+        count = self.count
+        self.step_count, self.tick_count = np.zeros(count, np.int64), np.zeros(count, np.int64)
+        self.reward: Any = np.zeros(count)
+        self.previous_reward: Any = np.zeros(count)
+        self.episode_return: Any = np.zeros(count)
+        self.terminated, self.truncated, self.is_success, self._lost = (np.zeros(count, bool) for _ in range(4))
+        self._holds: dict[str, Column] = {}
+        self._limit = ""
+        self._fresh = [True] * count
+
+    # What `bind` makes
+
+    @abstractmethod
+    def bind(self, engine: Any) -> None:
+        """Take readers from the engine."""
+
+    @abstractmethod
+    def _advance(self, action: Any) -> None:
+        """One step of all worlds: act, let them go on, and observe."""
+
+    def robot(self, name: str, controller: type[BatchController]) -> Any:
+        """The controllers of a robot."""
+        made = self.controllers[name] = controller([single.controllers[name] for single in self.singles], self)
+        return made
+
+    def channel(self, name: str, direction: Direction) -> Direct:
+        """The paths of messages to or from a robot, where they are direct."""
+        return Direct()
+
+    def lossy_channel(self, name: str, direction: Direction) -> Lossy:
+        """The paths of messages to or from a robot, where messages come late or may be lost."""
+        attribute = f"{'to' if direction == 'to_robot' else 'from'}_{name}"
+        return Lossy([getattr(single, attribute) for single in self.singles], self)
+
+    # Course
+
+    def reset(self, seeds: Sequence[int | None]) -> Any:
+        """Begin an episode in all worlds, each with a seed of its own or going on with its streams; the observations."""
+        self._forget()
+        self._begin(range(self.count), seeds)
+        return self.observations()
+
+    def step(self, action: Any) -> Outcome:
+        """One step of all worlds; episodes that end are followed by new ones at once.
+
+        A world that is no longer finite is truncated by `not_finite` with a reward of 0. It begins anew, and is told in `losses` and as a
+        warning.
+
+        Raises:
+            EvaluationError: An expression has no value in a world that is finite, or an episode would end before its first step.
+        """
+        action = _copied(action)
+        for episode, act in zip(self._episodes, _each_of(action, self.count), strict=True):
+            episode.actions.append(act)
+        with np.errstate(all="ignore"):
+            self._advance(action)
+        if self._lost.any():
+            self._give_up()
+        observations, rewards, terms = self.observations(), self.rewards(), self.terms()
+        terminated, truncated = self.terminated, self.truncated
+        done = np.flatnonzero(terminated | truncated)
+        if not len(done):
+            return Outcome(observations, rewards, terms, terminated, truncated, done, None, [])
+        last, infos = _taken(observations, done), [self.info(world) for world in done.tolist()]
+        self._begin(done.tolist(), [None] * len(done))
+        return Outcome(self.observations(), rewards, terms, terminated, truncated, done, last, infos)
+
+    def _begin(self, worlds: Sequence[int], seeds: Sequence[int | None]) -> None:
+        """Let single worlds begin episodes, and take over what they begin with."""
+        for world, seed in zip(worlds, seeds, strict=True):
+            single = self.singles[world]
+            self._episodes[world] = Running(single.random_state() if seed is None else seed, [])
+            single.reset(seed=seed)
+        self._take_over_from(worlds)
+
+    def snapshot(self) -> list[Running]:
+        """The running episode of each world, from which `restore` goes on; it holds as much as the episodes have actions."""
+        return [Running(episode.start, list(episode.actions)) for episode in self._episodes]
+
+    def restore(self, episodes: Sequence[Running], on_step: Callable[[Column], None] = lambda acting: None) -> Any:
+        """Bring the worlds back to the moment of a snapshot, exactly: each episode begins again and repeats its actions.
+
+        All end in the same step, so that short ones begin late. `on_step` is called after each step with the worlds that repeated an action
+        in it, as truth values.
+
+        Returns:
+            The observations.
+        """
+        last = max(len(episode.actions) for episode in episodes)
+        idle = next((episode.actions[0] for episode in episodes if episode.actions), None)
+        self._forget()
+        for step in range(last + 1):
+            self._begin_again([world for world, episode in enumerate(episodes) if step == last - len(episode.actions)], episodes)
+            if step < last:
+                places = [step - last + len(episode.actions) for episode in episodes]
+                rows = [episode.actions[place] if place >= 0 else idle for place, episode in zip(places, episodes, strict=True)]
+                with np.errstate(all="ignore"):
+                    self._advance(_joined(rows))
+                on_step(np.array(places) >= 0)
+        self._episodes = [Running(episode.start, list(episode.actions)) for episode in episodes]
+        return self.observations()
+
+    def _begin_again(self, worlds: Sequence[int], episodes: Sequence[Running]) -> None:
+        for world in worlds:
+            start, single = episodes[world].start, self.singles[world]
+            if isinstance(start, dict):
+                single.set_random_state(start)
+            single.reset(seed=None if isinstance(start, dict) else start)
+        if worlds:
+            self._take_over_from(worlds)
+
+    def _take_over_from(self, worlds: Sequence[int]) -> None:
+        """Go on from what single worlds have begun with."""
+        worlds = list(worlds)
+        self.engine.begun(worlds)
+        self._take_over(worlds, self.KEEPS)
+        for controller in self.controllers.values():
+            controller.begin(worlds)
+        for world in worlds:
+            single = self.singles[world]
+            self.frames[:, :, world] = single.frames[: self.frames.shape[1]]
+            self.goal[:, world] = single.goal
+        for name in ("step_count", "tick_count", "reward", "previous_reward", "episode_return"):
+            column = columns_array(getattr(self, name), self.count)
+            column[worlds] = 0
+            setattr(self, name, column)
+        for name in ("terminated", "truncated", "is_success", "_lost"):
+            column = getattr(self, name).copy()
+            column[worlds] = False
+            setattr(self, name, column)
+
+    def _give_up(self) -> None:
+        """End the episodes of worlds that are no longer finite."""
+        lost = self._lost
+        for world in np.flatnonzero(lost).tolist():
+            self.losses.append((self.singles[world].streams.root, int(self.step_count[world])))
+            message = f"world {world} (seed {self.losses[-1][0]}) was no longer finite in step {self.losses[-1][1]} and begins anew"
+            warnings.warn(message, RuntimeWarning, stacklevel=4)
+        self.reward = np.where(lost, 0.0, self.reward)
+        self.terminated, self.truncated = self.terminated & ~lost, self.truncated | lost
+        self.is_success = self.is_success & ~lost
+        self.frames[:, :, lost] = 0.0
+
+    def info(self, world: int) -> dict[str, Any]:
+        """The info of the last step of an episode, as the single world gives it."""
+        held = tuple(name for name, column in self._holds.items() if column[world]) if self.terminated[world] else ()
+        if self.truncated[world]:
+            held = (LOST if self._lost[world] else self._limit,)
+        terms = {name: float(np.broadcast_to(getattr(self, f"term_{name}"), self.count)[world]) for name in self.TERMS}
+        success = bool(self.is_success[world])
+        return {"is_success": success, "ended_by": held[0] if held else None, "endings": held, "reward_terms": terms}
+
+    def rewards(self) -> Column:
+        """Those of the last step, a copy."""
+        return np.array(np.broadcast_to(self.reward, self.count), float)
+
+    def terms(self) -> Column:
+        """The terms of the last rewards, a row each; a copy."""
+        terms = np.zeros((len(self.TERMS), self.count))
+        for row, name in zip(terms, self.TERMS, strict=True):
+            row[:] = getattr(self, f"term_{name}")
+        return terms
+
+    def observations(self) -> Any:
+        """What the policies see, float32, a row per world; a copy."""
+        frames = self.frames.reshape(-1, self.count)
+        seen = np.ascontiguousarray(frames[self._views[self.newest]].T)
+        if not self._size:
+            return seen
+        goals = np.ascontiguousarray(self.goal.T)
+        return {"observation": seen, "achieved_goal": goals[:, : self._size].copy(), "desired_goal": goals[:, self._size :].copy()}
+
+    def close(self) -> None:
+        """Release all worlds."""
+        for single in self.singles:
+            single.close()
+        self.engine.close()
+
+    # What generated code calls
+
+    def physics(self, substeps: int) -> None:
+        """Let the worlds go on; those that are no longer finite are set aside until the end of the step."""
+        self.engine.step(substeps, self.running)
+        lost = self.engine.lost()
+        if len(lost):
+            self._lost = self._lost.copy()
+            self._lost[lost] = True
+            for world in lost.tolist():
+                self.engine.members[world].reset()  # so that nothing that reads it fails
+            self.engine.begun(lost.tolist())
+
+    def ranges(self, action: Any) -> Column:
+        """The numbers of an action, a column each, within [-1, 1]."""
+        columns: Column = np.clip(np.asarray(action, float), -1.0, 1.0).T
+        return columns
+
+    def add(self, column: Any, more: Any) -> Any:
+        """The sum, in worlds whose episode goes on."""
+        return column + more if self.running is None else np.where(self.running, column + more, column)
+
+    def ticks(self, count: int) -> Iterator[None]:
+        """The ticks of a step; only worlds whose episode goes on take part in the later ones."""
+        for number in range(count):
+            yield
+            if number < count - 1:
+                goes_on = ~(self.terminated | self.truncated | self._lost)
+                self.running = None if goes_on.all() else goes_on
+                if not goes_on.any():
+                    break
+        self.running = None
+
+    def redraw(self, due: Any, draw: Callable[[Any], None], *names: str) -> None:
+        """Let the single worlds that are due draw values anew."""
+        worlds = np.flatnonzero(np.broadcast_to(due, self.count)).tolist()
+        for world in worlds:
+            single = self.singles[world]
+            single.step_count, single.tick_count = int(self.step_count[world]), int(self.tick_count[world])
+            draw(single)
+        if worlds:
+            values = {name: np.array([getattr(self.singles[world], name) for world in worlds]).T for name in names}
+            for name, value in values.items():
+                column = getattr(self, name).copy()
+                column[..., worlds] = value
+                setattr(self, name, column)
+
+    def normals(self, stream: str, count: int) -> Column:
+        """Standard normal numbers, a column each."""
+        running = self.running
+        drawn = np.zeros((count, self.count))
+        for world, single in enumerate(self.singles):
+            if running is None or running[world]:
+                drawn[:, world] = single.streams[stream].standard_normal(count)
+        return drawn
+
+    def see(self, *numbers: Any) -> None:
+        """Let the policies see these numbers in the newest frame."""
+        frame = self.frames[self.newest]
+        for row, number in zip(frame, numbers, strict=True):
+            if self.running is None:
+                row[:] = number
+            else:
+                np.copyto(row, np.broadcast_to(number, self.count), where=self.running, casting="same_kind")
+        if not np.isfinite(frame).all():
+            worlds = np.flatnonzero(~np.isfinite(frame).all(axis=0) & ~self._lost)
+            if len(worlds):
+                rows = np.flatnonzero(~np.isfinite(frame).all(axis=1))
+                names = ", ".join(dict.fromkeys(self.scenario.policy.numbers[row].name for row in rows))
+                raise self._no_value(int(worlds[0]), f"the observation {names}")
+
+    def next_frame(self) -> None:
+        """Make room for what the policies see after this step."""
+        self.newest = (self.newest + 1) % self.depth
+
+    def aim(self, achieved: Any, desired: Any) -> tuple[Column, Column]:
+        """See `Supervisor.aim`."""
+        goal = self.scenario.policy.goal
+        assert goal is not None
+        low, high = (np.array(ends * 2)[:, None] for ends in (goal.low, goal.high))
+        middle, half = (high + low) / 2, (high - low) / 2
+        values = np.stack([np.broadcast_to(value, self.count) for value in (*achieved, *desired)])
+        seen = np.clip((values - middle) / half, -1.0, 1.0).astype(np.float32)
+        self.goal = seen if self.running is None else np.where(self.running, seen, self.goal)
+        meant = middle + half * self.goal.astype(float)
+        return meant[: self._size], meant[self._size :]
+
+    def _terminate(self, endings: dict[str, Any], *, success: Any = False) -> None:
+        """End the task where one of the endings holds, of which the first counts."""
+        holds = {name: np.broadcast_to(column, self.count) for name, column in endings.items()}
+        if self.running is not None:
+            holds = {name: np.where(self.running, column, self._holds[name]) for name, column in holds.items()}
+        self._holds = holds
+        ended = np.logical_or.reduce(list(holds.values()))
+        if self.running is None:
+            self.terminated, self.is_success = ended, ended & success
+        else:
+            self.is_success = np.where(self.running, ended & success, self.is_success)
+            self.terminated = np.where(self.running, ended, self.terminated)
+
+    def _truncate(self, limit: str, reached: Any, success: Any = None) -> None:
+        """Cut the episodes short that reached a limit."""
+        self._limit = limit
+        now = reached & ~self.terminated
+        self.truncated = now if self.running is None else np.where(self.running, now, self.truncated)
+        if success is not None:
+            self.is_success = np.where(now, success, self.is_success)
+
+    def require_finite(self, reward: Any) -> None:
+        """Raise: EvaluationError: The reward of a world is not finite; names the terms."""
+        wrong = ~(np.abs(reward) < 1e300) & ~self._lost
+        if wrong.any() and (self.running is None or (wrong & self.running).any()):
+            world = int(np.flatnonzero(wrong)[0])
+            terms = [name for name, value in zip(self.TERMS, self.terms()[:, world], strict=True) if not np.isfinite(value)]
+            raise self._no_value(world, f"the reward term '{terms[0]}'" if terms else "the sum of the reward terms")
+
+    def _no_value(self, world: int, what: str) -> EvaluationError:
+        seed = self.singles[world].streams.root
+        return EvaluationError(f"step {int(self.step_count[world])} of world {world} (seed {seed}): {what} is not finite")
+
+
+def _copied(action: Any) -> Any:
+    """The actions of all worlds, which the caller may write over."""
+    return {key: np.array(part) for key, part in action.items()} if isinstance(action, dict) else np.array(action)
+
+
+def _each_of(action: Any, count: int) -> Sequence[Any]:
+    """The action of each world."""
+    return [{key: part[world] for key, part in action.items()} for world in range(count)] if isinstance(action, dict) else action
+
+
+def _joined(rows: Sequence[Any]) -> Any:
+    """The actions of all worlds from that of each."""
+    return {key: np.array([row[key] for row in rows]) for key in rows[0]} if isinstance(rows[0], dict) else np.array(rows)
+
+
+def _taken(observations: Any, worlds: Column) -> Any:
+    """The rows of some worlds."""
+    return {key: part[worlds] for key, part in observations.items()} if isinstance(observations, dict) else observations[worlds]

@@ -1,0 +1,183 @@
+"""The functions that generated code for a batch calls: those of `formulas`, over columns with one number per world.
+
+A vector is a sequence of columns, or an array with a row per component. Names and meanings are those of `formulas`; what has no
+value becomes inf or NaN, which the supervisor of the batch reports with the world.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Iterable, Sequence
+from functools import reduce
+from math import pi, tau
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from deepbots_cli.runtime import formulas
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Column = NDArray[Any]
+    Step = Callable[..., tuple[Any, Any]]
+
+
+def pick(table: dict[int, Any], chosen: Any) -> Any:
+    """What each world's option sets: a column, or one per value of an option."""
+    return np.array(list(table.values()))[chosen].T
+
+
+def clamp(x: Any, low: Any, high: Any) -> Any:
+    return np.minimum(np.maximum(x, low), high)
+
+
+def clip(value: Any) -> Any:
+    return np.minimum(np.maximum(value, -1.0), 1.0)
+
+
+def wrap_angle(angle: Any) -> Any:
+    return pi - (pi - angle) % tau
+
+
+def total(values: Iterable[Any]) -> Any:
+    return reduce(operator.add, values)
+
+
+def minimum(*values: Any) -> Any:
+    return reduce(np.minimum, values)
+
+
+def maximum(*values: Any) -> Any:
+    return reduce(np.maximum, values)
+
+
+def any_of(values: Iterable[Any]) -> Any:
+    return reduce(np.logical_or, values)
+
+
+def all_of(values: Iterable[Any]) -> Any:
+    return reduce(np.logical_and, values)
+
+
+def hypot(*values: Any) -> Any:
+    """The root of the sum of squares."""
+    return reduce(np.hypot, values) if len(values) < 3 else np.sqrt(reduce(operator.add, [value * value for value in values]))
+
+
+def scale(value: Any, low: float, high: float) -> Any:
+    return clip((value - (high + low) / 2) * (1 / ((high - low) / 2)))
+
+
+def scale_each(values: Any, low: float, high: float) -> Any:
+    return scale(np.array(values), low, high)
+
+
+def scale_freely(value: Any, low: float, high: float) -> Any:
+    return (value - (high + low) / 2) * (1 / ((high - low) / 2))
+
+
+# Poses
+
+
+def distance(pose: Any, other: Any) -> Any:
+    return hypot(*(b - a for a, b in zip(pose[0], other[0], strict=True)))
+
+
+def ground_distance(pose: Any, other: Any) -> Any:
+    return np.hypot(other[0][0] - pose[0][0], other[0][1] - pose[0][1])
+
+
+def bearing(pose: Any, other: Any) -> Any:
+    ahead_x, ahead_y = _ahead(pose[1])
+    dx, dy = other[0][0] - pose[0][0], other[0][1] - pose[0][1]
+    return np.arctan2(ahead_x * dy - ahead_y * dx, ahead_x * dx + ahead_y * dy)
+
+
+def roll(pose: Any) -> Any:
+    x, y, z, w = pose[1]
+    return np.arctan2(2.0 * (z * y + x * w), 1.0 - 2.0 * (x * x + y * y))
+
+
+def pitch(pose: Any) -> Any:
+    x, y, z, w = pose[1]
+    return np.arctan2(-(2.0 * (z * x - y * w)), np.hypot(*_ahead(pose[1])))
+
+
+def yaw(pose: Any) -> Any:
+    ahead_x, ahead_y = _ahead(pose[1])
+    return np.arctan2(ahead_y, ahead_x)
+
+
+def tilt(pose: Any) -> Any:
+    x, y, z, w = pose[1]
+    return 2.0 * np.arctan2(np.hypot(x, y), np.hypot(z, w))
+
+
+def _ahead(turn: Any) -> tuple[Any, Any]:
+    x, y, z, w = turn
+    return 1.0 - 2.0 * (y * y + z * z), 2.0 * (y * x + z * w)
+
+
+to_body_frame = formulas.to_body_frame
+
+# Memories
+
+
+def _delta(kept: Column, _: float, x: Any, start: Any = None) -> tuple[Any, Any]:
+    return x - kept, x
+
+
+def _previous(kept: Column, _: float, x: Any, start: Any = None) -> tuple[Any, Any]:
+    return kept, x
+
+
+def _kept(kept: Any) -> tuple[Any, Any]:
+    """A function whose value is what it remembers."""
+    return kept, kept
+
+
+_MEMORIES: dict[type[formulas.Memory], Step] = {
+    formulas.Delta: _delta,
+    formulas.Previous: _previous,
+    formulas.RunningMax: lambda kept, _, x: _kept(np.maximum(kept, x)),
+    formulas.RunningMin: lambda kept, _, x: _kept(np.minimum(kept, x)),
+    formulas.Hold: lambda kept, _, x, condition: _kept(np.where(condition, x, kept)),
+    formulas.LowPass: lambda kept, step, x, tau: _kept(kept + (x - kept) * (step / (tau + step))),
+    formulas.Integral: lambda kept, step, x: _kept(kept + x * step),
+    formulas.Accumulate: lambda kept, _, more, low, high, start: _kept(np.minimum(np.maximum(kept + more, low), high)),
+    formulas.Duration: lambda kept, step, condition: _kept(np.where(condition, kept + step, 0.0)),
+    formulas.RisingEdge: lambda kept, _, condition: (np.logical_and(condition, np.logical_not(kept)), condition),
+}
+"""The `advance` of each memory: from what is kept and the timestep to the value and what is kept then."""
+
+
+class Remembered:
+    """The memory of a stateful function in all worlds; a new episode takes it over from that of the single world."""
+
+    def __init__(self, singles: Sequence[formulas.Memory | formulas.Memories]) -> None:
+        first = singles[0]
+        self._each = [single.parts if isinstance(single, formulas.Memories) else (single,) for single in singles]
+        self._vector = isinstance(first, formulas.Memories)
+        part = self._each[0][0]
+        self._advance, self._timestep = _MEMORIES[type(part)], part.timestep
+        self._kept: Column = np.zeros((len(self._each[0]), len(singles)))
+
+    def load(self, world: int) -> None:
+        kept = [part.kept for part in self._each[world]]
+        if isinstance(kept[0], bool | np.bool_) and self._kept.dtype != bool:
+            self._kept = self._kept.astype(bool)
+        self._kept[:, world] = kept
+
+    def update(self, *arguments: Any) -> Any:
+        """The value in this timestep; vectors where the function has one memory per component."""
+        count, worlds = self._kept.shape
+        parts = [_stacked(argument, count, worlds) if self._vector else np.asarray(argument) for argument in arguments]
+        value, kept = self._advance(self._kept, self._timestep, *parts)
+        self._kept = np.broadcast_to(kept, (count, worlds)).copy()
+        return value if self._vector else np.broadcast_to(value, (count, worlds))[0]
+
+
+def _stacked(columns: Any, count: int, worlds: int) -> Column:
+    """A vector as an array with a row per component."""
+    return columns if isinstance(columns, np.ndarray) else np.stack([np.broadcast_to(column, worlds) for column in columns])

@@ -1,0 +1,82 @@
+"""A batch of worlds as a vector environment of Gymnasium."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from deepbots_cli.errors import UsageError
+from deepbots_cli.runtime.batch import BatchSupervisor
+
+
+class BatchEnvironment(VectorEnv[Any, Any, Any]):
+    """Many worlds of one scenario; observations, rewards and flags have a row per world."""
+
+    def __init__(self, batch: BatchSupervisor) -> None:
+        """Takes over `batch` and closes it with itself."""
+        self.batch = batch
+        self.num_envs = batch.count
+        self.metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": []}
+        self.single_observation_space, self.single_action_space = batch.observation_space, batch.action_space
+        self.observation_space = batch_space(batch.observation_space, batch.count)
+        self.action_space = batch_space(batch.action_space, batch.count)
+        self._begun = False
+
+    def reset(self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode in all worlds.
+
+        Args:
+            seed: World i begins from `seed + i`, or from the i-th of several; without, each goes on with its streams.
+            options: Not used; values of an episode are set in single worlds.
+
+        Raises:
+            UsageError: There are not as many seeds as worlds, or `options` are given.
+        """
+        if options:
+            raise UsageError("a batch takes no options at reset; use deepbots_cli.make for a single world")
+        if seed is None or isinstance(seed, (int, np.integer)):
+            seeds: Sequence[int | None] = [None if seed is None else int(seed) + world for world in range(self.num_envs)]
+        else:
+            seeds = seed
+        if len(seeds) != self.num_envs:
+            raise UsageError(f"{len(seeds)} seeds for {self.num_envs} worlds")
+        if seeds[0] is not None:
+            self.action_space.seed(seeds[0])
+        self._begun = True
+        return self.batch.reset(seeds), {}
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """One step of all worlds.
+
+        Returns:
+            Observations (with those of new episodes where one ended), rewards (float64), terminated, truncated, and infos: where episodes
+            ended, `final_obs`, `final_info` and their masks `_final_obs`, `_final_info`, as Gymnasium's vector environments give them.
+
+        Raises:
+            UsageError: Before the first reset.
+            EvaluationError: An expression has no value.
+        """
+        if not self._begun:
+            raise UsageError("call reset() before step()")
+        outcome = self.batch.step(actions)
+        infos: dict[str, Any] = {}
+        if len(outcome.done):
+            ended = np.zeros(self.num_envs, bool)
+            ended[outcome.done] = True
+            last = np.full(self.num_envs, None, object)
+            for row, world in enumerate(outcome.done):
+                taken = outcome.last
+                last[world] = {key: part[row] for key, part in taken.items()} if isinstance(taken, dict) else taken[row]
+            final: dict[str, Any] = {}
+            for world, info in zip(outcome.done, outcome.infos, strict=True):
+                final = self._add_info(final, info, int(world))
+            infos = {"final_obs": last, "_final_obs": ended, "final_info": final, "_final_info": ended.copy()}
+        return outcome.observations, outcome.rewards, outcome.terminated, outcome.truncated, infos
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Release all worlds."""
+        self.batch.close()

@@ -1,0 +1,125 @@
+"""A batch of worlds lives the same episodes as its single worlds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import closing
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+import deepbots_cli
+from deepbots_cli import api
+from deepbots_cli.api import Compiled
+from deepbots_cli.errors import BatchError, UsageError
+from deepbots_cli.runtime import Supervisor
+from deepbots_cli.runtime.vector import BatchEnvironment
+
+FAST = ("cartpole", "find_ball", "pit_escape", "balancer")
+SHORTER = {"quadruped": ("truncation.max_time=4 s",)}
+"""Settings with which episodes end within 500 steps."""
+OTHERS = ("cartpole_wireless", "line_follower", "quadruped", "panda_reach", "panda_push", "quadrotor", "find_ball_random")
+
+
+def rows(observation: Any) -> np.ndarray[Any, Any]:
+    """An observation, or those of all worlds, as one array."""
+    if isinstance(observation, dict):
+        return np.concatenate([observation[key] for key in sorted(observation)], axis=-1)
+    return np.asarray(observation)
+
+
+def taken(part: Any, world: int) -> Any:
+    return {key: value[world] for key, value in part.items()} if isinstance(part, dict) else part[world]
+
+
+def assert_same(mine: Any, other: Any) -> None:
+    """Within one float32 ulp."""
+    np.testing.assert_array_max_ulp(rows(mine), rows(other), maxulp=1)
+
+
+def compare(name: str, worlds: int, steps: int, sets: tuple[str, ...] = ()) -> int:
+    """Step a batch beside single worlds; the number of episodes that ended."""
+    compiled = api.compile(name, sets=sets)
+    seeds = [100 + world for world in range(worlds)]
+    singles = [api.make(compiled, engine="mujoco") for _ in seeds]
+    ended = 0
+    with closing(deepbots_cli.make_vec(compiled, worlds)) as batch:
+        observations, _ = batch.reset(seed=seeds)
+        for world, single in enumerate(singles):
+            assert_same(taken(observations, world), single.reset(seed=seeds[world])[0])
+        batch.action_space.seed(1)
+        for _ in range(steps):
+            actions = batch.action_space.sample()
+            observations, rewards, terminated, truncated, infos = batch.step(actions)
+            for world, single in enumerate(singles):
+                seen, reward, *ends, info = single.step(taken(actions, world))
+                assert ends == [terminated[world], truncated[world]]
+                assert rewards[world] == pytest.approx(reward, abs=1e-9)
+                if any(ends):
+                    ended += 1
+                    assert_same(infos["final_obs"][world], seen)
+                    assert infos["final_info"]["ended_by"][world] == info["ended_by"]
+                    assert infos["final_info"]["is_success"][world] == info["is_success"]
+                    seen, _ = single.reset()
+                assert_same(taken(observations, world), seen)
+    for single in singles:
+        single.close()
+    return ended
+
+
+@pytest.mark.parametrize("name", FAST)
+def test_a_world_of_a_batch_lives_the_episodes_of_a_single_world(name: str) -> None:
+    compare(name, worlds=3, steps=40)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [*FAST, *OTHERS])
+def test_many_worlds_for_long(name: str) -> None:
+    assert compare(name, worlds=32, steps=500, sets=SHORTER.get(name, ())) > 0
+
+
+@pytest.fixture(scope="module")
+def cartpole() -> Compiled:
+    return api.compile("cartpole")
+
+
+@pytest.fixture
+def batch(cartpole: Compiled) -> Iterator[BatchEnvironment]:
+    with closing(deepbots_cli.make_vec(cartpole, 4)) as made:
+        made.reset(seed=0)
+        yield made
+
+
+@pytest.fixture
+def single(cartpole: Compiled) -> Iterator[Supervisor]:
+    with closing(api.make(cartpole, engine="mujoco")) as made:
+        yield made
+
+
+def test_a_world_that_becomes_infinite_begins_anew_and_leaves_the_others_alone(batch: BatchEnvironment, single: Supervisor) -> None:
+    batch.batch.singles[2].engine.set_joint("cart", "pole_hinge", np.inf, 0.0)
+    with pytest.warns(RuntimeWarning, match=r"world 2 \(seed 2\) was no longer finite in step 1"):
+        observations, rewards, _, truncated, infos = batch.step(np.zeros(4, int))
+    assert truncated.tolist() == [False, False, True, False]
+    assert infos["final_info"]["ended_by"][2] == "not_finite"
+    assert rewards[2] == 0.0
+    assert batch.batch.losses == [(2, 1)]
+    single.reset(seed=3)
+    assert_same(observations[3], single.step(0)[0])
+    single.reset(seed=2)
+    assert_same(observations[2], single.reset()[0])
+
+
+def test_what_does_not_fit_a_batch_is_named() -> None:
+    with pytest.raises(BatchError, match="SeeBall does not fit a batch: it has cameras"):
+        deepbots_cli.make_vec("see_ball", 2)
+    with pytest.raises(BatchError, match="the engine 'pybullet' has no batches of worlds"):
+        deepbots_cli.make_vec("cartpole", 2, engine="pybullet")
+
+
+def test_a_step_needs_a_reset(cartpole: Compiled) -> None:
+    with closing(deepbots_cli.make_vec(cartpole, 1)) as made, pytest.raises(UsageError, match="call reset"):
+        made.step(np.zeros(1, int))
