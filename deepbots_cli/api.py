@@ -236,7 +236,7 @@ def build_batch(program: Program, count: int, *, engine: str = "mujoco", fixed: 
         from deepbots_cli import engines
     except ModuleNotFoundError as error:
         raise MissingExtraError("sim", "running a scenario") from error
-    from deepbots_cli.canonical import digest
+    from deepbots_cli.program.identity import digest
     from deepbots_cli.codegen import emit, load_module
     from deepbots_cli.codegen.names import class_name
 
