@@ -236,9 +236,9 @@ def build_batch(program: Program, count: int, *, engine: str = "mujoco", fixed: 
         from deepbots_cli import engines
     except ModuleNotFoundError as error:
         raise MissingExtraError("sim", "running a scenario") from error
-    from deepbots_cli.program.identity import digest
     from deepbots_cli.codegen import emit, load_module
     from deepbots_cli.codegen.names import class_name
+    from deepbots_cli.program.identity import digest
 
     name, mark = class_name(program.name), digest(program)[:12]
     of_batch = load_module(emit(program, "batch"), f"deepbots_batch_{name}", f"<deepbots {name} {mark} batch>")
