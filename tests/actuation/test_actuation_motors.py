@@ -227,7 +227,8 @@ def test_a_limit_beyond_that_of_the_robot_file_does_not_hold(given: str):
 
 
 def test_a_limit_over_several_joints_tightens_those_that_allow_more():
-    legs = api.compile("quadruped").program.robots[0].actuators[0]
-    files = {joint.name: joint.limit.effort for joint in api.compile("quadruped").program.world.robots[0].model.moving_joints}
+    program = api.compile("quadruped", sets=["robots.dog.urdf=package://pybullet_data/a1/a1.urdf"]).program
+    legs = program.robots[0].actuators[0]
+    files = {joint.name: joint.limit.effort for joint in program.world.robots[0].model.moving_joints}
     assert isinstance(legs, Motor)
     assert {files[name]: most for name, most in zip(legs.joints, legs.max_torque, strict=True)} == {20.0: 20.0, 55.0: 33.5}

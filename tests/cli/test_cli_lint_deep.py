@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -61,8 +60,8 @@ def test_it_goes_with_no_fixing(deepbots, files, option):
 
 
 def test_without_the_simulator_it_is_wrong_usage_that_says_what_to_install(deepbots, files, monkeypatch):
-    monkeypatch.setattr(sys, "path", [entry for entry in sys.path if not (Path(entry) / "pybullet_data").exists()])
-    monkeypatch.delitem(sys.modules, "pybullet", raising=False)
+    for engine in ("pybullet", "mujoco"):
+        monkeypatch.setitem(sys.modules, engine, None)  # as if it were not installed
     ran = deepbots("lint", "sunk.yaml", "--deep")
     assert (ran.code, ran.out) == (2, "")
     assert installing("sim") in ran.err

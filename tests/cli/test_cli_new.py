@@ -106,6 +106,8 @@ ROBOTS = {
     "balancer": "upright",
     "cartpole": "upright",
     "cartpole_rail": "upright",
+    "a1": "legs",
+    "panda": "arm",
     "roller": "gets about",
     "quadrotor": "rotors",
 }

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import stand_in
 
-from deepbots_cli import api, interface
+from deepbots_cli import api
 from deepbots_cli.document import load, shipped
 from deepbots_cli.learning import TrainingResult, evaluate_robustness
 from deepbots_cli.learning.robustness import Change, changed_scenario, plans
@@ -33,7 +33,7 @@ def test_every_condition_compiles_and_leaves_the_interface_of_the_policy_alone(n
     plain = api.compile(name)
     for levels in found.values():
         changed = changed_scenario(base, [*levels.values()][-1])
-        assert interface.differences(plain.program, changed.program) == []
+        assert identity.differences(plain.program, changed.program) == []
         assert changed.digest != plain.digest
 
 

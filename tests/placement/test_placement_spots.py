@@ -158,7 +158,7 @@ def test_a_body_at_coordinates_is_placed_before_those_that_look_for_a_place(make
 
 def test_a_start_that_is_never_found_names_the_body_and_the_seed(make: Callable[..., Supervisor]) -> None:
     environment = make("reset.place.plank.clearance=90 cm", "reset.attempts=3")
-    with pytest.raises(EvaluationError, match=r"3 attempts \(seed 7\): '(hunter|prey|plank)' finds no place"):
+    with pytest.raises(EvaluationError, match=r"3 attempts \(seed 7\): there is no free position for '(hunter|prey|plank)'"):
         environment.reset(seed=7)
     environment = make("reset.require=ground_distance(hunter, prey) > 5 m", "reset.attempts=3")
     with pytest.raises(EvaluationError, match=r"`reset.require` does not hold"):
