@@ -11,7 +11,7 @@ from deepbots_cli import api
 from deepbots_cli.document import load, shipped
 from deepbots_cli.learning import TrainingResult, evaluate_robustness
 from deepbots_cli.learning.robustness import Change, changed_scenario, plans
-from deepbots_cli.program import Program
+from deepbots_cli.program import Program, identity
 
 
 def changes(name: str) -> tuple[Path, dict[str, dict[str, Change]]]:
