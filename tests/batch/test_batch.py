@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("mujoco")
+pytest.importorskip("deepbots_cli.engines.mujoco")
 
 import deepbots_cli
 from deepbots_cli import api

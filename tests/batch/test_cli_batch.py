@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-pytest.importorskip("mujoco")
+pytest.importorskip("deepbots_cli.engines.mujoco")
 
 from deepbots_cli.cli import main
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("mujoco")
+pytest.importorskip("deepbots_cli.engines.mujoco")
 pytest.importorskip("stable_baselines3")
 
 from deepbots_cli import api, learning

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import sys
 import warnings
 from contextlib import suppress
 from functools import cache
@@ -58,6 +59,8 @@ def _opens() -> bool:
             import_module("triton")
     try:
         with warnings.catch_warnings(action="ignore"):
+            if (glfw := sys.modules.get("glfw")) is not None:  # which warns, and returns no window, where it finds no display
+                warnings.simplefilter("error", glfw.GLFWError)
             context = mj.GLContext(8, 8)
             context.make_current()
             context.free()
