@@ -3,11 +3,12 @@
     DeepbotsError               a problem that the user can mend; the command line prints it as one line
     ├── ScenarioError           a scenario has findings at error level; carries them
     ├── UsageError              wrong arguments, a missing file, an unknown engine (exit code 2)
+    │   ├── BatchError          a batch of worlds cannot hold a scenario
     │   ├── MissingExtraError   an optional dependency is not installed
     │   └── RunError            a run directory cannot be used: missing, damaged, or of another version
     ├── MessageError            a message between robot and supervisor is malformed, short or foreign
     ├── EvaluationError         an expression has no value in the present state of the world
-    └── EngineError             the physics failed: a pose is no longer finite, a body cannot be loaded
+    └── EngineError             the physics failed: a pose is not finite, a body cannot be loaded
 
 Any other exception that reaches the user is a bug of deepbots.
 """
