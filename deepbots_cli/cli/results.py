@@ -229,11 +229,19 @@ def robustness_text(found: Robustness) -> str:
     """A row for each level of each condition, and for each condition where the result falls below the bar."""
     is_rate = found.metric == "success_rate"
     bar = f"{found.bar:.1%}" if is_rate else number(found.bar)
-    rows: list[Row] = [{"condition": "(no change)", "level": "", **_level(found.nominal, is_rate=is_rate), "bar": ""}]
+    unchanged = {"condition": "(no change)", "level": "", **_level(found.nominal, is_rate=is_rate)}
+    rows: list[Row] = [unchanged | {"bar": "holds" if found.nominal_holds else "below"}]
     for condition in found.conditions:
         for entry in condition.levels:
             row = {"condition": condition.name, "level": entry.level, **_level(entry.evaluation, is_rate=is_rate)}
             rows.append(row | {"bar": ("holds" if entry.holds else "below") + ("" if entry.certain else ", uncertain")})
+    without = _episodes(found.nominal)
+    same = [
+        condition.name
+        for condition in found.conditions
+        if condition.levels and all(_episodes(entry.evaluation) == without for entry in condition.levels)
+    ]
+    option = "--min-success" if is_rate else "--min-return"
     limits = {condition.name: condition.threshold for condition in found.conditions}
     return "\n".join(
         [
@@ -243,8 +251,14 @@ def robustness_text(found: Robustness) -> str:
             table(rows),
             "",
             pairs(limits),
+            *([f"note: {', '.join(same)}: every episode is as long, and has the same return, as without any change"] if same else []),
+            *([] if found.nominal_holds else [f"note: the policy is below the bar without any change; name another bar with {option}"]),
         ]
     )
+
+
+def _episodes(result: EvaluationResult) -> list[tuple[float, int]]:
+    return [(episode.total_return, episode.length) for episode in result.outcomes]
 
 
 def _level(result: EvaluationResult, *, is_rate: bool) -> dict[str, object]:
@@ -266,7 +280,7 @@ def robustness_json(found: Robustness) -> dict[str, Any]:
         }
         for condition in found.conditions
     ]
-    known = {name: getattr(found, name) for name in ("scenario", "metric", "bar", "bar_source")}
+    known = {name: getattr(found, name) for name in ("scenario", "metric", "bar", "bar_source", "nominal_holds")}
     return {"run": str(found.run), **known, "nominal": to_json(found.nominal), "conditions": conditions}
 
 

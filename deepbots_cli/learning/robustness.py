@@ -93,6 +93,11 @@ class Robustness:
     nominal: EvaluationResult
     conditions: tuple[Condition, ...]
 
+    @property
+    def nominal_holds(self) -> bool:
+        """Whether the score reaches the bar without any change."""
+        return (self.nominal.success_rate if self.metric == "success_rate" else self.nominal.mean_return) >= self.bar
+
 
 def evaluate_robustness(
     run: Run | str | Path,

@@ -141,7 +141,9 @@ class Record(BaseModel):
             RunError: The folder is no run, its record is damaged, or was written in a format that this deepbots does not know.
         """
         if not folder.is_dir():
-            raise RunError(f"{folder} is not a run: {'it is a file' if folder.exists() else 'there is no such directory'}")
+            inside = Path("runs") / folder
+            hint = f"; did you mean {inside}?" if not folder.exists() and inside.is_dir() else ""
+            raise RunError(f"{folder} is not a run: {'it is a file' if folder.exists() else 'there is no such directory'}{hint}")
         path = folder / NAME
         if (folder / GROUP_NAME).is_file():
             raise RunError(f"{folder} is a group of runs, and not a run; name one of its runs, such as {folder}/seed-0")

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli.errors import MissingExtraError, RunError, UsageError
+from deepbots_cli.learning.group import is_group
 from deepbots_cli.learning.run import NAME, Record, run_folders
 from deepbots_cli.view.page import COLOURS
 
@@ -58,11 +59,16 @@ def read(paths: Sequence[str | Path], window: int = 100) -> list[Log]:
         MissingExtraError: TensorBoard is not installed.
     """
     found = [_read_run(path, window) if (path / NAME).is_file() else _read_tensorboard(path) for path in run_folders(paths)]
-    first = {log.group: log for log in reversed(found)}  # the first run of each scenario
-    names = {group: group.rpartition(" ")[0] for group in first}
+    first = {log.group: log.path for log in reversed(found)}  # the first run of each scenario
+    # Scenarios of one name that differ are called after the folder of their first run or group, or its path if folders share a name.
+    folders = {group: path.parent if is_group(path.parent) else path for group, path in first.items()}
+    candidates = (
+        {group: group.rpartition(" ")[0] for group in first},
+        {group: path.name for group, path in folders.items()},
+        {group: str(path) for group, path in first.items()},
+    )
     for log in found:
-        shared = list(names.values()).count(names[log.group]) > 1  # scenarios of one name that differ are called after their first run
-        log.name = first[log.group].path.name if shared else names[log.group]
+        log.name = next((names[log.group] for names in candidates if list(names.values()).count(names[log.group]) == 1), log.group)
     return found
 
 
@@ -151,14 +157,15 @@ def plot(logs: Sequence[Log], *, theme: str = "light") -> Figure:
         raise MissingExtraError("view", "a plot") from error
     groups: dict[str, list[Log]] = {}
     for log in logs:
-        groups.setdefault(log.name, []).append(log)
+        groups.setdefault(log.group, []).append(log)
     if len(groups) > len(COLOURS):
         raise UsageError(f"{len(groups)} scenarios are too many for one plot; at most {len(COLOURS)} can be told apart")
     detailed = [members for members in groups.values() if any(log.terms or log.endings for log in members)]
     figure = Figure(figsize=(10.0, 3.4 + 2.7 * len(detailed)), layout="constrained", facecolor=_THEMES[theme][0])
     axes = figure.subplots(1 + len(detailed), 2, squeeze=False)
     returns, successes = axes[0]
-    for number, (name, members) in enumerate(groups.items()):
+    for number, members in enumerate(groups.values()):
+        name = members[0].name
         label = name if len(members) == 1 else f"{name} ({len(members)} seeds)"
         style: dict[str, Any] = {"color": COLOURS[number], "linestyle": _DASHES[number % len(_DASHES)], "label": label}
         _band(returns, [log.returns for log in members if log.returns is not None], style)

@@ -115,6 +115,17 @@ def test_a_demanded_result_that_is_not_met_ends_with_1(deepbots, trained):
     assert (refused.code, "write 90% for a percentage" in refused.err) == (2, True)
 
 
+def test_a_junit_file_needs_a_requirement(deepbots, trained, tmp_path):
+    refused = deepbots("eval", "mine", "--episodes", "2", "--junit", "gate.xml")
+    assert (refused.code, "add --min-success, --min-return or --require-solved" in refused.err) == (2, True)
+    assert not (tmp_path / "gate.xml").exists()
+
+
+def test_a_run_that_is_named_without_its_folder_is_found_in_the_message(deepbots, tmp_path):
+    (tmp_path / "runs" / "first").mkdir(parents=True)
+    assert deepbots("eval", "first").err == "error: first is not a run: there is no such directory; did you mean runs/first?\n"
+
+
 def test_two_runs_of_a_scenario_are_compared_on_the_same_starts(deepbots, trained):
     ran = deepbots("compare", "mine", "mine", "--episodes", "3")
     assert (ran.code, "at least two runs" in ran.err) == (2, True)

@@ -8,6 +8,7 @@ import pytest
 import stand_in
 
 from deepbots_cli import api
+from deepbots_cli.cli.results import robustness_text
 from deepbots_cli.document import load, shipped
 from deepbots_cli.learning import TrainingResult, evaluate_robustness
 from deepbots_cli.learning.robustness import Change, changed_scenario, plans
@@ -83,4 +84,7 @@ def test_a_policy_is_measured_against_a_bar_at_every_level(trained: TrainingResu
     assert starts == {tuple(episode.seed for episode in found.nominal.outcomes)}
     strict = evaluate_robustness(trained.run, episodes=1, min_return=1e6, build=stand_in.build)
     assert {condition.threshold for condition in strict.conditions} == {"below the bar at all levels"}
+    assert (found.nominal_holds, strict.nominal_holds) == (True, False)
+    assert "without any change; name another bar with --min-return" in robustness_text(strict)
+    assert "name another bar" not in robustness_text(found)
     assert evaluate_robustness(trained.run, episodes=1, build=stand_in.build).bar == 195.0

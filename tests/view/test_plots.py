@@ -69,6 +69,24 @@ def test_curves_are_means_over_the_window_and_the_band_holds_all_seeds(runs):
     assert np.interp(25, *figure.axes[2].lines[0].get_data()) == pytest.approx(2.5, abs=0.02)
 
 
+def test_groups_with_runs_of_the_same_seeds_are_lines_of_their_own(tmp_path):
+    for group, digest in (("slow", "x"), ("fast", "y")):
+        (tmp_path / group).mkdir()
+        (tmp_path / group / "group.json").write_text("{}")
+        for seed in (0, 1):
+            _run(tmp_path / group / f"seed-{seed}", digest, [seed, 2, 4, 6])
+    figure = plots.plot(plots.read([tmp_path / "slow", tmp_path / "fast"]))
+    assert [line.get_label() for line in figure.axes[0].get_legend_handles_labels()[0]] == ["slow (2 seeds)", "fast (2 seeds)"]
+
+
+def test_runs_of_one_folder_name_are_told_apart_by_their_paths(tmp_path):
+    paths = [tmp_path / folder / "run" for folder in ("slow", "fast")]
+    for path in paths:
+        path.parent.mkdir()
+        _run(path, path.parent.name, [0, 2, 4, 6])
+    assert [log.name for log in plots.read(paths)] == [str(path) for path in paths]
+
+
 def test_endings_are_shares_of_episodes(runs):
     figure = plots.plot(plots.read([runs / "a0"]))
     tops = [area.get_paths()[0].vertices[:, 1].max() for area in figure.axes[3].collections]

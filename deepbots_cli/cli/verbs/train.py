@@ -144,7 +144,7 @@ def command(
         with terminal.passing("loading PyTorch ..." if told else ""):
             train = learning.train  # which imports torch
         if told:
-            _announce(compiled.program, seeds or str(seed or 0), timesteps, full=full)
+            _announce(compiled.program, f"seeds {seeds}" if seeds else f"seed {seed or 0}", timesteps, full=full)
         if seeds is not None:
             group = learning.train_group(compiled, seed_list(seeds), group=run, on_seed=None if quiet else _announce_seed, **settings)
             _finish_group(group, quiet=quiet, as_json=as_json, allow_code=allow_code)
@@ -159,7 +159,7 @@ def _announce(program: Program, seeds: str, timesteps: int | None, *, full: bool
     training, solved = program.policy.training, program.solved
     if training is not None:
         until = f", or until it is solved ({solved.words})" if solved and not full else ""
-        terminal.note(f"training {program.name} with {training.algorithm} from seed {seeds}")
+        terminal.note(f"training {program.name} with {training.algorithm} from {seeds}")
         terminal.note(f"at most {timesteps or training.total_timesteps:,} timesteps{until}; Ctrl-C ends it and keeps the policy")
 
 
