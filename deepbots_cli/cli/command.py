@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 MAX_SEED = 2**63 - 1
 """The largest seed that a run can record."""
+MAX_SEEDS = 1000
+"""Of a group."""
 
 
 def known_engine(name: str | None) -> str | None:
@@ -77,13 +79,20 @@ def seed_list(text: str) -> tuple[int, ...]:
     seeds: list[int] = []
     for part in text.split(","):
         first, dots, last = part.partition("..")
-        low = whole(0, MAX_SEED)(first.strip())
-        high = whole(0, MAX_SEED)(last.strip()) if dots else low
-        if not low <= high < low + 1000:
-            raise typer.BadParameter(f"'{part}' is no range of seeds; write it like 0..4, the smaller one first, at most 1000 seeds")
+        try:
+            low = whole(0, MAX_SEED)(first.strip())
+            high = whole(0, MAX_SEED)(last.strip()) if dots else low
+        except typer.BadParameter as error:
+            raise typer.BadParameter(f"--seeds: {error.message}") from None
+        if not low <= high < low + MAX_SEEDS:
+            raise typer.BadParameter(
+                f"--seeds: '{part}' is no range of seeds; write it like 0..4, the smaller one first, at most {MAX_SEEDS} seeds"
+            )
         seeds += range(low, high + 1)
+        if len(seeds) > MAX_SEEDS:
+            raise typer.BadParameter(f"--seeds: a group has at most {MAX_SEEDS} seeds")
     if len(set(seeds)) < len(seeds):
-        raise typer.BadParameter(f"'{text}' has a seed twice")
+        raise typer.BadParameter(f"--seeds: '{text[:80]}' has a seed twice")
     return tuple(seeds)
 
 

@@ -8,8 +8,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from contextlib import closing
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from shlex import quote
@@ -27,7 +27,8 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.task import viewed
 
 FOLDER = "failures"
-_LIMIT = 400_000_000
+_LIMIT = 100_000_000
+"""Bytes of a file; one of 100 MB that holds empty lists takes 3 GB of memory."""
 
 
 class Failure(BaseModel, strict=True):
@@ -42,7 +43,7 @@ class Failure(BaseModel, strict=True):
     episode: PositiveInt
     case: str | None
     stage: str | None
-    start: int | dict[str, Any]
+    start: NonNegativeInt | dict[str, Any]
     actions: list[Any]
 
 
@@ -173,6 +174,8 @@ def keep(run: Run, failure: Failure) -> Path | None:
 def reproduce(path: Path, *, allow_code: bool = False) -> tuple[Failure, str | None]:
     """Repeat the episode of a file that `Guarded` wrote; the failure, and the error of the repetition (None: it did not fail).
 
+    If the episode ends earlier now, the actions of the failure are those that were repeated.
+
     Raises:
         RunError: The file is damaged, or does not lie in the folder `failures` of a run.
     """
@@ -183,20 +186,31 @@ def reproduce(path: Path, *, allow_code: bool = False) -> tuple[Failure, str | N
     elif failure.stage is not None:
         program = program.stage(failure.stage).program
     with closing(api.build(program, engine=run.record.engine, allow_code=allow_code)) as world:
-        try:
-            if isinstance(failure.start, dict):
+        if isinstance(failure.start, dict):
+            with _damaged(path):
                 set_random_state(world, failure.start)
-            actions = [_action(world.action_space, action) for action in failure.actions]
-        except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
-            raise RunError(f"{path} is damaged, or of another scenario ({type(error).__name__})") from error
         guarded = Guarded(world, program=program, episode=lambda: failure.episode)
         try:
             guarded.reset(seed=failure.start if isinstance(failure.start, int) else None)
-            for action in actions:
-                guarded.step(action)
+            for done, kept in enumerate(failure.actions, start=1):
+                with _damaged(path):
+                    action = _action(world.action_space, kept)
+                _, _, terminated, truncated, _ = guarded.step(action)
+                if terminated or truncated:  # a file may hold any number of further actions
+                    return failure.model_copy(update={"actions": failure.actions[:done]}), None
+        except RunError:  # of the file, not of the world
+            raise
         except DeepbotsError as error:
             return failure, str(error)
     return failure, None
+
+
+@contextmanager
+def _damaged(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
+        raise RunError(f"{path} is damaged, or of another scenario ({type(error).__name__})") from error
 
 
 def random_state(world: gym.Env[Any, Any]) -> dict[str, Any]:

@@ -14,9 +14,9 @@ import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt, PositiveInt
 
 import deepbots_cli
 from deepbots_cli import api, engine_kinds
@@ -24,7 +24,7 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.compiler.inputs import FOLDER, RESOLVED, write_copies
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.learning.report import Reporter
-from deepbots_cli.learning.run import GROUP_NAME, NAME, Record, TrainingResult, new_directory, now, read_json, run_lock, write_text
+from deepbots_cli.learning.run import GROUP_NAME, NAME, Format, Record, TrainingResult, new_directory, now, read_json, run_lock, write_text
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.environments import BuildWorld
@@ -44,11 +44,11 @@ class GroupRecord(BaseModel):
     scenario: str
     source: str
     engine: str
-    seeds: tuple[int, ...] = Field(min_length=1, max_length=MAX_SEEDS)
-    total_timesteps: int | None
+    seeds: tuple[Annotated[int, Field(ge=0, lt=2**63)], ...] = Field(min_length=1, max_length=MAX_SEEDS)
+    total_timesteps: PositiveInt | None
     stop_when_solved: bool
     stage: str | None
-    keep_checkpoints: int
+    keep_checkpoints: NonNegativeInt
     initialize_from: str | None
     command: tuple[str, ...]
     started: str
@@ -71,9 +71,12 @@ class Group:
         path = Path(path)
         if not is_group(path):
             raise RunError(f"{path} is not a group of runs: it holds no {GROUP_NAME}")
+        found = read_json(path / GROUP_NAME, Format, _LIMIT).format
+        if found != FORMAT:
+            raise RunError(f"{path} is a group of format {found}, this deepbots reads {FORMAT}; use the deepbots that wrote it")
         record = read_json(path / GROUP_NAME, GroupRecord, _LIMIT)
-        if record.format != FORMAT:
-            raise RunError(f"{path} is a group of format {record.format}, this deepbots reads {FORMAT}; use the deepbots that wrote it")
+        if len(set(record.seeds)) < len(record.seeds):
+            raise RunError(f"{path / GROUP_NAME} is damaged: it names a seed twice")
         for name in (GROUP_NAME, RESOLVED, FOLDER, *(f"seed-{seed}" for seed in record.seeds)):
             if (path / name).is_symlink():
                 raise RunError(f"{path / name} is a symbolic link, which no group of ours holds")

@@ -6,7 +6,6 @@ import csv
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 from statistics import fmean
 from typing import Literal
@@ -185,14 +184,19 @@ def _recent_episodes(log: Path) -> Iterator[_Logged]:
         return
     try:
         with log.open("rb") as stream:
-            names = next(csv.reader(line.decode() for line in islice(stream, 1, 2)), [])
+            stream.readline(_TAIL)
+            names = stream.readline(_TAIL).decode(errors="replace").strip().split(",")
             stream.seek(0, 2)
             stream.seek(max(0, stream.tell() - _TAIL))
             lines = stream.read().decode(errors="replace").splitlines(keepends=True)
     except OSError:
         return
     whole = [line for line in lines[1:] if line.endswith("\n")][-WINDOW:]
-    for row in csv.DictReader(whole, names):
+    try:
+        rows = list(csv.DictReader(whole, names))
+    except csv.Error:
+        return
+    for row in rows:
         try:
             yield _Logged(int(row["episode"]), int(row["steps"]), float(row["r"]), row["is_success"] == "1")
         except (KeyError, TypeError, ValueError):  # the header, or a line that was cut

@@ -149,7 +149,7 @@ class Record(BaseModel):
             raise RunError(f"{folder} is a group of runs, and not a run; name one of its runs, such as {folder}/seed-0")
         if not path.is_file():
             raise RunError(f"{folder} is not a run: it holds no {NAME}")
-        found = read_json(path, _Format, _LIMIT).format
+        found = read_json(path, Format, _LIMIT).format
         if found != FORMAT:
             age = "a newer deepbots" if found > FORMAT else "an older deepbots"
             raise RunError(
@@ -158,7 +158,9 @@ class Record(BaseModel):
         return read_json(path, cls, _LIMIT)
 
 
-class _Format(BaseModel, strict=True):
+class Format(BaseModel, strict=True):
+    """The entry of a record that tells whether the rest can be read."""
+
     format: int = Field(ge=0, lt=2**31)
 
 

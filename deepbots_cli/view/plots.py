@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 SUFFIXES = (".png", ".svg")
 _POINTS = 200  # of a curve
 _BINS = 40  # of the endings
+_ENDINGS = 20  # that have a colour of their own
 _MAX_BYTES = 1 << 28  # of a log
 _DASHES = ("-", "--", "-.", ":")
 _THEMES = {"light": ("#ffffff", "#202428", "#d5d8dc"), "dark": ("#16181c", "#e4e6ea", "#3c4046")}
@@ -85,7 +86,9 @@ def _read_run(path: Path, window: int) -> Log:
         log.endings = [(step, row["ended_by"]) for step, row in zip(steps, rows, strict=True)]
         lines = [json.loads(line) for line in _text(path / "evaluations" / "training.jsonl").splitlines()]
         points = [(float(line["steps"]), float(np.mean(line["returns"]))) for line in lines]
-    except (KeyError, TypeError, ValueError) as error:
+        if not (np.isfinite(steps) & (steps >= 0)).all():
+            raise ValueError("steps")
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise RunError(f"{path} is damaged: one of its logs cannot be read") from error
     log.successes = _averaged(steps, successes, window) if successes.any() else None
     log.evaluations = (np.array([step for step, _ in points]), np.array([value for _, value in points])) if points else None
@@ -108,6 +111,8 @@ def _read_tensorboard(path: Path) -> Log:
 
 
 def _text(path: Path) -> str:
+    if path.is_symlink() or (path.exists() and not path.is_file()):  # opening a pipe waits for ever
+        raise RunError(f"{path} is no regular file, which every log of ours is")
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise RunError(f"{path} is larger than {_MAX_BYTES >> 20} MiB")
@@ -118,18 +123,25 @@ def _text(path: Path) -> str:
 
 def _rows(path: Path) -> list[dict[str, str]]:
     lines = [line for line in _text(path).splitlines() if not line.startswith("#")]
-    return [row for row in csv.DictReader(lines) if None not in row.values()]  # the last line may be half written
+    try:
+        return [row for row in csv.DictReader(lines) if None not in row.values()]  # the last line may be half written
+    except csv.Error as error:
+        raise RunError(f"{path} is damaged: {error}") from error
 
 
 def _scalars(path: Path) -> dict[str, Curve]:
-    if not any(path.glob("**/events.out.tfevents.*")):
+    files = sorted(path.glob("**/events.out.tfevents.*"))
+    if not files:
         return {}
+    for file in files:
+        if not file.is_file():  # opening a pipe waits for ever
+            raise RunError(f"{file} is no regular file, which every log of ours is")
     try:
         from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
     except ModuleNotFoundError as error:
         raise MissingExtraError("train", "reading TensorBoard files") from error
     found: dict[str, list[tuple[float, float]]] = {}
-    for folder in sorted({file.parent for file in path.glob("**/events.out.tfevents.*")}):
+    for folder in sorted({file.parent for file in files}):
         events = EventAccumulator(str(folder), size_guidance={"scalars": 0})
         events.Reload()
         for tag in events.Tags()["scalars"]:
@@ -206,6 +218,8 @@ def _endings(panel: Axes, endings: Sequence[tuple[float, str]]) -> None:
     if not endings:
         return
     last = max(step for step, _ in endings)
+    common = {name for name, _ in Counter(ending for _, ending in endings).most_common(_ENDINGS)}
+    endings = [(step, ending if ending in common else "others") for step, ending in endings]
     parts = [Counter[str]() for _ in range(_BINS)]
     for step, ending in endings:
         parts[min(_BINS - 1, int(_BINS * step / max(last, 1.0)))][ending or "unknown"] += 1
@@ -221,7 +235,7 @@ def _finish(panel: Axes, title: str, theme: str, *, legend: bool = True) -> None
 
     ground, text, grid = _THEMES[theme]
     panel.set_facecolor(ground)
-    panel.set_title(title, fontsize=10, color=text, loc="left")
+    panel.set_title(title, fontsize=10, color=text, loc="left", parse_math=False)  # a name may hold a $
     panel.set_xlabel("timesteps", fontsize=9, color=text)
     panel.xaxis.set_major_formatter(EngFormatter(sep=""))
     panel.tick_params(colors=text, labelsize=8)
@@ -231,4 +245,6 @@ def _finish(panel: Axes, title: str, theme: str, *, legend: bool = True) -> None
         spine.set_visible(side in ("left", "bottom"))
         spine.set_color(grid)
     if legend and panel.get_legend_handles_labels()[1]:
-        panel.legend(fontsize=8, labelcolor=text, facecolor=ground, edgecolor=grid, framealpha=0.85)
+        box = panel.legend(fontsize=8, labelcolor=text, facecolor=ground, edgecolor=grid, framealpha=0.85)
+        for label in box.get_texts():
+            label.set_parse_math(False)

@@ -48,6 +48,9 @@ SECOND = 1_000_000_000
 """In ns, in which MCAP counts time."""
 _MAX_FILE, _MAX_RECORD, _MAX_CONTENT = 1 << 28, 1 << 26, 1 << 29  # bytes: of a file, of one record, and of all of them unpacked
 _MAX_INPUTS, _MAX_SIDE = 1000, 1024
+_MAX_NUMBER = 1e9  # of a position in m, and of the time in s: one more cannot be drawn
+_OVERHEAD = 100
+"""Bytes that a record takes in memory besides its content: a chunk of empty ones is a bomb too."""
 Topics = Mapping[str, Any]
 Payloads = Mapping[str, bytes]
 
@@ -360,8 +363,11 @@ class Recording:
         folder = TemporaryDirectory(prefix="deepbots-recording-")
         for name, content in files.items():
             target = Path(folder.name, name)
-            target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_bytes(content)
+            try:
+                target.parent.mkdir(parents=True, exist_ok=True)
+                target.write_bytes(content)
+            except (FileExistsError, NotADirectoryError, IsADirectoryError) as error:
+                raise RecordingError(f"{path} is damaged: it holds a file and a folder of one name") from error
         return Recording(path, metadata, list(_episodes(path, steps)), folder)
 
     def episode(self, number: int) -> Recorded:
@@ -403,9 +409,10 @@ def _content(path: Path, data: bytes) -> tuple[Mapping[str, str] | None, dict[st
                 # The unpacked size is in the frame too, and decompression goes by that one.
                 unpacked = get_frame_parameters(found.data).content_size if found.compression == "zstd" else len(found.data)
                 size += unpacked
-                if found.compression not in ("zstd", "") or unpacked != found.uncompressed_size or size > _MAX_CONTENT:
+                if found.compression not in ("zstd", "") or unpacked != found.uncompressed_size or max(size, 8 * unpacked) > _MAX_CONTENT:
                     raise RecordingError(f"{path} unpacks to more than {_MAX_CONTENT >> 20} MiB, or in an unknown way")
                 inner = breakup_chunk(found, validate_crc=True)
+                size += _OVERHEAD * len(inner)
                 topics |= {each.id: each.topic for each in inner if isinstance(each, records.Channel)}
                 messages += [each for each in inner if isinstance(each, records.Message)]
             if size > _MAX_CONTENT or len(files) > _MAX_INPUTS:
@@ -425,6 +432,8 @@ def _safe(name: str) -> str:
     parts = PurePosixPath(name).parts
     if name != "resolved.yaml" and (parts[:1] != ("inputs",) or ".." in parts or "\\" in name or "\0" in name or len(name) > 500):
         raise ValueError(name)
+    if any(len(part.encode()) > 255 for part in parts):  # which most file systems refuse
+        raise ValueError(name)
     return name
 
 
@@ -435,7 +444,10 @@ def _episodes(path: Path, steps: Sequence[Payloads]) -> Iterator[Recorded]:
     for first, end in zip(begun, [*begun[1:], len(steps)], strict=True):
         with damaged(path):
             known = msgspec.json.decode(steps[first]["/episode"])
-            yield Recorded(msgspec.convert(known["episode"], int), msgspec.convert(known["seed"], int), steps[first:end])
+            seed = msgspec.convert(known["seed"], int)
+            if seed < 0:
+                raise ValueError(seed)
+            yield Recorded(msgspec.convert(known["episode"], int), seed, steps[first:end])
 
 
 @contextmanager
@@ -443,7 +455,7 @@ def damaged(path: Path) -> Iterator[None]:
     """Within, content that is not as it should be is told in a sentence."""
     try:
         yield
-    except (msgspec.MsgspecError, LookupError, TypeError, ValueError, AttributeError, OSError) as error:
+    except (msgspec.MsgspecError, LookupError, TypeError, ValueError, AttributeError, OSError, OverflowError, RecursionError) as error:
         raise RecordingError(f"{path} is damaged: a step of it cannot be read") from error
 
 
@@ -458,7 +470,8 @@ def read_frame(topics: Payloads, layout: Layout) -> WorldFrame:
     """A step as a frame.
 
     Raises:
-        msgspec.MsgspecError, LookupError, TypeError, ValueError, AttributeError, OSError: It is not as `Describer` describes one.
+        msgspec.MsgspecError, LookupError, TypeError, ValueError, AttributeError, OSError, OverflowError, RecursionError: It is not as
+            `Describer` describes one.
     """
     decode = msgspec.json.decode
     world, links, messages, agents, cameras = decode(topics["/world"]), {}, {}, {}, {}
@@ -468,7 +481,8 @@ def read_frame(topics: Payloads, layout: Layout) -> WorldFrame:
         links[body, link] = ((place[0], place[1], place[2]), (turn[0], turn[1], turn[2], turn[3]))
     for name, model in layout.robots.items():
         for link in model.links:
-            if not all(map(math.isfinite, (*links[name, link.name][0], *links[name, link.name][1]))):
+            place, turn = links[name, link.name]
+            if not (all(abs(x) <= _MAX_NUMBER for x in place) and math.isclose(math.hypot(*turn), 1.0, rel_tol=1e-3)):
                 raise ValueError(link.name)
     for key, fields in layout.messages.items():
         found = decode(topics[f"/message/{key}"])
@@ -492,6 +506,8 @@ def read_frame(topics: Payloads, layout: Layout) -> WorldFrame:
             cameras[topic.removeprefix("/image/")] = _picture(decode(payload)["data"])
     if not agents:
         raise LookupError("agent")
+    if not 0 <= float(world["time"]) <= _MAX_NUMBER:
+        raise ValueError(world["time"])
     rays = {key: _floats(world["rays"][key], [str(n) for n in range(len(beams.starts))]) for key, beams in layout.beams.items()}
     return WorldFrame(
         step=msgspec.convert(world["step"], int),

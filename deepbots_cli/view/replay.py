@@ -14,7 +14,7 @@ from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.port import View
 from deepbots_cli.view.episodes import RECORDED, Opened, Player
 from deepbots_cli.view.frames import WorldFrame
-from deepbots_cli.view.recordings import SECOND, Describer, Recorded, Recording, damaged, read_frame, unpacked, versions
+from deepbots_cli.view.recordings import SECOND, Describer, Recorded, Recording, RecordingError, damaged, read_frame, unpacked, versions
 
 
 class Replayed(Player):
@@ -107,17 +107,18 @@ class _Actions:
 
     note = ""
 
-    def __init__(self, recorded: Recorded, space: Any) -> None:
-        self._steps, self._space = iter(recorded.steps[1:]), space
+    def __init__(self, recording: Recording, recorded: Recorded, space: Any) -> None:
+        self._path, self._steps, self._space = recording.path, iter(recorded.steps[1:]), space
 
     def begin(self, seed: int) -> None:
         """Nothing."""
 
     def act(self, observation: Any) -> Any:
-        action = msgspec.json.decode(next(self._steps)["/step"])["action"]
-        if isinstance(self._space, spaces.Dict):
-            return {name: unpacked(action[name], part) for name, part in self._space.spaces.items()}
-        return unpacked(action["action"], self._space)
+        with damaged(self._path):
+            action = msgspec.json.decode(next(self._steps)["/step"])["action"]
+            if isinstance(self._space, spaces.Dict):
+                return {name: unpacked(action[name], part) for name, part in self._space.spaces.items()}
+            return unpacked(action["action"], self._space)
 
 
 def verify(recording: Recording, player: Player, on_episode: Callable[[int], object] = lambda done: None) -> Divergence | None:
@@ -128,13 +129,15 @@ def verify(recording: Recording, player: Player, on_episode: Callable[[int], obj
     """
     describer, time = Describer(player), 0
     for done, recorded in enumerate(recording.episodes, start=1):
-        player.driver = _Actions(recorded, player.env.action_space)
+        player.driver = _Actions(recording, recorded, player.env.action_space)
         begun = time
         for place, old in enumerate(recorded.steps):
             if place and player.frame.ended_by is not None:
                 return Divergence(recorded.number, place, "ending", "none", player.frame.ending)
             try:
                 frame = player.step() if place else player.start(recorded.seed)
+            except RecordingError:
+                raise
             except DeepbotsError as error:
                 return Divergence(recorded.number, place, "error", "none", str(error))
             time = begun + round(frame.time * SECOND)

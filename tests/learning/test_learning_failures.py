@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import stand_in
 
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
+from deepbots_cli.cli import main
 from deepbots_cli.compiler import check
 from deepbots_cli.document import loads
 from deepbots_cli.errors import DeepbotsError, RunError
@@ -88,7 +90,21 @@ def test_a_damaged_file_is_refused(trained: TrainingResult, run_copy: Path) -> N
     folder = run_copy / "failures"
     folder.mkdir()
     whole = '{"error": "", "step": 1, "episode": 1, "case": null, "stage": null, "start": %s, "actions": [%s]}'
-    for content in ("{", whole % ('{"root": "x"}', "0"), whole % ("0", '"x"')):
+    for content in ("{", whole % ('{"root": "x"}', "0"), whole % ("0", '"x"'), whole % ("-1", "0")):
         (folder / "0001.json").write_text(content)
         with pytest.raises(RunError, match="damaged"):
             reproduce(folder / "0001.json")
+
+
+def test_actions_after_the_end_of_the_episode_are_not_repeated(trained: TrainingResult, run_copy: Path) -> None:
+    (run_copy / "failures").mkdir()
+    content = {"error": "", "step": 1, "episode": 1, "case": None, "stage": None, "start": 0, "actions": [0] * 1_000_000}
+    (run_copy / "failures" / "0001.json").write_text(json.dumps(content))
+    failure, error = reproduce(run_copy / "failures" / "0001.json")
+    assert error is None
+    assert len(failure.actions) < 1000
+
+
+def test_a_kept_episode_takes_no_settings(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "failures/0001.json", "--engine", "mujoco"]) == 2
+    assert "keeps its scenario, start and actions" in capsys.readouterr().err

@@ -12,6 +12,7 @@ from statistics import fmean
 import pytest
 import stand_in
 
+from deepbots_cli.cli import main
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import TrainingResult, compare, evaluate, evaluate_group, resume_group, train, train_group
 from deepbots_cli.learning.group import Group, GroupTraining
@@ -128,8 +129,15 @@ def test_a_group_that_is_no_group_any_more_is_told_in_one_sentence(trained_group
     (copy / "group.json").write_text(json.dumps(record | {"format": 9}))
     with pytest.raises(RunError, match="of format 9, this deepbots reads 1"):
         Group.open(copy)
-    (copy / "group.json").write_text(json.dumps(record | {"seeds": []}))
-    with pytest.raises(RunError, match=r"group\.json is damaged: 'seeds'"):
+    for seeds in ([], [-1], [2**63], ["../../x"]):
+        (copy / "group.json").write_text(json.dumps(record | {"seeds": seeds}))
+        with pytest.raises(RunError, match=r"group\.json is damaged: 'seeds"):
+            Group.open(copy)
+    (copy / "group.json").write_text(json.dumps(record | {"seeds": [0, 0]}))
+    with pytest.raises(RunError, match="names a seed twice"):
+        Group.open(copy)
+    (copy / "group.json").write_text('{"format": 9}')
+    with pytest.raises(RunError, match="of format 9, this deepbots reads 1"):
         Group.open(copy)
     shutil.move(copy / "seed-0", tmp_path / "elsewhere")
     (copy / "seed-0").symlink_to(tmp_path / "elsewhere")
@@ -179,3 +187,22 @@ def test_runs_are_sorted_with_those_without_a_value_at_the_end(run_copy: Path) -
     assert [run.path.name for run in sort_runs(list_runs(run_copy.parent), "return")] == ["copy", "damaged"]
     assert [run.path.name for run in sort_runs(list_runs(run_copy.parent), "name")] == ["copy", "damaged"]
     assert list_runs(run_copy.parent / "nowhere") == []
+
+
+@pytest.mark.parametrize("seeds", ["5..1", "0..999999", "0..999,1000..1999", "", "-1", "0,0"])
+def test_a_list_of_seeds_that_cannot_be_is_refused_before_anything_is_made(
+    seeds: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["train", "cartpole", "--seeds", seeds]) == 2
+    told = capsys.readouterr().err
+    assert "--seeds: " in told
+    assert "training" not in told
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_log_that_is_no_text_is_listed_without_it(run_copy: Path) -> None:
+    (run_copy / "monitor.csv").write_bytes(b"#\xff\n\xff\xfe\n" + bytes(range(256)) * 10)
+    record = json.loads((run_copy / "run.json").read_text())
+    (run_copy / "run.json").write_text(json.dumps(record | {"result": None}))
+    assert [run.state for run in list_runs(run_copy.parent)] != ["damaged"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 
 import numpy as np
 import pytest
@@ -112,3 +113,29 @@ def test_what_cannot_be_plotted_is_told(tmp_path, runs):
     (runs / "a0" / "monitor.csv").write_text("#{}\nr,l\n")
     with pytest.raises(RunError, match="no finished episode"):
         plots.read([runs / "a0"])
+
+
+@pytest.mark.parametrize("steps", ["nan", "inf", "-9"])
+def test_a_log_with_impossible_steps_is_damaged(runs, steps):
+    log = runs / "a0" / "monitor.csv"
+    log.write_text(log.read_text().replace(",40,", f",{steps},"))
+    with pytest.raises(RunError, match="one of its logs cannot be read"):
+        plots.read([runs / "a0"])
+
+
+@pytest.mark.parametrize("name", ["monitor.csv", "evaluations/training.jsonl", "tensorboard/events.out.tfevents.9"])
+def test_a_pipe_in_the_place_of_a_log_is_not_opened(runs, name):
+    (runs / "a0" / name).unlink(missing_ok=True)
+    os.mkfifo(runs / "a0" / name)
+    with pytest.raises(RunError, match="no regular file"):
+        plots.read([runs / "a0"])
+
+
+def test_names_of_others_are_text_and_not_formulas(runs, tmp_path):
+    log = runs / "a0" / "monitor.csv"
+    rows = [f"1,10,0.1,{n},{10 * n},0.1,0,ending {n}," for n in range(1, 100)]
+    log.write_text(log.read_text().replace("crashed", r"$\frac{$") + "\n" + "\n".join(rows) + "\n")
+    assert main(["plot", str(runs / "a0"), "--out", str(tmp_path / "plot.png")]) == 0
+    labels = plots.plot(plots.read([runs / "a0"])).axes[3].get_legend_handles_labels()[1]
+    assert len(labels) == 21
+    assert "others" in labels

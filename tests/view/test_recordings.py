@@ -180,6 +180,11 @@ def test_what_cannot_be_read_is_told_in_a_sentence(find_ball, tmp_path, change, 
         ("/tf", lambda content: {"transforms": content["transforms"][1:2]}),
         ("/world", lambda content: content | {"rays": {}}),
         ("/world", lambda content: content | {"time": "soon"}),
+        ("/world", lambda content: content | {"time": 1e300}),
+        ("/world", lambda content: content | {"time": 10**400}),
+        ("/episode", lambda content: content | {"seed": -1}),
+        ("/tf", lambda content: {"transforms": [each | {"translation": dict.fromkeys("xyz", 1e300)} for each in content["transforms"]]}),
+        ("/tf", lambda content: {"transforms": [each | {"rotation": dict.fromkeys("xyzw", 0.0)} for each in content["transforms"]]}),
         ("/agent/agent", lambda content: content | {"observation": {"apart": 1.0}}),
         ("/agent/agent", lambda content: content | {"terms": [1, 2]}),
         ("/message/epuck/to_robot", lambda content: []),
@@ -189,6 +194,23 @@ def test_a_step_that_cannot_be_is_told_in_a_sentence(find_ball, tmp_path, capsys
     path = _changed(find_ball[0], tmp_path / "changed.mcap", payload=lambda _, name, content: edit(content) if name == topic else content)
     assert main(["picture", str(path), "--episode", "2", "--out", str(tmp_path / "x.png")]) == 2
     assert "is damaged: a step of it cannot be read" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("action", [{}, {"action": {"dtype": "object", "rows": 0, "data": ""}}, {"action": {"dtype": "int64", "data": ""}}])
+def test_an_action_that_cannot_be_is_told_in_a_sentence(find_ball, tmp_path, capsys, action):
+    path = _changed(
+        find_ball[0],
+        tmp_path / "changed.mcap",
+        payload=lambda _, name, content: content | {"action": action} if name == "/step" and content["step"] else content,
+    )
+    assert main(["replay", "--verify", str(path)]) == 2
+    assert "is damaged: a step of it cannot be read" in capsys.readouterr().err
+
+
+def test_a_file_that_is_a_folder_too_is_told_in_a_sentence(find_ball, tmp_path):
+    path = _changed(find_ball[0], tmp_path / "changed.mcap", attachments={"inputs/scenarios/find_ball.yaml": "inputs"})
+    with pytest.raises(RecordingError, match="a file and a folder of one name"):
+        Recording.read(path)
 
 
 def test_a_cut_or_flipped_file_is_refused_or_read(find_ball, tmp_path):

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 MAX_SHOWN = 20
 """Maximum number of episodes that are listed one by one; of more episodes, only the `FIRST` are."""
 FIRST = 5
+EPISODES = 3
 
 
 class Policy(StrEnum):
@@ -47,7 +48,7 @@ def command(
         str | None, typer.Option("--actions", metavar="A,B,...", help="Repeat these actions: names of options, or numbers.")
     ] = None,
     script: Annotated[str | None, typer.Option("--script", metavar="NAME", help="Use this script of the scenario as the policy.")] = None,
-    episodes: Annotated[int, typer.Option("--episodes", metavar="N", parser=whole(), help="Number of episodes.")] = 3,
+    episodes: Annotated[int, typer.Option("--episodes", metavar="N", parser=whole(), help="Number of episodes.")] = EPISODES,
     steps: Annotated[
         int | None,
         typer.Option(
@@ -84,6 +85,8 @@ def command(
     if len(given) > 1:
         raise UsageError(f"{' and '.join(given)} exclude each other")
     if scenario.endswith(".json") and Path(scenario).parent.name == "failures":
+        if given or any((sets, case, stage, engine, allow_paths, steps, seed)) or episodes != EPISODES:
+            raise UsageError("the file of a failed episode keeps its scenario, start and actions; it takes only --json and --allow-code")
         _reproduce(Path(scenario), allow_code=allow_code, as_json=as_json)
         return
     compiled = api.compile(scenario, sets=on_engine(sets, engine), allow_paths=allow_paths or (), allow_code=allow_code)

@@ -130,6 +130,7 @@ def command(
     elif seeds is not None and seed is not None:
         raise UsageError("--seed and --seeds exclude each other")
     else:
+        listed = None if seeds is None else seed_list(seeds)
         compiled = api.compile(scenario, sets=on_engine(sets, engine), allow_paths=allow_paths or (), allow_code=allow_code)
         terminal.mention(compiled.findings, scenario)
         settings: dict[str, Any] = {
@@ -145,8 +146,8 @@ def command(
             train = learning.train  # which imports torch
         if told:
             _announce(compiled.program, f"seeds {seeds}" if seeds else f"seed {seed or 0}", timesteps, full=full)
-        if seeds is not None:
-            group = learning.train_group(compiled, seed_list(seeds), group=run, on_seed=None if quiet else _announce_seed, **settings)
+        if listed is not None:
+            group = learning.train_group(compiled, listed, group=run, on_seed=None if quiet else _announce_seed, **settings)
             _finish_group(group, quiet=quiet, as_json=as_json, allow_code=allow_code)
             return
         with _page(wanted=to_view, allow_code=allow_code) as show_page:
