@@ -156,15 +156,24 @@ class Remembered:
     """The memory of a stateful function in all worlds; a new episode takes it over from that of the single world."""
 
     def __init__(self, singles: Sequence[formulas.Memory | formulas.Memories]) -> None:
-        first = singles[0]
-        self._each = [single.parts if isinstance(single, formulas.Memories) else (single,) for single in singles]
-        self._vector = isinstance(first, formulas.Memories)
-        part = self._each[0][0]
-        self._advance, self._timestep = _MEMORIES[type(part)], part.timestep
-        self._kept: Column = np.zeros((len(self._each[0]), len(singles)))
+        self._singles, first = singles, singles[0]
+        self._vector = isinstance(first, formulas.Memories | formulas.VectorMemory)
+        part = first.parts[0] if isinstance(first, formulas.Memories) else first
+        kind = part.component if isinstance(part, formulas.VectorMemory) else type(part)
+        count = 1
+        if isinstance(first, formulas.Memories):
+            count = len(first.parts)
+        elif isinstance(first, formulas.VectorMemory):
+            count = first.count
+        self._advance, self._timestep = _MEMORIES[kind], part.timestep
+        self._kept: Column = np.zeros((count, len(singles)))
 
     def load(self, world: int) -> None:
-        kept = [part.kept for part in self._each[world]]
+        single = self._singles[world]
+        if isinstance(single, formulas.Memories):
+            kept: Sequence[Any] = [part.kept for part in single.parts]
+        else:
+            kept = single.kept if self._vector else [single.kept]
         if isinstance(kept[0], bool | np.bool_) and self._kept.dtype != bool:
             self._kept = self._kept.astype(bool)
         self._kept[:, world] = kept

@@ -14,7 +14,7 @@ from functools import reduce
 from importlib import import_module
 from math import atan2, hypot, pi, tau
 from numbers import Real
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -209,7 +209,7 @@ class Memories:
 def memory_of_vector(kind: type[Memory], count: int, timestep: float) -> Memory | Memories:
     """What a stateful function remembers of a vector of `count` components; `update` takes and gives vectors."""
     whole = _OF_VECTORS.get(kind)
-    return Memories(kind, count, timestep) if whole is None else whole(timestep)
+    return Memories(kind, count, timestep) if whole is None else whole(count, timestep)
 
 
 class Delta(Memory):
@@ -318,32 +318,62 @@ class RisingEdge(Memory):
         return condition and not before
 
 
-class DeltaOfVector(Memory):
+class VectorMemory(Memory):
+    """What a stateful function remembers of a whole vector, which costs a half to a seventieth of a memory per component."""
+
+    component: ClassVar[type[Memory]]
+    """The memory of a single component, which gives the same values."""
+
+    def __init__(self, count: int, timestep: float) -> None:
+        self.count = count
+        super().__init__(timestep)
+
+
+class DeltaOfVector(VectorMemory):
     """The change of each component since the previous timestep; 0 at a reset."""
+
+    component = Delta
 
     def begin(self, x: Sequence[float], start: Sequence[float] | None = None) -> Any:
         self.kept = x if start is None else start
-        return [0.0] * len(x)
+        return [0.0] * self.count
 
     def advance(self, x: Sequence[float], start: Sequence[float] | None = None) -> Any:
         before, self.kept = self.kept, x
         return list(map(operator.sub, x, before))
 
 
-class RisingEdgeOfVector(Memory):
+class PreviousOfVector(VectorMemory):
+    """Each component in the previous timestep."""
+
+    component = Previous
+
+    def begin(self, x: Sequence[Any], start: Sequence[Any] | None = None) -> Any:
+        self.kept = x if start is None else start
+        return self.kept
+
+    def advance(self, x: Sequence[Any], start: Sequence[Any] | None = None) -> Any:
+        before, self.kept = self.kept, x
+        return before
+
+
+class RisingEdgeOfVector(VectorMemory):
     """Whether the condition of each component has just become true."""
+
+    component = RisingEdge
 
     def begin(self, condition: Sequence[bool]) -> Any:
         self.kept = condition
-        return [False] * len(condition)
+        return [False] * self.count
 
     def advance(self, condition: Sequence[bool]) -> Any:
         before, self.kept = self.kept, condition
-        return list(map(operator.gt, condition, before))
+        return list(map(operator.gt, condition, before))  # True is greater than False
 
 
-# A memory of the whole vector costs a half to a seventieth of one memory for each component.
-_OF_VECTORS: dict[type[Memory], type[Memory]] = {Delta: DeltaOfVector, Previous: Previous, RisingEdge: RisingEdgeOfVector}
+_OF_VECTORS: dict[type[Memory], type[VectorMemory]] = {
+    kind.component: kind for kind in (DeltaOfVector, PreviousOfVector, RisingEdgeOfVector)
+}
 
 
 def foreign(what: str, name: str, module: str, function: str, truth: bool) -> Callable[[Supervisor], Any]:

@@ -70,7 +70,7 @@ def compare(name: str, worlds: int, steps: int, sets: tuple[str, ...] = ()) -> i
     return ended
 
 
-@pytest.mark.parametrize("name", FAST)
+@pytest.mark.parametrize("name", [*FAST, "quadruped"])
 def test_a_world_of_a_batch_lives_the_episodes_of_a_single_world(name: str) -> None:
     compare(name, worlds=3, steps=40)
 
