@@ -48,9 +48,9 @@ def refuse(entry: EntryPoint, reason: object) -> None:
 
 def why_not(entry: EntryPoint, reason: object) -> str:
     """The sentence that says so."""
-    told = f"{type(reason).__name__}: {reason}" if isinstance(reason, BaseException) else str(reason)
+    message = f"{type(reason).__name__}: {reason}" if isinstance(reason, BaseException) else str(reason)
     what = entry.group.rpartition(".")[2]
-    return f"the {what} '{entry.name}' ({entry.value}) are not available: {' '.join(told.split())[:200]}"
+    return f"the {what} '{entry.name}' ({entry.value}) are not available: {' '.join(message.split())[:200]}"
 
 
 def attribute(place: str) -> Any:

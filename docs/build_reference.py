@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from deepbots_cli.cli.verbs.explain import topics
+from deepbots_cli.cli.commands.explain import topics
 from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, TIME, UNITS
 from deepbots_cli.expressions.functions import ALLOWED, FUNCTIONS, Family, Function

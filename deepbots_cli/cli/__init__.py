@@ -1,7 +1,7 @@
 """The command `deepbots`.
 
 command.py     the commands as one program; arguments that several commands share
-verbs/         the commands, a module per topic, imported when one of its commands is called
+commands/      the commands, a module per topic, imported when one of its commands is called
 sources.py     scenarios, runs and robots as arguments
 exits.py       exceptions to exit codes
 terminal.py    output, colour, progress

@@ -12,7 +12,7 @@ from typer.core import TyperGroup
 
 import deepbots_cli
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.verbs import VERBS
+from deepbots_cli.cli.commands import COMMANDS
 from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.errors import UsageError
 
@@ -158,21 +158,21 @@ class Commands(TyperGroup):
     """The group of the commands; imports the module of a command when the command is called."""
 
     def list_commands(self, ctx: Any) -> list[str]:
-        return list(VERBS)
+        return list(COMMANDS)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        if cmd_name not in VERBS:
-            near = nearest(cmd_name, VERBS)
-            hint = f"did you mean '{near}'?" if near else f"the commands are: {', '.join(VERBS)}"
+        if cmd_name not in COMMANDS:
+            near = nearest(cmd_name, COMMANDS)
+            hint = f"did you mean '{near}'?" if near else f"the commands are: {', '.join(COMMANDS)}"
             ctx.fail(f"there is no command '{cmd_name}'; {hint}")
-        module, _, function = VERBS[cmd_name][0].partition(".")
+        module, _, function = COMMANDS[cmd_name][0].partition(".")
         app = typer.Typer(add_completion=False, rich_markup_mode=None, context_settings=_SETTINGS)
-        app.command(cmd_name)(getattr(import_module(f"deepbots_cli.cli.verbs.{module}"), function))
+        app.command(cmd_name)(getattr(import_module(f"deepbots_cli.cli.commands.{module}"), function))
         return typer.main.get_command(app)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         with formatter.section("Commands"):
-            formatter.write_dl([(name, summary) for name, (_, summary) in VERBS.items()])
+            formatter.write_dl([(name, summary) for name, (_, summary) in COMMANDS.items()])
 
     def invoke(self, ctx: Any) -> Any:
         try:

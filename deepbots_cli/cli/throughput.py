@@ -79,8 +79,8 @@ def measure(compiled: Compiled, engines: list[str], worlds: list[int], *, steps:
                 made = _batch(compiled, count, steps, seed) if name == BATCH else _single(compiled, name, steps, seed)
                 found[name, count].append(made)
         tell(rounds * len(cases), rounds * len(cases))
-    figures = ("steps_per_second", "step_us", "physics_us", "reset_us", "physics_share", "clock_share")
-    return [Row(*case, *(median(getattr(row, figure) for row in rows) for figure in figures)) for case, rows in found.items()]
+    columns = ("steps_per_second", "step_us", "physics_us", "reset_us", "physics_share", "clock_share")
+    return [Row(*case, *(median(getattr(row, column) for row in rows) for column in columns)) for case, rows in found.items()]
 
 
 def text(name: str, rows: list[Row], rounds: int) -> str:

@@ -107,7 +107,7 @@ class Printer:
         self.lines += noted(f"{target} = {code}", text)
 
     def increase(self, target: str, code: str) -> None:
-        """Add to what is kept. A column is made anew, since the old one may be told, and only in worlds whose episode goes on."""
+        """Add to a kept value. A column is replaced, as others may hold the old one, in worlds that go on."""
         self.line(f"{target} += {code}" if self.on_floats else f"{target} = self.add({target}, {code})")
 
     def joined(self, operation: str, codes: Sequence[str]) -> str:

@@ -30,7 +30,7 @@ def start(space: Workspace) -> list[str]:
     lines = ['"""Observe the first moment of an episode."""', *space.readers.start_lines()]
     lines += _zeroed(_terms(space))
     lines.append(f"self._observe({', '.join(zeros(components) for _, components in space.acting)})")
-    return block("def _start(self) -> None:", [*lines, *_first_telling(space)])
+    return block("def _start(self) -> None:", [*lines, *_start_memories_of_messages(space)])
 
 
 def advance(space: Workspace) -> list[str]:
@@ -51,7 +51,7 @@ def advance(space: Workspace) -> list[str]:
     printer.line(f"    {'yield from ' if space.shares else ''}self._tick({', '.join(acting)})")
     printer.lines += ["    if self.terminated or self.truncated:", "        break"] if printer.on_floats else []
     ticking = space.printer()
-    ticking.increase("self.tick_count", "1")
+    ticking.increase("self.timestep_count", "1")
     _print_tick(space, ticking)
     arguments = ", ".join(["self", *_parameters(space)])
     doc = f'"""Hold an action for {repeat} timesteps; the reward is the sum over them."""'
@@ -75,7 +75,7 @@ def observe(space: Workspace) -> list[str]:
     _print_rewards(space, printer)
     _print_observation(space, printer)
     _print_masks(space, printer)
-    printer.lines += space.keeping()
+    printer.lines += space.storing_statements()
     arguments = ", ".join(["self", *_parameters(space)])
     doc = '"""Receive, and compute signals, endings, the reward and the observation."""'
     return block(f"def _observe({arguments}) -> None:", printer.finished([doc]))
@@ -131,7 +131,7 @@ def _print_acting(space: Workspace, printer: Printer) -> None:
     printer.increase("self.step_count", "1")
     if space.remembers:
         printer.line("self.next_frame()")
-    printer.lines += [f"{local} = self.told_{local}" for local in space.told()]
+    printer.lines += [f"{local} = self.last_{local}" for local in space.sent_names()]
     printer.insert_readers_here()
     for robot in space.scenario.robots:
         channel = f"self.to_{robot.name}"
@@ -263,14 +263,14 @@ def _print_tick(space: Workspace, printer: Printer) -> None:
     printer.line(f"self._observe({', '.join(space.local(name) for name, _ in space.acting)})")
 
 
-def _first_telling(space: Workspace) -> list[str]:
-    """Begin what the values sent to robots remember; such a value begins with an action of 0."""
+def _start_memories_of_messages(space: Workspace) -> list[str]:
+    """Start the memories of values that messages to robots contain; they start with an action of 0."""
     if not any(outer_states(value) for value in space.sent):
         return []
     printer = space.printer()
     used = {leaf.name for value in space.sent for state in outer_states(value) for leaf in names_in(state)}
     printer.lines += [f"{space.local(name)} = {zeros(components)}" for name, components in space.variables if name in used]
-    printer.lines += [f"{local} = self.told_{local}" for local in space.told()]
+    printer.lines += [f"{local} = self.last_{local}" for local in space.sent_names()]
     printer.insert_readers_here()
     printer.remember(space.sent)
     return printer.finished()
@@ -501,7 +501,7 @@ def _print_masks(space: Workspace, printer: Printer) -> None:
     if not space.forbids:
         return
     repeat = space.scenario.action_repeat
-    chooses = "not self.terminated and not self.truncated" + (f" and self.tick_count % {repeat} == 0" if space.repeats else "")
+    chooses = "not self.terminated and not self.truncated" + (f" and self.timestep_count % {repeat} == 0" if space.repeats else "")
     for part in space.choices:
         if any(option.forbidden is not None for option in part.options):
             allowed = f"self.allowed_{part.name}"

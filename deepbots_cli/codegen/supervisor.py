@@ -69,7 +69,7 @@ def batch_supervisor(scenario: Program, constants: Constants) -> list[str]:
         doc = '"""Draw a value for the next message of a single world."""'
         methods += ["@staticmethod", *block(f"def {name}(self: Any) -> None:", [doc, line])]
     lines = [line for line in methods if "@staticmethod" not in line]
-    read = re.findall(r"""(?:self\.|")((?:parameter|due|std|told|present)_\w+)""", "\n".join(lines))
+    read = re.findall(r"""(?:self\.|")((?:parameter|due|std|last|present)_\w+)""", "\n".join(lines))
     kept = tuple(dict.fromkeys(read))
     tables = choice_tables(space)
     terms = tuple(term.name for term in scenario.policy.reward)
@@ -194,8 +194,8 @@ def _script(space: Workspace, script: Script) -> list[str]:
     # Between two steps the reward of the last one is known.
     printer = Printer(space, settable=space.settable, renamed={"previous_reward": "self.reward"})
     used = space.named(script.scalars)
-    kept = [space.local(name) for name in space.kept() if name in used]
-    printer.lines += [f"{local} = self.told_{local}" for local in kept]
+    kept = [space.local(name) for name in space.kept_names() if name in used]
+    printer.lines += [f"{local} = self.last_{local}" for local in kept]
     printer.insert_readers_here()
     choices, ranges = [], []
     for part, decided in zip(space.scenario.policy.action, script.parts, strict=True):

@@ -73,7 +73,7 @@ class Workspace:
     @property
     def tick(self) -> str:
         """Code that counts the timesteps of the episode."""
-        return "self.tick_count" if self.repeats else "self.step_count"
+        return "self.timestep_count" if self.repeats else "self.step_count"
 
     def is_direct(self, robot: Robot, direction: Direction) -> bool:
         """Whether each message arrives in the timestep in which it is sent: `delayed` timing makes either direction a timestep longer."""
@@ -112,20 +112,20 @@ class Workspace:
         """The attribute that counts the copies of a group that take part in the episode."""
         return f"self.{self.names.called(f'present {group}', 'present', group)}"
 
-    def told(self) -> list[str]:
+    def sent_names(self) -> list[str]:
         """Locals of one timestep that the messages of the next one contain: signals, and fields that robots sent."""
         named = self.named(self.sent)
         return [self.local(name) for name in self._results() if name in named]
 
-    def kept(self) -> list[str]:
-        """Names of what a timestep keeps: that, and what scripts read of the timestep and of the action before it."""
-        told, read = self.named(self.sent), self.named(self.scripted) if self.target is SCALAR else set()
+    def kept_names(self) -> list[str]:
+        """Names of the values that a timestep stores: those in messages, and those that scripts read, with parts of the action."""
+        sent, read = self.named(self.sent), self.named(self.scripted) if self.target is SCALAR else set()
         acted = [name for name, _ in (*self.variables, *self.given) if name in read]
-        return [*(name for name in self._results() if name in told or name in read), *acted]
+        return [*(name for name in self._results() if name in sent or name in read), *acted]
 
-    def keeping(self) -> list[str]:
+    def storing_statements(self) -> list[str]:
         """Statements that store the values of this timestep that the next message to a robot, or a script, uses."""
-        return [f"self.told_{local} = {local}" for local in map(self.local, self.kept())]
+        return [f"self.last_{local} = {local}" for local in map(self.local, self.kept_names())]
 
     def _results(self) -> list[str]:
         """What a timestep comes to: signals, and the fields that robots sent."""

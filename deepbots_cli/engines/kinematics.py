@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from deepbots_cli.robots.model import Joint, RobotModel
 
-    Figures = NDArray[np.float64]
+    FloatArray = NDArray[np.float64]
 
 LEVER = 0.3  # m; what an error of 1 rad counts
 CLOSE = 1e-7  # m; an error to stop at
@@ -103,7 +103,7 @@ class Chain:
                 damping *= 10.0
         return joints, missing
 
-    def _linearised(self, joints: Sequence[float], goal: Triple, attitude: Quaternion | None) -> tuple[Figures, Figures]:
+    def _linearised(self, joints: Sequence[float], goal: Triple, attitude: Quaternion | None) -> tuple[FloatArray, FloatArray]:
         """The error at these positions, and how it shrinks with each driven joint."""
         here, axes, pivots, turns = (
             IDENTITY_FRAME,

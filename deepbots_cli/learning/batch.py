@@ -31,7 +31,7 @@ def reasons_against(program: Program, worlds: int, engine: str, build: BuildWorl
     return [*own, *not_batched(program), *(["it has a curriculum"] if program.curriculum else [])]
 
 
-def worth_telling(program: Program, worlds: int, engine: str, build: BuildWorld) -> str:
+def why_single_worlds(program: Program, worlds: int, engine: str, build: BuildWorld) -> str:
     """Why a training that could be fast is not; empty where a batch was not to be expected."""
     reasons = reasons_against(program, worlds, engine, build)
     expected = engine in engines.BATCHES and worlds >= SMALLEST

@@ -262,7 +262,7 @@ class Summary:
 
 def statistics_of(done: Sequence[Episode]) -> dict[str, Any]:
     """The fields of the summary of at least one episode."""
-    # scipy is imported here: verbs that only read runs work without it.
+    # scipy is imported here: commands that only read runs work without it.
     from deepbots_cli.learning.statistics import interquartile_mean, mean_interval, wilson
 
     returns = [episode.total_return for episode in done]

@@ -112,11 +112,11 @@ class ProgressReporter(Reporter):
             self._live.stop()
 
 
-def reporter(wish: bool | Reporter) -> Reporter:
+def reporter(progress: bool | Reporter) -> Reporter:
     """The reporter meant by `progress=`: none, one of the caller's, or a display on standard error."""
-    if not isinstance(wish, bool):
-        return wish
-    return ProgressReporter() if wish else Reporter()
+    if not isinstance(progress, bool):
+        return progress
+    return ProgressReporter() if progress else Reporter()
 
 
 def progress_text(progress: TrainingProgress, speed: float = 0.0) -> str:

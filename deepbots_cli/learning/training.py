@@ -237,7 +237,7 @@ def _validate_setup(program: Program, training: Training, build: BuildWorld, sou
         )
 
 
-def _learn(run: Run, training: Training, checkpoints: Checkpoints, build: BuildWorld, told: Reporter) -> TrainingResult:
+def _learn(run: Run, training: Training, checkpoints: Checkpoints, build: BuildWorld, reporter: Reporter) -> TrainingResult:
     """One process's share in a run, from its last checkpoint to the goal."""
     began = time.perf_counter()
     statistics, curriculum = Statistics(run.program.period, run.program.solved), Curriculum(run.program, run.record.first_stage)
@@ -245,7 +245,7 @@ def _learn(run: Run, training: Training, checkpoints: Checkpoints, build: BuildW
         statistics.restore(checkpoints.state.statistics)
         curriculum.restore(checkpoints.state.curriculum)
     statistics.final = curriculum.is_last
-    callback = TrainingCallback(run, statistics, curriculum, Evaluator(build, run.record.seed, run), told, training.total_timesteps)
+    callback = TrainingCallback(run, statistics, curriculum, Evaluator(build, run.record.seed, run), reporter, training.total_timesteps)
     checkpoints.attach(callback)
     status: Status = "failed"
     digest = ""
@@ -266,13 +266,13 @@ def _learn(run: Run, training: Training, checkpoints: Checkpoints, build: BuildW
             if run.record.initialized_from is not None:
                 models.initialize(_initial(run), model)
             stack.enter_context(signals_handled(callback.interruption))
-            if told_why := batch.worth_telling(run.program, training.environments, run.record.engine, build):
-                told.note(told_why)
-            told.start(callback.progress())
-            stack.callback(told.stop)
+            if reason := batch.why_single_worlds(run.program, training.environments, run.record.engine, build):
+                reporter.note(reason)
+            reporter.start(callback.progress())
+            stack.callback(reporter.stop)
             try:
                 status = _drive(model, training, callback, checkpoints)
-                told.update(callback.progress())
+                reporter.update(callback.progress())
             finally:
                 digest = models.digest(model)
     except KeyboardInterrupt:

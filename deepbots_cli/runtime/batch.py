@@ -226,7 +226,7 @@ class BatchSupervisor(_Part, ABC):
 
     def _forget(self) -> None:
         count = self.count
-        self.step_count, self.tick_count = np.zeros(count, np.int64), np.zeros(count, np.int64)
+        self.step_count, self.timestep_count = np.zeros(count, np.int64), np.zeros(count, np.int64)
         self.reward: Any = np.zeros(count)
         self.previous_reward: Any = np.zeros(count)
         self.episode_return: Any = np.zeros(count)
@@ -347,7 +347,7 @@ class BatchSupervisor(_Part, ABC):
             single = self.singles[world]
             self.frames[:, :, world] = single.frames[: self.frames.shape[1]]
             self.goal[:, world] = single.goal
-        for name in ("step_count", "tick_count", "reward", "previous_reward", "episode_return"):
+        for name in ("step_count", "timestep_count", "reward", "previous_reward", "episode_return"):
             column = columns_array(getattr(self, name), self.count)
             column[worlds] = 0
             setattr(self, name, column)
@@ -441,7 +441,7 @@ class BatchSupervisor(_Part, ABC):
         worlds = np.flatnonzero(np.broadcast_to(due, self.count)).tolist()
         for world in worlds:
             single = self.singles[world]
-            single.step_count, single.tick_count = int(self.step_count[world]), int(self.tick_count[world])
+            single.step_count, single.timestep_count = int(self.step_count[world]), int(self.timestep_count[world])
             draw(single)
         if worlds:
             values = {name: np.array([getattr(self.singles[world], name) for world in worlds]).T for name in names}

@@ -213,7 +213,7 @@ class CopiesSupervisor(Supervisor):
     def _gather(self) -> None:
         """Take reward and endings from the agents."""
         agents = list(self.agents.values())
-        self.step_count, self.tick_count = agents[0].step_count, agents[0].tick_count
+        self.step_count, self.timestep_count = agents[0].step_count, agents[0].timestep_count
         self.reward = sum(agent.reward for agent in agents) / len(agents)
         ended = [agent for agent in agents if agent.terminated]
         over = ended or [agent for agent in agents if agent.truncated]

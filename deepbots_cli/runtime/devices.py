@@ -63,7 +63,7 @@ class Faults:
 
     def __init__(self, devices: Sequence[Device], width: int) -> None:
         self._chains = [device.chain for device in devices if device.chain is not None]
-        self._figures = {name: np.zeros((width, len(devices))) for name in ("noise", "share", "gain", "bias", "drift")}
+        self._parameters = {name: np.zeros((width, len(devices))) for name in ("noise", "share", "gain", "bias", "drift")}
         self._has: dict[str, bool] = {}
         spec = self._chains[0].spec
         self._noise = Noise([chain.normals for chain in self._chains], width)
@@ -71,23 +71,23 @@ class Faults:
         self._steps = np.array(spec.resolution)[:, None] if spec.resolution else None
 
     def load(self, world: int) -> None:
-        figures = self._chains[world].figures
-        self._has = {name: bool(values) for name, values in figures.items()}
-        for name, values in figures.items():
+        parameters = self._chains[world].parameters
+        self._has = {name: bool(values) for name, values in parameters.items()}
+        for name, values in parameters.items():
             if values:
-                self._figures[name][:, world] = values
+                self._parameters[name][:, world] = values
         self._noise.load(world)
 
     def __call__(self, values: Column, time: Column, sampled: Column | None) -> Column:
-        has, figures = self._has, self._figures
+        has, parameters = self._has, self._parameters
         if has["share"]:
-            values = values * (figures["gain"] + figures["share"] * self._noise.row(sampled))
+            values = values * (parameters["gain"] + parameters["share"] * self._noise.row(sampled))
         elif has["gain"]:
-            values = values * figures["gain"]
-        bias = figures["bias"] + figures["drift"] * time if has["drift"] else figures["bias"]
+            values = values * parameters["gain"]
+        bias = parameters["bias"] + parameters["drift"] * time if has["drift"] else parameters["bias"]
         if has["noise"]:
             values = values + bias if has["bias"] else values
-            values = values + figures["noise"] * self._noise.row(sampled)
+            values = values + parameters["noise"] * self._noise.row(sampled)
         elif has["bias"]:
             values = values + bias
         if self._ends is not None:

@@ -17,7 +17,7 @@ from deepbots_cli import frames
 from deepbots_cli.frames import IDENTITY_FRAME, IDENTITY_ROTATION, Frame, Quaternion, Triple
 from deepbots_cli.port import Engine, Part, PoseReader, RayReader, Sight, VelocityReader
 from deepbots_cli.program.robots import CalibrationTable, CameraIntrinsics, RayConfig
-from deepbots_cli.runtime.sensing import Figures, Instrument, Normals, Site
+from deepbots_cli.runtime.sensing import Instrument, Normals, Site, Values
 from deepbots_cli.runtime.ways import Paint
 
 if TYPE_CHECKING:
@@ -262,7 +262,7 @@ class Table:
         if self.normals is not None:
             self.normals.restart(generator)
 
-    def __call__(self, distances: Figures) -> Figures:
+    def __call__(self, distances: Values) -> Values:
         known, rows = self._distances, self.rows
         if self.normals is None:
             return [(row := rows[bisect_right(known, x)])[1] + row[3] * (x - row[0]) for x in distances]
@@ -274,7 +274,7 @@ class Table:
         return readings
 
 
-def _slopes(distance: Figures, column: Figures) -> list[float]:
+def _slopes(distance: Values, column: Values) -> list[float]:
     """By how much a column changes per m after each row; not at all after the last."""
     pairs = zip(distance, distance[1:], column, column[1:], strict=False)
     return [*((d - c) / (b - a) for a, b, c, d in pairs), 0.0]

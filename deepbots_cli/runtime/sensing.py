@@ -26,7 +26,7 @@ from deepbots_cli.program.robots import NoiseModel, Sensor
 from deepbots_cli.program.world import WorldModel
 from deepbots_cli.runtime.streams import Streams
 
-Figures = Sequence[float]
+Values = Sequence[float]
 BLOCK = 128
 """Rows of normal numbers that are drawn at once."""
 Reading = Sequence[Any]
@@ -38,7 +38,7 @@ class Normals:
 
     def __init__(self, width: int) -> None:
         self._width = width
-        self._scale: Figures | float = 1.0
+        self._scale: Values | float = 1.0
         self.drawn: Any = None
         """The newest block, before it is scaled."""
         self._rows: list[list[float]] = []
@@ -49,7 +49,7 @@ class Normals:
         self._generator = generator
         self._rows = []
 
-    def scale(self, deviations: Figures | float) -> None:
+    def scale(self, deviations: Values | float) -> None:
         """Multiply all further rows by one factor, or by one factor per sample. A block at once costs a tenth of row by row."""
         self._scale = deviations
         if self._rows:
@@ -79,7 +79,7 @@ class Chain:
         self.spec = spec
         self.normals = Normals(width)
         self._zeros = (0.0,) * width
-        self._given: dict[str, Figures] = {
+        self._parameters: dict[str, Values] = {
             "noise": spec.noise,
             "relative_noise": spec.relative_noise,
             "bias": spec.bias,
@@ -88,23 +88,23 @@ class Chain:
         }
         self._settle()
 
-    def vary(self, figure: str, values: Figures) -> None:
+    def vary(self, fault: str, values: Values) -> None:
         """Set the values of a fault for this episode, one per component."""
-        if figure not in self._given or len(values) != len(self._zeros):
-            raise KeyError(figure)
-        self._given[figure] = values
+        if fault not in self._parameters or len(values) != len(self._zeros):
+            raise KeyError(fault)
+        self._parameters[fault] = values
         self._settle()
 
     def _settle(self) -> None:
-        figures = self._given
-        self._noise, self._share, self._drift = figures["noise"], figures["relative_noise"], figures["drift"]
-        self._bias = figures["bias"] or (self._zeros if self._drift else ())
-        self._gain = [1.0 + error for error in figures["relative_bias"]] or ([1.0] * len(self._zeros) if self._share else [])
+        parameters = self._parameters
+        self._noise, self._share, self._drift = parameters["noise"], parameters["relative_noise"], parameters["drift"]
+        self._bias = parameters["bias"] or (self._zeros if self._drift else ())
+        self._gain = [1.0 + error for error in parameters["relative_bias"]] or ([1.0] * len(self._zeros) if self._share else [])
         self._only_noise = bool(self._noise) and not (self._share or self._gain or self._bias)
         self.normals.scale(self._noise if self._only_noise else 1.0)
 
     @property
-    def figures(self) -> dict[str, Figures]:
+    def parameters(self) -> dict[str, Values]:
         """What is in force in this episode, one number per component; nothing for a fault that the sensor has not."""
         return {"noise": self._noise, "share": self._share, "gain": self._gain, "bias": self._bias, "drift": self._drift}
 
@@ -112,7 +112,7 @@ class Chain:
         """Begin an episode. Its noise is drawn from `generator`."""
         self.normals.restart(generator)
 
-    def __call__(self, values: Figures, time: float) -> Figures:
+    def __call__(self, values: Values, time: float) -> Values:
         """The readings for the true `values`, `time` s after the reset."""
         values = self._with_noise(values) if self._only_noise else self._with_all(values, time)
         spec = self.spec
@@ -123,11 +123,11 @@ class Chain:
             values = [step * round(x / step) for x, step in zip(values, spec.resolution, strict=True)]
         return values
 
-    def _with_noise(self, values: Figures) -> Figures:
+    def _with_noise(self, values: Values) -> Values:
         """The usual case, in a third of the time."""
         return list(map(add, values, self.normals.row()))
 
-    def _with_all(self, values: Figures, time: float) -> Figures:
+    def _with_all(self, values: Values, time: float) -> Values:
         if self._share:
             rows = zip(values, self._gain, self._share, self.normals.row(), strict=True)
             values = [x * (gain + share * normal) for x, gain, share, normal in rows]
@@ -159,7 +159,7 @@ class Lookup(Protocol):
     def normals(self) -> Normals | None:
         """The noise, if the table has any."""
 
-    def __call__(self, values: Figures, /) -> Figures:
+    def __call__(self, values: Values, /) -> Values:
         """The readings."""
 
 
@@ -223,16 +223,16 @@ class Device:
         self._stream = f"robots.{robot}.sensors.{sensor.name}"
         self._period = faults.period
         self._latency = faults.latency
-        figures = (faults.noise, faults.relative_noise, faults.bias, faults.relative_bias, faults.drift, faults.low, faults.resolution)
-        self.chain = Chain(faults, max(1, len(sensor.components))) if any(figures) else None
+        parameters = (faults.noise, faults.relative_noise, faults.bias, faults.relative_bias, faults.drift, faults.low, faults.resolution)
+        self.chain = Chain(faults, max(1, len(sensor.components))) if any(parameters) else None
         self._under_way: deque[tuple[int, int, Reading]] = deque()
 
-    def vary(self, figure: str, values: Sequence[float]) -> None:
+    def vary(self, fault: str, values: Sequence[float]) -> None:
         """Set the values of a fault (a field of `NoiseModel`) for this episode, one per component, or the latency in s."""
-        if figure == "latency":
+        if fault == "latency":
             (self._latency,) = values
         elif self.chain is not None:
-            self.chain.vary(figure, values)
+            self.chain.vary(fault, values)
 
     def reset(self, streams: Streams) -> None:
         """Begin an episode: a first reading is taken and delivered at once."""

@@ -84,7 +84,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
     ended_by: str | None
     endings: tuple[str, ...]
     step_count: int
-    tick_count: int
+    timestep_count: int
     episode_values: dict[str, float]
     """The present values, in SI units, of what `options` of `reset` can set, by its names."""
     _viewed: tuple[float, float] | None  # where the robot was that pictures follow
@@ -480,7 +480,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         raise EvaluationError(f"step {self.step_count}: every option of '{choice}' is forbidden: {names}")
 
     def _forget(self) -> None:
-        self.step_count = self.tick_count = self.newest = 0
+        self.step_count = self.timestep_count = self.newest = 0
         self.reward = self.previous_reward = self.episode_return = 0.0
         self.terminated = self.truncated = self.is_success = False
         self.ended_by = None

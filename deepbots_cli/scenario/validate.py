@@ -298,9 +298,9 @@ def _advise(root: nodes.Mapping, data: Any, findings: Findings) -> None:
 
 def _wanted(data: object, path: Path) -> str:
     """The help for a key without a value."""
-    told = about_key(data, path)
-    if told is not None and told.startswith(f"`{path[-1]}`"):
-        return told
+    message = about_key(data, path)
+    if message is not None and message.startswith(f"`{path[-1]}`"):
+        return message
     holder = shape_at(Scenario, data, path[:-1], choose=False)
     if isinstance(holder, Kinds) and path[-1] == holder.key:
         return f"it is one of {_listed(holder.names)}"

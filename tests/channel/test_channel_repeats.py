@@ -51,7 +51,7 @@ def test_the_world_goes_as_far_as_with_the_same_action_given_anew_in_each_tick(m
 def test_an_ending_stops_the_step_in_its_tick(make: Make) -> None:
     environment = make(THREE, "reward={one: 1}", "termination={success: {late: time > 90 ms}}")
     assert [row[:3] for row in episode(environment, 9)] == [(3.0, False, False), (2.0, True, False)]
-    assert (environment.step_count, environment.tick_count) == (2, 5)
+    assert (environment.step_count, environment.timestep_count) == (2, 5)
 
 
 def test_max_steps_counts_steps_and_max_time_simulated_time(make: Make) -> None:

@@ -14,7 +14,7 @@ import pytest
 import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.cli.command import Commands
-from deepbots_cli.cli.verbs import VERBS, installation
+from deepbots_cli.cli.commands import COMMANDS, installation
 from deepbots_cli.errors import installing
 from tests.few import few
 
@@ -26,15 +26,15 @@ def in_process_of_its_own(code: str) -> str:
     return done.stdout
 
 
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("verb", COMMANDS)
 def test_every_verb_explains_itself_with_examples(deepbots, verb):
     shown = deepbots(verb, "--help")
     assert shown.code == 0
-    assert VERBS[verb][1] in shown.out
+    assert COMMANDS[verb][1] in shown.out
     assert f"  deepbots {verb} " in shown.out or f"  deepbots {verb}\n" in shown.out
 
 
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("verb", COMMANDS)
 def test_every_example_in_the_help_is_a_command_line_that_parses(deepbots, verb):
     command = Commands().get_command(None, verb)
     examples = [line.strip().split("  ")[0].split(" && ")[0].split() for line in command.help.splitlines()]
@@ -45,7 +45,7 @@ def test_every_example_in_the_help_is_a_command_line_that_parses(deepbots, verb)
 def test_the_overview_lists_every_verb(deepbots):
     shown = deepbots("--help")
     assert shown.code == 0
-    assert all(verb in shown.out and summary in shown.out for verb, (_, summary) in VERBS.items())
+    assert all(verb in shown.out and summary in shown.out for verb, (_, summary) in COMMANDS.items())
 
 
 def test_the_version_is_that_of_the_package(deepbots):
@@ -209,7 +209,7 @@ def test_the_overview_imports_no_verb_and_not_even_the_language():
     code = "import sys; from deepbots_cli.cli import main; main(['--help']); print([*sys.modules])"
     loaded = in_process_of_its_own(code)
     assert "'deepbots_cli.scenario'" not in loaded
-    assert "'deepbots_cli.cli.verbs.train'" not in loaded
+    assert "'deepbots_cli.cli.commands.train'" not in loaded
 
 
 def test_the_package_runs_as_a_module():

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.cli.verbs import new
+from deepbots_cli.cli.commands import new
 from deepbots_cli.document import shipped
 from tests.few import few
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from deepbots_cli.cli.verbs.explain import Topic, topics
+from deepbots_cli.cli.commands.explain import Topic, topics
 from deepbots_cli.compiler import check
 from deepbots_cli.diagnostics import RULES
 from deepbots_cli.document import loads

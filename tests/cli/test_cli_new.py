@@ -8,8 +8,8 @@ import re
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.cli.verbs import new
-from deepbots_cli.cli.verbs.new import Template
+from deepbots_cli.cli.commands import new
+from deepbots_cli.cli.commands.new import Template
 from deepbots_cli.document import shipped
 from tests.few import few
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.cli.verbs.bench import measure
+from deepbots_cli.cli.commands.bench import measure
 from deepbots_cli.learning import defaults
 
 PLAIN = "train={algorithm: PPO, total_timesteps: 1000, policy: {activation: relu}}"

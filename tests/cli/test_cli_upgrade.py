@@ -8,7 +8,7 @@ from textwrap import indent
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.cli.verbs.rewriting import STEPS
+from deepbots_cli.cli.commands.rewriting import STEPS
 from deepbots_cli.document import shipped
 from deepbots_cli.scenario.scenario import VERSION
 

@@ -16,7 +16,7 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.cli.command import Commands
-from deepbots_cli.cli.verbs import VERBS
+from deepbots_cli.cli.commands import COMMANDS
 from deepbots_cli.compiler import check
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.suppress import suppress
@@ -114,7 +114,7 @@ def test_a_command_in_the_docs_is_one(place: str, line: str):
         assert words[:2] in (["pip", "install"], ["python3.11", "-m"]) or words[0] == "."
         return
     verb, *arguments = words[1:]
-    assert verb in VERBS
+    assert verb in COMMANDS
     options = {option for parameter in Commands().get_command(None, verb).params for option in parameter.opts}
     assert {word.partition("=")[0] for word in arguments if word.startswith("-")} <= options
 
@@ -173,8 +173,8 @@ def test_the_map_of_a_package_names_its_modules_and_no_others(package: Path):
     shown = ast.get_docstring(ast.parse((package / "__init__.py").read_text(encoding="utf-8"))) or ""
     modules = {path.name for path in package.glob("*.py")} - {"__init__.py", "__main__.py"}
     named = (
-        {f"{place.partition('.')[0]}.py" for place, _ in VERBS.values()}
-        if package.name == "verbs"
+        {f"{place.partition('.')[0]}.py" for place, _ in COMMANDS.values()}
+        if package.name == "commands"
         else set(re.findall(r"\b[a-z_]+\.py\b", shown))
     )
     assert named == modules

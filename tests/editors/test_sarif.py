@@ -10,7 +10,7 @@ import jsonschema
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.cli.verbs.lint import Format, report
+from deepbots_cli.cli.commands.lint import Format, report
 from deepbots_cli.diagnostics import Finding
 from tests.golden.cases import write
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.cli.verbs.new import Template, from_template
+from deepbots_cli.cli.commands.new import Template, from_template
 from deepbots_cli.document import shipped
 from deepbots_cli.lint import review, simulate
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deepbots_cli.cli.verbs import run
+from deepbots_cli.cli.commands import run
 from deepbots_cli.errors import UsageError
 from deepbots_cli.runtime import Supervisor
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from deepbots_cli.program.world import EngineParameter, WorldModel
 
-    Figures = NDArray[np.float64]
+    FloatArray = NDArray[np.float64]
 
 WHOLE = int(mj.mjtState.mjSTATE_INTEGRATION)
 VARIED = (
@@ -49,11 +49,11 @@ Force = tuple[int, int, float]
 class Kept(NamedTuple):
     """A snapshot."""
 
-    state: Figures
+    state: FloatArray
     varied: list[Any]
     mean_inertia: float
-    exerted: Figures
-    accelerations: Figures
+    exerted: FloatArray
+    accelerations: FloatArray
     forces: Sequence[Force]
     memory: tuple[Any, ...]
 
@@ -267,7 +267,7 @@ class World:
         for body in (pool.chosen for pool in robots_first):
             joints = list(body.joints.values())
             places, speeds = self.model.jnt_qposadr[joints], self.model.jnt_dofadr[joints]
-            states: Iterable[tuple[str, Figures]] = (("joints", data.qpos[places]), ("joints", data.qvel[speeds]))
+            states: Iterable[tuple[str, FloatArray]] = (("joints", data.qpos[places]), ("joints", data.qvel[speeds]))
             if body.position >= 0:
                 pose, speed = data.qpos[body.position : body.position + 7], data.qvel[body.velocity : body.velocity + 6]
                 states = (("pose", pose), ("pose", speed), *states)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from deepbots_cli.frames import Frame
     from deepbots_cli.port import ClearanceReader, ContactReader, ForceReader, RayReader
 
-    Figures = NDArray[np.float64]
+    FloatArray = NDArray[np.float64]
 
 FAR = 1e6  # m; the distance between surfaces is asked for up to here
 MET = 1e-9  # m; by how much lines that meet in a point may miss it
@@ -150,7 +150,7 @@ def rays(world: World, body: Body, link: int, given: Sequence[Frame], reach: flo
     return read
 
 
-def _meeting_point(starts: Figures, directions: Figures) -> Figures | None:
+def _meeting_point(starts: FloatArray, directions: FloatArray) -> FloatArray | None:
     """The point behind or at all starts where the lines of the rays meet, if there is one."""
     if len(starts) < 2:
         return None

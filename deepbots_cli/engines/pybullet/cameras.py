@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from deepbots_cli.port import Image, View
     from deepbots_cli.program.world import Line
 
-    Figures = NDArray[np.float32]
+    FloatArray = NDArray[np.float32]
     Colour = tuple[float, float, float, float]
 
 TILE = 0.25  # m
@@ -53,7 +53,7 @@ class Floor:
         self._light = _LIGHT if colour is None else np.array(colour[:3], np.float32) * np.float32(255.0)
         self._dark = _DARK if colour is None else self._light * np.float32(_SHADE)
 
-    def __call__(self, x: Figures, y: Figures, across: Figures) -> Figures:
+    def __call__(self, x: FloatArray, y: FloatArray, across: FloatArray) -> FloatArray:
         """Shape (n, 3), 0 to 255, seen in pixels `across` m long; tiles too small for a pixel melt into their mean."""
         sharp = np.clip(1.5 - across * np.float32(1 / TILE), 0.0, 1.0)
         odd = (np.floor(x * np.float32(1 / TILE)) + np.floor(y * np.float32(1 / TILE))).astype(np.int32) & 1
@@ -95,7 +95,7 @@ class Paint:
         apart = np.hypot(x[:, None] - start[0] - foot * dx / length, y[None, :] - start[1] - foot * dy / length)
         self._cells[spans[0], spans[1]][apart <= half] = paint
 
-    def over(self, colours: Figures, x: Figures, y: Figures) -> Figures:
+    def over(self, colours: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
         """The colours with the paint at points over them."""
         column, row = ((values - np.float32(low)) * np.float32(1 / self._cell) for values, low in zip((x, y), self._corner, strict=True))
         inside = np.flatnonzero((column >= 0) & (row >= 0) & (column < self._cells.shape[0]) & (row < self._cells.shape[1]))

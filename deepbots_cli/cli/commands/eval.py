@@ -236,8 +236,8 @@ class _Found:
 
 def _refuse(reason: str, **options: object) -> None:
     """Raises: UsageError: One of the options is given."""
-    for option, wish in options.items():
-        if wish:
+    for option, given in options.items():
+        if given:
             raise UsageError(f"--{option} {reason}")
 
 

@@ -17,8 +17,8 @@ import typer
 from deepbots_cli import api, learning
 from deepbots_cli.cli import results, terminal
 from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Engine, Json, Sets, seed_list, whole
+from deepbots_cli.cli.commands.eval import show, with_cases
 from deepbots_cli.cli.exits import FAILED, INTERRUPTED
-from deepbots_cli.cli.verbs.eval import show, with_cases
 from deepbots_cli.engine_kinds import on_engine
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning import report
@@ -102,7 +102,7 @@ def command(
 
     Next: `deepbots eval RUN --video film.mp4` records an episode of the policy.
     """
-    told = not quiet
+    progress = not quiet
     if resume is not None:
         made_with = (scenario, sets, seed, seeds, run, stage, engine, allow_paths, keep_checkpoints, initialize_from)
         if any(option is not None for option in made_with):
@@ -114,7 +114,7 @@ def command(
                 resume,
                 total_timesteps=timesteps,
                 stop_when_solved=False if full else None,
-                progress=told,
+                progress=progress,
                 allow_code=allow_code,
                 on_seed=None if quiet else _announce_seed,
             )
@@ -123,7 +123,7 @@ def command(
         with _page(wanted=to_view, allow_code=allow_code) as show_page:
             show_page(resume)
             result = learning.resume(
-                resume, total_timesteps=timesteps, stop_when_solved=False if full else None, progress=told, allow_code=allow_code
+                resume, total_timesteps=timesteps, stop_when_solved=False if full else None, progress=progress, allow_code=allow_code
             )
     elif scenario is None:
         raise UsageError("there is no scenario to train; name one, such as: deepbots train cartpole")
@@ -139,12 +139,12 @@ def command(
             "stage": stage,
             "keep_checkpoints": keep_checkpoints or 0,
             "initialize_from": initialize_from,
-            "progress": told,
+            "progress": progress,
             "command": ["deepbots", *sys.argv[1:]],
         }
-        with terminal.passing("loading PyTorch ..." if told else ""):
+        with terminal.passing("loading PyTorch ..." if progress else ""):
             train = learning.train  # which imports torch
-        if told:
+        if progress:
             _announce(compiled.program, f"seeds {seeds}" if seeds else f"seed {seed or 0}", timesteps, full=full)
         if listed is not None:
             group = learning.train_group(compiled, listed, group=run, on_seed=None if quiet else _announce_seed, **settings)

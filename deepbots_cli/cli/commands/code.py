@@ -12,7 +12,7 @@ import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Scenario, Sets
-from deepbots_cli.cli.verbs.new import Files, modeline, write_new
+from deepbots_cli.cli.commands.new import Files, modeline, write_new
 from deepbots_cli.codegen import emit
 from deepbots_cli.codegen.names import class_name
 from deepbots_cli.compiler import Checked

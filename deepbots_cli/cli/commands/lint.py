@@ -16,8 +16,8 @@ import typer
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import AllowCode, AllowPaths, Sets, whole
+from deepbots_cli.cli.commands import rewriting
 from deepbots_cli.cli.exits import FAILED, FAULT
-from deepbots_cli.cli.verbs import rewriting
 from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Edit, Finding, Severity, Source, formats
 from deepbots_cli.diagnostics.findings import failure

@@ -9,7 +9,7 @@ import typer
 
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Json, Seed, Sets, Stage, whole
-from deepbots_cli.cli.verbs.view import Driver, EngineOrRun, Episode, Shown
+from deepbots_cli.cli.commands.view import Driver, EngineOrRun, Episode, Shown
 from deepbots_cli.errors import UsageError
 
 

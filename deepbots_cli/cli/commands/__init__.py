@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-VERBS: Mapping[str, tuple[str, str]] = {
+COMMANDS: Mapping[str, tuple[str, str]] = {
     "train": ("train.command", "Train a policy in a new run directory, and evaluate it."),
     "eval": ("eval.command", "Evaluate the policy of a run on held-out episodes."),
     "compare": ("compare.command", "Compare policies on the same starts."),
