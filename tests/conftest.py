@@ -4,6 +4,7 @@ Where PyBullet is not installed, as beyond Python 3.11, tests on the engine `pyb
 pybullet_data are skipped.
 """
 
+import os
 import sys
 import tempfile
 from collections.abc import Generator, Iterator
@@ -15,6 +16,9 @@ from deepbots_cli.engine_kinds import ENGINES
 
 sys.path.insert(0, str(Path(__file__).parent / "exact"))
 
+# The workers of pytest take all cores. Further threads of torch and BLAS wait for each other: a forward pass of a small network took 60 ms.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 WITHOUT = None if ENGINES.own["pybullet"].is_installed else ENGINES.own["pybullet"].missing
 _NEEDS = ("No module named 'pybullet", "the engine 'pybullet' cannot be used", "engine `pybullet` cannot be used", "pybullet_data")

@@ -66,12 +66,21 @@ class Builder:
 def learned(folder: Path, build: Any = stand_in.build, total: int = 1_500, solved: Solved = EASY) -> TrainingResult:
     figures = {"n_steps": 32, "batch_size": 32, "n_epochs": 1}
     hyperparameters = tuple(Hyperparameter(name, figure) for name, figure in figures.items())
-    task = stand_in.compiled(training=Training("PPO", total, environments=2, hyperparameters=hyperparameters), solved=solved, success=True)
+    task = stand_in.compiled(
+        training=Training("PPO", total, environments=2, hyperparameters=hyperparameters), solved=solved, success=True, max_steps=50
+    )
     return train(task, runs=folder, build=build)
 
 
-def test_a_training_does_not_end_while_the_policy_by_itself_does_not_solve_the_task(tmp_path: Path) -> None:
-    result = learned(tmp_path, Builder(lambda number: 0.0))
+@pytest.fixture(scope="module")
+def unpaid(tmp_path_factory: pytest.TempPathFactory) -> tuple[Builder, TrainingResult]:
+    """A training whose evaluations all give a return of 0; not to be changed."""
+    build = Builder(lambda number: 0.0)
+    return build, learned(tmp_path_factory.mktemp("unpaid"), build)
+
+
+def test_a_training_does_not_end_while_the_policy_by_itself_does_not_solve_the_task(unpaid: tuple[Builder, TrainingResult]) -> None:
+    _, result = unpaid
     assert result.solved_at is not None
     assert result.solved_at.steps < 200  # by the episodes of the training
     assert (result.status, result.steps >= 1_500) == ("finished", True)
@@ -86,13 +95,17 @@ def test_a_training_ends_at_the_first_evaluation_that_solves_the_task(tmp_path: 
     assert result.best_return >= 5.0
 
 
-def test_the_best_model_is_that_of_the_best_evaluation_and_not_of_the_luckiest_episodes(tmp_path: Path) -> None:
+def test_the_best_model_is_that_of_the_best_evaluation_and_evaluations_take_at_most_their_share_of_the_steps(tmp_path: Path) -> None:
     build = Builder(lambda number: 0.1 if number == 1 else 0.0)
-    result = learned(tmp_path, build, total=12_000)
-    assert build.tried > 3
+    result = learned(tmp_path, build, total=6_000)
+    assert build.tried > 2
     best, last = (models.steps_of(result.run / "models" / "policy" / f"{name}.zip") for name in ("best", "last"))
     assert 0 < best < last
     assert evaluate(result.run, episodes=1, build=stand_in.build).mean_return > 0
+    # The last evaluation comes in addition.
+    assert 0 < result.evaluation_steps <= result.steps * callbacks.OVERTIME_SHARE + 2 * callbacks.EPISODES * 50
+    again = resume(result.run, total_timesteps=8_000, build=build)
+    assert again.evaluation_steps > result.evaluation_steps
 
 
 def test_a_network_that_solves_the_task_goes_before_one_with_a_higher_return(tmp_path: Path) -> None:
@@ -102,7 +115,7 @@ def test_a_network_that_solves_the_task_goes_before_one_with_a_higher_return(tmp
     best, last = (models.steps_of(result.run / "models" / "policy" / f"{name}.zip") for name in ("best", "last"))
     assert best == last
     assert result.best_return is not None
-    assert result.best_return < 0.1 * 200 + 1e-6
+    assert result.best_return < 0.1 * 50 + 1e-6
 
 
 def test_an_off_policy_algorithm_ends_after_a_longer_evaluation(tmp_path: Path) -> None:
@@ -115,7 +128,7 @@ def test_an_off_policy_algorithm_ends_after_a_longer_evaluation(tmp_path: Path) 
 
 def test_a_network_that_confirmed_the_solved_task_goes_before_one_that_shone_earlier(tmp_path: Path) -> None:
     class Late(Paying):
-        """Its episodes in training are successes from the 130th on."""
+        """Its episodes in training are successes from the 100th on."""
 
         begun = 0
 
@@ -126,7 +139,7 @@ def test_a_network_that_confirmed_the_solved_task_goes_before_one_that_shone_ear
         def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
             *outcome, info = super().step(action)
             in_evaluation = bool(self.seeds) and self.seeds[-1] in EVALUATION_SEEDS
-            return *outcome, info | {"is_success": in_evaluation or self.begun >= 200}  # type: ignore[return-value]
+            return *outcome, info | {"is_success": in_evaluation or self.begun >= 100}  # type: ignore[return-value]
 
     worlds = []
 
@@ -141,24 +154,14 @@ def test_a_network_that_confirmed_the_solved_task_goes_before_one_that_shone_ear
     assert best >= result.solved_at.steps
 
 
-def test_of_equal_evaluations_the_later_network_is_kept(tmp_path: Path) -> None:
-    result = learned(tmp_path, Builder(lambda number: 0.0))
+def test_of_equal_evaluations_the_later_network_is_kept(unpaid: tuple[Builder, TrainingResult]) -> None:
+    _, result = unpaid
     best, last = (models.steps_of(result.run / "models" / "policy" / f"{name}.zip") for name in ("best", "last"))
     assert best == last
 
 
-def test_evaluations_take_at_most_their_share_of_the_steps_and_the_last_one_more(tmp_path: Path) -> None:
-    build = Builder(lambda number: 0.0)
-    result = learned(tmp_path, build, total=12_000)
-    assert build.tried > 3
-    assert 0 < result.evaluation_steps <= result.steps * callbacks.OVERTIME_SHARE + 2 * callbacks.EPISODES * 200
-    again = resume(result.run, total_timesteps=14_000, build=build)
-    assert again.evaluation_steps > result.evaluation_steps
-
-
-def test_evaluations_start_where_neither_training_nor_evaluation_does(tmp_path: Path) -> None:
-    build = Builder(lambda number: 0.0)
-    result = learned(tmp_path, build)
+def test_evaluations_start_where_neither_training_nor_evaluation_does(unpaid: tuple[Builder, TrainingResult]) -> None:
+    build, result = unpaid
     seen = [seed for world in build.worlds for seed in world.seeds]
     before = len(build.worlds)
     evaluate(result.run, episodes=30, build=build)
@@ -170,8 +173,10 @@ def test_evaluations_start_where_neither_training_nor_evaluation_does(tmp_path: 
     assert all(world.closed for world in build.worlds)
 
 
-def test_what_is_learned_does_not_depend_on_the_evaluations(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    few = learned(tmp_path, Builder(lambda number: 0.0))
+def test_what_is_learned_does_not_depend_on_the_evaluations(
+    unpaid: tuple[Builder, TrainingResult], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, few = unpaid
     monkeypatch.setattr(callbacks, "OVERTIME_SHARE", 1.0)
     many = learned(tmp_path, Builder(lambda number: 0.0))
     assert many.evaluation_steps > few.evaluation_steps
@@ -179,12 +184,10 @@ def test_what_is_learned_does_not_depend_on_the_evaluations(tmp_path: Path, monk
 
 
 def test_an_evaluation_stops_when_somebody_wants_the_training_to_end() -> None:
-    task = stand_in.scenario()
+    task = stand_in.scenario(max_steps=50)
     world = stand_in.build(task)
     assert task.policy.training is not None
-    model = algorithms.create(
-        task.policy.training, VectorEnvironment([world] * 2, [0, 0]), seed=0, total_timesteps=100, longest_episode=200
-    )
+    model = algorithms.create(task.policy.training, VectorEnvironment([world] * 2, [0, 0]), seed=0, total_timesteps=100, longest_episode=50)
     evaluator, interruption = Evaluator(stand_in.build, seed=0), Interruption()
     state = torch.get_rng_state()
     first, second = (evaluator.episodes(model, task, interruption) for _ in range(2))

@@ -96,7 +96,7 @@ def test_after_changes_in_any_order_each_file_shows_what_a_first_look_at_it_woul
 
     async def work() -> Process:
         process = Process()
-        for _ in range(12):
+        for _ in range(8):
             path = folder / drawn.choice(TOGETHER)
             uri, text = path.as_uri(), damaged(path.read_text(encoding="utf-8"), drawn)
             if uri not in texts:
