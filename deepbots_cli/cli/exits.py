@@ -52,7 +52,7 @@ def _exit_code(run: Callable[[], object]) -> int:
         terminal.show_findings(error.findings)
         return FAILED
     except DeepbotsError as error:
-        terminal.complain(str(error))
+        terminal.complain(error.full)
         return WRONG if isinstance(error, UsageError) else FAILED
     except KeyboardInterrupt:
         return INTERRUPTED

@@ -21,8 +21,7 @@ from pydantic import BaseModel, NonNegativeInt, PositiveInt
 
 from deepbots_cli import api
 from deepbots_cli.errors import DeepbotsError, EvaluationError, RunError, UsageError
-from deepbots_cli.files import atomic
-from deepbots_cli.learning.run import Run, read_json
+from deepbots_cli.learning.run import Run, read_json, write_numbered
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import viewed
 
@@ -159,16 +158,10 @@ def is_finite(observation: Any) -> bool:
 
 def keep(run: Run, failure: Failure) -> Path | None:
     """Write a failure under the next free number; None if the run cannot be written to."""
-    folder = run.path / FOLDER
     try:
-        folder.mkdir(exist_ok=True)
-        number = 1 + max((int(path.stem) for path in folder.glob("[0-9][0-9][0-9][0-9].json")), default=0)
-        path = folder / f"{number:04d}.json"
-        with atomic(path, RunError) as draft:
-            draft.write_text(failure.model_dump_json() + "\n", encoding="utf-8")
-    except (OSError, RunError):
+        return write_numbered(run.path / FOLDER, failure.model_dump_json() + "\n")
+    except RunError:
         return None
-    return path
 
 
 def reproduce(path: Path, *, allow_code: bool = False) -> tuple[Failure, str | None]:

@@ -170,15 +170,15 @@ def train_group(
         command=tuple(command),
         started=now(),
     )
-    write_copies(path, compiled.resolved, compiled.inputs)
-    write_text(path / GROUP_NAME, record.model_dump_json(indent=2) + "\n")
     made = Group(path, record)
     try:
         with run_lock(path):
+            write_copies(path, compiled.resolved, compiled.inputs)
+            write_text(path / GROUP_NAME, record.model_dump_json(indent=2) + "\n")
             return _train_seeds(made, compiled, None, None, progress, on_seed, build, allow_code=compiled.allow_code)
-    except DeepbotsError:
-        if not made.runs:  # nothing can be trained with these settings
-            shutil.rmtree(path)
+    except (DeepbotsError, KeyboardInterrupt):
+        if not made.runs:  # nothing can be trained with these settings, or written there
+            shutil.rmtree(path, ignore_errors=True)
         raise
 
 
@@ -259,10 +259,12 @@ def _train_seeds(
                     build=build,
                 )
         except DeepbotsError as error:
-            if not path.exists():
+            if not group.runs:  # nothing can be trained with these settings, or written there
                 raise
-            failed[seed] = str(error)
+            failed[seed] = error.full
             continue
+        except KeyboardInterrupt:  # before the training handles it itself
+            return GroupTraining(group.path, tuple(trained), tuple(skipped), failed, record.seeds[number - 1 :])
         trained.append(result)
         if result.interrupted:
             return GroupTraining(group.path, tuple(trained), tuple(skipped), failed, record.seeds[number - 1 :])

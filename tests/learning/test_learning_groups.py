@@ -20,6 +20,7 @@ from deepbots_cli.learning.listing import list_runs, read_listed, sort_runs
 from deepbots_cli.learning.report import Reporter, TrainingProgress, to_json
 from deepbots_cli.learning.run import Run, run_lock
 from deepbots_cli.learning.statistics import interquartile_mean, mean_interval
+from deepbots_cli.program import Program
 from deepbots_cli.program.task import Hyperparameter, Solved, Training
 
 SHORT = Training("PPO", 400, 2, tuple(Hyperparameter(name, 32) for name in ("n_steps", "batch_size")))
@@ -80,6 +81,18 @@ def test_a_seed_that_diverges_does_not_end_the_others(tmp_path: Path) -> None:
     assert (found.trained, sorted(found.failed)) == ((), [0, 1])
     assert "is not finite" in found.failed[0]
     assert read_listed(tmp_path / "group").state == "failed"
+
+
+def test_ctrl_c_while_a_seed_is_set_up_leaves_a_group_to_go_on_with(tmp_path: Path) -> None:
+    def build(program: Program, *, render_mode: str | None = None) -> stand_in.CartPole:
+        first = tmp_path / "group" / "seed-0"
+        if first.exists() and Run.open(first).record.status == "finished":
+            raise KeyboardInterrupt
+        return stand_in.build(program)
+
+    found = train_group(SCENARIO, (0, 1), group=tmp_path / "group", build=build)
+    assert found.waiting == (1,)
+    assert resume_group(tmp_path / "group", build=stand_in.build).waiting == ()
 
 
 def test_a_group_that_cannot_be_trained_leaves_nothing_behind(tmp_path: Path) -> None:

@@ -196,7 +196,7 @@ def command(
                 others = evaluate_baselines(known, case=case, stage=stage, **options | {"episodes": result.episodes})
         elsewhere = _elsewhere(known, scenario, sets or (), compiled) if scenario is not None or sets else None
         found.append(_Found(result, cases, others, elsewhere, tuple(sets or ())))
-        known.keep_evaluation(found[-1].as_json())
+        results.keep(known, found[-1].as_json())
         of = f"{result.engine}: " if len(several) > 1 else ""
         requirements += [(f"{of}{words}", met, reason) for words, met, reason in gates.requirements(result, episodes or usual)]
     if csv is not None:
