@@ -43,8 +43,8 @@ from deepbots_cli.learning.callbacks import CallbackState, TrainingCallback, che
 from deepbots_cli.learning.curriculum import CurriculumState
 from deepbots_cli.learning.environments import VectorEnvironment, fingerprint
 from deepbots_cli.learning.episodes import StatisticsState
-from deepbots_cli.learning.failures import History
 from deepbots_cli.learning.run import Run, read_json
+from deepbots_cli.runtime.batch import Running
 from deepbots_cli.runtime.streams import derive
 
 Array = npt.NDArray[Any]
@@ -213,7 +213,9 @@ class Checkpoints:
             shutil.rmtree(folder, ignore_errors=True)
             if copy.is_file():
                 copy.unlink()
-            raise error if isinstance(error, RunError) else RunError(unwritable(self.run.checkpoints, error)) from error
+            if isinstance(error, RunError):
+                raise
+            raise RunError(unwritable(self.run.checkpoints, error)) from error
         kept = {whole, self._replay, *(self._segment(*segment) for segment in self._segments)}
         for path in [*self.run.checkpoints.iterdir(), *(self._replay.iterdir() if self._replay.is_dir() else ())]:
             if path not in kept:
@@ -353,7 +355,7 @@ class Checkpoints:
         env = _environment(model)
         if len(state.starts) != len(env.worlds):
             raise ValueError(f"{len(state.starts)} worlds")
-        histories = [History(start, list(arrays[f"actions/{index}"])) for index, start in enumerate(state.starts)]
+        histories = [Running(start, list(arrays[f"actions/{index}"])) for index, start in enumerate(state.starts)]
         if fingerprint(env.repeat(histories)) == state.observed:
             return True
         self._note(f"the episodes that ran at {model.num_timesteps:,} steps came out otherwise when repeated, and were begun anew")

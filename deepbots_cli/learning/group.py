@@ -24,7 +24,19 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.compiler.inputs import FOLDER, RESOLVED, write_copies
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.learning.report import Reporter
-from deepbots_cli.learning.run import GROUP_NAME, NAME, Format, Record, TrainingResult, new_directory, now, read_json, run_lock, write_text
+from deepbots_cli.learning.run import (
+    GROUP_NAME,
+    NAME,
+    POLICY,
+    Format,
+    Record,
+    TrainingResult,
+    new_directory,
+    now,
+    read_json,
+    run_lock,
+    write_text,
+)
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.environments import BuildWorld
@@ -90,6 +102,11 @@ class Group:
     def runs(self) -> list[Path]:
         """The folders of the runs that have begun, in the order of the seeds."""
         return [self.run(seed) for seed in self.record.seeds if (self.run(seed) / NAME).is_file()]
+
+    @property
+    def ready(self) -> list[Path]:
+        """The folders of the runs that have a model."""
+        return [run for run in self.runs if (run / "models" / POLICY / "best.zip").is_file()]
 
 
 def is_group(path: Path) -> bool:

@@ -26,6 +26,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, Self, TypeVar
 
@@ -324,6 +325,18 @@ class KeptEvaluation(BaseModel):
     set: tuple[str, ...] = ()
     elsewhere: str | None = None
     engine: str | None = None
+
+
+def changed_settings(command: Sequence[str]) -> tuple[str, ...]:
+    """The assignments `path=value` of `--set` in a command line."""
+    words = list(command)
+    after = [value for word, value in pairwise(words) if word == "--set"]
+    return (*after, *(word.removeprefix("--set=") for word in words if word.startswith("--set=")))
+
+
+def short(settings: Sequence[str]) -> str:
+    """`learning_rate=0.003, hidden=32` for assignments, without the paths to their keys."""
+    return ", ".join("=".join((path.rpartition(".")[2], value)) for path, _, value in (text.partition("=") for text in settings))
 
 
 def kept_evaluations(run: Path) -> list[tuple[int, Path]]:

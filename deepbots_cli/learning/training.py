@@ -268,8 +268,8 @@ def _learn(run: Run, training: Training, checkpoints: Checkpoints, build: BuildW
             if run.record.initialized_from is not None:
                 models.initialize(_initial(run), model)
             stack.enter_context(signals_handled(callback.interruption))
-            if reason := batch.why_single_worlds(run.program, training.environments, run.record.engine, build):
-                reporter.note(reason)
+            if words := batch.described(run.program, training.environments, run.record.engine, build):
+                reporter.note(words)
             reporter.start(callback.progress())
             stack.callback(reporter.stop)
             try:

@@ -30,11 +30,11 @@ from deepbots_cli.document import shipped
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import checkpoints, evaluate, resume, train
 from deepbots_cli.learning.environments import VectorEnvironment, fingerprint
-from deepbots_cli.learning.failures import History
 from deepbots_cli.learning.report import TrainingProgress
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionNoise, Hindsight, Hyperparameter, Network, Schedule, Solved, Training
+from deepbots_cli.runtime.batch import Running
 from deepbots_cli.scenario import Scenario
 from tests.few import few
 
@@ -316,7 +316,7 @@ def test_a_shipped_world_is_brought_back_in_the_middle_of_an_episode(name: str) 
             ended, steps = ended + bool(dones[0]), 0 if dones[0] else steps + 1
         (history,) = env.histories()
         seen = fingerprint(env.last_observations)
-    kept = History(json.loads(json.dumps(history.start)), list(np.array(history.actions)))
+    kept = Running(json.loads(json.dumps(history.start)), list(np.array(history.actions)))
     with closing(VectorEnvironment([api.build(compiled.program, allow_code=True)], [8])) as env:
         env.reset()
         assert fingerprint(env.repeat([kept])) == seen
