@@ -26,6 +26,11 @@ if TYPE_CHECKING:
 class DeepbotsError(Exception):
     """A problem that the user can solve; its message says how."""
 
+    @property
+    def full(self) -> str:
+        """The message with its notes (`add_note`), each in a line of its own."""
+        return "\n".join([str(self), *getattr(self, "__notes__", ())])
+
 
 class ScenarioError(DeepbotsError):
     """A scenario cannot be compiled; `findings` holds every problem that was found."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import struct
@@ -32,6 +33,23 @@ def read_at_most(path: Path, most: int) -> bytes:
         return data if len(data) <= size else data + file.read(most - len(data))
 
 
+_REMEDIES = {
+    errno.ENOSPC: "; free some space there, and try again",
+    errno.EDQUOT: "; free some space there, and try again",
+    errno.EROFS: "; choose a place that may be written to",
+    errno.EACCES: "; choose a place that may be written to",
+    errno.EPERM: "; choose a place that may be written to",
+}
+
+
+def unwritable(path: Path, error: OSError) -> str:
+    """A sentence: the file that cannot be written, why, and what to do."""
+    reason = (error.strerror or str(error).strip().partition("\n")[0] or "no reason given").lower()
+    if "ffmpeg" in str(error):  # which writes through a pipe, and says at length that it has ended
+        reason = "ffmpeg has ended, as it does on a full disk"
+    return f"{path} cannot be written: {reason}{_REMEDIES.get(error.errno or 0, '')}"
+
+
 @contextmanager
 def atomic(path: Path, refused: type[UsageError] = UsageError) -> Iterator[Path]:
     """Yield an empty file beside `path` to write to, which replaces `path` at the end and takes over its permissions.
@@ -56,7 +74,7 @@ def atomic(path: Path, refused: type[UsageError] = UsageError) -> Iterator[Path]
             shutil.copymode(path, draft)
         draft.replace(path)
     except OSError as error:
-        raise refused(f"{path} cannot be written: {(error.strerror or str(error) or 'no reason given').lower()}") from error
+        raise refused(unwritable(path, error)) from error
     finally:
         draft.unlink(missing_ok=True)
 

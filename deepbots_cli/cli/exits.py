@@ -52,7 +52,7 @@ def _exit_code(run: Callable[[], object]) -> int:
         terminal.show_findings(error.findings)
         return FAILED
     except DeepbotsError as error:
-        terminal.complain(str(error))
+        terminal.complain(error.full)
         return WRONG if isinstance(error, UsageError) else FAILED
     except KeyboardInterrupt:
         return INTERRUPTED
@@ -70,14 +70,18 @@ def _exit_code(run: Callable[[], object]) -> int:
 def _fault(error: Exception) -> int:
     if os.environ.get("DEEPBOTS_DEBUG") == "1":
         raise error
-    with tempfile.NamedTemporaryFile(
-        "w", encoding="utf-8", errors="backslashreplace", prefix="deepbots-", suffix=".txt", delete=False
-    ) as file:
-        file.write("".join(traceback.format_exception(error)))
+    try:
+        with tempfile.NamedTemporaryFile(
+            "w", encoding="utf-8", errors="backslashreplace", prefix="deepbots-", suffix=".txt", delete=False
+        ) as file:
+            file.write("".join(traceback.format_exception(error)))
+        place = f"the traceback is in {file.name}; "
+    except OSError:  # the disk is full
+        place = ""
     terminal.complain(
         f"deepbots has failed, which is a fault of its own and not yours\n"
         f"  {type(error).__name__}: {error}\n"
-        f"  the traceback is in {file.name}; DEEPBOTS_DEBUG=1 shows it here"
+        f"  {place}DEEPBOTS_DEBUG=1 shows the traceback here"
     )
     return FAULT
 

@@ -23,7 +23,6 @@ from deepbots_cli.expressions.scalar import Const, Name, Scalar, State, children
 from deepbots_cli.footprint import bounds, resting
 from deepbots_cli.frames import roll_pitch_yaw
 from deepbots_cli.learning.defaults import Effective, effective
-from deepbots_cli.learning.report import solved_text
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.resets import OfSensor, RandomizedParameter
@@ -209,7 +208,7 @@ def _run(run: Run) -> Row:
         "success_rate": result.success_rate if result and run.program.defines_success else None,
         "best_model": str(best) if best.is_file() else None,
         "best_return": result and result.best_return,
-        "solved": solved_text(result.solved_at if result else None)
+        "solved": (f"in episode {result.solved_at.episode:,}" if result and result.solved_at else "not yet")
         if run.program.solved
         else "the scenario does not say what counts as solved",
         "notes": run.notes(),

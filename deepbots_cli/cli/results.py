@@ -9,11 +9,13 @@ from shlex import quote
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
+from deepbots_cli.cli import terminal
 from deepbots_cli.cli.tables import Row, pairs, table
+from deepbots_cli.errors import RunError
 from deepbots_cli.files import atomic
 from deepbots_cli.learning.episodes import DrawnBin, Interval, Summary
 from deepbots_cli.learning.report import to_json
-from deepbots_cli.learning.run import TrainingResult
+from deepbots_cli.learning.run import POLICY, Run, TrainingResult
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.comparison import GroupResult
@@ -47,7 +49,8 @@ def training_text(result: TrainingResult) -> str:
     rows["initialized from"] = result.initialized_from
     lines = [f"training {result.status}", pairs(rows), *(f"note: {reason}" for reason in result.inexact)]
     if result.interrupted:
-        lines.append(f"evaluate what was learned with: deepbots eval {quote(str(result.run))}")
+        if (result.run / "models" / POLICY / "best.zip").is_file():  # not before the first checkpoint
+            lines.append(f"evaluate what was learned with: deepbots eval {quote(str(result.run))}")
         lines.append(f"what was learned is kept; go on with: deepbots train --resume {quote(str(result.run))}")
     return "\n".join(lines)
 
@@ -72,6 +75,7 @@ def group_training_text(result: GroupTraining) -> str:
     lines += [f"seed {seed} failed: {reason}" for seed, reason in result.failed.items()]
     if result.waiting:
         lines.append(f"unfinished: seed {', '.join(map(str, result.waiting))}")
+    if result.waiting or result.failed:
         lines.append(f"what was learned is kept; go on with: deepbots train --resume {quote(str(result.group))}")
     return "\n".join(lines)
 
@@ -285,6 +289,14 @@ def robustness_json(found: Robustness) -> dict[str, Any]:
 
 
 # Files
+
+
+def keep(run: Run, evaluation: dict[str, Any]) -> None:
+    """Keep an evaluation in its run, or say why it is not kept: it is shown all the same."""
+    try:
+        run.keep_evaluation(evaluation)
+    except RunError as error:
+        terminal.note(f"note: the run does not keep this evaluation: {error}")
 
 
 def write_csv(path: Path, results: Iterable[EvaluationResult]) -> None:

@@ -15,6 +15,7 @@ from deepbots_cli.document.layout import write as to_yaml
 from deepbots_cli.document.nodes import Path as NodePath
 from deepbots_cli.document.nodes import replace, walk
 from deepbots_cli.errors import UsageError
+from deepbots_cli.files import unwritable
 
 RESOLVED = "resolved.yaml"
 FOLDER = "inputs"
@@ -106,7 +107,7 @@ def write_copies(folder: Path, resolved: str, contents: Mapping[str, bytes]) -> 
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_bytes(content)
     except OSError as error:
-        raise UsageError(f"{folder} cannot be written: {(error.strerror or 'unknown reason').lower()}") from error
+        raise UsageError(unwritable(folder, error)) from error
 
 
 def copy_names(files: Iterable[Path], homes: tuple[Path, ...]) -> dict[Path, str]:

@@ -13,7 +13,6 @@ from deepbots_cli import api, engines
 from deepbots_cli.codegen import not_batched
 from deepbots_cli.learning.environments import BuildWorld, VectorEnvironment, last_info
 from deepbots_cli.learning.episodes import Episode
-from deepbots_cli.learning.failures import History
 from deepbots_cli.program import Program
 from deepbots_cli.runtime.batch import BatchSupervisor, Running
 
@@ -31,11 +30,13 @@ def reasons_against(program: Program, worlds: int, engine: str, build: BuildWorl
     return [*own, *not_batched(program), *(["it has a curriculum"] if program.curriculum else [])]
 
 
-def why_single_worlds(program: Program, worlds: int, engine: str, build: BuildWorld) -> str:
-    """Why a training that could be fast is not; empty where a batch was not to be expected."""
+def described(program: Program, worlds: int, engine: str, build: BuildWorld) -> str:
+    """Whether a training steps its worlds as a batch, and why not; empty where no batch is to be expected."""
+    if engine not in engines.BATCHES or worlds < SMALLEST:
+        return ""
     reasons = reasons_against(program, worlds, engine, build)
-    expected = engine in engines.BATCHES and worlds >= SMALLEST
-    return f"{program.name} steps its {worlds} worlds one by one: {'; '.join(reasons)}" if reasons and expected else ""
+    how = f"one by one: {'; '.join(reasons)}" if reasons else "together, as a batch"
+    return f"{program.name} steps its {worlds} worlds {how}"
 
 
 class BatchedWorlds(VectorEnvironment):
@@ -101,14 +102,13 @@ class BatchedWorlds(VectorEnvironment):
         seen = {key: part[place] for key, part in last.items()} if isinstance(last, dict) else last[place]
         return last_info(info, seen, episode, timed_out=not outcome.terminated[world])
 
-    def histories(self) -> list[History]:
-        return [History(episode.start, episode.actions) for episode in self.batch.snapshot()]
+    def histories(self) -> list[Running]:
+        return self.batch.snapshot()
 
-    def repeat(self, histories: Sequence[History]) -> VecEnvObs:
+    def repeat(self, histories: Sequence[Running]) -> VecEnvObs:
         self._clear()
-        begun = [Running(history.start, history.actions) for history in histories]
         batch = self.batch
-        self.last_observations = batch.restore(begun, lambda acting: self._add(batch.rewards(), batch.terms(), acting))
+        self.last_observations = batch.restore(histories, lambda acting: self._add(batch.rewards(), batch.terms(), acting))
         self.drawn = [single.drawn() for single in batch.singles]
         return self.last_observations
 

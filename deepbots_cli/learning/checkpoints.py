@@ -36,14 +36,15 @@ from stable_baselines3.common.type_aliases import RolloutReturn
 from stable_baselines3.her import HerReplayBuffer
 
 from deepbots_cli.errors import RunError
+from deepbots_cli.files import unwritable
 from deepbots_cli.learning import models
 from deepbots_cli.learning.algorithms import DecayingNoise
 from deepbots_cli.learning.callbacks import CallbackState, TrainingCallback, check_finite
 from deepbots_cli.learning.curriculum import CurriculumState
 from deepbots_cli.learning.environments import VectorEnvironment, fingerprint
 from deepbots_cli.learning.episodes import StatisticsState
-from deepbots_cli.learning.failures import History
 from deepbots_cli.learning.run import Run, read_json
+from deepbots_cli.runtime.batch import Running
 from deepbots_cli.runtime.streams import derive
 
 Array = npt.NDArray[Any]
@@ -164,6 +165,11 @@ class Checkpoints:
         self._save_numbered(model)
         self.save(model)
 
+    @property
+    def kept(self) -> str:
+        """The last checkpoint in words; empty before there is one."""
+        return f"the last checkpoint, after {self._last:,} steps, is kept" if self._last >= 0 else ""
+
     def _save_numbered(self, model: BaseAlgorithm) -> None:
         """Keep the model at equal distances of steps, as many as `--keep-checkpoints` asks for."""
         steps, count = model.num_timesteps, self.run.record.keep_checkpoints
@@ -183,6 +189,7 @@ class Checkpoints:
         check_finite(model, self.run, steps)
         began = time.monotonic()
         folder = self.run.checkpoints / "new"
+        copy = self.run.checkpoints / "model.zip"
         try:
             shutil.rmtree(folder, ignore_errors=True)
             folder.mkdir(parents=True)
@@ -195,18 +202,20 @@ class Checkpoints:
             for path in [*folder.iterdir(), folder]:
                 _flush(path)
             for name in ("last", "best") if self.callback.best is None else ("last",):
-                shutil.copyfile(folder / "model.zip", folder.parent / "model.zip")
-                _flush(folder.parent / "model.zip")
-                os.replace(folder.parent / "model.zip", self.run.models / f"{name}.zip")
+                shutil.copyfile(folder / "model.zip", copy)
+                _flush(copy)
+                os.replace(copy, self.run.models / f"{name}.zip")
             whole = self.run.checkpoints / f"{steps:012d}"
             shutil.rmtree(whole, ignore_errors=True)
             folder.rename(whole)  # from here on it counts
             _flush(self.run.checkpoints)
-        except OSError as error:
+        except (OSError, RunError) as error:
             shutil.rmtree(folder, ignore_errors=True)
-            raise RunError(
-                f"{self.run.checkpoints} cannot be written: {(error.strerror or str(error)).lower()}; the last checkpoint is kept"
-            ) from error
+            if copy.is_file():
+                copy.unlink()
+            if isinstance(error, RunError):
+                raise
+            raise RunError(unwritable(self.run.checkpoints, error)) from error
         kept = {whole, self._replay, *(self._segment(*segment) for segment in self._segments)}
         for path in [*self.run.checkpoints.iterdir(), *(self._replay.iterdir() if self._replay.is_dir() else ())]:
             if path not in kept:
@@ -346,7 +355,7 @@ class Checkpoints:
         env = _environment(model)
         if len(state.starts) != len(env.worlds):
             raise ValueError(f"{len(state.starts)} worlds")
-        histories = [History(start, list(arrays[f"actions/{index}"])) for index, start in enumerate(state.starts)]
+        histories = [Running(start, list(arrays[f"actions/{index}"])) for index, start in enumerate(state.starts)]
         if fingerprint(env.repeat(histories)) == state.observed:
             return True
         self._note(f"the episodes that ran at {model.num_timesteps:,} steps came out otherwise when repeated, and were begun anew")

@@ -6,17 +6,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
-from typing import Any
+from typing import Any, NamedTuple
 
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
 from deepbots_cli.compiler.inputs import RESOLVED
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.environments import BuildWorld, compiled_of
-from deepbots_cli.learning.episodes import Interval
-from deepbots_cli.learning.evaluation import EvaluationResult, evaluate
+from deepbots_cli.learning.episodes import Episode, Interval
+from deepbots_cli.learning.evaluation import EvaluationResult, Until, evaluate
 from deepbots_cli.learning.group import Group, is_group
-from deepbots_cli.learning.run import POLICY, ModelName, Run, run_folders
+from deepbots_cli.learning.run import ModelName, Run, run_folders
 from deepbots_cli.learning.statistics import Difference, compare_episodes, compare_seeds, interquartile_mean, mean_interval
 from deepbots_cli.scenario import Scenario
 
@@ -227,6 +227,7 @@ def evaluate_group(
     *,
     seed: int = 0,
     scenario: Compiled | Scenario | str | Path | None = None,
+    until: Until | None = None,
     on_run: OnRun | None = None,
     **options: Any,
 ) -> GroupResult:
@@ -236,6 +237,7 @@ def evaluate_group(
         group: The folder of the group. Seeds without a model are left out, and named in `waiting`.
         seed: Root seed of the starts, the same for all runs.
         scenario: As for `evaluate`; by default that of the group.
+        until: Takes the episodes so far, of all runs in turn, and returns whether they are enough. The result then holds these only.
         on_run: Is called after each run.
         options: Further arguments of `evaluate`.
 
@@ -244,39 +246,44 @@ def evaluate_group(
     """
     members = _opened(Group.open(group))
     judged = None if scenario is None else compiled_of(scenario)
-    results = []
+    results: list[EvaluationResult] = []
+    before: list[Episode] = []
+
+    def enough(episodes: Sequence[Episode]) -> bool:
+        return until is not None and until([*before, *episodes])
+
     for run in members.runs:
-        results.append(evaluate(run, seed=seed, scenario=judged, **options))
+        results.append(evaluate(run, seed=seed, scenario=judged, until=enough, **options))
+        before += results[-1].outcomes
         if on_run is not None:
             on_run(len(results), len(members.runs))
+        if enough(()):
+            break
     return GroupResult(members.name, tuple(results), members.waiting)
 
 
-@dataclass(frozen=True)
-class _Members:
+class _Members(NamedTuple):
     name: str
-    runs: tuple[Run, ...]
+    runs: Sequence[Run]
     waiting: tuple[int, ...] = ()
 
 
 def _members(paths: Sequence[Path]) -> list[_Members]:
     """The groups in the order of their first runs; each run once."""
-    groups: dict[object, _Members] = {}
-    single: dict[Path, None] = {}
-    order: dict[object, list[Run]] = {}
+    found: dict[object, _Members] = {}
+    single: dict[object, list[Run]] = {}
     for path in paths:
         if is_group(path):
-            groups[path] = _opened(Group.open(path))
-            order[path] = []
+            found[path] = _opened(Group.open(path))
             continue
-        for run_path in run_folders([path]):
-            if run_path not in single:
-                single[run_path] = None
-                run = Run.open(run_path)
-                order.setdefault((run.record.digest, run.record.engine), []).append(run)
-    if len(order) == 1 and not groups:
-        return [_Members(run.path.name, (run,)) for run in next(iter(order.values()))]
-    return [groups[key] if key in groups else _Members(_name(runs), tuple(runs)) for key, runs in order.items()]
+        for run in map(Run.open, run_folders([path])):
+            alike = single.setdefault((run.record.digest, run.record.engine), [])
+            if run.path not in [other.path for other in alike]:
+                alike.append(run)
+            found[run.record.digest, run.record.engine] = _Members(_name(alike), alike)
+    if len(found) == 1 and single:
+        return [_Members(run.path.name, (run,)) for runs in single.values() for run in runs]
+    return list(found.values())
 
 
 def _opened(group: Group) -> _Members:
@@ -285,11 +292,11 @@ def _opened(group: Group) -> _Members:
     Raises:
         RunError: There is none.
     """
-    ready = [run for run in group.runs if (run / "models" / POLICY / "best.zip").is_file()]
+    ready = group.ready
     if not ready:
         raise RunError(f"{group.path} holds no trained run yet; train it with: deepbots train --resume {group.path}")
     waiting = tuple(seed for seed in group.record.seeds if group.run(seed) not in ready)
-    return _Members(group.path.name, tuple(map(Run.open, ready)), waiting)
+    return _Members(group.path.name, [Run.open(run) for run in ready], waiting)
 
 
 def _name(runs: Sequence[Run]) -> str:

@@ -44,10 +44,6 @@ Until = Callable[[Sequence[Episode]], bool]
 """Whether the first episodes of an evaluation are enough."""
 
 
-Policy = str
-"""`best` or `last` of a run; of a baseline `random`, `zero`, or `script NAME`."""
-
-
 @dataclass(frozen=True)
 class EvaluationResult(Summary):
     """What a policy did in held-out episodes: their summary, the circumstances, and the episodes themselves.
@@ -63,7 +59,7 @@ class EvaluationResult(Summary):
     engine: str | None
     case: str | None
     stage: str | None
-    model: Policy
+    model: str
     seed: int
     deterministic: bool
     success_defined: bool
@@ -261,7 +257,7 @@ def _setting(
     return program, count, root
 
 
-def _result(run: Run, program: Program, model: Policy, done: Sequence[Episode], **where: Any) -> EvaluationResult:
+def _result(run: Run, program: Program, model: str, done: Sequence[Episode], **where: Any) -> EvaluationResult:
     found = statistics_of(done)
     solved, verdict = judge(program.solved, found["episodes"], found["mean_return"], found["success_rate"])
     return EvaluationResult(
@@ -287,7 +283,8 @@ def judge(solved: Solved | None, episodes: int, mean_return: float, success_rate
         if certain.met is False:
             return False, f"not solved: a success rate of {solved.success_rate:.1%} is required, and {certain.reason}"
     if episodes < solved.episodes:
-        return None, f"cannot be told from {episodes} episode{'' if episodes == 1 else 's'}: the scenario asks for {solved.episodes}"
+        count = f"{episodes} episode{'' if episodes == 1 else 's'}"
+        return None, f"whether it is solved cannot be told from {count}: the scenario asks for {solved.episodes}"
     reasons = []
     if solved.mean_return is not None:
         reasons.append(f"mean return {mean_return:.4g} where {solved.mean_return:g} is required")

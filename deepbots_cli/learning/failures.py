@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
 from shlex import quote
 from typing import Any, NoReturn
@@ -21,10 +20,10 @@ from pydantic import BaseModel, NonNegativeInt, PositiveInt
 
 from deepbots_cli import api
 from deepbots_cli.errors import DeepbotsError, EvaluationError, RunError, UsageError
-from deepbots_cli.files import atomic
-from deepbots_cli.learning.run import Run, read_json
+from deepbots_cli.learning.run import Run, read_json, write_numbered
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import viewed
+from deepbots_cli.runtime.batch import Running
 
 FOLDER = "failures"
 _LIMIT = 100_000_000
@@ -45,18 +44,6 @@ class Failure(BaseModel, strict=True):
     stage: str | None
     start: NonNegativeInt | dict[str, Any]
     actions: list[Any]
-
-
-@dataclass
-class History:
-    """The running episode of a world: its start and the actions since then.
-
-    Physics engines have no exact snapshot. An episode is therefore repeated from the same seed, or from the same states of the random
-    generators, with the same actions.
-    """
-
-    start: int | dict[str, Any]
-    actions: list[Any] = field(default_factory=list)
 
 
 class Guarded(gym.Wrapper[Any, Any, Any, Any]):
@@ -86,12 +73,12 @@ class Guarded(gym.Wrapper[Any, Any, Any, Any]):
         stage: str | None = None,
     ) -> None:
         super().__init__(world)
-        self.history = History(0)
+        self.history = Running(0, [])
         self._run, self._program, self._seeds, self._episode = run, program, seeds, episode
         self._case, self._stage = case, stage
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        self.history = History(random_state(self.env) if seed is None else seed)
+        self.history = Running(random_state(self.env) if seed is None else seed, [])
         try:
             observation, info = self.env.reset(seed=seed, options=options)
         except DeepbotsError as error:
@@ -159,16 +146,10 @@ def is_finite(observation: Any) -> bool:
 
 def keep(run: Run, failure: Failure) -> Path | None:
     """Write a failure under the next free number; None if the run cannot be written to."""
-    folder = run.path / FOLDER
     try:
-        folder.mkdir(exist_ok=True)
-        number = 1 + max((int(path.stem) for path in folder.glob("[0-9][0-9][0-9][0-9].json")), default=0)
-        path = folder / f"{number:04d}.json"
-        with atomic(path, RunError) as draft:
-            draft.write_text(failure.model_dump_json() + "\n", encoding="utf-8")
-    except (OSError, RunError):
+        return write_numbered(run.path / FOLDER, failure.model_dump_json() + "\n")
+    except RunError:
         return None
-    return path
 
 
 def reproduce(path: Path, *, allow_code: bool = False) -> tuple[Failure, str | None]:

@@ -24,7 +24,19 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.compiler.inputs import FOLDER, RESOLVED, write_copies
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.learning.report import Reporter
-from deepbots_cli.learning.run import GROUP_NAME, NAME, Format, Record, TrainingResult, new_directory, now, read_json, run_lock, write_text
+from deepbots_cli.learning.run import (
+    GROUP_NAME,
+    NAME,
+    POLICY,
+    Format,
+    Record,
+    TrainingResult,
+    new_directory,
+    now,
+    read_json,
+    run_lock,
+    write_text,
+)
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.environments import BuildWorld
@@ -90,6 +102,11 @@ class Group:
     def runs(self) -> list[Path]:
         """The folders of the runs that have begun, in the order of the seeds."""
         return [self.run(seed) for seed in self.record.seeds if (self.run(seed) / NAME).is_file()]
+
+    @property
+    def ready(self) -> list[Path]:
+        """The folders of the runs that have a model."""
+        return [run for run in self.runs if (run / "models" / POLICY / "best.zip").is_file()]
 
 
 def is_group(path: Path) -> bool:
@@ -170,15 +187,15 @@ def train_group(
         command=tuple(command),
         started=now(),
     )
-    write_copies(path, compiled.resolved, compiled.inputs)
-    write_text(path / GROUP_NAME, record.model_dump_json(indent=2) + "\n")
     made = Group(path, record)
     try:
         with run_lock(path):
+            write_copies(path, compiled.resolved, compiled.inputs)
+            write_text(path / GROUP_NAME, record.model_dump_json(indent=2) + "\n")
             return _train_seeds(made, compiled, None, None, progress, on_seed, build, allow_code=compiled.allow_code)
-    except DeepbotsError:
-        if not made.runs:  # nothing can be trained with these settings
-            shutil.rmtree(path)
+    except (DeepbotsError, KeyboardInterrupt):
+        if not made.runs:  # nothing can be trained with these settings, or written there
+            shutil.rmtree(path, ignore_errors=True)
         raise
 
 
@@ -259,10 +276,12 @@ def _train_seeds(
                     build=build,
                 )
         except DeepbotsError as error:
-            if not path.exists():
+            if not group.runs:  # nothing can be trained with these settings, or written there
                 raise
-            failed[seed] = str(error)
+            failed[seed] = error.full
             continue
+        except KeyboardInterrupt:  # before the training handles it itself
+            return GroupTraining(group.path, tuple(trained), tuple(skipped), failed, record.seeds[number - 1 :])
         trained.append(result)
         if result.interrupted:
             return GroupTraining(group.path, tuple(trained), tuple(skipped), failed, record.seeds[number - 1 :])

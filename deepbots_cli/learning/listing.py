@@ -16,7 +16,7 @@ from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.files import read_at_most
 from deepbots_cli.learning.episodes import WINDOW
 from deepbots_cli.learning.group import Group, is_group
-from deepbots_cli.learning.run import NAME, KeptEvaluation, Record, is_training, kept_evaluations, read_evaluation
+from deepbots_cli.learning.run import NAME, KeptEvaluation, Record, changed_settings, is_training, kept_evaluations, read_evaluation
 
 State = Literal["training", "finished", "interrupted", "failed", "damaged"]
 _TAIL = 64_000
@@ -31,14 +31,16 @@ class ListedRun:
     Of a group, `mean_return` and `success_rate` are means over the runs that have one, `steps` and `cpu_seconds` are sums, and `runs` are
     its members. `score` says what the return and the success rate are of: `evaluation` is the last evaluation of the best model in the
     scenario of the training, since the training ended; `training` the recent episodes of the training, of which the policy explores.
-    `success_rate` is None where the scenario defines no success. `solved` is the answer of the evaluation, or of the training. Of a run
-    that trains, `cpu_seconds` is as old as its last checkpoint. `updated` is a time in UTC, `problem` why the files cannot be read.
+    `settings` are the assignments of `--set`. `success_rate` is None where the scenario defines no success. `solved` is the answer of the
+    evaluation, or of the training. Of a run that trains, `cpu_seconds` is as old as its last checkpoint. `updated` is a time in UTC,
+    `problem` why the files cannot be read.
     """
 
     path: Path
     state: State
     scenario: str = "?"
     digest: str = ""
+    settings: tuple[str, ...] = ()
     engine: str = ""
     seeds: tuple[int, ...] = ()
     steps: int | None = None
@@ -99,6 +101,7 @@ def _of_run(path: Path) -> ListedRun:
         state,
         scenario=record.scenario,
         digest=record.digest,
+        settings=changed_settings(record.command),
         engine=record.engine,
         seeds=(record.seed,),
         steps=steps,
@@ -131,6 +134,7 @@ def _of_group(path: Path) -> ListedRun:
         state,
         scenario=group.record.scenario,
         digest=readable[0].digest if readable else "",
+        settings=changed_settings(group.record.command),
         engine=group.record.engine,
         seeds=group.record.seeds,
         steps=sum(run.steps or 0 for run in readable),

@@ -11,6 +11,7 @@ import hashlib
 import io
 import json
 import os
+import pickle
 import zipfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -49,8 +50,11 @@ def save(path: Path, model: BaseAlgorithm) -> None:
     }
     # A schedule is a function of ours; training on elsewhere begins with the present rate.
     data["learning_rate"] = float(model.lr_schedule(max(0.0, model._current_progress_remaining)))
+    # In memory first: where a disk is full, torch's own writer ends in an error that does not say so.
+    content = io.BytesIO()
+    save_to_zip_file(content, data, model.get_parameters(), dict(_variables(model)))
     with atomic(path, RunError) as draft, draft.open("wb") as stream:
-        save_to_zip_file(stream, data, model.get_parameters(), dict(_variables(model)))
+        stream.write(content.getbuffer())
         stream.flush()
         os.fsync(stream.fileno())  # for a power cut
 
@@ -134,7 +138,7 @@ def steps_of(path: Path) -> int:
     try:
         with zipfile.ZipFile(path) as archive, archive.open("data") as member:
             return int(json.loads(member.read(_OVERHEAD))["num_timesteps"])
-    except (OSError, zipfile.BadZipFile, KeyError, ValueError, TypeError, RecursionError) as error:
+    except (OSError, EOFError, zipfile.BadZipFile, KeyError, ValueError, TypeError, RuntimeError) as error:  # encrypted, packed otherwise
         raise RunError(f"{path} is damaged, or no model of ours") from error
 
 
@@ -178,6 +182,8 @@ def _read(path: Path, limit: int) -> dict[str, Mapping[str, Any]]:
                     tensors[name.removesuffix(".pth")] = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
     except RunError:
         raise
+    except pickle.UnpicklingError as error:
+        raise RunError(f"{path} is damaged, or no model of ours (it holds other things than tensors)") from error
     except Exception as error:  # the readers of damaged files raise a dozen kinds
         reason = str(error).strip().splitlines()[0][:120] if str(error).strip() else "cut short"
         raise RunError(f"{path} is damaged, or no model of ours ({reason})") from error

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 from pydantic import BaseModel
 
-from deepbots_cli.learning.episodes import SolvedAt
 from deepbots_cli.learning.run import TrainingResult
 from deepbots_cli.program.task import Solved
 
@@ -27,10 +26,6 @@ def to_json(result: TrainingResult | EvaluationResult) -> dict[str, Any]:
         return result.model_dump(mode="json")
     data = {key: str(value) if isinstance(value, Path) else value for key, value in asdict(result).items()}
     return data | {"by_drawn_value": {name: list(map(asdict, bins)) for name, bins in result.by_drawn_value.items()}}
-
-
-def solved_text(at: SolvedAt | None) -> str:
-    return "not yet" if at is None else f"in episode {at.episode:,}"
 
 
 # The progress of a training

@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Literal
 
@@ -18,8 +17,7 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.compiler import check
 from deepbots_cli.compiler.inputs import RESOLVED
 from deepbots_cli.document import Mapping, Node, Scalar, load
-from deepbots_cli.document.nodes import Sequence as ListNode
-from deepbots_cli.errors import DeepbotsError, ScenarioError
+from deepbots_cli.errors import DeepbotsError, ScenarioError, UsageError
 from deepbots_cli.learning.evaluation import EvaluationResult, evaluate
 from deepbots_cli.learning.run import ModelName, Run
 from deepbots_cli.program import Program
@@ -63,9 +61,16 @@ class Condition:
 
     @property
     def threshold(self) -> str:
-        """Between which levels the score falls below the bar, in words."""
+        """Between which levels the score falls below the bar, in words, and at which levels this is uncertain."""
         if self.skipped is not None:
             return f"not measured: {self.skipped}"
+        uncertain = [entry.level for entry in self.levels if not entry.certain]
+        if not uncertain:
+            return self._fall
+        return f"{self._fall}; uncertain at {'all levels' if len(uncertain) == len(self.levels) else ', '.join(uncertain)}"
+
+    @property
+    def _fall(self) -> str:
         failed = [entry.level for entry in self.levels if not entry.holds]
         held = [entry.level for entry in self.levels if entry.holds]
         if not failed:
@@ -109,16 +114,17 @@ def evaluate_robustness(
     sets: Sequence[str] = (),
     min_success: float | None = None,
     min_return: float | None = None,
+    mass_of: str | None = None,
     allow_paths: Sequence[str | Path] = (),
     allow_code: bool = False,
     on_level: Callable[[int, int], object] | None = None,
     **options: Any,
 ) -> Robustness:
-    """Evaluate a policy with latency and loss of messages, noise of the observation, other masses, friction, and weaker motors.
+    """Evaluate a policy with latency and loss of messages, noise of the observation, another mass, other friction, and weaker motors.
 
     Latencies are added to those of the scenario, one way at a time, in timesteps. Losses hold for both ways, and replace those of the
     scenario. Noise is Gaussian, its standard deviation a share of the range of each entry of the observation; it replaces that of the
-    scenario. Masses of all robots and objects, the friction of the ground and the strength of all actuators are multiplied by a factor.
+    scenario. The mass of one link or object, the friction of the ground and the strength of all actuators are multiplied by a factor.
 
     Args:
         run: The run, or its directory.
@@ -127,12 +133,13 @@ def evaluate_robustness(
         sets: Assignments `path=value` that hold at all levels.
         min_success: The bar of the success rate; by default that of `solved`, or 80 % of the rate without any change.
         min_return: The bar of the mean return, in the place of the success rate.
+        mass_of: What has its mass changed, `ROBOT.LINK` or an object; by default the heaviest link.
         on_level: Is called after each evaluation with the number of those done and of all.
         options: Further arguments of `evaluate`; `seed`, `model` and `allow_code` are as there.
 
     Raises:
         RunError: No run, a damaged one, or one that does not fit `scenario`.
-        UsageError: There is no such scenario.
+        UsageError: There is no such scenario, or nothing of this name has a mass.
     """
     known = run if isinstance(run, Run) else Run.open(run)
     base, project = (known.path / RESOLVED, known.path) if scenario is None else (api.locate(scenario)[0], None)
@@ -147,7 +154,7 @@ def evaluate_robustness(
     root = load(base, sets, allow_paths=allow_paths, project=project).root
     count = min(EPISODES, plain.program.evaluation.episodes) if episodes is None else episodes
     given: dict[str, Any] = {"episodes": count, "seed": seed, "model": model, "allow_code": allow_code, **options}
-    planned = list(plans(root, plain.program)) if root is not None else []
+    planned = list(plans(root, plain.program, mass_of)) if root is not None else []
     total = 1 + sum(len(levels) for _, levels in planned)
     done = 0
 
@@ -227,8 +234,8 @@ Plan = tuple[str, list[tuple[str, Change]]]
 """A condition, and its levels: label and change."""
 
 
-def plans(root: Mapping, program: Program) -> Iterator[Plan]:
-    """The conditions that a scenario has."""
+def plans(root: Mapping, program: Program, mass_of: str | None = None) -> Iterator[Plan]:
+    """The conditions that a scenario has; `mass_of` as for `evaluate_robustness`."""
     if program.format != "none":
         for way, words in (("to_robot", "latency to the robot"), ("from_robot", "latency from the robot")):
             own = _text(root, "messages", way, "latency")
@@ -242,8 +249,9 @@ def plans(root: Mapping, program: Program) -> Iterator[Plan]:
     noisy = [(f"{share:.0%} of the range", _noise(root, program, share)) for share in NOISES]
     if all(change for _, change in noisy):
         yield "observation noise", [(label, {"observation": change}) for label, change in noisy]
-    if _masses(root, program, 1.0):
-        yield "mass", [(f"x {factor:g}", _masses(root, program, factor)) for factor in FACTORS]
+    if mass := _mass(root, program, mass_of):
+        name, changed = mass
+        yield f"mass of {name}", [(f"x {factor:g}", changed(factor)) for factor in FACTORS]
     ground = "terrain" if program.world.terrain is not None else "ground"
     if program.world.terrain is not None or program.world.ground is not None:
         own = _text(root, "world", ground, "friction") or "1"
@@ -290,30 +298,34 @@ def _noise(root: Mapping, program: Program, share: float) -> Change:
     return change
 
 
-def _masses(root: Mapping, program: Program, factor: float) -> Change:
-    """All masses of robots and objects times a factor."""
-    robots: Change = {}
-    for body in program.world.robots:
-        written = {
-            pattern: _text(root, "robots", body.name, "links", pattern, "mass") for pattern in _keys(root, "robots", body.name, "links")
-        }
-        massive = {pattern: text for pattern, text in written.items() if text is not None}
-        links: Change = {pattern: {"mass": f"{factor:g} * ({text})"} for pattern, text in massive.items()}
-        covered = [inner for pattern in massive for inner in _members(root, body.name, pattern)]
-        for link in body.model.links:
-            if link.inertial is not None and link.inertial.mass > 0 and not any(fnmatchcase(link.name, pattern) for pattern in covered):
-                links[link.name] = {"mass": f"{factor:g} * urdf"}
-        robots[body.name] = {"links": links}
-    written_masses = {name: _text(root, "objects", name, "mass") for name in _keys(root, "objects")}
-    objects = {name: {"mass": f"{factor:g} * ({text})"} for name, text in written_masses.items() if text is not None}
-    return ({"robots": robots} if robots else {}) | ({"objects": objects} if objects else {})
+def _mass(root: Mapping, program: Program, name: str | None) -> tuple[str, Callable[[float], Change]] | None:
+    """What has its mass changed, a link or an object, and the change for a factor; None where nothing has a mass.
+
+    By default it is the heaviest link of all robots, as if it carried a load. All masses by one factor would often change nothing: the
+    accelerations of a robot that follows commands of speed stay as they are.
+
+    Raises:
+        UsageError: Nothing of this name has a mass.
+    """
+    links = {
+        f"{body.name}.{link.name}": link.inertial.mass
+        for body in program.world.robots
+        for link in body.model.links
+        if link.inertial is not None and link.inertial.mass > 0
+    }
+    objects = [key for key in _keys(root, "objects") if _text(root, "objects", key, "mass") is not None]
+    if name is not None and name not in links and name not in objects:
+        raise UsageError(f"nothing called '{name}' has a mass; there are {', '.join([*links, *objects])}")
+    chosen = name or max(links, key=lambda link: links[link], default=None)
+    if chosen is None:
+        return None
+    path = ("objects", chosen) if chosen in objects else ("robots", chosen.partition(".")[0], "links", chosen.partition(".")[2])
+    own = _text(root, *path, "mass") or "urdf"
+    return chosen, lambda factor: _nested(path, {"mass": f"{factor:g} * ({own})"})
 
 
-def _members(root: Mapping, robot: str, pattern: str) -> list[str]:
-    """The patterns that a name in `links` stands for: those of a group, or itself."""
-    group = _node(root, "robots", robot, "groups", pattern)
-    items = group.items if isinstance(group, ListNode) else (group,)
-    return [item.text for item in items if isinstance(item, Scalar)] or [pattern]
+def _nested(path: Sequence[str], value: Change) -> Change:
+    return {path[0]: _nested(path[1:], value)} if path else value
 
 
 def _strengths(root: Mapping, factor: float) -> Change:

@@ -20,11 +20,13 @@ import hashlib
 import json
 import platform
 import re
+import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, Self, TypeVar
 
@@ -35,7 +37,7 @@ from deepbots_cli import api
 from deepbots_cli.api import Compiled
 from deepbots_cli.compiler.inputs import FOLDER, RESOLVED, write_copies
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
-from deepbots_cli.files import atomic
+from deepbots_cli.files import atomic, unwritable
 from deepbots_cli.learning.curriculum import StageEnd
 from deepbots_cli.learning.episodes import SolvedAt
 from deepbots_cli.program import Program, identity
@@ -235,15 +237,13 @@ class Run:
         self.record = self.record.model_copy(update={"updated": now(), **changes})
         write_record(self.path, self.record)
 
-    def keep_evaluation(self, content: Mapping[str, Any]) -> Path | None:
-        """Write an evaluation under the next free number; None where the run may not be written to."""
-        try:
-            self.evaluations.mkdir(exist_ok=True)
-            path = self.evaluations / f"{max((number for number, _ in kept_evaluations(self.path)), default=0) + 1:04d}.json"
-            write_text(path, json.dumps({"evaluated": now(), **content}, indent=1, allow_nan=False) + "\n")
-        except (OSError, RunError):
-            return None
-        return path
+    def keep_evaluation(self, content: Mapping[str, Any]) -> Path:
+        """Write an evaluation under the next free number.
+
+        Raises:
+            RunError: The run may not be written to, or its disk is full.
+        """
+        return write_numbered(self.evaluations, json.dumps({"evaluated": now(), **content}, indent=1, allow_nan=False) + "\n")
 
     def notes(self) -> list[str]:
         """What one should know before using this run, a sentence each."""
@@ -259,13 +259,22 @@ class Run:
 
     @staticmethod
     def create(path: Path, record: Record, compiled: Compiled) -> Run:
-        """Fill a new, empty directory (see `new_directory`), and open it, so that a run that could not be loaded is not trained either."""
-        for folder in (f"models/{POLICY}", "tensorboard", "evaluations", "checkpoints"):
-            (path / folder).mkdir(parents=True)
-        write_copies(path, compiled.resolved, compiled.inputs)
-        write_text(path / "environment.py", compiled.code)
-        write_record(path, record)
-        return Run.open(path)
+        """Fill a new, empty directory (see `new_directory`), and open it, so that a run that could not be loaded is not trained either.
+
+        If this fails, the directory is removed.
+        """
+        try:
+            for folder in (f"models/{POLICY}", "tensorboard", "evaluations", "checkpoints"):
+                (path / folder).mkdir(parents=True)
+            write_copies(path, compiled.resolved, compiled.inputs)
+            write_text(path / "environment.py", compiled.code)
+            write_record(path, record)
+            return Run.open(path)
+        except BaseException as error:  # also Ctrl-C: half a directory is no run, and would stand in the way of the next one
+            shutil.rmtree(path, ignore_errors=True)
+            if isinstance(error, OSError):
+                raise RunError(unwritable(path, error)) from error
+            raise
 
     @staticmethod
     def open(path: str | Path) -> Run:
@@ -318,9 +327,53 @@ class KeptEvaluation(BaseModel):
     engine: str | None = None
 
 
+def changed_settings(command: Sequence[str]) -> tuple[str, ...]:
+    """The assignments `path=value` of `--set` in a command line."""
+    words = list(command)
+    after = [value for word, value in pairwise(words) if word == "--set"]
+    return (*after, *(word.removeprefix("--set=") for word in words if word.startswith("--set=")))
+
+
+def short(settings: Sequence[str]) -> str:
+    """`learning_rate=0.003, hidden=32` for assignments, without the paths to their keys."""
+    return ", ".join("=".join((path.rpartition(".")[2], value)) for path, _, value in (text.partition("=") for text in settings))
+
+
 def kept_evaluations(run: Path) -> list[tuple[int, Path]]:
     """The evaluations that a run keeps, by number, the latest last."""
-    return sorted((int(path.stem), path) for path in (run / "evaluations").glob("[0-9][0-9][0-9][0-9].json"))
+    return numbered(run / "evaluations")
+
+
+def numbered(folder: Path) -> list[tuple[int, Path]]:
+    """The files `0001.json`, `0002.json` ... of a folder, by number."""
+    return sorted((int(path.stem), path) for path in folder.glob("*.json") if re.fullmatch("[0-9]{4,9}", path.stem))
+
+
+def write_numbered(folder: Path, text: str) -> Path:
+    """Write a text as the file with the next free number; the folder is made where it is missing.
+
+    Raises:
+        RunError: It cannot be written.
+    """
+    path = folder / "0001.json"
+    try:
+        folder.mkdir(exist_ok=True)
+        number = 1 + max((number for number, _ in numbered(folder)), default=0)
+        while True:
+            try:
+                path = folder / f"{number:04d}.json"
+                path.touch(exist_ok=False)
+                break
+            except FileExistsError:
+                number += 1  # another process was faster
+    except OSError as error:
+        raise RunError(unwritable(path, error)) from error
+    try:
+        write_text(path, text)
+    except RunError:
+        path.unlink()
+        raise
+    return path
 
 
 def read_evaluation(path: Path) -> KeptEvaluation:
@@ -365,7 +418,7 @@ def run_lock(folder: Path) -> Iterator[None]:
     except Timeout:
         raise UsageError(f"another training is at work in {folder}; wait for its end, or end it") from None
     except OSError as error:
-        raise UsageError(f"{folder} cannot be written: {(error.strerror or str(error)).lower()}") from error
+        raise UsageError(unwritable(folder, error)) from error
     with lock:
         yield
 
@@ -410,7 +463,7 @@ def new_directory(wanted: str | Path | None, parent: str | Path, scenario: str, 
     except FileExistsError as error:
         raise UsageError(f"{error.filename} exists; a run is never overwritten, name another directory") from error
     except OSError as error:
-        raise UsageError(f"the run directory {wanted or parent} cannot be made: {error.strerror}") from error
+        raise UsageError(unwritable(wanted or parent, error)) from error
 
 
 def _number(name: str, stem: str) -> int:

@@ -6,10 +6,11 @@ import platform
 import shutil
 import time
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, nullcontext, suppress
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from stable_baselines3.common.logger import configure
@@ -18,7 +19,8 @@ from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 import deepbots_cli
 from deepbots_cli import engine_kinds
 from deepbots_cli.api import Compiled, build_batch
-from deepbots_cli.errors import MissingExtraError, RunError, UsageError
+from deepbots_cli.errors import DeepbotsError, MissingExtraError, RunError, UsageError
+from deepbots_cli.files import unwritable
 from deepbots_cli.learning import algorithms, batch, models
 from deepbots_cli.learning.callbacks import AT_ONCE, Evaluator, TrainingCallback, check_finite, describe, signals_handled
 from deepbots_cli.learning.checkpoints import Checkpoints, Resumable, latest
@@ -176,7 +178,7 @@ def resume(
             raise RunError(f"{known.checkpoints} holds no checkpoint to go on from")
         checkpoints = Checkpoints(known)
         steps = checkpoints.state.statistics.steps if checkpoints.state else 0
-        if steps >= training.total_timesteps:
+        if steps >= training.total_timesteps and record.status == "finished":  # else it was killed before it said so
             raise UsageError(
                 f"{known.path} has trained {steps:,} of {training.total_timesteps:,} steps; name a higher total to go on with it"
             )
@@ -266,8 +268,8 @@ def _learn(run: Run, training: Training, checkpoints: Checkpoints, build: BuildW
             if run.record.initialized_from is not None:
                 models.initialize(_initial(run), model)
             stack.enter_context(signals_handled(callback.interruption))
-            if reason := batch.why_single_worlds(run.program, training.environments, run.record.engine, build):
-                reporter.note(reason)
+            if words := batch.described(run.program, training.environments, run.record.engine, build):
+                reporter.note(words)
             reporter.start(callback.progress())
             stack.callback(reporter.stop)
             try:
@@ -278,8 +280,8 @@ def _learn(run: Run, training: Training, checkpoints: Checkpoints, build: BuildW
     except KeyboardInterrupt:
         # Before the first step, or while models were written: files are whole, so there is something to go on from.
         status = "interrupted"
-    except OSError as error:
-        raise RunError(f"{run.path} cannot be written: {(error.strerror or str(error)).lower()}; the last checkpoint is kept") from error
+    except (DeepbotsError, OSError) as error:
+        raise _explained(error, run, checkpoints) from error
     finally:
         result = Result(
             status=status,
@@ -299,8 +301,19 @@ def _learn(run: Run, training: Training, checkpoints: Checkpoints, build: BuildW
             stages=tuple(curriculum.ends),
             inexact=tuple(checkpoints.inexact),
         )
-        run.update(status=status, result=result)
+        with suppress(RunError) if status == "failed" else nullcontext():  # a full disk was told already
+            run.update(status=status, result=result)
     return TrainingResult(run=run.path, initialized_from=run.record.initialized_from, **vars(result))
+
+
+def _explained(error: DeepbotsError | OSError, run: Run, checkpoints: Checkpoints) -> DeepbotsError:
+    """The error that ended a training, with what is kept of it and how to use that."""
+    known = RunError(unwritable(Path(error.filename or run.path), error)) if isinstance(error, OSError) else error
+    if checkpoints.kept and isinstance(known.__cause__ or error, OSError):
+        known.add_note(f"{checkpoints.kept}; go on from there with: deepbots train --resume {quote(str(run.path))}")
+    elif checkpoints.kept:  # which would fail again, to the bit
+        known.add_note(f"{checkpoints.kept}; evaluate what was learned with: deepbots eval {quote(str(run.path))}")
+    return known
 
 
 def _environment(

@@ -12,7 +12,7 @@ from typing import Any
 import gymnasium as gym
 
 from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.files import atomic
+from deepbots_cli.files import atomic, unwritable
 from deepbots_cli.learning.environments import World
 
 
@@ -35,7 +35,7 @@ def check(path: Path) -> None:
         with TemporaryFile(dir=path.parent):
             pass
     except OSError as error:  # ffmpeg would say so at length, and name a file that nobody asked for
-        raise UsageError(f"{path} cannot be written: {(error.strerror or 'its directory cannot be used').lower()}") from error
+        raise UsageError(unwritable(path, error)) from error
 
 
 @contextmanager

@@ -47,7 +47,10 @@ class Outcome(NamedTuple):
 
 
 class Running(NamedTuple):
-    """The running episode of a world: its seed or the states of its random generators when it began, and the actions since then."""
+    """The running episode of a world: its seed or the states of its random generators when it began, and the actions since then.
+
+    Physics engines have no exact snapshot. An episode is brought back by the same start and the same actions.
+    """
 
     start: int | dict[str, Any]
     actions: list[Any]

@@ -16,7 +16,7 @@ import numpy as np
 
 from deepbots_cli import frames
 from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.files import atomic
+from deepbots_cli.files import atomic, unwritable
 from deepbots_cli.footprint import bounds
 from deepbots_cli.frames import Triple
 from deepbots_cli.port import View
@@ -77,7 +77,7 @@ def check_target(path: Path, suffixes: Sequence[str]) -> None:
         with TemporaryFile(dir=path.parent):
             pass
     except OSError as error:
-        raise UsageError(f"{path} cannot be written: {(error.strerror or 'its directory cannot be used').lower()}") from error
+        raise UsageError(unwritable(path, error)) from error
 
 
 # Pictures

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from deepbots_cli.errors import MissingExtraError, RunError, UsageError
 from deepbots_cli.learning.group import is_group
-from deepbots_cli.learning.run import NAME, Record, run_folders
+from deepbots_cli.learning.run import NAME, Record, changed_settings, run_folders, short
 from deepbots_cli.view.page import COLOURS
 
 if TYPE_CHECKING:
@@ -37,11 +37,12 @@ Curve = tuple[NDArray[np.float64], NDArray[np.float64]]
 @dataclass
 class Log:
     """What is known of one training: curves; reward terms by name; the step and the ending of each episode. `group` is the scenario with
-    its digest, and `name` what its line is called."""
+    its digest, `settings` are the values that `--set` changed, and `name` is what its line is called."""
 
     path: Path
     group: str
     name: str = ""
+    settings: str = ""
     returns: Curve | None = None
     successes: Curve | None = None
     evaluations: Curve | None = None
@@ -69,13 +70,14 @@ def read(paths: Sequence[str | Path], window: int = 100) -> list[Log]:
         {group: str(path) for group, path in first.items()},
     )
     for log in found:
-        log.name = next((names[log.group] for names in candidates if list(names.values()).count(names[log.group]) == 1), log.group)
+        name = next((names[log.group] for names in candidates if list(names.values()).count(names[log.group]) == 1), log.group)
+        log.name = f"{name} ({log.settings})" if log.settings and len(first) > 1 else name
     return found
 
 
 def _read_run(path: Path, window: int) -> Log:
     record = Record.read(path)
-    log = Log(path, f"{record.scenario} {record.digest}")
+    log = Log(path, f"{record.scenario} {record.digest}", settings=short(changed_settings(record.command)))
     rows = _rows(path / "monitor.csv")
     if not rows:
         raise RunError(f"{path} holds no finished episode yet; plot it later")

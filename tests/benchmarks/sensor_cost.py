@@ -12,8 +12,9 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
+from deepbots_cli.cli.commands.bench import plan
 from tests.benchmarks.report import Row, difference, options, pairs, show
-from tests.benchmarks.step_cost import opened, plan, whole
+from tests.benchmarks.step_cost import opened, whole
 
 SCENARIO = """
 deepbots: 1
@@ -70,7 +71,7 @@ def cost(folder: Path, what: str, sensor: str, steps: int, count: int) -> Row:
     for file, text in zip(files, texts, strict=True):
         file.write_text(text, encoding="utf-8")
     with opened(str(files[0])) as tested, opened(str(files[1])) as bare:
-        episodes = plan(bare, steps)
+        episodes = plan(bare, steps, 0)
         return Row(what, difference(pairs(whole(tested, episodes), whole(bare, episodes), count)), "us")
 
 

@@ -12,18 +12,14 @@ not timed; times are CPU times; the two sides take turns, and the median of the 
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from itertools import repeat
 from pathlib import Path
 from statistics import median
 from typing import Any
 
-import gymnasium as gym
-
 from deepbots_cli import api
+from deepbots_cli.cli.commands.bench import UNTIMED, Held, plan, timed
 from deepbots_cli.document import shipped
 from deepbots_cli.engines.pybullet import hushed
 from deepbots_cli.runtime import Supervisor
@@ -41,17 +37,6 @@ TASKS = (
     ("find_ball_random", 1.25, True, "find_ball_random, beside physics and its 8 rays"),
     ("pit_escape", 1.1, False, "pit_escape, 8 ticks of 8 substeps, gyro and accelerometer"),
 )
-UNTIMED = 3
-"""First steps of an episode, so that commands which come late, too, have reached the motors."""
-
-
-@dataclass(frozen=True)
-class Episode:
-    """One held action, for so many steps after the untimed ones."""
-
-    seed: int
-    action: Any
-    steps: int
 
 
 @contextmanager
@@ -78,47 +63,13 @@ def rays_bound() -> Iterator[list[Callable[[], object]]]:
         PyBulletEngine.rays = bind  # type: ignore[method-assign]
 
 
-def plan(environment: Supervisor, steps: int) -> list[Episode]:
-    """Episodes of about so many steps altogether, which stop short of their end: a step that ends one may be cut off in its repeats.
-
-    Choices take turns; an action from a range is drawn for each episode.
-    """
-    episodes: list[Episode] = []
-    left, space = steps, environment.action_space
-    while left > 0:
-        seed = len(episodes)
-        environment.reset(seed=seed)
-        action = seed % int(space.n) if isinstance(space, gym.spaces.Discrete) else space.sample()
-        count = 0
-        while count < left + UNTIMED and not any(environment.step(action)[2:4]):
-            count += 1
-        if count > UNTIMED:
-            episodes.append(Episode(seed, action, count - UNTIMED))
-        left -= max(1, count - UNTIMED)
-    return episodes
+def whole(environment: Any, episodes: list[Held]) -> Callable[[], float]:
+    """Measures the CPU time of a step in us."""
+    return lambda: _per_step(environment, episodes, environment.step, lambda episode: episode.action)
 
 
-def timed(environment: Any, episodes: list[Episode], step: Callable[[Any], object], arguments: list[Any]) -> float:
-    """CPU time of a call of `step` in us, resets and first steps left out; each episode has one argument for all its calls."""
-    total = 0.0
-    for episode, argument in zip(episodes, arguments, strict=True):
-        environment.reset(seed=episode.seed)
-        for _ in range(UNTIMED):
-            environment.step(episode.action)
-        held = repeat(argument, episode.steps)
-        start = time.process_time()
-        for given in held:
-            step(given)
-        total += time.process_time() - start
-    return 1e6 * total / sum(episode.steps for episode in episodes)
-
-
-def whole(environment: Any, episodes: list[Episode]) -> Callable[[], float]:
-    return lambda: timed(environment, episodes, environment.step, [episode.action for episode in episodes])
-
-
-def bare(environment: Supervisor, episodes: list[Episode], reads: tuple[Callable[[], object], ...] = ()) -> Callable[[], float]:
-    """Physics alone, and what of the world has to be read in every step whoever does it."""
+def bare(environment: Supervisor, episodes: list[Held], reads: tuple[Callable[[], object], ...] = ()) -> Callable[[], float]:
+    """Measures physics alone, and what of the world has to be read in every step whoever does it."""
     advance = environment.engine.step
 
     def advance_and_read(count: int) -> None:
@@ -126,7 +77,12 @@ def bare(environment: Supervisor, episodes: list[Episode], reads: tuple[Callable
         for read in reads:
             read()
 
-    return lambda: timed(environment, episodes, advance_and_read if reads else advance, [substeps(environment)] * len(episodes))
+    count = substeps(environment)
+    return lambda: _per_step(environment, episodes, advance_and_read if reads else advance, lambda _: count)
+
+
+def _per_step(environment: Any, episodes: list[Held], call: Callable[[Any], object], argument: Callable[[Held], Any]) -> float:
+    return 1e6 * timed(environment, episodes, call, argument) / sum(episode.steps for episode in episodes)
 
 
 def substeps(environment: Supervisor) -> int:
@@ -142,7 +98,7 @@ def blind(environment: Supervisor) -> None:
     hooks._arrange()
 
 
-def require_same_motion(one: Supervisor, other: Supervisor, episode: Episode) -> None:
+def require_same_motion(one: Supervisor, other: Supervisor, episode: Held) -> None:
     """Holding an action, a world that is stepped bare goes where one goes whose motors are set anew in every step."""
     for environment in (one, other):
         environment.reset(seed=episode.seed)
@@ -164,7 +120,7 @@ def whereabouts(environment: Supervisor) -> list[Any]:
 
 def against_physics(what: str, bar: float, source: str, sets: tuple[str, ...], steps: int, count: int, *, with_rays: bool = False) -> Row:
     with opened(source, *sets) as environment, rays_bound() as rays, opened(source, *sets) as other:
-        episodes = plan(environment, steps)
+        episodes = plan(environment, steps, 0)
         blind(other)
         require_same_motion(environment, other, episodes[0])
         found = pairs(whole(environment, episodes), bare(other, episodes, tuple(rays) if with_rays else ()), count)
@@ -175,7 +131,7 @@ def against_physics(what: str, bar: float, source: str, sets: tuple[str, ...], s
 def csv_beside_struct(steps: int, count: int) -> Row:
     """Physics is the same on both sides, and costs a hundred times what is asked for: left out, it leaves no noise."""
     with opened("cartpole", "messages.format=csv") as csv, opened("cartpole", "messages.format=struct") as struct:
-        episodes = plan(struct, steps)
+        episodes = plan(struct, steps, 0)
         csv.physics = struct.physics = lambda substeps: None
         found = pairs(whole(csv, episodes), whole(struct, episodes), count)
     return Row("CartPole, csv minus struct", difference(found), "us", 4.0)
@@ -185,7 +141,7 @@ def beside_layered(steps: int, count: int) -> list[Row]:
     with hushed():
         layered = LayeredCartPole()
     with opened(RAIL) as environment, opened(RAIL) as other:
-        episodes = plan(environment, steps)
+        episodes = plan(environment, steps, 0)
         by_hand = pairs(whole(layered, episodes), whole(environment, episodes), count)
         fair = pairs(whole(layered, episodes), bare(other, episodes), count)
     layered.close()

@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import signal
+from functools import partial
 from pathlib import Path
 from statistics import fmean
 
@@ -13,13 +14,15 @@ import pytest
 import stand_in
 
 from deepbots_cli.cli import main
+from deepbots_cli.cli.commands.eval import Gates
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import TrainingResult, compare, evaluate, evaluate_group, resume_group, train, train_group
 from deepbots_cli.learning.group import Group, GroupTraining
 from deepbots_cli.learning.listing import list_runs, read_listed, sort_runs
 from deepbots_cli.learning.report import Reporter, TrainingProgress, to_json
-from deepbots_cli.learning.run import Run, run_lock
+from deepbots_cli.learning.run import Run, run_lock, short
 from deepbots_cli.learning.statistics import interquartile_mean, mean_interval
+from deepbots_cli.program import Program
 from deepbots_cli.program.task import Hyperparameter, Solved, Training
 
 SHORT = Training("PPO", 400, 2, tuple(Hyperparameter(name, 32) for name in ("n_steps", "batch_size")))
@@ -82,6 +85,18 @@ def test_a_seed_that_diverges_does_not_end_the_others(tmp_path: Path) -> None:
     assert read_listed(tmp_path / "group").state == "failed"
 
 
+def test_ctrl_c_while_a_seed_is_set_up_leaves_a_group_to_go_on_with(tmp_path: Path) -> None:
+    def build(program: Program, *, render_mode: str | None = None) -> stand_in.CartPole:
+        first = tmp_path / "group" / "seed-0"
+        if first.exists() and Run.open(first).record.status == "finished":
+            raise KeyboardInterrupt
+        return stand_in.build(program)
+
+    found = train_group(SCENARIO, (0, 1), group=tmp_path / "group", build=build)
+    assert found.waiting == (1,)
+    assert resume_group(tmp_path / "group", build=stand_in.build).waiting == ()
+
+
 def test_a_group_that_cannot_be_trained_leaves_nothing_behind(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="no stage"):
         train_group(SCENARIO, (0, 1), runs=tmp_path, stage="late", build=stand_in.build)
@@ -100,6 +115,19 @@ def test_a_group_is_evaluated_by_one_score_per_seed(trained_group: GroupTraining
     assert found.interquartile_mean == interquartile_mean(found.returns)
     alone = evaluate(trained_group.group / "seed-1", episodes=6, seed=0, build=stand_in.build)
     assert to_json(alone) == to_json(found.evaluations[1])
+
+
+def test_the_gate_of_a_group_stops_when_the_other_seeds_cannot_change_the_answer(trained_group: GroupTraining) -> None:
+    gates = Gates(min_success=0.5, min_return=None, solved=False)
+    enough = partial(gates.decided_of_group, planned=30)
+    found = evaluate_group(trained_group.group, episodes=10, until=enough, build=stand_in.build)
+    done = sum(result.episodes for result in found.evaluations)
+    successes = sum(result.successes for result in found.evaluations)
+    assert done < 30
+    assert successes >= 15 or successes + 30 - done < 15
+    [(_, met, reason)] = gates.requirements_of_group(found, 30)
+    assert met == (successes >= 15)
+    assert f"which the remaining {30 - done} episodes cannot change" in reason
 
 
 def test_two_groups_are_compared_by_their_seeds_though_their_scenario_is_the_same(trained_group: GroupTraining, tmp_path: Path) -> None:
@@ -178,6 +206,15 @@ def test_the_list_shows_the_last_evaluation_in_the_scenario_of_the_training(run_
     (run_copy / "evaluations" / "0009.json").write_text("{")
     found = read_listed(run_copy)
     assert (found.score, found.mean_return, found.return_interval) == ("evaluation", plain.mean_return, plain.return_interval)
+
+
+def test_values_that_the_command_line_has_changed_are_listed(run_copy: Path) -> None:
+    record = json.loads((run_copy / "run.json").read_text())
+    record["command"] = ["deepbots", "train", "cartpole", "--set", "train.learning_rate=0.003", "--set=fall_angle=10deg", "--seed", "1"]
+    (run_copy / "run.json").write_text(json.dumps(record))
+    settings = read_listed(run_copy).settings
+    assert settings == ("train.learning_rate=0.003", "fall_angle=10deg")
+    assert short(settings) == "learning_rate=0.003, fall_angle=10deg"
 
 
 def test_runs_are_sorted_with_those_without_a_value_at_the_end(run_copy: Path) -> None:

@@ -24,6 +24,7 @@ from stable_baselines3 import PPO
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import TrainingResult, evaluate, load_policy, resume, train
 from deepbots_cli.learning.evaluation import load
+from deepbots_cli.learning.models import steps_of
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program.task import Hyperparameter, Network, Schedule, Training
 from tests.few import few
@@ -164,6 +165,20 @@ def test_a_zip_bomb_is_refused_outside_and_inside(run_copy: Path, tmp_path: Path
     refused(run_copy, "compressed")
     rewrite(path, whole | {f"{index}.pth": b"" for index in range(100)})
     refused(run_copy, "members")
+
+
+@pytest.mark.parametrize(("place", "value"), [(6, 1), (8, 99)], ids=["encrypted", "unknown compression"])
+def test_a_model_that_is_encrypted_or_packed_otherwise_is_refused(run_copy: Path, place: int, value: int) -> None:
+    path = run_copy / "models" / "policy" / "last.zip"
+    content = bytearray(path.read_bytes())
+    for mark, further in ((b"PK\x03\x04", 0), (b"PK\x01\x02", 2)):  # a local header, and its entry in the directory
+        for found in re.finditer(re.escape(mark), bytes(content)):
+            content[found.start() + place + further] = value
+    path.write_bytes(content)
+    with pytest.raises(RunError, match="damaged, or no model of ours"):
+        steps_of(path)
+    with pytest.raises(RunError, match="damaged, or no model of ours"):
+        evaluate(run_copy, model="last", build=stand_in.build)
 
 
 def test_a_truncated_or_shuffled_file_is_refused_or_read(run_copy: Path) -> None:

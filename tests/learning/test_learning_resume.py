@@ -7,10 +7,12 @@ import json
 import multiprocessing
 import os
 import random
+import resource
 import shutil
 import signal
 import time
-from contextlib import closing
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -28,11 +30,11 @@ from deepbots_cli.document import shipped
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import checkpoints, evaluate, resume, train
 from deepbots_cli.learning.environments import VectorEnvironment, fingerprint
-from deepbots_cli.learning.failures import History
 from deepbots_cli.learning.report import TrainingProgress
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionNoise, Hindsight, Hyperparameter, Network, Schedule, Solved, Training
+from deepbots_cli.runtime.batch import Running
 from deepbots_cli.scenario import Scenario
 from tests.few import few
 
@@ -314,7 +316,7 @@ def test_a_shipped_world_is_brought_back_in_the_middle_of_an_episode(name: str) 
             ended, steps = ended + bool(dones[0]), 0 if dones[0] else steps + 1
         (history,) = env.histories()
         seen = fingerprint(env.last_observations)
-    kept = History(json.loads(json.dumps(history.start)), list(np.array(history.actions)))
+    kept = Running(json.loads(json.dumps(history.start)), list(np.array(history.actions)))
     with closing(VectorEnvironment([api.build(compiled.program, allow_code=True)], [8])) as env:
         env.reset()
         assert fingerprint(env.repeat([kept])) == seen
@@ -370,10 +372,38 @@ def test_a_folder_that_cannot_be_written_leaves_the_last_good_state(tmp_path: Pa
     (run / "checkpoints" / "new").write_text("in the way")
     (run / "models" / "policy" / "last.zip").unlink()
     (run / "models" / "policy" / "last.zip").mkdir()
-    with pytest.raises(RunError, match=r"cannot be written.*the last checkpoint is kept"):
+    with pytest.raises(RunError, match=r"cannot be written.*") as caught:
         resume(run, total_timesteps=1_000, build=stand_in.build)
+    assert f"is kept; go on from there with: deepbots train --resume {run}" in caught.value.full
     assert checkpoints.latest(Run.open(run)) == before
     assert evaluate(run, episodes=1, build=stand_in.build).episodes == 1
+
+
+@contextmanager
+def files_of_at_most(size: int) -> Iterator[None]:
+    """Within, writing more bytes into a file fails, as on a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.mark.parametrize("size", [0, 8_000, 30_000])
+def test_a_training_on_a_full_disk_names_the_file_and_goes_on_when_there_is_room(tmp_path: Path, size: int) -> None:
+    """No byte fits, then the inputs but no model, then a checkpoint but not the longer logs."""
+    whole, cut = tmp_path / "whole", tmp_path / "cut"
+    train(compiled_of("PPO"), run=whole, total_timesteps=3_000, build=stand_in.build)
+    with files_of_at_most(size), pytest.raises(UsageError, match=r"cannot be written: file too large") as caught:
+        train(compiled_of("PPO"), run=cut, total_timesteps=3_000, build=stand_in.build)
+    if size < 8_000:
+        assert not cut.exists()
+        return
+    assert ("train --resume" in caught.value.full) == (checkpoints.latest(Run.open(cut)) is not None)
+    resume(cut, build=stand_in.build)
+    assert outcome(cut)["models"] == outcome(whole)["models"]
+    assert outcome(cut)["monitor"] == outcome(whole)["monitor"]
 
 
 def test_the_threads_of_torch_are_those_of_the_caller_afterwards(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import stand_in
 from deepbots_cli import api
 from deepbots_cli.cli.results import robustness_text
 from deepbots_cli.document import load, shipped
+from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import TrainingResult, evaluate_robustness
 from deepbots_cli.learning.robustness import Change, changed_scenario, plans
 from deepbots_cli.program import Program, identity
@@ -46,7 +47,7 @@ def test_each_condition_changes_what_it_says_and_nothing_else() -> None:
         "latency from the robot",
         "message loss",
         "observation noise",
-        "mass",
+        "mass of cart.body",
         "friction of the ground",
         "motor strength",
     ]
@@ -54,9 +55,10 @@ def test_each_condition_changes_what_it_says_and_nothing_else() -> None:
     def changed(condition: str, level: str) -> Program:
         return changed_scenario(base, found[condition][level]).program
 
-    heavy = changed("mass", "x 2")
-    assert masses(heavy) == pytest.approx([2 * mass for mass in masses(plain)])
-    assert heavy.robots[0].to_route.perfect
+    loaded = changed("mass of cart.body", "x 2")
+    factors = [after / before for before, after in zip(masses(plain), masses(loaded), strict=True)]
+    assert sorted(factors) == pytest.approx([1.0] * (len(factors) - 1) + [2.0])
+    assert loaded.robots[0].to_route.perfect
     late = changed("latency to the robot", "+64 ms").robots[0]
     assert late.to_route.latency is not None
     assert late.to_route.latency.scalar.value == pytest.approx(0.064)  # type: ignore[union-attr]
@@ -71,6 +73,19 @@ def test_each_condition_changes_what_it_says_and_nothing_else() -> None:
     assert [number.std.value / (number.high - number.low) for number in noisy] == pytest.approx([0.1] * 4)  # type: ignore[union-attr]
 
 
+def test_the_link_or_object_whose_mass_is_changed_can_be_named(trained: TrainingResult) -> None:
+    for scenario, name in (("cartpole", "cart.pole"), ("panda_push", "block")):
+        base = shipped.scenario_path(scenario)
+        assert base is not None
+        base = base.resolve()
+        root = load(base).root
+        assert root is not None
+        found = dict(plans(root, api.compile(scenario).program, name))
+        assert changed_scenario(base, dict(found[f"mass of {name}"])["x 2"]).digest != api.compile(scenario).digest
+    with pytest.raises(UsageError, match=r"nothing called 'cart.poel' has a mass; there are cart\.body, "):
+        evaluate_robustness(trained.run, mass_of="cart.poel", build=stand_in.build)
+
+
 def test_a_policy_is_measured_against_a_bar_at_every_level(trained: TrainingResult) -> None:
     told: list[tuple[int, int]] = []
     found = evaluate_robustness(
@@ -79,11 +94,12 @@ def test_a_policy_is_measured_against_a_bar_at_every_level(trained: TrainingResu
     assert (found.metric, found.bar, found.bar_source) == ("mean_return", 1.0, "given")
     levels = [entry for condition in found.conditions for entry in condition.levels]
     assert told[-1] == (1 + len(levels), 1 + len(levels))
-    assert {condition.threshold for condition in found.conditions} == {"holds at all levels"}
+    assert {condition.threshold.partition(";")[0] for condition in found.conditions} == {"holds at all levels"}
     starts = {tuple(episode.seed for episode in entry.evaluation.outcomes) for entry in levels}
     assert starts == {tuple(episode.seed for episode in found.nominal.outcomes)}
     strict = evaluate_robustness(trained.run, episodes=1, min_return=1e6, build=stand_in.build)
-    assert {condition.threshold for condition in strict.conditions} == {"below the bar at all levels"}
+    # A single episode has no interval.
+    assert {condition.threshold for condition in strict.conditions} == {"below the bar at all levels; uncertain at all levels"}
     assert (found.nominal_holds, strict.nominal_holds) == (True, False)
     assert "without any change; name another bar with --min-return" in robustness_text(strict)
     assert "name another bar" not in robustness_text(found)

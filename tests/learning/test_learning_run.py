@@ -211,13 +211,14 @@ def test_an_evaluation_is_kept_with_its_episodes(run_copy: Path) -> None:
     run = Run.open(run_copy)
     result = to_json(evaluate(run, episodes=2, build=stand_in.build))
     first, second = run.keep_evaluation(result), run.keep_evaluation(result)
-    assert first is not None
-    assert second is not None
     assert [first.name, second.name] == ["0001.json", "0002.json"]
     assert len(json.loads(first.read_text())["outcomes"]) == 2
+    (run.evaluations / "9999.json").write_text("{}")
+    assert [run.keep_evaluation(result).name for _ in range(2)] == ["10000.json", "10001.json"]
     shutil.rmtree(run.evaluations)
     run.evaluations.write_text("no folder")
-    assert run.keep_evaluation(result) is None
+    with pytest.raises(RunError, match=r"evaluations.* cannot be written"):
+        run.keep_evaluation(result)
 
 
 def test_a_run_whose_project_is_gone_finds_its_meshes_in_its_own_copies(tmp_path: Path) -> None:

@@ -1,31 +1,43 @@
-"""Measures what is missing of an experiment: trains or goes on, evaluates, tries baselines, and enters each result as it comes.
+"""Measures what is missing of a scenario or a part, piece by piece, with the commands that the page shows.
 
-The pieces of an experiment are chains, which know of nothing but each other's records: a training with its evaluations for each seed,
-and the baselines. A chain that is stopped anywhere goes on from there: a finished piece is in the record, and an unfinished training
-in its run directory.
+A piece is an entry of a record in docs/results. It counts as long as its command line and the digest of its scenario are what is asked
+for now. A measurement may be stopped at any time: what is finished is in the record, and a training goes on from its last checkpoint.
 """
 
 from __future__ import annotations
 
+import csv
 import hashlib
-import shutil
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import Any, Protocol
+import json
+import math
+import os
+import platform
+import re
+import resource
+import shlex
+import subprocess
+import sys
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import MISSING, asdict, dataclass, fields, replace
+from datetime import UTC, datetime
+from functools import cache, partial
+from pathlib import Path, PurePath
+from typing import Any, NamedTuple
 
-from deepbots_cli.errors import RunError, UsageError
-from deepbots_cli.learning.checkpoints import latest, read_state
-from deepbots_cli.learning.run import Run, run_lock
-from tests.results import asked, curves, records
-from tests.results.asked import Asked
-from tests.results.commands import Commands
-from tests.results.experiment import Baseline, Evaluation, Experiment, Training
-from tests.results.figures import Crossed
-from tests.results.places import Places
-from tests.results.progress import Progress
+import deepbots_cli
+from deepbots_cli import api
+from deepbots_cli.expressions.scalar import Scalar
+from deepbots_cli.learning.run import Run, versions, write_text
+from deepbots_cli.program import Program, identity
+from deepbots_cli.program.task import Evaluation as EvaluationSettings
+from tests.results.experiment import Baseline, Crossed, Evaluation, Experiment, Training
+from tests.results.parts import Holding, Part
 
-POLL_SECONDS = 5.0
+ROOT = Path(__file__).resolve().parents[2]
+WATCHED = ("deepbots_cli", "scenarios", "robots", "tests")
+WINDOW, POINTS = 100, 200
+"""Episodes of a mean, and points of a curve."""
 KEPT = (
     "episodes",
     "mean_return",
@@ -42,223 +54,354 @@ KEPT = (
 """What a record keeps of an evaluation."""
 
 
-class Chain(Protocol):
-    """Pieces that are measured one after the other."""
+@dataclass(frozen=True)
+class Places:
+    """`records` holds a JSON file for each scenario and part, `pictures` the learning curves, `runs` what was trained."""
 
-    def missing(self) -> int:
-        """How many are to be measured."""
+    records: Path = ROOT / "docs" / "results"
+    page: Path = ROOT / "docs" / "results.md"
+    pictures: Path = ROOT / "docs" / "images" / "results"
+    runs: Path = ROOT / "runs" / "results"
 
-    def measure(self, commands: Commands, progress: Progress) -> None:
-        """Measure them.
+    def record(self, name: str) -> Path:
+        return self.records / f"{name}.json"
 
-        Raises:
-            StoppedError, CommandFailedError: From the commands; what was measured before is kept.
-        """
+    def picture(self, name: str) -> Path:
+        return self.pictures / f"{name}.svg"
 
 
-def chains(experiment: Experiment, places: Places) -> Iterator[Chain]:
-    for training in experiment.trainings:
-        for seed in training.seeds:
-            yield SeedChain(experiment, training, seed, places)
-    for baseline in experiment.baselines:
-        yield BaselineChain(experiment, baseline, places)
+# Records
+
+
+def read(path: Path) -> dict[str, Any]:
+    """A record; empty where nothing was measured yet."""
+    return dict(json.loads(path.read_text(encoding="utf-8"))) if path.is_file() else {}
+
+
+def put(path: Path, value: Mapping[str, Any], *keys: str) -> None:
+    """Set the entry under `keys`, and keep all others."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    record = inner = read(path)
+    for key in keys[:-1]:
+        inner = inner.setdefault(key, {})
+    inner[keys[-1]] = value
+    write_text(path, dumps(record) + "\n")
+
+
+def dumps(value: Any, indent: str = "") -> str:
+    """JSON with an entry in each line, and lists of plain values in one."""
+    deeper = indent + "  "
+    if isinstance(value, Mapping) and value:
+        lines = (f"{deeper}{json.dumps(str(key))}: {dumps(value[key], deeper)}" for key in value)
+        return "{\n" + ",\n".join(lines) + f"\n{indent}}}"
+    if isinstance(value, list | tuple) and any(isinstance(item, Mapping | list | tuple) for item in value):
+        return "[\n" + ",\n".join(deeper + dumps(item, deeper) for item in value) + f"\n{indent}]"
+    return json.dumps(value, allow_nan=False)
+
+
+def circumstances() -> dict[str, Any]:
+    """When and on what something is measured."""
+    machine = f"{os.cpu_count()} cores of {platform.machine()} under {platform.system()}"
+    found = {"deepbots": deepbots_cli.__version__, **versions()}
+    return {"date": datetime.now(UTC).date().isoformat(), "machine": machine, "versions": found}
+
+
+# What is asked for
+
+
+class Asked(NamedTuple):
+    """The digest of a scenario or of the sources, and a command as the page has it: with RUN for what a training made."""
+
+    digest: str
+    command: str
+
+    def is_of(self, entry: Mapping[str, Any] | None) -> bool:
+        """Whether an entry of a record is what is asked for."""
+        return bool(entry) and entry is not None and (entry["digest"], entry["command"]) == self
+
+
+def asked_training(scenario: str, training: Training, seed: int | str) -> Asked:
+    """Knows nothing of the evaluation, so that a new case does not ask for a new training."""
+    program = _with(compiled(scenario, training.sets), {"scripts": ()})
+    # To evaluate in cases that came after a training is to name the scenario, which takes no settings.
+    program = program if training.sets else _with(program, {}, cases=(), evaluation=EvaluationSettings())
+    return Asked(digest(program), shlex.join(["deepbots", "train", scenario, "--seed", str(seed), *training.options]))
+
+
+def asked_evaluation(scenario: str, training: Training, wanted: Evaluation) -> Asked:
+    """Knows nothing of the training."""
+    program = compiled(wanted.scenario) if wanted.scenario else compiled(scenario, training.sets)
+    program = program if wanted.case is None else program.case(wanted.case).program
+    found = digest(_with(program, {"scripts": (), "training": None}, curriculum=()))
+    return Asked(found, shlex.join(["deepbots", "eval", "RUN", *wanted.options]))
+
+
+def asked_baseline(scenario: str, wanted: Baseline) -> Asked:
+    program = compiled(scenario)
+    program = program if wanted.case is None else program.case(wanted.case).program
+    policy = {"scripts": program.policy.scripts if "--script" in wanted.options else (), "training": None}
+    found = digest(_with(program, policy, curriculum=(), cases=(), evaluation=EvaluationSettings()))
+    return Asked(found, shlex.join(["deepbots", "run", scenario, *wanted.all_options]))
+
+
+@cache
+def compiled(scenario: str, sets: tuple[str, ...] = ()) -> Program:
+    """A shipped scenario by name, or one by its path from the root of the repository."""
+    file = ROOT / scenario
+    return api.compile(str(file) if file.suffix == ".yaml" and file.is_file() else scenario, sets=sets).program
+
+
+def _with(program: Program, policy: Mapping[str, Any], **changes: Any) -> Program:
+    """The scenario with other fields, also of its policies, in its cases and stages too."""
+    cases = tuple(replace(case, program=_with(case.program, policy, **changes)) for case in program.cases)
+    curriculum = tuple(replace(stage, program=_with(stage.program, policy, **changes)) for stage in program.curriculum)
+    return replace(program.with_policies(**policy), **{"cases": cases, "curriculum": curriculum, **changes})
+
+
+def digest(program: Program) -> str:
+    """SHA-256, in hexadecimal, of all that differs from a default; a new feature leaves the figures of scenarios without it alone."""
+    placeless = identity.with_files(_with(program, {}, summary=""), lambda file: replace(file, path=PurePath(file.path).suffix))
+    return hashlib.sha256(json.dumps(_plain(placeless), sort_keys=True).encode()).hexdigest()
+
+
+def _plain(value: object) -> Any:
+    inside = identity.members(value)
+    if inside is not None:
+        defaults = _defaults(type(value))
+        known = {name: _plain(given) for name, given in inside.items() if given != defaults.get(name, MISSING)}
+        return {"is": type(value).__name__} | known
+    if isinstance(value, Mapping):
+        return {name: _plain(item) for name, item in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, tuple) else value
+
+
+@cache
+def _defaults(kind: type) -> dict[str, Any]:
+    if issubclass(kind, Scalar):
+        return kind._field_defaults
+    return {field.name: field.default if field.default_factory is MISSING else field.default_factory() for field in fields(kind)}
+
+
+@cache
+def sources() -> str:
+    """SHA-256, in hexadecimal, of all that a table of a part depends on."""
+    found = hashlib.sha256()
+    for folder in WATCHED:
+        for path in sorted((ROOT / folder).rglob("*")):
+            inside = path.relative_to(ROOT).as_posix()
+            if path.is_file() and "__pycache__" not in inside and not inside.startswith("tests/results/"):
+                found.update(inside.encode() + b"\0" + path.read_bytes() + b"\0")
+    return found.hexdigest()
+
+
+# Pieces
 
 
 @dataclass(frozen=True)
-class SeedChain:
-    """The training of one seed, and what is evaluated of it."""
+class Piece:
+    """An entry of a record under `keys`, and how it is measured."""
 
-    experiment: Experiment
-    training: Training
-    seed: int
-    places: Places
+    words: str
+    record: Path
+    keys: tuple[str, ...]
+    asked: Callable[[], Asked]
+    measure: Callable[[], dict[str, Any]]
+    crossings: frozenset[str] = frozenset()
 
-    @property
-    def _scenario(self) -> str:
-        return self.experiment.scenario
-
-    @property
-    def _record(self) -> Path:
-        return self.places.record(self.experiment.name)
-
-    @property
-    def asked(self) -> Asked:
-        return asked.training(self.experiment, self.training, self.seed)
-
-    @property
-    def folder(self) -> Path:
-        """The run directory: one of its own for whatever is asked for."""
-        key = hashlib.sha256(f"{self.asked.digest} {self.asked.command}".encode()).hexdigest()[:10]
-        return self.places.runs / self.experiment.name / f"{self.training.name}-{self.seed}-{key}"
-
-    @property
-    def _keys(self) -> tuple[str, ...]:
-        return "trainings", self.training.name, str(self.seed)
-
-    def entry(self) -> dict[str, Any] | None:
-        """What the record has of this seed, if it is of what is asked for now."""
-        found: Any = records.read(self._record)
-        for key in self._keys:
+    def missing(self) -> bool:
+        found: Any = read(self.record)
+        for key in self.keys:
             found = found.get(key, {})
-        wanted = {crossed.key for crossed in self._crossings()}
-        return found if found and self.asked.is_of(found) and wanted <= set(found["crossings"]) else None
+        return not self.asked().is_of(found) or not self.crossings <= set(found.get("crossings", ()))
 
-    def unevaluated(self) -> list[Evaluation]:
-        known = (self.entry() or {}).get("evaluations", {})
-        return [
-            evaluation
-            for evaluation in self.training.evaluations
-            if not asked.evaluation(self.experiment, self.training, evaluation).is_of(known.get(evaluation.name))
-        ]
-
-    def missing(self) -> int:
-        evaluations = self.unevaluated()
-        untrained = self.entry() is None or (evaluations and not self._is_on_disk())
-        return 1 + len(self.training.evaluations) if untrained else len(evaluations)
-
-    def _is_on_disk(self) -> bool:
-        """Whether there is a trained policy to evaluate."""
-        try:
-            return self._is_done(self._run())
-        except RunError:
-            return False
-
-    def measure(self, commands: Commands, progress: Progress) -> None:
-        if not self.missing():
-            return
-        name = f"{self.experiment.name} {self.seed}" + ("" if self.training.name == "main" else f" ({self.training.name})")
-        self._wait_for_others(commands, progress)
-        run = self._run()
-        done = self._is_done(run)
-        if not done:
-            with progress.piece(f"{name}: {'training' if run is None else 'going on with the training'}"):
-                self._train(run, commands)
-        if not done or self.entry() is None:
-            records.put(self._record, self._collected(), *self._keys)
-        for evaluation in self.unevaluated():
-            with progress.piece(f"{name}: evaluating, {evaluation.name}"):
-                entry = self._evaluated(evaluation, commands)
-            records.put(self._record, entry, *self._keys, "evaluations", evaluation.name)
-
-    def _wait_for_others(self, commands: Commands, progress: Progress) -> None:
-        """Whoever is killed outright may leave a training at work."""
-        told = False
-        while self.folder.is_dir():
-            try:
-                with run_lock(self.folder):
-                    return
-            except UsageError:
-                if not told:
-                    progress.say(f"a training is at work in {self.folder}; waiting for it")
-                told = True
-                commands.pause(POLL_SECONDS)
-
-    def _run(self) -> Run | None:
-        """What there is of it on disk; a directory that a process was killed in while making it is none.
-
-        Raises:
-            RunError: It is damaged, or of another deepbots; nobody but its owner should throw hours of training away.
-        """
-        return Run.open(self.folder) if (self.folder / "run.json").exists() else None
-
-    def _is_done(self, run: Run | None) -> bool:
-        """Whether nothing is left to train. (One that is killed in its last moments does not know so itself.)"""
-        last = None if run is None else latest(run)
-        if run is None or last is None:
-            return False
-        return run.record.status == "finished" or read_state(last).statistics.steps >= run.record.total_timesteps
-
-    def _train(self, run: Run | None, commands: Commands) -> None:
-        ledger = self._ledger
-        if run is None:
-            self.folder.parent.mkdir(parents=True, exist_ok=True)
-            shutil.rmtree(self.folder, ignore_errors=True)
-            ledger.write_text("", encoding="utf-8")
-            words = [self._scenario, "--seed", str(self.seed), *self.training.options, "--run", str(self.folder)]
-        else:
-            words = ["--resume", str(self.folder)]
-        commands.deepbots("train", *words, ledger=ledger)
-
-    @property
-    def _ledger(self) -> Path:
-        """CPU seconds, a line for each process."""
-        return self.folder.with_suffix(".cpu")
-
-    def _crossings(self) -> list[Crossed]:
-        figures = [bar.figure for bar in self.experiment.bars]
-        return [figure for figure in figures if isinstance(figure, Crossed) and figure.training == self.training.name]
-
-    def _collected(self) -> dict[str, Any]:
-        """The entry of a training that is done, from its run directory."""
-        run = Run.open(self.folder)
-        result = run.record.result
-        if result is None:
-            raise RunError(f"{run.path} was killed when it was done; go on with it")
-        curve = curves.points(curves.episodes(run.monitor))
-        last = run.program.curriculum[-1].name if run.program.curriculum else ""
-        processes = [float(line) for line in self._ledger.read_text(encoding="utf-8").split()]
-        ends = [asdict(end) | {"simulated_hours": round(end.steps * run.program.period / 3600, 4)} for end in result.stages]
-        return {
-            **vars(self.asked),
-            **records.circumstances(),
-            "steps": result.steps,
-            "episodes": result.episodes,
-            "simulated_hours": round(result.simulated_hours, 4),
-            # A process that was killed outright is not in the ledger; its training counted up to its last checkpoint.
-            "cpu_seconds": round(max(sum(processes), result.cpu_seconds), 1),
-            "times_resumed": len(run.record.resumed_at),
-            "solved_at": None if result.solved_at is None else asdict(result.solved_at),
-            "stage": result.stage,
-            "stages": ends,
-            "crossings": {wanted.key: curves.crossing(curve, wanted, last) for wanted in self._crossings()},
-            "curve": curves.thinned(curve),
-            "evaluations": {},
-        }
-
-    def _evaluated(self, evaluation: Evaluation, commands: Commands) -> dict[str, Any]:
-        words = [str(self.folder), *evaluation.options]
-        if evaluation.scenario is None and not self.training.sets:
-            words += ["--scenario", self._scenario]  # whose cases may have come after the training
-        outcome = commands.deepbots("eval", *words)
-        told = outcome.data
-        return {
-            **vars(asked.evaluation(self.experiment, self.training, evaluation)),
-            **records.circumstances(),
-            "cpu_seconds": round(outcome.cpu_seconds, 1),
-            **{key: told[key] for key in KEPT},
-            "cases": {case["case"]: {key: case[key] for key in KEPT} for case in told["cases"]},
-        }
+    def complete(self) -> None:
+        entry = {**self.asked()._asdict(), **circumstances(), **self.measure()}
+        put(self.record, entry, *self.keys)
 
 
-@dataclass(frozen=True)
-class BaselineChain:
-    """Episodes of a policy that learned nothing."""
+def pieces(subject: Experiment | Part, places: Places) -> Iterator[Piece]:
+    """A training with its evaluations for each seed, and the baselines; or the tables of a part."""
+    record = places.record(subject.name)
+    if isinstance(subject, Part):
+        for table in subject.tables:
+            asked = partial(lambda command: Asked(sources(), command), table.command)
+            yield Piece(f"{subject.name}: {table.name}", record, ("tables", table.name), asked, partial(_table, table))
+        return
+    scenario = subject.scenario
+    for training in subject.trainings:
+        for seed in training.seeds:
+            name = f"{subject.name} {seed}" + ("" if training.name == "main" else f" ({training.name})")
+            folder = partial(_folder, subject, training, seed, places)
+            keys = ("trainings", training.name, str(seed))
+            asked = partial(asked_training, scenario, training, seed)
+            crossings = _crossings(subject, training)
+            train = partial(_train, scenario, training, seed, folder, crossings)
+            yield Piece(f"{name}: training", record, keys, asked, train, frozenset(crossed.key for crossed in crossings))
+            for evaluation in training.evaluations:
+                asked = partial(asked_evaluation, scenario, training, evaluation)
+                measure = partial(_evaluate, scenario, training, seed, folder, evaluation)
+                yield Piece(f"{name}: {evaluation.name}", record, (*keys, "evaluations", evaluation.name), asked, measure)
+    for baseline in subject.baselines:
+        asked = partial(asked_baseline, scenario, baseline)
+        measure = partial(_try, scenario, baseline)
+        yield Piece(f"{subject.name}: {baseline.name}", record, ("baselines", baseline.name), asked, measure)
 
-    experiment: Experiment
-    baseline: Baseline
-    places: Places
 
-    @property
-    def _record(self) -> Path:
-        return self.places.record(self.experiment.name)
+class CommandError(Exception):
+    """A command has ended in the exit code `code`."""
 
-    @property
-    def asked(self) -> Asked:
-        return asked.baseline(self.experiment, self.baseline)
+    def __init__(self, code: int, command: str) -> None:
+        super().__init__(f"exit code {code} of: {command}")
+        self.code = code
 
-    def missing(self) -> int:
-        known = records.read(self._record).get("baselines", {}).get(self.baseline.name)
-        return not self.asked.is_of(known)
 
-    def measure(self, commands: Commands, progress: Progress) -> None:
-        if not self.missing():
-            return
-        with progress.piece(f"{self.experiment.name}: {self.baseline.name}"):
-            outcome = commands.deepbots("run", self.experiment.scenario, *self.baseline.all_options)
-        entry = {
-            **vars(self.asked),
-            **records.circumstances(),
-            "cpu_seconds": round(outcome.cpu_seconds, 1),
-            **{key: outcome.data["summary"][key] for key in KEPT},
-        }
-        records.put(self._record, entry, "baselines", self.baseline.name)
+def deepbots(*words: str) -> tuple[Any, float]:
+    """What a command prints with --json, and its CPU seconds, user and system.
+
+    Raises:
+        CommandError: It fails; it says why on standard error.
+    """
+    text, code, seconds = _python("deepbots_cli", *words, "--json")
+    if code:
+        raise CommandError(code, f"deepbots {shlex.join(words)}")
+    return json.loads(text), seconds
+
+
+def _python(*words: str) -> tuple[str, int, float]:
+    """`python -m ...` at the root of the repository: what it prints, its exit code and its CPU seconds."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    done = subprocess.run([sys.executable, "-m", *words], cwd=ROOT, stdout=subprocess.PIPE, text=True, check=False)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return done.stdout, done.returncode, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def _folder(experiment: Experiment, training: Training, seed: int, places: Places) -> Path:
+    """The run directory: one of its own for whatever is asked for."""
+    key = hashlib.sha256(" ".join(asked_training(experiment.scenario, training, seed)).encode()).hexdigest()[:10]
+    return places.runs / experiment.name / f"{training.name}-{seed}-{key}"
+
+
+def _crossings(experiment: Experiment, training: Training) -> list[Crossed]:
+    figures = [bar.figure for bar in experiment.bars]
+    return [figure for figure in figures if isinstance(figure, Crossed) and figure.training == training.name]
+
+
+def _trained(scenario: str, training: Training, seed: int, folder: Path) -> tuple[Run, float]:
+    """The finished run, trained or gone on with where it is not, and the CPU seconds of this."""
+    seconds = 0.0
+    if not (folder / "run.json").exists():
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        seconds = deepbots("train", scenario, "--seed", str(seed), *training.options, "--run", str(folder))[1]
+    elif Run.open(folder).record.status != "finished":
+        seconds = deepbots("train", "--resume", str(folder))[1]
+    return Run.open(folder), seconds
+
+
+def _train(scenario: str, training: Training, seed: int, folder: Callable[[], Path], crossings: list[Crossed]) -> dict[str, Any]:
+    run, seconds = _trained(scenario, training, seed, folder())
+    result = run.record.result
+    assert result is not None  # it is finished
+    curve = points(run.monitor)
+    last = run.program.curriculum[-1].name if run.program.curriculum else ""
+    return {
+        "steps": result.steps,
+        "episodes": result.episodes,
+        "simulated_hours": round(result.simulated_hours, 4),
+        # Of a training that was stopped, the process that ended it does not know the time of the others; the run does.
+        "cpu_seconds": round(max(seconds, result.cpu_seconds), 1),
+        "times_resumed": len(run.record.resumed_at),
+        "solved_at": None if result.solved_at is None else asdict(result.solved_at),
+        "stage": result.stage,
+        "stages": [asdict(end) | {"simulated_hours": round(end.steps * run.program.period / 3600, 4)} for end in result.stages],
+        "crossings": {wanted.key: crossing(curve, wanted, last) for wanted in crossings},
+        "curve": thinned(curve),
+        "evaluations": {},
+    }
+
+
+def _evaluate(scenario: str, training: Training, seed: int, folder: Callable[[], Path], evaluation: Evaluation) -> dict[str, Any]:
+    words = [str(_trained(scenario, training, seed, folder())[0].path), *evaluation.options]
+    if evaluation.scenario is None and not training.sets:
+        words += ["--scenario", scenario]  # whose cases may have come after the training
+    found, seconds = deepbots("eval", *words)
+    cases = {case["case"]: {key: case[key] for key in KEPT} for case in found["cases"]}
+    return {"cpu_seconds": round(seconds, 1), **{key: found[key] for key in KEPT}, "cases": cases}
+
+
+def _try(scenario: str, baseline: Baseline) -> dict[str, Any]:
+    found, seconds = deepbots("run", scenario, *baseline.all_options)
+    return {"cpu_seconds": round(seconds, 1), **{key: found["summary"][key] for key in KEPT}}
+
+
+def _table(table: Any) -> dict[str, Any]:
+    if isinstance(table, Holding):
+        chosen = ["-k", table.expression, "-m", table.marker]
+        text, code, seconds = _python(
+            "pytest", table.folder, *chosen, "-p", "no:cacheprovider", "-o", "addopts=--import-mode=importlib", "-q"
+        )
+        if code not in (0, 1):
+            raise CommandError(code, f"{table.command}\n{text}")
+        counted = re.findall(r"(\d+) (passed|failed|skipped|error)", text.strip().splitlines()[-1])
+        counts = {"passed": 0, "failed": 0} | {word: int(count) for count, word in counted}
+        rows: Any = [{"what": table.name, "met": code == 0, **counts}]
+    else:
+        text, code, seconds = _python(f"tests.benchmarks.{table.name}", "--json")
+        if code:
+            raise CommandError(code, table.command)
+        rows = json.loads(text)
+    return {"cpu_seconds": round(seconds, 1), "rows": rows}
+
+
+# The learning curve
+
+
+class Point(NamedTuple):
+    """Means over the last 100 episodes of the stage, or over as many as there are; `full` says that there are as many."""
+
+    episode: int
+    steps: int
+    simulated_hours: float
+    mean_return: float
+    success: float
+    full: bool
+    stage: str
+
+
+def points(monitor: Path) -> list[Point]:
+    """A point for each episode of the stage that the training is in; those that began in an earlier stage are left out."""
+    recent: deque[tuple[float, bool]] = deque(maxlen=WINDOW)
+    begun: list[str] = []
+    found = []
+    with monitor.open(encoding="utf-8", newline="") as stream:
+        next(stream)  # the line of Stable-Baselines3
+        for row in csv.DictReader(stream):
+            if row["stage"] not in begun:
+                begun.append(row["stage"])
+                recent.clear()
+            if row["stage"] == begun[-1]:
+                recent.append((float(row["r"]), row["is_success"] == "1"))
+                mean, share = (sum(values) / len(recent) for values in zip(*recent, strict=True))
+                place = int(row["episode"]), int(row["steps"]), float(row["simulated_hours"])
+                found.append(Point(*place, mean, share, len(recent) == WINDOW, row["stage"]))
+    return found
+
+
+def thinned(curve: list[Point]) -> dict[str, list[float]]:
+    """At most 200 points, the last of each of as many stretches of time; the first nine episodes say nothing yet."""
+    known = curve[9:] or curve
+    width = known[-1].simulated_hours / POINTS if known else 0.0
+    kept = {math.ceil(point.simulated_hours / width): point for point in known}.values()
+    return {
+        "simulated_hours": [round(point.simulated_hours, 4) for point in kept],
+        "return": [float(f"{point.mean_return:.4g}") for point in kept],
+        "success": [round(point.success, 3) for point in kept],
+    }
+
+
+def crossing(curve: list[Point], wanted: Crossed, stage: str = "") -> dict[str, Any] | None:
+    """The first mean over 100 episodes of the last `stage` that reaches the threshold; None if there is none."""
+    for point in curve:
+        value = point.mean_return if wanted.metric == "return" else point.success
+        if point.full and point.stage == stage and value >= wanted.threshold:
+            return {"episode": point.episode, "steps": point.steps, "simulated_hours": point.simulated_hours}
+    return None

@@ -5,82 +5,33 @@ A table is measured again when anything has changed that it could depend on: the
 
 from __future__ import annotations
 
-import hashlib
-import json
-import re
-from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache
-from typing import Any
-
-from tests.results import records
-from tests.results.asked import Asked
-from tests.results.commands import CommandFailedError, Commands, Outcome
-from tests.results.places import ROOT, Places
-from tests.results.progress import Progress
-
-WATCHED = ("deepbots_cli", "scenarios", "robots", "tests")
-_COUNTED = re.compile(r"(\d+) (passed|failed|skipped|error)")
 
 
 @dataclass(frozen=True)
 class Benchmark:
     """A module of tests/benchmarks, which prints rows."""
 
-    module: str
-
-    @property
-    def name(self) -> str:
-        return self.module
+    name: str
 
     @property
     def command(self) -> str:
-        return f"python -m tests.benchmarks.{self.module}"
-
-    def measure(self, commands: Commands) -> tuple[Outcome, Any]:
-        outcome = commands.python(f"tests.benchmarks.{self.module}", "--json")
-        if outcome.code:
-            raise CommandFailedError(f"exit code {outcome.code} of: {self.command}")
-        return outcome, json.loads(outcome.text)
+        return f"python -m tests.benchmarks.{self.name}"
 
 
 @dataclass(frozen=True)
 class Holding:
     """Something that tests show; `expression` and `marker` choose them."""
 
-    what: str
+    name: str
     folder: str
     expression: str = ""
     marker: str = ""
 
     @property
-    def name(self) -> str:
-        return self.what
-
-    @property
     def command(self) -> str:
         chosen = [f" {option} '{given}'" for option, given in (("-k", self.expression), ("-m", self.marker)) if given]
         return f"pytest {self.folder}{''.join(chosen)}"
-
-    def measure(self, commands: Commands) -> tuple[Outcome, Any]:
-        words = [
-            self.folder,
-            "-k",
-            self.expression,
-            "-m",
-            self.marker,
-            "-p",
-            "no:cacheprovider",
-            "-o",
-            "addopts=--import-mode=importlib",
-            "-q",
-        ]
-        outcome = commands.python("pytest", *words)
-        if outcome.code not in (0, 1):
-            raise CommandFailedError(f"exit code {outcome.code} of: {self.command}\n{outcome.text}")
-        last = outcome.text.strip().splitlines()[-1]
-        counts = {"passed": 0, "failed": 0} | {word: int(count) for count, word in _COUNTED.findall(last)}
-        return outcome, [{"what": self.what, "met": outcome.code == 0, **counts}]
 
 
 @dataclass(frozen=True)
@@ -92,51 +43,6 @@ class Part:
     prose: str
     tables: tuple[Benchmark | Holding, ...]
     figure: str = "measured"
-
-
-@dataclass(frozen=True)
-class TableChain:
-    """One table of a part."""
-
-    part: Part
-    table: Benchmark | Holding
-    places: Places
-
-    def missing(self) -> int:
-        known = records.read(self.places.record(self.part.name)).get("tables", {}).get(self.table.name)
-        return not Asked(sources(), self.table.command).is_of(known)
-
-    def measure(self, commands: Commands, progress: Progress) -> None:
-        if not self.missing():
-            return
-        digest = sources()
-        with progress.piece(f"{self.part.name}: {self.table.name}"):
-            outcome, rows = self.table.measure(commands)
-        entry = {
-            "digest": digest,
-            "command": self.table.command,
-            **records.circumstances(),
-            "cpu_seconds": round(outcome.cpu_seconds, 1),
-            "rows": rows,
-        }
-        records.put(self.places.record(self.part.name), entry, "tables", self.table.name)
-
-
-def chains(part: Part, places: Places) -> Iterator[TableChain]:
-    for table in part.tables:
-        yield TableChain(part, table, places)
-
-
-@cache
-def sources() -> str:
-    """SHA-256, in hexadecimal, of all that the tables depend on, apart from what tells of results."""
-    digest = hashlib.sha256()
-    for folder in WATCHED:
-        for path in sorted((ROOT / folder).rglob("*")):
-            inside = path.relative_to(ROOT).as_posix()
-            if path.is_file() and "__pycache__" not in inside and not inside.startswith("tests/results/"):
-                digest.update(inside.encode() + b"\0" + path.read_bytes() + b"\0")
-    return digest.hexdigest()
 
 
 COSTS = Part(

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from deepbots_cli.learning.run import write_text
-from tests.results.experiment import Bar, Experiment, Mark
-from tests.results.figures import Crossed, Solved
-from tests.results.standing import Standing
+from tests.results.experiment import Bar, Crossed, Experiment, Mark, Solved
+
+Entry = Mapping[str, Any]
 
 INK = "#7d8590"
 """Of axes and texts: as far from white as from near black."""
@@ -24,37 +24,37 @@ FAR = 2.2
 """An hour that is so many times beyond the curves is told at the edge and not drawn, or the curves would be a sliver."""
 
 
-def state(standing: Standing) -> str:
+def state(experiment: Experiment, record: Entry) -> str:
     """A digest of all that the picture shows; the picture carries it, so that a test can tell whether it is current."""
-    experiment = standing.experiment
     shown = [experiment.title, experiment.curve, [vars(mark) for mark in marks(experiment)]]
-    curves = [(name, seed, entry["curve"], entry["stages"]) for name, seed, entry in _curves(standing)]
+    curves = [(name, seed, entry["curve"], entry["stages"]) for name, seed, entry in _curves(experiment, record)]
     return hashlib.sha256(json.dumps([shown, curves]).encode()).hexdigest()[:16]
 
 
-def is_current(standing: Standing, path: Path) -> bool:
-    if not standing.has_curves:
+def is_current(experiment: Experiment, record: Entry, path: Path) -> bool:
+    if not _curves(experiment, record):
         return not path.exists()
-    return path.is_file() and f"state {state(standing)}" in path.read_text(encoding="utf-8")
+    return path.is_file() and f"state {state(experiment, record)}" in path.read_text(encoding="utf-8")
 
 
-def write(standing: Standing, path: Path) -> None:
+def write(experiment: Experiment, record: Entry, path: Path) -> None:
     """Draw it where its data have changed; remove one that has no data any more."""
-    if is_current(standing, path):
+    if is_current(experiment, record, path):
         return
-    if not standing.has_curves:
+    if not _curves(experiment, record):
         path.unlink()
         return
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_text(path, drawn(standing))
+    write_text(path, drawn(experiment, record))
 
 
-def _curves(standing: Standing) -> Iterator[tuple[str, int, Mapping[str, Any]]]:
-    for training in standing.experiment.trainings:
-        yield from ((training.name, seed, entry) for seed, entry in standing.seeds(training).items())
+def _curves(experiment: Experiment, record: Entry) -> list[tuple[str, int, Entry]]:
+    known = [(training.name, seed) for training in experiment.trainings for seed in training.seeds]
+    trainings = record["trainings"]
+    return [(name, seed, trainings[name][str(seed)]) for name, seed in known if str(seed) in trainings.get(name, {})]
 
 
-def drawn(standing: Standing) -> str:
+def drawn(experiment: Experiment, record: Entry) -> str:
     """The text of the SVG: the same for the same data, wherever it is drawn."""
     import io
 
@@ -68,15 +68,17 @@ def drawn(standing: Standing) -> str:
         figure = Figure(figsize=(7.2, 3.4), layout="constrained")
         figure.patch.set_alpha(0)
         axes = figure.add_subplot(facecolor="none")
-        _draw(axes, standing.experiment, list(_curves(standing)))
+        _draw(axes, experiment, _curves(experiment, record))
         stream = io.StringIO()
-        FigureCanvasSVG(figure).print_svg(stream, metadata={"Date": None, "Creator": None, "Description": f"state {state(standing)}"})
+        FigureCanvasSVG(figure).print_svg(
+            stream, metadata={"Date": None, "Creator": None, "Description": f"state {state(experiment, record)}"}
+        )
     return "\n".join(line.rstrip() for line in stream.getvalue().splitlines()) + "\n"
 
 
 def marks(experiment: Experiment) -> list[Mark]:
     """Those of the experiment, and the hours that its bars ask for."""
-    bars = [bar for bar in experiment.bars if isinstance(bar.figure, (Solved, Crossed)) and bar.figure.when == "simulated_hours"]
+    bars = [bar for bar in experiment.bars if isinstance(bar.figure, (Solved, Crossed)) and bar.figure.what == "simulated_hours"]
     asked = [Mark(f"{_whose(bar)}: {bar.at_most:g} h", hours=bar.at_most) for bar in bars if bar.at_most is not None]
     return [*experiment.marks, *asked]
 
@@ -86,7 +88,7 @@ def _whose(bar: Bar) -> str:
     return ("stretch" if bar.stretch else "asked") + ("" if bar.over == "all" else f" of the {bar.over}")
 
 
-def _draw(axes: Any, experiment: Experiment, entries: list[tuple[str, int, Mapping[str, Any]]]) -> None:
+def _draw(axes: Any, experiment: Experiment, entries: list[tuple[str, int, Entry]]) -> None:
     names = [training.name for training in experiment.trainings]
     seeds = list(dict.fromkeys(seed for _, seed, _ in entries))
     scale = 100 if experiment.curve == "success" else 1
@@ -115,7 +117,7 @@ def _draw(axes: Any, experiment: Experiment, entries: list[tuple[str, int, Mappi
     axes.legend(title="seed", frameon=False, fontsize=8, title_fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
 
 
-def _name_stages(axes: Any, entry: Mapping[str, Any]) -> None:
+def _name_stages(axes: Any, entry: Entry) -> None:
     """Each above the line of its end, aslant, since short stages stand close together; the last one has none."""
     for end in entry["stages"]:
         where = (end["simulated_hours"], 1.01)

@@ -131,7 +131,7 @@ class Timing:
 
 
 @dataclass(frozen=True)
-class _Held:
+class Held:
     """An episode with one constant action, and the number of its timed steps."""
 
     seed: int
@@ -152,11 +152,11 @@ def measure(
     program, name = environment.scenario, environment.engine.name
     show = on_measured or (lambda _done, _all: None)
     measured: list[tuple[float, float]] = []
-    plan = _plan(environment, steps, seed)
-    timed = sum(episode.steps for episode in plan)
+    episodes = plan(environment, steps, seed)
+    timed_steps = sum(episode.steps for episode in episodes)
     sides = (
-        lambda: _time(environment, plan, environment.step, lambda episode: episode.action),
-        lambda: _time(other, plan, other.engine.step, lambda _: program.world.substeps * program.action_repeat),
+        lambda: timed(environment, episodes, environment.step, lambda episode: episode.action),
+        lambda: timed(other, episodes, other.engine.step, lambda _: program.world.substeps * program.action_repeat),
     )
     for number in range(pairs + 1):
         show(number, pairs + 1)
@@ -165,18 +165,18 @@ def measure(
     show(pairs + 1, pairs + 1)
     del measured[0]  # caches and clocks warm up
     ratios = [step / base for step, base in measured]
-    step_us, bare_us = (1e6 / timed * median(side) for side in zip(*measured, strict=True))
+    step_us, bare_us = (1e6 / timed_steps * median(side) for side in zip(*measured, strict=True))
     return Timing(
-        program.name, name, program.format, pairs, timed, step_us, bare_us, median(ratios), min(ratios), max(ratios), 1e6 / step_us
+        program.name, name, program.format, pairs, timed_steps, step_us, bare_us, median(ratios), min(ratios), max(ratios), 1e6 / step_us
     )
 
 
-def _plan(environment: Supervisor, steps: int, seed: int) -> list[_Held]:
+def plan(environment: Supervisor, steps: int, seed: int) -> list[Held]:
     """Episodes that together have `steps` timed steps."""
-    plan: list[_Held] = []
+    episodes: list[Held] = []
     left = steps
     while left > 0:
-        number = seed + len(plan)
+        number = seed + len(episodes)
         environment.reset(seed=number)
         action = environment.action_space.sample()
         length, ended = 0, False
@@ -185,15 +185,15 @@ def _plan(environment: Supervisor, steps: int, seed: int) -> list[_Held]:
             length, ended = length + 1, terminated or truncated
         if length <= UNTIMED:
             raise UsageError(f"an episode ends within {UNTIMED} steps, so there is nothing to measure")
-        plan.append(_Held(number, action, length - UNTIMED))
+        episodes.append(Held(number, action, length - UNTIMED))
         left -= length - UNTIMED
-    return plan
+    return episodes
 
 
-def _time(environment: Supervisor, plan: list[_Held], call: Callable[[Any], object], argument_of: Callable[[_Held], Any]) -> float:
+def timed(environment: Any, episodes: list[Held], call: Callable[[Any], object], argument_of: Callable[[Held], Any]) -> float:
     """CPU seconds of `call` in all timed steps."""
     total = 0.0
-    for episode in plan:
+    for episode in episodes:
         environment.reset(seed=episode.seed)
         for _ in range(UNTIMED):
             environment.step(episode.action)

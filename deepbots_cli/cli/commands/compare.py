@@ -12,6 +12,7 @@ from deepbots_cli import api, learning
 from deepbots_cli.cli import results, terminal
 from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Json, whole
 from deepbots_cli.cli.tables import Row, table
+from deepbots_cli.learning.run import Record, changed_settings, short
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.comparison import Comparison
@@ -85,8 +86,14 @@ def _show(found: Comparison) -> None:
     where = f"{found.scenario}: " if found.scenario else "each run in its own scenario: "
     terminal.say(f"{where}{found.episodes:,} held-out episodes of each run, from seed {found.seed}")
     rows: list[Row] = []
+    settings = {group.name: short(changed_settings(Record.read(group.evaluations[0].run).command)) for group in found.groups}
     for group in found.groups:
-        row: dict[str, object] = {"group": group.name, "runs": len(group.evaluations), "mean_return": group.mean_return}
+        row: dict[str, object] = {
+            "group": group.name,
+            "set": settings[group.name],
+            "runs": len(group.evaluations),
+            "mean_return": group.mean_return,
+        }
         row |= {"return_95 %": results.between(group.return_interval), "iqm": group.interquartile_mean if group.return_interval else None}
         if has_success:
             row |= {"success": f"{group.success_rate:.1%}", "success_95 %": results.between(group.success_interval, percent=True)}

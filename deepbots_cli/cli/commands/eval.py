@@ -78,8 +78,14 @@ def command(
     ] = False,
     robustness: Annotated[
         bool,
-        typer.Option("--robustness", help="Evaluate with latency, message loss, noise, other masses and friction, and weaker motors."),
+        typer.Option("--robustness", help="Evaluate with latency, message loss, noise, another mass and friction, and weaker motors."),
     ] = False,
+    mass_of: Annotated[
+        str | None,
+        typer.Option(
+            "--mass-of", metavar="NAME", help="Object or ROBOT.LINK whose mass --robustness changes; by default the heaviest link."
+        ),
+    ] = None,
     details: Annotated[
         bool, typer.Option("--details", help="Show the results by drawn value too, and those in the stages of the curriculum.")
     ] = False,
@@ -118,6 +124,7 @@ def command(
 
     --min-success and --min-return stop the evaluation of a run as soon as the answer is certain: when the remaining episodes cannot change
     it, or when a 95 % confidence sequence (beta-binomial mixture; for returns, an anytime-valid t-test) excludes the required value.
+    The evaluation of a group stops when the remaining episodes of all seeds cannot change the answer to --min-success.
 
     --robustness changes one condition at a time by several amounts, and shows where the result falls below --min-success or --min-return,
     by default below `solved` of the scenario or 80 % of the result without a change.
@@ -131,7 +138,7 @@ def command(
       deepbots eval runs/cartpole-0-1
       deepbots eval runs/cartpole-0-1 --baselines
       deepbots eval runs/cartpole-seeds-1 --csv episodes.csv
-      deepbots eval runs/cartpole-0-1 --robustness --episodes 20
+      deepbots eval runs/cartpole-0-1 --robustness --episodes 20 --mass-of cart.pole
       deepbots eval runs/cartpole-0-1 --video cartpole.mp4
       deepbots eval runs/cartpole-0-1 --scenario longer_pole.yaml --episodes 20
       deepbots eval runs/cartpole-0-1 --set fall_angle=10deg
@@ -143,18 +150,16 @@ def command(
     Next: `deepbots compare RUN RUN` compares policies on the same starts, `deepbots runs RUN` lists its evaluations, and
     `deepbots train --resume RUN --timesteps N --full` continues the training.
     """
-    for path in (csv, junit):
-        if path is not None and not path.absolute().parent.is_dir():
-            raise UsageError(f"{path} cannot be written: there is no directory {path.parent}")
-    if junit is not None and min_success is None and min_return is None and not require_solved:
-        raise UsageError("--junit writes requirements, and there is none; add --min-success, --min-return or --require-solved")
+    gates = Gates(min_success, min_return, require_solved)
+    if mass_of is not None and not robustness:
+        raise UsageError("--mass-of belongs to --robustness; add it")
+    _check_files(csv, junit, gates)
     chosen: dict[str, Any] = {
         "episodes": episodes,
         "model": "last" if last else "best",
         "allow_code": allow_code,
         "deterministic": not stochastic,
     }
-    gates = Gates(min_success, min_return, require_solved)
     several: Sequence[str | None] = engine or [None]
     if len(several) > 1:
         _refuse("evaluates in one engine; name one with --engine", video=video, robustness=robustness, baselines=baselines, details=details)
@@ -168,7 +173,7 @@ def command(
     known = Run.open(run)
     if robustness:
         changed = on_engine(sets, several[0])
-        _robustness(known, gates, changed, allow_paths or (), scenario, case, stage, as_json=as_json, seed=seed, **chosen)
+        _robustness(known, gates, changed, allow_paths or (), scenario, case, stage, as_json=as_json, seed=seed, mass_of=mass_of, **chosen)
         return
     chosen |= {"seed": seed}
     with terminal.passing("loading the policy ..."):
@@ -196,7 +201,7 @@ def command(
                 others = evaluate_baselines(known, case=case, stage=stage, **options | {"episodes": result.episodes})
         elsewhere = _elsewhere(known, scenario, sets or (), compiled) if scenario is not None or sets else None
         found.append(_Found(result, cases, others, elsewhere, tuple(sets or ())))
-        known.keep_evaluation(found[-1].as_json())
+        results.keep(known, found[-1].as_json())
         of = f"{result.engine}: " if len(several) > 1 else ""
         requirements += [(f"{of}{words}", met, reason) for words, met, reason in gates.requirements(result, episodes or usual)]
     if csv is not None:
@@ -297,6 +302,15 @@ def _judged(
     return compiled
 
 
+def _check_files(csv: Path | None, junit: Path | None, gates: Gates) -> None:
+    """Find out before a long evaluation whether its files can be written, and have a content."""
+    for path in (csv, junit):
+        if path is not None and not path.absolute().parent.is_dir():
+            raise UsageError(f"{path} cannot be written: there is no directory {path.parent}")
+    if junit is not None and gates == Gates(None, None, False):
+        raise UsageError("--junit writes requirements, and there is none; add --min-success, --min-return or --require-solved")
+
+
 Requirement = tuple[str, bool, str]
 """What is required, whether it is met, and the reason."""
 
@@ -339,9 +353,21 @@ class Gates:
         answers = self.verdicts(result.outcomes, planned)
         return found + [(words, verdict.met, verdict.reason) for words, verdict in answers if verdict.met is not None]
 
-    def requirements_of_group(self, group: GroupResult) -> list[Requirement]:
+    def decided_of_group(self, episodes: Sequence[Episode], planned: int) -> bool:
+        """Whether the planned episodes that are left, of all runs together, cannot change the answer to `--min-success`.
+
+        Other requirements need all episodes: a confidence sequence says nothing about other seeds, and returns have no limit.
+        """
+        if self.min_success is None or self.min_return is not None or self.solved:
+            return False
+        successes, required = sum(episode.is_success for episode in episodes), self.min_success * planned
+        return successes >= required or successes + planned - len(episodes) < required
+
+    def requirements_of_group(self, group: GroupResult, planned: int) -> list[Requirement]:
         """The answers for the means over the seeds of a group."""
-        over = f"over {len(group.evaluations)} seeds"
+        count, left = len(group.evaluations), planned - sum(result.episodes for result in group.evaluations)
+        over = f"over {count} seed{'' if count == 1 else 's'}"
+        over += f", which the remaining {left} episodes cannot change" if left > 0 else ""
         unsolved = [result.run.name for result in group.evaluations if not result.solved]
         found = []
         if self.solved:
@@ -362,9 +388,14 @@ def _evaluate_group(
 ) -> None:
     with terminal.passing("loading the policies ..."):
         evaluate_group = learning.evaluate_group  # which imports torch
-    group = Group.open(folder)
-    if group.runs:
-        gates.check(Run.open(group.runs[0]).program if compiled is None else compiled.program)
+    ready = Group.open(folder).ready
+    planned = 0
+    if ready:
+        program = Run.open(ready[0]).program if compiled is None else compiled.program
+        gates.check(program)
+        usual = program.evaluation.episodes if chosen["case"] is None else program.case(chosen["case"]).episodes
+        planned = (chosen["episodes"] or usual) * len(ready)
+        chosen["until"] = partial(gates.decided_of_group, planned=planned)
     with terminal.progress("runs", always=False) as show_run:
         found = evaluate_group(folder, scenario=compiled, on_run=show_run, **chosen)
     if csv is not None:
@@ -373,7 +404,7 @@ def _evaluate_group(
         terminal.show_json(results.group_json(found))
     else:
         terminal.say(results.group_text(found))
-    _require(gates.requirements_of_group(found), found.name, junit)
+    _require(gates.requirements_of_group(found, planned), found.name, junit)
 
 
 def _robustness(

@@ -15,7 +15,7 @@ from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.group import is_group
 from deepbots_cli.learning.listing import ListedRun, evaluations, list_runs, read_listed, sort_runs
-from deepbots_cli.learning.run import NAME, KeptEvaluation
+from deepbots_cli.learning.run import NAME, KeptEvaluation, short
 
 
 class Sort(StrEnum):
@@ -104,6 +104,7 @@ def _row(run: ListedRun) -> Row:
         "score": run.score,
         "solved": "" if run.solved is None else "yes" if run.solved else "no",
         "cpu_s": None if run.cpu_seconds is None else round(run.cpu_seconds, 1),
+        "set": short(run.settings),
         "digest": run.digest[:8],
         "updated": run.updated[:16].replace("T", " "),
     }

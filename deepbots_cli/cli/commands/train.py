@@ -202,11 +202,11 @@ def _finish_group(group: GroupTraining, *, quiet: bool, as_json: bool, allow_cod
             terminal.show_json({"training": results.group_training_json(group), "evaluation": None})
         raise typer.Exit(INTERRUPTED)
     if not quiet:
-        terminal.note("evaluating on held-out episodes ...")
+        terminal.note("evaluating on held-out episodes, without the exploration of the training, so returns differ ...")
     with terminal.progress("runs", always=False) as show_run:
         evaluation = learning.evaluate_group(group.group, allow_code=allow_code, on_run=show_run)
     for found in evaluation.evaluations:
-        Run.open(found.run).keep_evaluation({**with_cases(found, ()), "engine": Group.open(group.group).record.engine})
+        results.keep(Run.open(found.run), {**with_cases(found, ()), "engine": Group.open(group.group).record.engine})
     if as_json:
         terminal.show_json({"training": results.group_training_json(group), "evaluation": results.group_json(evaluation)})
     else:
@@ -231,11 +231,11 @@ def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, allow_code: b
             terminal.show_json({"training": report.to_json(result), "evaluation": None})
         raise typer.Exit(INTERRUPTED)
     if not quiet:
-        terminal.note("evaluating on held-out episodes ...")
+        terminal.note("evaluating on held-out episodes, without the exploration of the training, so returns differ ...")
     with terminal.progress(always=False) as show_episode:
         evaluation = learning.evaluate(result.run, allow_code=allow_code, on_episode=show_episode)
         cases = learning.evaluate_cases(result.run, allow_code=allow_code, on_episode=show_episode)
-    Run.open(result.run).keep_evaluation(with_cases(evaluation, cases))
+    results.keep(Run.open(result.run), with_cases(evaluation, cases))
     if as_json:
         terminal.show_json({"training": report.to_json(result), "evaluation": with_cases(evaluation, cases)})
         return

@@ -12,6 +12,7 @@ import typer
 
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Seed, Sets, Stage, known_engine, whole
+from deepbots_cli.files import atomic
 
 if TYPE_CHECKING:
     from deepbots_cli.view.episodes import Source
@@ -224,7 +225,8 @@ def picture(
     with player(source, driver) as world:
         trace = list(world.episode(seed, episode, None if path and not steps else steps))
         image = pictures.picture(world, shot, labels=labels, rays=rays, path=trace if path else ())
-    image.save(out)
+    with atomic(out) as draft:
+        image.save(draft, "PNG")
     terminal.say(str(out))
 
 

@@ -1,7 +1,6 @@
 """The paper's first task, with a choice and with a range of wheel speeds."""
 
-from tests.results.experiment import RANDOM, Bar, Experiment, Mark, Training, seeds
-from tests.results.figures import Held, Solved, Trained
+from tests.results.experiment import RANDOM, Bar, Experiment, Held, Mark, Solved, Trained, Training, seeds
 
 BARS = (
     Bar(Solved("simulated_hours"), at_most=0.5),

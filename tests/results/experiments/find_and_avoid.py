@@ -1,7 +1,6 @@
 """Around up to 25 obstacles to a mark, with the choices masked as in the collection, and without."""
 
-from tests.results.experiment import RANDOM, Bar, Evaluation, Experiment, Mark, Training
-from tests.results.figures import Crossed, Held, Trained
+from tests.results.experiment import RANDOM, Bar, Crossed, Evaluation, Experiment, Held, Mark, Trained, Training
 
 PAPER = (
     "The collection tells of 98.7 % of the last training episodes, after 3.4 million steps of an agent with masked choices, at 307 steps "

@@ -1,7 +1,6 @@
 """The paper's third task, in the paper's own layout."""
 
-from tests.results.experiment import RANDOM, Bar, Baseline, Evaluation, Experiment, Mark, Training, seeds
-from tests.results.figures import Held, Solved, Trained
+from tests.results.experiment import RANDOM, Bar, Baseline, Evaluation, Experiment, Held, Mark, Solved, Trained, Training, seeds
 
 FRESH = seeds(5, first=201)
 """Some of 101 to 125 showed how the best network has to be chosen (docs/training.md), so they are not reported."""

@@ -1,7 +1,6 @@
 """Find the ball among obstacles that are placed anew for each episode: what the paper's agent failed to generalise to."""
 
-from tests.results.experiment import RANDOM, Bar, Evaluation, Experiment, Mark, Training, seeds
-from tests.results.figures import Held, Trained
+from tests.results.experiment import RANDOM, Bar, Evaluation, Experiment, Held, Mark, Trained, Training, seeds
 
 FRESH = seeds(3, first=201)
 

@@ -1,7 +1,6 @@
 """Nine carts under one policy."""
 
-from tests.results.experiment import RANDOM, Bar, Experiment, Mark, Training, seeds
-from tests.results.figures import Ahead, Held, Solved
+from tests.results.experiment import RANDOM, Ahead, Bar, Experiment, Held, Mark, Solved, Training, seeds
 
 EXPERIMENTS = (
     Experiment(

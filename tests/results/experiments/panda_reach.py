@@ -1,7 +1,6 @@
 """Bring the fingertips of an arm to a place in space."""
 
-from tests.results.experiment import RANDOM, Bar, Experiment, Mark, Training
-from tests.results.figures import Held, Trained
+from tests.results.experiment import RANDOM, Bar, Experiment, Held, Mark, Trained, Training
 
 FRESH = (111, 112, 113)
 """101 to 103 were trained with longer steps, and by them those were found wanting."""

@@ -1,7 +1,6 @@
 """The paper's second task: a ball rocks itself out of a pit."""
 
-from tests.results.experiment import RANDOM, Bar, Baseline, Evaluation, Experiment, Mark, Training, seeds
-from tests.results.figures import Crossed, Held, Trained, Tried
+from tests.results.experiment import RANDOM, Bar, Baseline, Crossed, Evaluation, Experiment, Held, Mark, Trained, Training, Tried, seeds
 
 _ELSEWHERE = tuple(
     Evaluation(name=name, scenario=f"tests/pits/pit_escape_{name}.yaml", words=words)

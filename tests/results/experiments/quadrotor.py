@@ -1,7 +1,6 @@
 """Fly to a point and stay there."""
 
-from tests.results.experiment import RANDOM, Bar, Baseline, Experiment, Training, seeds
-from tests.results.figures import Ahead, Held, Trained
+from tests.results.experiment import RANDOM, Ahead, Bar, Baseline, Experiment, Held, Trained, Training, seeds
 
 EXPERIMENTS = (
     Experiment(

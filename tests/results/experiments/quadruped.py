@@ -1,7 +1,6 @@
 """Walk and turn as told."""
 
-from tests.results.experiment import RANDOM, Bar, Baseline, Experiment, Training, seeds
-from tests.results.figures import Ahead
+from tests.results.experiment import RANDOM, Ahead, Bar, Baseline, Experiment, Training, seeds
 
 EXPERIMENTS = (
     Experiment(

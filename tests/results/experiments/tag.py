@@ -1,7 +1,6 @@
 """Catch a scripted prey."""
 
-from tests.results.experiment import RANDOM, Bar, Baseline, Experiment, Training, seeds
-from tests.results.figures import Ahead, Held
+from tests.results.experiment import RANDOM, Ahead, Bar, Baseline, Experiment, Held, Training, seeds
 
 EXPERIMENTS = (
     Experiment(

@@ -1,0 +1,226 @@
+"""The results page is what the records say, the records are of what is asked for, and a measurement that is stopped goes on."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from deepbots_cli.document import shipped
+from deepbots_cli.learning.run import Run
+from tests.results import measure, page, picture
+from tests.results.__main__ import main
+from tests.results.experiment import (
+    FIRST_SEED,
+    RANDOM,
+    Ahead,
+    Bar,
+    Baseline,
+    Crossed,
+    Evaluation,
+    Experiment,
+    Held,
+    Solved,
+    Trained,
+    Training,
+    Tried,
+    experiments,
+)
+from tests.results.experiments.not_measured import REASONS
+from tests.results.measure import ROOT, Places
+from tests.results.page import Standing, judge
+
+PLACES = Places()
+CURRENT = "run: python -m tests.results --render"
+EXPERIMENTS = list(experiments().values())
+
+
+def test_the_page_is_what_the_records_say():
+    assert PLACES.page.read_text(encoding="utf-8") == page.page(PLACES, experiments()), CURRENT
+
+
+def test_the_readme_tells_figures_of_the_page():
+    measured: dict[str, str] = {}
+    task = ""
+    for line in PLACES.page.read_text(encoding="utf-8").partition("## CartPole")[0].splitlines():
+        if (cells := line.split("|"))[0] == "" and len(cells) == 7:
+            task = cells[1].strip() or task
+            measured[task] = measured.get(task, "") + cells[4]
+    rows = re.findall(r"^\| \[(\w+)\]\(docs/results\.md#.*\| (.*) \|$", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert [name for name, _ in rows] == ["CartPole", "PitEscape", "FindBall"]
+    for name, told in rows:
+        (numbers,) = (figures for task, figures in measured.items() if task.startswith(f"[{name}]"))
+        figures = re.findall(r"[\d.]+(?: %| h| s|)", told.replace("200 of 200", "200"))
+        assert figures
+        assert [figure for figure in figures if figure not in numbers] == []
+
+
+def test_the_pictures_show_the_records_and_are_small():
+    for experiment in EXPERIMENTS:
+        path = PLACES.picture(experiment.name)
+        record = Standing.of(experiment, measure.read(PLACES.record(experiment.name))).record
+        assert picture.is_current(experiment, record, path), CURRENT
+        assert not path.exists() or path.stat().st_size < 100_000
+
+
+def test_every_shipped_scenario_is_measured_or_it_is_said_why_not():
+    assert set(shipped.scenario_names()) == {*experiments(), *REASONS}
+
+
+def test_bars_look_at_what_is_measured_and_no_reported_seed_was_used_for_tuning():
+    for experiment in EXPERIMENTS:
+        baselines = {baseline.name for baseline in experiment.baselines}
+        for figure in (bar.figure for bar in experiment.bars):
+            if isinstance(figure, Tried | Ahead):
+                assert figure.baseline in baselines
+            if isinstance(figure, Held | Ahead):
+                held = {evaluation.name: evaluation for evaluation in experiment.training(figure.training).evaluations}
+                found = measure.compiled(held[figure.evaluation].scenario or experiment.scenario)
+                assert figure.case is None or figure.case in {case.name for case in found.cases}
+            assert figure.training is None or figure.training in {training.name for training in experiment.trainings}
+        for option, name in (baseline.options for baseline in experiment.baselines):
+            assert option != "--script" or measure.compiled(experiment.scenario).script(name)
+        assert all(seed >= FIRST_SEED for training in experiment.trainings for seed in training.seeds)
+
+
+def test_a_name_that_is_neither_a_scenario_nor_a_part_is_told_with_those_there_are(capsys: pytest.CaptureFixture[str]):
+    assert main(["cartpoel"]) == 2
+    assert capsys.readouterr().err.startswith("there is no cartpoel; there are: cartpole, cartpole_continuous, ")
+
+
+def places_in(folder: Path) -> Places:
+    return Places(*(folder / name for name in ("records", "page.md", "pictures", "runs")))
+
+
+def test_what_is_missing_can_be_asked_for_without_measuring_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert main(["--list", "cartpole", "costs"], places_in(tmp_path)) == 0
+    assert capsys.readouterr().out.split() == ["cartpole", "11", "missing", "costs", "6", "missing"]
+    assert list(tmp_path.iterdir()) == []
+
+
+def verdict(bar: Bar, *hours: float | None, seeds: int = 3) -> tuple[str, str]:
+    entries = {str(101 + i): {"solved_at": None if value is None else {"simulated_hours": value}} for i, value in enumerate(hours)}
+    chosen = Experiment("cartpole", "", "", (Training(tuple(range(101, 101 + seeds))),), (bar,))
+    found = judge(chosen, bar, {"trainings": {"main": entries}})
+    return found.word, found.measured
+
+
+def test_a_bar_is_missed_by_the_worst_seed_by_one_that_is_never_solved_and_open_until_all_are_measured():
+    bar, mean = Bar(Solved("simulated_hours"), at_most=0.5), Bar(Solved("simulated_hours"), at_most=0.3, over="mean")
+    assert verdict(bar, 0.1, 0.2, 0.5) == ("met", "0.5 h, the worst; 3 of 3 seeds")
+    assert verdict(bar, 0.1, 0.2, 0.51) == ("**missed**", "0.51 h, the worst; 2 of 3 seeds")
+    assert verdict(bar, 0.1, None, 0.2) == ("**missed**", "never, the worst; 2 of 3 seeds")
+    assert verdict(bar, 0.1, 0.2) == ("not measured", "2 of 3 seeds")
+    assert verdict(bar, 0.1, 0.6) == ("**missed**", "0.6 h, the worst; 1 of 3 seeds, 2 measured")
+    assert verdict(mean, 0.1, 0.2, 0.9) == ("**missed**", "0.4 h")
+    assert verdict(mean, 0.1, None, 0.2) == ("**missed**", "never")
+    assert verdict(mean, 0.1, 0.6)[0] == "not measured"
+    assert verdict(replace(mean, over="median"), 0.1, 0.2, 0.9) == ("met", "0.2 h")
+    assert verdict(replace(bar, stretch=True), 0.6, seeds=1)[0] == "not reached"
+    assert verdict(replace(bar, stretch=True), 0.4, seeds=1)[0] == "reached"
+
+
+def test_figures_of_an_earlier_version_of_a_scenario_are_marked_on_the_page(tmp_path: Path):
+    places = places_in(tmp_path)
+    chosen = {"cartpole": Experiment("cartpole", "CartPole", "", (Training(),), (Bar(Solved("simulated_hours"), at_most=0.5),))}
+    curve = {"simulated_hours": [0.1, 0.2], "return": [10.0, 20.0], "success": [0.0, 0.0]}
+    counts = {"steps": 2000, "episodes": 20, "simulated_hours": 0.2, "cpu_seconds": 9.0, "times_resumed": 0}
+    rest = {"solved_at": None, "stage": None, "stages": [], "crossings": {}, "curve": curve, "evaluations": {}}
+    asked = measure.asked_training("cartpole", Training(), 101)
+    for digest, marked in ((asked.digest, False), ("of another world", True)):
+        entry = {"digest": digest, "command": asked.command, **measure.circumstances(), **counts, **rest}
+        measure.put(places.record("cartpole"), entry, "trainings", "main", "101")
+        text = " ".join(page.page(places, chosen).split())
+        assert ("**Measured on an earlier version of the scenario or of the experiment:** seed 101." in text) == marked
+        assert ("1 of these verdicts is of an earlier version of a scenario." in text) == marked
+
+
+def test_a_new_case_asks_for_an_evaluation_and_for_no_new_training(monkeypatch: pytest.MonkeyPatch):
+    def asked() -> tuple[object, object]:
+        training, name = Training(), "find_ball_random"
+        return measure.asked_training(name, training, 101), measure.asked_evaluation(name, training, Evaluation())
+
+    program, before = measure.compiled("find_ball_random"), asked()
+    monkeypatch.setattr(measure, "compiled", lambda scenario, sets=(): replace(program, cases=program.cases[:-1]))
+    assert asked()[0] == before[0]
+    assert asked()[1] != before[1]
+
+
+def logged(folder: Path, returns: list[float], stages: list[str] | None = None) -> list[measure.Point]:
+    rows = [
+        f"{value},5,0,{i + 1},{10 * (i + 1)},{(i + 1) / 100},{int(value > 0)},x,{stages[i] if stages else ''}"
+        for i, value in enumerate(returns)
+    ]
+    (folder / "monitor.csv").write_text("\n".join(["#{}", "r,l,t,episode,steps,simulated_hours,is_success,ended_by,stage", *rows]) + "\n")
+    return measure.points(folder / "monitor.csv")
+
+
+def test_a_threshold_is_crossed_by_the_mean_of_a_hundred_episodes_of_the_last_stage_only(tmp_path: Path):
+    curve = logged(tmp_path, [1.0] * 50 + [0.0] * 60 + [1.0] * 100)
+    assert measure.crossing(curve, Crossed(0.8, "episode")) == {"episode": 190, "steps": 1900, "simulated_hours": 1.9}
+    assert measure.crossing(curve, Crossed(1.1, "episode")) is None
+    curve = logged(tmp_path, [1.0] * 100 + [0.0] * 100 + [1.0] * 100, ["easy"] * 100 + ["hard"] * 200)
+    assert measure.crossing(curve, Crossed(0.9, "episode"), "hard") == {"episode": 290, "steps": 2900, "simulated_hours": 2.9}
+    curve = logged(tmp_path, [1.0] * 100 + [0.0, 1.0, 0.0], ["easy"] * 100 + ["hard", "easy", "hard"])
+    assert [point.mean_return for point in curve[-2:]] == [0.0, 0.0]  # an episode that began in the stage before is left out
+    assert not curve[-1].full
+
+
+def test_a_curve_in_a_record_is_thin_and_ends_where_the_training_does(tmp_path: Path):
+    thinned = measure.thinned(logged(tmp_path, [1.0] * 1234))
+    assert len(thinned["return"]) <= 200
+    assert thinned["simulated_hours"][-1] == 12.34
+
+
+def test_crossings_are_told_with_their_threshold_as_it_is():
+    assert Crossed(0.9, "simulated_hours").key == "return 0.9"
+    assert Crossed(0.987, "steps", metric="success").words == "steps until 98.7 % successes over 100 episodes"
+
+
+TINY = Experiment(
+    scenario="tests/data/scenarios/rail.yaml",
+    title="A rod on a rail",
+    prose="Too short to be learned.",
+    trainings=(Training(seeds=(0,), timesteps=6_000, evaluations=(Evaluation(episodes=3),)),),
+    baselines=(Baseline(RANDOM.name, RANDOM.options, episodes=3),),
+    bars=(Bar(Trained("steps"), at_least=6_000), Bar(Crossed(10, "simulated_hours"), at_most=1), Bar(Held("mean_return"), at_least=301)),
+)
+
+
+@pytest.mark.slow
+def test_a_measurement_that_is_stopped_goes_on_and_ends_on_the_page(tmp_path: Path):
+    places = places_in(tmp_path)
+    training, *others = measure.pieces(TINY, places)
+    folder = training.measure.args[3]()  # type: ignore[attr-defined]  # of a partial
+    folder.parent.mkdir(parents=True)
+    command = [sys.executable, "-m", "deepbots_cli", "train", TINY.scenario, "--seed", "0", "--timesteps", "6000", "--run", str(folder)]
+    process = subprocess.Popen(command, cwd=ROOT)
+    while not list(folder.glob("checkpoints/0*")):
+        time.sleep(0.05)
+    process.send_signal(signal.SIGTERM)
+    process.wait()
+    assert Run.open(folder).record.status == "interrupted"
+
+    for piece in (training, *others):
+        assert piece.missing()
+        piece.complete()
+        assert not piece.missing()
+    record = measure.read(places.record("rail"))
+    [entry] = record["trainings"]["main"].values()
+    assert entry["times_resumed"] == 1
+    assert entry["steps"] >= 6_000
+    assert entry["evaluations"]["held_out"]["episodes"] == record["baselines"]["random"]["episodes"] == 3
+
+    page.write(places, {"rail": TINY})
+    text = places.page.read_text(encoding="utf-8")
+    assert "| mean return, held out | at least 301 |" in text
+    assert " s, resumed once |" in text
+    assert f"state {picture.state(TINY, Standing.of(TINY, record).record)}" in places.picture("rail").read_text(encoding="utf-8")
+    measure.put(places.record("rail"), entry | {"evaluations": {}}, "trainings", "main", "0")
+    assert [piece.missing() for piece in measure.pieces(TINY, places)] == [False, True, False]
