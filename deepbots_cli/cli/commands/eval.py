@@ -14,6 +14,7 @@ import typer
 from deepbots_cli import api, learning
 from deepbots_cli.cli import results, terminal
 from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Json, Sets, fraction, known_engine, whole
+from deepbots_cli.cli.commands.insight import repeat_failed
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import table
 from deepbots_cli.compiler.inputs import RESOLVED
@@ -42,12 +43,23 @@ def _engines(names: list[str] | None) -> list[str] | None:
     return found or None
 
 
+FAILED_ONES = "failed"
+
+
+def _episodes(text: str) -> int | str:
+    """A parser: a number of episodes, or `failed`."""
+    return text if text == FAILED_ONES else whole()(text)
+
+
 def command(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A run directory of `deepbots train`, or the folder of a group.")],
     episodes: Annotated[
-        int | None,
+        Any,
         typer.Option(
-            "--episodes", metavar="N", parser=whole(), help="Number of episodes; by default `evaluation.episodes` of the scenario."
+            "--episodes",
+            metavar="N|failed",
+            parser=_episodes,
+            help="Number of episodes, by default `evaluation.episodes` of the scenario; `failed` repeats those that failed.",
         ),
     ] = None,
     seed: Annotated[
@@ -127,8 +139,12 @@ def command(
     engines, such as --engine mujoco,pybullet, every engine runs episodes from the same starts, and the table shows the difference of each
     further engine from the first, with its 95 % interval over pairs of episodes. The requirements then apply to every engine.
 
+    --episodes failed repeats the failed episodes of the last evaluation that the run keeps, prints what ended each of them and by how much,
+    and films the first 10: in RUN-failed-K.mp4 for episode K, or as --video names them.
+
     \b
       deepbots eval runs/cartpole-0-1
+      deepbots eval runs/cartpole-0-1 --episodes failed
       deepbots eval runs/cartpole-0-1 --baselines
       deepbots eval runs/cartpole-seeds-1 --csv episodes.csv
       deepbots eval runs/cartpole-0-1 --robustness --episodes 20
@@ -143,11 +159,29 @@ def command(
     Next: `deepbots compare RUN RUN` compares policies on the same starts, `deepbots runs RUN` lists its evaluations, and
     `deepbots train --resume RUN --timesteps N --full` continues the training.
     """
-    for path in (csv, junit):
-        if path is not None and not path.absolute().parent.is_dir():
-            raise UsageError(f"{path} cannot be written: there is no directory {path.parent}")
-    if junit is not None and min_success is None and min_return is None and not require_solved:
-        raise UsageError("--junit writes requirements, and there is none; add --min-success, --min-return or --require-solved")
+    if episodes == FAILED_ONES:
+        options = {
+            "scenario": scenario,
+            "set": sets,
+            "case": case,
+            "stage": stage,
+            "stochastic": stochastic,
+            "engine": engine,
+            "last": last,
+        }
+        options |= {
+            "baselines": baselines,
+            "robustness": robustness,
+            "details": details,
+            "csv": csv,
+            "junit": junit,
+            "seed": seed is not None,
+        }
+        options |= {"require-solved": require_solved, "min-success": min_success is not None, "min-return": min_return is not None}
+        _refuse("does not go with --episodes failed, which repeats the last evaluation as it was", **options)
+        repeat_failed(Run.open(run), video, as_json=as_json, allow_code=allow_code)
+        return
+    _check_files(csv, junit, requires=min_success is not None or min_return is not None or require_solved)
     chosen: dict[str, Any] = {
         "episodes": episodes,
         "model": "last" if last else "best",
@@ -208,6 +242,15 @@ def command(
     else:
         found[0].show(details=details)
     _require(requirements, known.program.name, junit)
+
+
+def _check_files(csv: Path | None, junit: Path | None, *, requires: bool) -> None:
+    """Raises: UsageError: A file cannot be written, or there is no requirement for the JUnit file."""
+    for path in (csv, junit):
+        if path is not None and not path.absolute().parent.is_dir():
+            raise UsageError(f"{path} cannot be written: there is no directory {path.parent}")
+    if junit is not None and not requires:
+        raise UsageError("--junit writes requirements, and there is none; add --min-success, --min-return or --require-solved")
 
 
 @dataclass(frozen=True)
