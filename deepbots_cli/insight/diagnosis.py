@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from deepbots_cli.errors import RunError
-from deepbots_cli.insight.statements import Numbers, Row, Share, Statement, listed, state_all
+from deepbots_cli.insight.statements import Finder, Numbers, Share, Statement, listed, state_all
 from deepbots_cli.insight.trace import Array, Trace
 from deepbots_cli.insight.training import Training
 from deepbots_cli.learning.defaults import longest_episode, ours
@@ -75,15 +75,25 @@ def _per_step(traces: Sequence[Trace]) -> float:
 # Faults
 
 
-def _not_finite(t: Training) -> Numbers | None:
+def not_finite(t: Training) -> Numbers | None:
+    """The training stopped with an error after {steps} steps: {error}.
+
+    Try: Keep arguments of sqrt, log and divisions away from 0 with max(...), or lower `train.learning_rate`; explain the episode with
+    `deepbots explain-episode RUN/failures/NNNN.json`.
+    """
     if not _has_failed(t):
         return None
     reason = t.failure.rstrip(".") or "the last entry of its log is no number"
     return {"likelihood": 1.0, "steps": t.steps, "error": reason, "episodes": len(t.episodes.returns)}
 
 
-def _dead_action(t: Training) -> Numbers | None:
-    """A part of the action all values of which lead to the same observations and endings."""
+def action_without_effect(t: Training) -> Numbers | None:
+    """{count} of {of} parts of the action do nothing ({parts}): from the same start, all their values lead to the same observations for
+    {steps} steps.
+
+    Try: Look at `apply` of the robot, at the limits of its motors (`deepbots inspect RUN`), and at the wheels or joints that it
+    drives.
+    """
     own = [place for place, number in enumerate(t.program.policy.numbers) if number.name != "previous_action"]
     dead, steps = [], 0
     for part, traces in t.constant.items():
@@ -106,8 +116,12 @@ def _difference(one: Trace, other: Trace, numbers: Sequence[int]) -> float:
     return float(max(seen, *kept, 0.0)) if kept else float(seen)
 
 
-def _ends_at_once(t: Training) -> Numbers | None:
-    """Even the longest episodes are over after a few steps."""
+def ending_at_once(t: Training) -> Numbers | None:
+    """Episodes end before the policy can do anything: '{ending}' ends {share} of them, half within {length} and 90% within {long} of
+    {longest} steps.
+
+    Try: Loosen the bound of '{ending}', or start farther away from it: `deepbots explain-episode RUN` shows the value and the bound.
+    """
     lengths, longest = t.episodes.lengths, t.program.truncation.last_step(t.program.period)
     if len(lengths) < _ENOUGH:
         return None
@@ -121,7 +135,12 @@ def _ends_at_once(t: Training) -> Numbers | None:
 # Observations
 
 
-def _constant_observations(t: Training) -> Numbers | None:
+def constant_observation(t: Training) -> Numbers | None:
+    """{count} of {of} numbers of the observation hardly change ({names}): in {moments} moments they move by at most {span} of a range of
+    2.
+
+    Try: Narrow their ranges under `observation` to the values that occur: `deepbots inspect RUN` lists the ranges.
+    """
     seen = _observations([*t.random, *t.policy])
     if len(seen) < 2 * _ENOUGH:
         return None
@@ -135,7 +154,11 @@ def _constant_observations(t: Training) -> Numbers | None:
             "names": _some(names), "span": max(span for name, span in numbers if name in names)}  # fmt: skip
 
 
-def _saturated_observations(t: Training) -> Numbers | None:
+def saturated_observation(t: Training) -> Numbers | None:
+    """{count} of {of} numbers of the observation are at an end of their range in {share} of the moments ({names}).
+
+    Try: Widen their ranges under `observation`: beyond the ends the policy cannot tell values apart.
+    """
     traces = [*t.random, *t.policy]
     seen, numbers = _observations(traces), t.program.policy.numbers
     if len(seen) < 2 * _ENOUGH:
@@ -158,8 +181,11 @@ def _some(names: Sequence[str]) -> str:
 # Reward
 
 
-def _penalty_dominates(t: Training) -> Numbers | None:
-    """A cost that takes more than all other terms give, where the others alone would pay."""
+def term_dominates(t: Training) -> Numbers | None:
+    """The reward term '{term}' is {share} of the reward: it costs {mean} a step with random actions, where all other terms give {others}.
+
+    Try: Weaken '{term}' until the other terms outweigh it, such as by a factor of 10.
+    """
     sums = _term_sums(t.random)
     whole = sum(map(abs, sums.values()))
     if len(sums) < 2 or not whole:
@@ -173,8 +199,13 @@ def _penalty_dominates(t: Training) -> Numbers | None:
     return {"likelihood": 0.94, "term": name, "share": Share(share), "mean": sums[name] / steps, "others": rest / steps, "steps": steps}
 
 
-def _ending_pays(t: Training) -> Numbers | None:
-    """Every step costs, so an episode that fails early costs least."""
+def ending_early_pays(t: Training) -> Numbers | None:
+    """It pays to fail early: a step earns {reward} on average, {failed} of the late episodes fail, and the return falls with the length of
+    an episode (correlation {correlation}).
+
+    Try: Let a step that goes well earn a positive reward (check the signs of the terms), or let a failure cost more than the steps
+    that it saves.
+    """
     failing = {ending.name for ending in t.program.endings if ending.outcome == "failure"}
     late = t.episodes.part(0.75, 1.0)
     if len(late.returns) < _ENOUGH:
@@ -190,8 +221,11 @@ def _ending_pays(t: Training) -> Numbers | None:
             "first": float(t.episodes.part(0.0, 0.25).lengths.mean()), "correlation": together}  # fmt: skip
 
 
-def _still_pays(t: Training) -> Numbers | None:
-    """To command zeros earns more than the policy does, without a success."""
+def standing_still_pays(t: Training) -> Numbers | None:
+    """Standing still pays: commanding zeros earns {still} a step, the policy {policy}, and {rate} of the late episodes succeed.
+
+    Try: Reward the way toward the success (such as the change of a distance), and make time cost something instead of earning it.
+    """
     late = t.episodes.part(0.75, 1.0)
     if not t.still or not t.program.defines_success or (len(late.successes) and late.successes.mean() >= 0.5):
         return None
@@ -203,8 +237,12 @@ def _still_pays(t: Training) -> Numbers | None:
             "rate": Share(float(late.successes.mean()) if len(late.successes) else 0.0)}  # fmt: skip
 
 
-def _never_succeeds(t: Training) -> Numbers | None:
-    """No episode of the training is a success; where no other term pays, no policy can tell good from bad."""
+def success_never_seen(t: Training) -> Numbers | None:
+    """None of {episodes} episodes is a success ('{ending}'); their returns differ by {spread} (standard deviation).
+
+    Try: Add a term that pays for coming nearer, start nearer to the success, or loosen its condition; a curriculum can do the latter
+    two.
+    """
     if not t.program.defines_success or len(t.episodes.returns) < _ENOUGH or t.episodes.successes.any():
         return None
     flat = float(np.ptp(t.episodes.returns)) < 1e-9
@@ -213,8 +251,11 @@ def _never_succeeds(t: Training) -> Numbers | None:
             "spread": float(t.episodes.returns.std()), "mean": float(t.episodes.returns.mean())}  # fmt: skip
 
 
-def _silent_terms(t: Training) -> Numbers | None:
-    """Terms that are 0 in every short episode, and in every logged mean."""
+def silent_terms(t: Training) -> Numbers | None:
+    """{count} of {of} reward terms are 0 in all {steps} steps of short episodes and in the logs: {names}.
+
+    Try: Check the condition of each such term: `deepbots run SCENARIO` shows the terms of an episode.
+    """
     logged = t.curves("reward/")
     sums = (
         {name: sum(float(np.abs(trace.terms[name]).sum()) for trace in [*t.random, *t.policy]) for name in t.random[0].terms}
@@ -240,8 +281,12 @@ def _default_rate(t: Training) -> float | None:
     return float(known) if isinstance(known, int | float) else 3e-4  # of the library
 
 
-def _rate_too_high(t: Training) -> Numbers | None:
-    """Updates that change the policy far more than they may, or a rate far above the usual one, and returns that do not rise."""
+def learning_rate_too_high(t: Training) -> Numbers | None:
+    """The learning rate is {rate}, {times} times the usual {usual}: up to {clipped} of an update is clipped, the largest KL divergence is
+    {kl}, and the mean return goes from {first} to {last}.
+
+    Try: Set `train.learning_rate` to {usual}.
+    """
     rate, usual = t.setting("learning_rate"), _default_rate(t)
     if rate is None or usual is None:
         return None
@@ -257,8 +302,12 @@ def _rate_too_high(t: Training) -> Numbers | None:
             "kl": float(kl.max(initial=0.0)), "first": float(first), "last": float(last)}  # fmt: skip
 
 
-def _still_random(t: Training) -> Numbers | None:
-    """Choices that are as random at the end as at the beginning, held there by the bonus on entropy."""
+def exploration_too_large(t: Training) -> Numbers | None:
+    """The policy is still random: after {updates} updates its entropy is {entropy}, {share} of that at the start, with `ent_coef`
+    {weight}.
+
+    Try: Lower `train.ent_coef`, such as to 0.01 or 0.
+    """
     weight = t.setting("ent_coef")
     entropy = -t.curve("train/entropy_loss")
     options = [len(part.options) for part in t.program.policy.action if isinstance(part, Choices)]
@@ -277,8 +326,11 @@ def _still_random(t: Training) -> Numbers | None:
             "updates": len(entropy)}  # fmt: skip
 
 
-def _collapsed(t: Training) -> Numbers | None:
-    """A policy that has stopped to explore long before it is good, or an algorithm without noise."""
+def exploration_collapsed(t: Training) -> Numbers | None:
+    """The policy hardly explores: {measure} is {value} after {steps} steps, and below {least} it finds little new.
+
+    Try: Raise the noise: `train.ent_coef` of PPO and A2C, `train.action_noise` of DDPG and TD3; or lower `train.learning_rate`.
+    """
     noise = t.settings.get("action_noise")
     sigma = getattr(getattr(noise, "sigma", None), "start", None)
     if sigma == 0:
@@ -303,23 +355,11 @@ def _collapsed(t: Training) -> Numbers | None:
     return None
 
 
-def _short_sighted(t: Training) -> Numbers | None:
-    gamma = t.setting("gamma")
-    length = float(np.median(t.episodes.lengths)) if len(t.episodes.lengths) else 0.0
-    if gamma is None or gamma >= 0.85 or length < 3 / (1 - gamma):
-        return None
-    return {"likelihood": 0.55, "gamma": gamma, "horizon": 1 / (1 - gamma), "length": length}
+def one_ending(t: Training) -> Numbers | None:
+    """'{ending}' ends {share} of the last {episodes} episodes, after {length} steps on average.
 
-
-def _large_rewards(t: Training) -> Numbers | None:
-    size = float(np.abs(t.episodes.returns).mean()) if len(t.episodes.returns) else 0.0
-    settings = t.program.policy.training
-    if size < 1e4 or (settings is not None and settings.normalize):
-        return None
-    return {"likelihood": 0.6, "size": size, "factor": float(10 ** np.floor(np.log10(size / 100)))}
-
-
-def _one_ending(t: Training) -> Numbers | None:
+    Try: `deepbots explain-episode RUN` shows the value and the bound of this ending in one of them.
+    """
     late = t.episodes.part(0.75, 1.0)
     failing = {ending.name for ending in t.program.endings if ending.outcome == "failure"}
     if len(late.returns) < _ENOUGH:
@@ -331,8 +371,12 @@ def _one_ending(t: Training) -> Numbers | None:
     return {"likelihood": 0.25, "ending": name, "share": Share(share), "episodes": len(late.returns), "length": float(late.lengths.mean())}
 
 
-def _still_rises(t: Training) -> Numbers | None:
-    """Returns of the last quarter that are higher than those of the first half by more than chance."""
+def too_few_steps(t: Training) -> Numbers | None:
+    """The policy still learns: the mean return of the last quarter of the training is {last}, {gain} above that of the first half, and the
+    {steps} steps are {share} of the {planned} of the scenario.
+
+    Try: Train on: deepbots train --resume {run} --timesteps {more}
+    """
     returns = t.episodes.returns
     early, late = t.episodes.part(0.0, 0.5).returns, t.episodes.part(0.75, 1.0).returns
     if len(returns) < 2 * _ENOUGH:
@@ -346,10 +390,13 @@ def _still_rises(t: Training) -> Numbers | None:
     return {**numbers, "likelihood": likelihood, "first": float(early.mean()), "last": float(late.mean()), "gain": gain, "chance": chance}
 
 
-def _short(t: Training) -> Numbers | None:
-    """A training that is far shorter than the scenario plans."""
+def short_training(t: Training) -> Numbers | None:
+    """The training is short: {steps} steps and {episodes} episodes, {share} of the {planned} steps of the scenario.
+
+    Try: Train on, once the causes above are mended: deepbots train --resume {run} --timesteps {more}
+    """
     numbers = _length(t)
-    if numbers["share"].value >= 0.5 or _still_rises(t) is not None:
+    if numbers["share"].value >= 0.5 or too_few_steps(t) is not None:
         return None
     return {**numbers, "likelihood": 0.5, "episodes": len(t.episodes.returns)}
 
@@ -361,124 +408,22 @@ def _length(t: Training) -> dict[str, Any]:
     return {"steps": t.steps, "planned": planned, "share": share, "more": more, "run": str(t.run.path)}
 
 
-CAUSES: tuple[Row[Training], ...] = (
-    Row(
-        "not_finite",
-        "The training stopped with an error after {steps} steps: {error}.",
-        _not_finite,
-        "Keep arguments of sqrt, log and divisions away from 0 with max(...), or lower `train.learning_rate`; "
-        "explain the episode with `deepbots explain-episode RUN/failures/NNNN.json`.",
-    ),
-    Row(
-        "action_without_effect",
-        "{count} of {of} parts of the action do nothing ({parts}): from the same start, all their values lead to "
-        "the same observations for {steps} steps.",
-        _dead_action,
-        "Look at `apply` of the robot, at the limits of its motors (`deepbots inspect RUN`), and at the wheels or joints that it drives.",
-    ),
-    Row(
-        "ending_at_once",
-        "Episodes end before the policy can do anything: '{ending}' ends {share} of them, half within {length} "
-        "and 90% within {long} of {longest} steps.",
-        _ends_at_once,
-        "Loosen the bound of '{ending}', or start farther away from it: `deepbots explain-episode RUN` shows the value and the bound.",
-    ),
-    Row(
-        "constant_observation",
-        "{count} of {of} numbers of the observation hardly change ({names}): in {moments} moments they move by at "
-        "most {span} of a range of 2.",
-        _constant_observations,
-        "Narrow their ranges under `observation` to the values that occur: `deepbots inspect RUN` lists the ranges.",
-    ),
-    Row(
-        "saturated_observation",
-        "{count} of {of} numbers of the observation are at an end of their range in {share} of the moments ({names}).",
-        _saturated_observations,
-        "Widen their ranges under `observation`: beyond the ends the policy cannot tell values apart.",
-    ),
-    Row(
-        "term_dominates",
-        "The reward term '{term}' is {share} of the reward: it costs {mean} a step with random actions, where all "
-        "other terms give {others}.",
-        _penalty_dominates,
-        "Weaken '{term}' until the other terms outweigh it, such as by a factor of 10.",
-    ),
-    Row(
-        "ending_early_pays",
-        "It pays to fail early: a step earns {reward} on average, {failed} of the late episodes fail, and the "
-        "return falls with the length of an episode (correlation {correlation}).",
-        _ending_pays,
-        "Let a step that goes well earn a positive reward (check the signs of the terms), or let a failure cost "
-        "more than the steps that it saves.",
-    ),
-    Row(
-        "standing_still_pays",
-        "Standing still pays: commanding zeros earns {still} a step, the policy {policy}, and {rate} of the late episodes succeed.",
-        _still_pays,
-        "Reward the way toward the success (such as the change of a distance), and make time cost something instead of earning it.",
-    ),
-    Row(
-        "success_never_seen",
-        "None of {episodes} episodes is a success ('{ending}'); their returns differ by {spread} (standard deviation).",
-        _never_succeeds,
-        "Add a term that pays for coming nearer, start nearer to the success, or loosen its condition; a curriculum can do the latter two.",
-    ),
-    Row(
-        "silent_terms",
-        "{count} of {of} reward terms are 0 in all {steps} steps of short episodes and in the logs: {names}.",
-        _silent_terms,
-        "Check the condition of each such term: `deepbots run SCENARIO` shows the terms of an episode.",
-    ),
-    Row(
-        "learning_rate_too_high",
-        "The learning rate is {rate}, {times} times the usual {usual}: up to {clipped} of an update is clipped, "
-        "the largest KL divergence is {kl}, and the mean return goes from {first} to {last}.",
-        _rate_too_high,
-        "Set `train.learning_rate` to {usual}.",
-    ),
-    Row(
-        "exploration_too_large",
-        "The policy is still random: after {updates} updates its entropy is {entropy}, {share} of that at the "
-        "start, with `ent_coef` {weight}.",
-        _still_random,
-        "Lower `train.ent_coef`, such as to 0.01 or 0.",
-    ),
-    Row(
-        "exploration_collapsed",
-        "The policy hardly explores: {measure} is {value} after {steps} steps, and below {least} it finds little new.",
-        _collapsed,
-        "Raise the noise: `train.ent_coef` of PPO and A2C, `train.action_noise` of DDPG and TD3; or lower `train.learning_rate`.",
-    ),
-    Row(
-        "short_sighted",
-        "The policy looks {horizon} steps ahead (`gamma` {gamma}), and half of the episodes are longer than {length} steps.",
-        _short_sighted,
-        "Raise `train.gamma`, such as to 0.98.",
-    ),
-    Row(
-        "large_rewards",
-        "The mean size of a return is {size}, which a critic learns slowly.",
-        _large_rewards,
-        "Divide all reward terms by about {factor}, or set `train.normalize: reward`.",
-    ),
-    Row(
-        "one_ending",
-        "'{ending}' ends {share} of the last {episodes} episodes, after {length} steps on average.",
-        _one_ending,
-        "`deepbots explain-episode RUN` shows the value and the bound of this ending in one of them.",
-    ),
-    Row(
-        "too_few_steps",
-        "The policy still learns: the mean return of the last quarter of the training is {last}, {gain} above "
-        "that of the first half, and the {steps} steps are {share} of the {planned} of the scenario.",
-        _still_rises,
-        "Train on: deepbots train --resume {run} --timesteps {more}",
-    ),
-    Row(
-        "too_few_steps",
-        "The training is short: {steps} steps and {episodes} episodes, {share} of the {planned} steps of the scenario.",
-        _short,
-        "Train on, once the causes above are mended: deepbots train --resume {run} --timesteps {more}",
-    ),
+CAUSES: tuple[Finder[Training], ...] = (
+    not_finite,
+    action_without_effect,
+    ending_at_once,
+    constant_observation,
+    saturated_observation,
+    term_dominates,
+    ending_early_pays,
+    standing_still_pays,
+    success_never_seen,
+    silent_terms,
+    learning_rate_too_high,
+    exploration_too_large,
+    exploration_collapsed,
+    one_ending,
+    too_few_steps,
+    short_training,
 )
 """Why a training does not learn."""

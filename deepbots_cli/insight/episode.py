@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from deepbots_cli.insight.conditions import SIGNS, Comparison, Measured, as_json, deciding, leaves, measure
-from deepbots_cli.insight.statements import Numbers, Row, Statement, listed, quantity, state_all
+from deepbots_cli.insight.statements import Finder, Numbers, Statement, listed, quantity, state_all
 from deepbots_cli.insight.trace import Trace
 
 _SHOWN = 4
@@ -26,7 +26,8 @@ class Explained:
     def end(self) -> Measured | None:
         """The comparison or fact that ended the episode; None where an episode limit did, or the ending has no tree."""
         trace = self.trace
-        condition = trace.watch.conditions.get(trace.ended_by or "")
+        at_limit = trace.outcome == "success" and trace.ended_by in ("max_steps", "max_time")  # of a scenario with a goal
+        condition = trace.watch.conditions.get("goal_reached" if at_limit else trace.ended_by or "")
         if condition is None or trace.outcome in ("time limit", "error", "not ended"):
             return None
         before = trace.values[-2] if len(trace.values) > 1 else None
@@ -69,7 +70,8 @@ def _seconds(time: float) -> str:
 _WORDS = {"success": "succeeded", "failure": "failed", "time limit": "reached its time limit"}
 
 
-def _ending(about: Explained) -> Numbers | None:
+def ending(about: Explained) -> Numbers | None:
+    """{what} {outcome}: '{ending}' ended it after {steps} steps, at {seconds}."""
     trace = about.trace
     if trace.outcome not in _WORDS:
         return None
@@ -78,38 +80,43 @@ def _ending(about: Explained) -> Numbers | None:
             "steps": trace.steps, "time": trace.time, "seconds": _seconds(trace.time)}  # fmt: skip
 
 
-def _error(about: Explained) -> Numbers | None:
+def error(about: Explained) -> Numbers | None:
+    """{what} stopped with an error after {steps} steps, at {seconds}: {error}."""
     trace = about.trace
     return {"what": trace.what, "error": trace.error, "steps": trace.steps, "seconds": _seconds(trace.time)} if trace.error else None
 
 
-def _unended(about: Explained) -> Numbers | None:
+def not_ended(about: Explained) -> Numbers | None:
+    """{what} holds {steps} steps ({seconds}), and the episode does not end in them."""
     trace = about.trace
     if trace.outcome != "not ended":
         return None
     return {"what": trace.what, "steps": trace.steps, "seconds": _seconds(trace.time)}
 
 
-def _margin(about: Explained) -> Numbers | None:
+def margin(about: Explained) -> Numbers | None:
+    """{side} was {shown}: {by} {where} the bound of {limit}."""
     end = about.end
     if end is None or not isinstance(end.condition, Comparison) or end.margin is None or end.bound is None:
         return None
     leaf = end.condition
     value, bound = leaf.sides
     named = f" ({bound})" if not bound[:1].isdigit() else ""
+    where = "over" if end.value > end.bound else "under" if end.value < end.bound else "away from"
     return {**as_json(end), "side": value, "shown": quantity(end.value, leaf.unit), "limit": quantity(end.bound, leaf.unit) + named,
-            "by": quantity(abs(end.margin), leaf.unit), "sign": SIGNS[leaf.operator]}  # fmt: skip
+            "by": quantity(abs(end.margin), leaf.unit, 3), "where": where}  # fmt: skip
 
 
-def _fact(about: Explained) -> Numbers | None:
+def fact(about: Explained) -> Numbers | None:
+    """`{condition}` became {truth} in step {step}; it is a truth value, so 0 or 1 and without a margin."""
     end = about.end
     if end is None or isinstance(end.condition, Comparison):
         return None
     return {**as_json(end), "step": about.trace.steps, "truth": "true" if end.value else "false"}
 
 
-def _limit(about: Explained) -> Numbers | None:
-    """The limit that cut the episode short, in its own unit."""
+def limit(about: Explained) -> Numbers | None:
+    """The episode reached {shown} of at most {limit} ({condition})."""
     trace, limits = about.trace, about.trace.program.truncation
     if trace.outcome not in ("time limit", "success") or trace.ended_by not in ("max_steps", "max_time"):
         return None
@@ -118,8 +125,8 @@ def _limit(about: Explained) -> Numbers | None:
             "shown": quantity(value, unit), "limit": quantity(bound or 0, unit)}  # fmt: skip
 
 
-def _approach(about: Explained) -> Numbers | None:
-    """The last stretch in which the value came nearer to its bound in every step."""
+def approach(about: Explained) -> Numbers | None:
+    """From {seconds} (step {step}, {side} = {from}) on, it came nearer to the bound in each of {steps} steps."""
     end, trace = about.end, about.trace
     if end is None or not isinstance(end.condition, Comparison):
         return None
@@ -134,8 +141,8 @@ def _approach(about: Explained) -> Numbers | None:
             "from": quantity(past[start].value, end.condition.unit), "side": end.condition.sides[0]}  # fmt: skip
 
 
-def _nearest(about: Explained) -> Numbers | None:
-    """How near an episode without a success came to one."""
+def nearest(about: Explained) -> Numbers | None:
+    """'{ending}' needs {side} {sign} {limit}; the nearest was {best}, at {seconds} (step {step})."""
     trace = about.trace
     wanted = [e.name for e in trace.program.endings if e.outcome == "success"] + ["goal_reached"]
     if trace.outcome in ("success", "error"):
@@ -153,7 +160,8 @@ def _nearest(about: Explained) -> Numbers | None:
     return None
 
 
-def _terms(about: Explained) -> Numbers | None:
+def terms(about: Explained) -> Numbers | None:
+    """The return of {total} is made of {parts}; shares are of the absolute values."""
     sums = {name: float(np.nansum(values)) for name, values in about.trace.terms.items()}
     whole = sum(map(abs, sums.values()))
     if not about.trace.steps:
@@ -166,33 +174,36 @@ def _terms(about: Explained) -> Numbers | None:
             "parts": listed([*parts, *([f"{rest} more"] if rest > 0 else [])])}  # fmt: skip
 
 
-def _critic(about: Explained) -> Numbers | None:
+def critic(about: Explained) -> Numbers | None:
+    """The critic's value {changed} at {seconds} (step {step}), from {before} to {after}, {left} steps before the end."""
     trace, critic = about.trace, about.trace.critic
     if critic is None or len(critic) < 2:
         return None
     changes = np.diff(critic)
     step = int(np.argmin(changes)) + 1
-    if changes[step - 1] >= 0:
-        return None
     return {"step": step, "at": trace.at(step), "seconds": _seconds(trace.at(step)), "before": float(critic[step - 1]),
-            "after": float(critic[step]), "drop": float(-changes[step - 1]), "left": trace.steps - step}  # fmt: skip
+            "after": float(critic[step]), "drop": float(-changes[step - 1]), "left": trace.steps - step,
+            "changed": "fell most" if changes[step - 1] < 0 else "never fell, and rose least"}  # fmt: skip
 
 
-def _no_critic(about: Explained) -> Numbers | None:
+def no_critic(about: Explained) -> Numbers | None:
+    """The critic's value is known in {known} of {steps} steps: {reason}."""
     if about.trace.critic is not None:
         return None
     return {"steps": about.trace.steps, "reason": about.trace.critic_absent, "known": 0}
 
 
-def _saturated(about: Explained) -> Numbers | None:
+def saturation(about: Explained) -> Numbers | None:
+    """Observations at an end of their range, as a share of steps: {parts}."""
     shares = about.trace.saturation()
     if not shares:
         return None
     parts = [f"{name} in {share:.0%}" for name, share in shares.items() if share > 0][:_SHOWN]
-    return {"shares": shares, "parts": listed(parts) if parts else "no number of the observation in any (0%)"}
+    return {"shares": shares, "parts": listed(parts) if parts else "none (0%)"}
 
 
-def _choices(about: Explained) -> Numbers | None:
+def choices(about: Explained) -> Numbers | None:
+    """Actions, as a share of steps: {parts}."""
     options = about.trace.options()
     if not options or not about.trace.steps:
         return None
@@ -200,17 +211,18 @@ def _choices(about: Explained) -> Numbers | None:
     return {"options": options, "parts": listed(parts)}
 
 
-def _at_limits(about: Explained) -> Numbers | None:
+def limits(about: Explained) -> Numbers | None:
+    """Actions at a limit of their range, as a share of steps: {parts}."""
     ranges = about.trace.ranges()
     if not ranges:
         return None
     shares: Mapping[str, float] = {name: float((np.abs(values) >= 0.999).mean()) for name, values in ranges.items()}
-    order = sorted(shares, key=lambda name: -shares[name])[:_SHOWN]
-    return {"shares": shares, "parts": listed([f"{name} in {shares[name]:.0%}" for name in order])}
+    order = [name for name in sorted(shares, key=lambda name: -shares[name]) if shares[name] > 0][:_SHOWN]
+    return {"shares": shares, "parts": listed([f"{name} in {shares[name]:.0%}" for name in order]) if order else "none (0%)"}
 
 
-def _several(about: Explained) -> Numbers | None:
-    """Other endings that held in the same moment."""
+def several(about: Explained) -> Numbers | None:
+    """{count} further ending held in step {step} too: {names}."""
     from deepbots_cli.insight.conditions import holds
 
     trace = about.trace
@@ -224,23 +236,21 @@ def _several(about: Explained) -> Numbers | None:
     return {"names": listed(also), "count": len(also), "step": trace.steps} if also else None
 
 
-ROWS: tuple[Row[Explained], ...] = (
-    Row("ending", "{what} {outcome}: '{ending}' ended it after {steps} steps, at {seconds}.", _ending),
-    Row("error", "{what} stopped with an error after {steps} steps, at {seconds}: {error}.", _error),
-    Row("not_ended", "{what} holds {steps} steps ({seconds}), and the episode does not end in them.", _unended),
-    Row("margin", "{side} was {shown}; the ending holds for {sign} {limit}, so it was {by} beyond.", _margin),
-    Row("fact", "`{condition}` became {truth} in step {step}; it is a truth value, so 0 or 1 and without a margin.", _fact),
-    Row("limit", "The episode reached {shown} of at most {limit} ({condition}).", _limit),
-    Row("several", "{count} further ending held in step {step} too: {names}.", _several),
-    Row("approach", "From {seconds} (step {step}, {side} = {from}) on, it came nearer to the bound in each of {steps} steps.", _approach),
-    Row("nearest", "'{ending}' needs {side} {sign} {limit}; the nearest was {best}, at {seconds} (step {step}).", _nearest),
-    Row("terms", "The return of {total} is made of {parts}; shares are of the absolute values.", _terms),
-    Row(
-        "critic", "The critic's value fell most at {seconds} (step {step}), from {before} to {after}, {left} steps before the end.", _critic
-    ),
-    Row("no_critic", "The critic's value is known in {known} of {steps} steps: {reason}.", _no_critic),
-    Row("saturation", "Observations at an end of their range, as a share of steps: {parts}.", _saturated),
-    Row("choices", "Actions, as a share of steps: {parts}.", _choices),
-    Row("limits", "Actions at a limit of their range, as a share of steps: {parts}.", _at_limits),
+ROWS: tuple[Finder[Explained], ...] = (
+    ending,
+    error,
+    not_ended,
+    margin,
+    fact,
+    limit,
+    several,
+    approach,
+    nearest,
+    terms,
+    critic,
+    no_critic,
+    saturation,
+    choices,
+    limits,
 )
 """What is said of an episode, in this order."""

@@ -1,40 +1,32 @@
-"""A sentence and its evidence: the form of every row in the two tables.
+"""Sentences with their evidence: the form of every row in the two tables.
 
-A row has one template of a sentence, and one function that finds the numbers for it. A sentence is printed only with its numbers.
+A row is a function that finds numbers, and whose docstring is the sentence that shows them. There is no sentence without its numbers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
 Numbers = Mapping[str, Any]
 T = TypeVar("T")
+T_contra = TypeVar("T_contra", contravariant=True)
 
 
-@dataclass(frozen=True)
-class Row(Generic[T]):
-    """A row of a table.
+class Finder(Protocol[T_contra]):
+    """A row of a table: a function that finds the numbers of a sentence.
 
-    `text` has a field in braces for each piece of the evidence; `advice` is what to try, with the same fields. `find` returns the evidence,
-    or None where the row does not apply. Evidence may hold more than the sentence shows; `--json` has all of it. Its entry `likelihood`
-    (0 to 1) orders causes.
+    Its name is the cause, and its docstring is the sentence, with a field in braces for each number, then `Try:` and what to try. It
+    returns None where the row does not apply. Evidence may hold more than the sentence shows; its entry `likelihood` (0 to 1) orders
+    causes.
     """
 
-    cause: str
-    text: str
-    find: Callable[[T], Numbers | None]
-    advice: str = ""
+    __name__: str
 
-    def state(self, about: T) -> Statement | None:
-        evidence = self.find(about)
-        if evidence is None:
-            return None
-        shown = {key: _shown(value) for key, value in evidence.items()}
-        return Statement(self.cause, self.text.format(**shown), self.advice.format(**shown), _plain(evidence))
+    def __call__(self, about: T_contra, /) -> Numbers | None: ...
 
 
 @dataclass(frozen=True)
@@ -57,8 +49,16 @@ class Share:
     value: float
 
 
-def state_all(rows: Sequence[Row[T]], about: T) -> list[Statement]:
-    return [found for row in rows if (found := row.state(about)) is not None]
+def state_all(finders: Sequence[Finder[T]], about: T) -> list[Statement]:
+    """The statements of the rows that apply, in the order of the table."""
+    found = []
+    for finder in finders:
+        evidence = finder(about)
+        if evidence is not None:
+            shown = {key: _shown(value) for key, value in evidence.items()}
+            text, _, advice = " ".join((finder.__doc__ or "").split()).partition(" Try: ")
+            found.append(Statement(finder.__name__, text.format(**shown), advice.format(**shown), _plain(evidence)))
+    return found
 
 
 def _plain(value: Any) -> Any:
@@ -92,11 +92,11 @@ def _shown(value: Any) -> str:
 _DEGREES = {"rad": "deg", "rad/s": "deg/s", "rad/s^2": "deg/s^2"}
 
 
-def quantity(value: float, unit: str) -> str:
+def quantity(value: float, unit: str, digits: int = 4) -> str:
     """`15.3 deg`: a number in the unit that people use, given in SI units."""
     if unit in _DEGREES:
         value, unit = float(np.degrees(value)), _DEGREES[unit]
-    return f"{value:.4g}{'' if unit in ('', '1') else f' {unit}'}"
+    return f"{value:.{digits}g}{'' if unit in ('', '1') else f' {unit}'}"
 
 
 def listed(parts: Sequence[str]) -> str:

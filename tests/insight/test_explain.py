@@ -79,16 +79,19 @@ def _check(scenario: str, path: Path, count: int) -> None:
             assert data["return"] == pytest.approx(last.agents[next(iter(last.agents))].episode_return, abs=1e-9)
             assert data["moment"] is None or data["moment"]["time"] < data["time"]
             if last.truncated:
-                assert data["outcome"] == "time limit" and data["end"]["margin"] == pytest.approx(0.0, abs=1e-9)
+                assert data["outcome"] == "time limit"
+                assert data["end"]["margin"] == pytest.approx(0.0, abs=1e-9)
                 continue
             failed += 1
             assert data["outcome"] == "failure"
             expected = independent(frames)[last.ended_by]
             if math.isnan(expected):  # a fact has no margin; a rotor reaches 6 cm, and may have left the ground again in the same step
-                assert data["end"]["holds"] and "margin" not in data["end"]
+                assert data["end"]["holds"]
+                assert "margin" not in data["end"]
                 assert last.forces or last.links["drone", "base_link"][0][2] < 0.06
             else:
-                assert data["end"]["margin"] == pytest.approx(expected, abs=1e-6) and expected > -1e-9
+                assert data["end"]["margin"] == pytest.approx(expected, abs=1e-6)
+                assert expected > -1e-9
                 assert data["end"]["value"] - data["end"]["bound"] == pytest.approx(data["end"]["margin"], abs=1e-12)
     assert failed == count
 
@@ -102,3 +105,67 @@ def test_ending_time_and_margin_are_those_of_the_recorded_state(scenario, tmp_pa
 @pytest.mark.parametrize("scenario", CASES)
 def test_they_are_in_fifty_failed_episodes(scenario, tmp_path):
     _check(scenario, tmp_path / "many.mcap", 50)
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    path = tmp_path_factory.mktemp("recordings") / "cartpole.mcap"
+    with player(Source("cartpole"), "random") as world:
+        recordings.record(world, path, 3, [0, 1])
+    return path
+
+
+def test_every_sentence_has_a_number(recording):
+    statements = explain(trace_recording(str(recording), 1))
+    assert {"ending", "margin", "terms", "no_critic", "choices"} <= {each.cause for each in statements}
+    assert all(any(sign.isdigit() for sign in each.text) for each in statements)
+
+
+def test_measuring_changes_nothing(recording):
+    """A program with kept values gives the recorded episode to the bit: other observations would be refused."""
+    assert trace_recording(str(recording), 0).steps > 0
+
+
+def test_endings_with_and_or_and_not(tmp_path):
+    """Of a condition with several comparisons, the one that has just become true is named, with `not` taken into its sign."""
+    ending = "not (abs(x) <= track) or (abs(cart.pole_angle) > fall_angle and step >= 3)"
+    with player(Source("cartpole", sets=[f"termination.failure={{over: {ending}}}"]), "random") as world:
+        recordings.record(world, tmp_path / "one.mcap", 3, [0])
+    trace = trace_recording(str(tmp_path / "one.mcap"), None)
+    end = explanation_json(trace, explain(trace))["end"]
+    assert end["condition"] == "abs(cart.pole_angle) > fall_angle"
+    assert end["bound"] == pytest.approx(math.radians(15))
+    assert end["margin"] > 0
+
+
+@pytest.mark.parametrize("length", [0.3, 0.9])
+def test_a_recording_that_is_cut_is_refused_in_a_sentence(recording, tmp_path, length, capsys):
+    data = recording.read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(data[: int(len(data) * length)])
+    assert main(["explain-episode", str(cut)]) == 2
+    assert "cut short or damaged" in capsys.readouterr().err
+
+
+def test_an_episode_that_is_another_one_here_is_refused(recording):
+    """As if another version had recorded it: the same file, read as if its observations were others."""
+    opened = Source(str(recording)).open()
+    first, second = opened.recording.episodes
+    swapped = type(first)(first.number, first.seed, [first.steps[0], *second.steps[1:]])
+    with pytest.raises(Exception, match="differs from its recording at step 1"):
+        list(trace_recorded(opened, [swapped]))
+
+
+def test_what_is_no_episode_is_told_in_a_sentence(recording, tmp_path, capsys):
+    for shown, words in [(str(tmp_path), "is not a run"), ("nothing.mcap", "cannot be read"), ("nothing.json", "is missing")]:
+        assert main(["explain-episode", shown]) in (1, 2)
+        assert words in capsys.readouterr().err
+    assert main(["explain-episode", str(recording), "--episode", "9"]) == 2
+    assert "holds no episode 9; it holds 0 to 1" in capsys.readouterr().err
+
+
+def test_json_holds_the_same_statements(recording, capsys):
+    assert main(["explain-episode", str(recording), "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert [each["text"] for each in data["statements"]] == [each.text for each in explain(trace_recording(str(recording), None))]
+    assert data["end"]["margin"] > 0

@@ -160,7 +160,7 @@ def command(
     `deepbots train --resume RUN --timesteps N --full` continues the training.
     """
     if episodes == FAILED_ONES:
-        options = {
+        refused: dict[str, Any] = {
             "scenario": scenario,
             "set": sets,
             "case": case,
@@ -169,7 +169,7 @@ def command(
             "engine": engine,
             "last": last,
         }
-        options |= {
+        refused |= {
             "baselines": baselines,
             "robustness": robustness,
             "details": details,
@@ -177,8 +177,8 @@ def command(
             "junit": junit,
             "seed": seed is not None,
         }
-        options |= {"require-solved": require_solved, "min-success": min_success is not None, "min-return": min_return is not None}
-        _refuse("does not go with --episodes failed, which repeats the last evaluation as it was", **options)
+        refused |= {"require-solved": require_solved, "min-success": min_success is not None, "min-return": min_return is not None}
+        _refuse("does not go with --episodes failed, which repeats the last evaluation as it was", **refused)
         repeat_failed(Run.open(run), video, as_json=as_json, allow_code=allow_code)
         return
     _check_files(csv, junit, requires=min_success is not None or min_return is not None or require_solved)

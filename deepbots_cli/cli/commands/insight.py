@@ -127,8 +127,8 @@ def repeat_failed(run: Run, video: Path | None, *, as_json: bool, allow_code: bo
                 show(len(found), len(failed))
             if not as_json:
                 ends = [statement.text for statement in statements if statement.cause in ("margin", "fact", "limit")]
-                film = f" ({films[each.number]})" if each.number in films else ""
-                terminal.say(f"episode {each.number}: '{traced.ended_by}' at {traced.time:.2f} s{film}\n  {' '.join(ends)}")
+                filmed = f" ({films[each.number]})" if each.number in films else ""
+                terminal.say(f"episode {each.number}: '{traced.ended_by}' at {traced.time:.2f} s{filmed}\n  {' '.join(ends)}")
     if as_json:
         terminal.show_json({"run": run.path, "evaluation": kept.path, "episodes": len(kept.outcomes), "failed": found})
         return
