@@ -118,8 +118,8 @@ class Workspace:
         return [self.local(name) for name in self._results() if name in named]
 
     def kept_names(self) -> list[str]:
-        """Names of the values that a timestep stores: those in messages, and those that scripts read, with parts of the action."""
-        sent, read = self.named(self.sent), self.named(self.scripted) if self.target is SCALAR else set()
+        """Names of the values that a timestep stores: those in messages, in `kept` and in scripts, with parts of the action."""
+        sent, read = self.named(self.sent), {*self.named(self.scripted), *self.scenario.kept} if self.target is SCALAR else set()
         acted = [name for name, _ in (*self.variables, *self.given) if name in read]
         return [*(name for name in self._results() if name in sent or name in read), *acted]
 

@@ -343,19 +343,44 @@ def rollout(
     return episodes
 
 
+def repeat(model: BaseAlgorithm, world: World, seed: int, number: int, *, deterministic: bool) -> Episode:
+    """One episode of an evaluation once more, to the bit: the one of this number, whose reset has this seed."""
+    if is_team(world):
+        return _team_episode(model, world, seed, deterministic=deterministic)
+    batch = _Batch(world.observation_space, _choices(world) if algorithms.takes_masks(model) else None)
+    lane = _Lane(world, number % ROWS, [0], [seed])
+    lane.begin(batch)
+    while True:
+        episode = lane.step(batch.answer(model, deterministic=deterministic)[lane.row], batch)
+        if episode is not None:
+            return episode
+
+
+def acting(model: BaseAlgorithm, world: World, *, deterministic: bool = True) -> Callable[[Any], Any]:
+    """A function that returns the action of a policy for each observation of one episode."""
+    size = len(world.get_wrapper_attr("agents")) if is_team(world) else 0
+    memory, starts = None, np.ones(size or 1, dtype=bool)
+    takes_masks = algorithms.takes_masks(model) and world.has_wrapper_attr("action_masks")
+
+    def act(observation: Any) -> Any:
+        nonlocal memory, starts
+        allowed = world.get_wrapper_attr("action_masks")() if takes_masks else None
+        masks = {} if allowed is None else {"action_masks": allowed.reshape(size, -1) if size else allowed}
+        action, memory = model.predict(observation, state=memory, episode_start=starts, deterministic=deterministic, **masks)
+        starts = np.zeros_like(starts)
+        return action
+
+    return act
+
+
 def _team_episode(model: BaseAlgorithm, world: World, seed: int, *, deterministic: bool) -> Episode:
     """An episode of all copies of a robot, with the mean of their rewards; each forward pass has a row for each copy."""
     torch.manual_seed(derive(seed, "policy"))
     observation, info = world.reset(seed=seed)
-    size, accumulator = len(world.get_wrapper_attr("agents")), EpisodeAccumulator()
+    accumulator, act = EpisodeAccumulator(), acting(model, world, deterministic=deterministic)
     accumulator.begin(seed, info)
-    memory, starts = None, np.ones(size, dtype=bool)
-    takes_masks = algorithms.takes_masks(model) and world.has_wrapper_attr("action_masks")
     while True:
-        masks = {"action_masks": world.get_wrapper_attr("action_masks")().reshape(size, -1)} if takes_masks else {}
-        actions, memory = model.predict(observation, state=memory, episode_start=starts, deterministic=deterministic, **masks)
-        starts = np.zeros(size, dtype=bool)
-        observation, reward, terminated, truncated, info = world.step(actions)
+        observation, reward, terminated, truncated, info = world.step(act(observation))
         accumulator.add(float(reward), info)
         if terminated or truncated:
             return accumulator.close(info)

@@ -152,10 +152,8 @@ def keep(run: Run, failure: Failure) -> Path | None:
         return None
 
 
-def reproduce(path: Path, *, allow_code: bool = False) -> tuple[Failure, str | None]:
-    """Repeat the episode of a file that `Guarded` wrote; the failure, and the error of the repetition (None: it did not fail).
-
-    If the episode ends earlier now, the actions of the failure are those that were repeated.
+def read(path: Path) -> tuple[Failure, Run, Program]:
+    """A file that `Guarded` wrote, its run, and the scenario, case or stage that failed.
 
     Raises:
         RunError: The file is damaged, or does not lie in the folder `failures` of a run.
@@ -166,24 +164,49 @@ def reproduce(path: Path, *, allow_code: bool = False) -> tuple[Failure, str | N
         program = program.case(failure.case).program
     elif failure.stage is not None:
         program = program.stage(failure.stage).program
+    return failure, run, program
+
+
+def steps(failure: Failure, program: Program, world: gym.Env[Any, Any], path: Path) -> Iterator[int]:
+    """Repeat the episode in a world of the program: yields how many actions are done, until they are or the episode ends.
+
+    Raises:
+        RunError: The file `path` of the failure is damaged.
+        DeepbotsError: The episode fails again.
+    """
+    if isinstance(failure.start, dict):
+        with _damaged(path):
+            set_random_state(world, failure.start)
+    guarded = Guarded(world, program=program, episode=lambda: failure.episode)
+    guarded.reset(seed=failure.start if isinstance(failure.start, int) else None)
+    for done, kept in enumerate(failure.actions, start=1):
+        with _damaged(path):
+            action = _action(world.action_space, kept)
+        _, _, terminated, truncated, _ = guarded.step(action)
+        yield done
+        if terminated or truncated:  # a file may hold any number of further actions
+            return
+
+
+def reproduce(path: Path, *, allow_code: bool = False) -> tuple[Failure, str | None]:
+    """Repeat the episode of a file that `Guarded` wrote; the failure, and the error of the repetition (None: it did not fail).
+
+    If the episode ends earlier now, the actions of the failure are those that were repeated.
+
+    Raises:
+        RunError: The file is damaged, or does not lie in the folder `failures` of a run.
+    """
+    failure, run, program = read(path)
+    done = 0
     with closing(api.build(program, engine=run.record.engine, allow_code=allow_code)) as world:
-        if isinstance(failure.start, dict):
-            with _damaged(path):
-                set_random_state(world, failure.start)
-        guarded = Guarded(world, program=program, episode=lambda: failure.episode)
         try:
-            guarded.reset(seed=failure.start if isinstance(failure.start, int) else None)
-            for done, kept in enumerate(failure.actions, start=1):
-                with _damaged(path):
-                    action = _action(world.action_space, kept)
-                _, _, terminated, truncated, _ = guarded.step(action)
-                if terminated or truncated:  # a file may hold any number of further actions
-                    return failure.model_copy(update={"actions": failure.actions[:done]}), None
+            for done in steps(failure, program, world, path):  # noqa: B007
+                pass
         except RunError:  # of the file, not of the world
             raise
         except DeepbotsError as error:
             return failure, str(error)
-    return failure, None
+    return failure.model_copy(update={"actions": failure.actions[:done]}), None
 
 
 @contextmanager

@@ -51,7 +51,8 @@ class Program:
     - the episode: reset, endings, truncation, and the `repeat` of a step. A world is reset and stepped as a whole.
 
     There is one policy, named `policy`. `augmented` holds the names of the signals that policies may see. `engine` is the one that the
-    scenario names, None for the default.
+    scenario names, None for the default. `kept` names the signals that the supervisor keeps after each step, as `last_NAME`; a program
+    that explains its episodes (`insight`) has some, and no scenario does.
     """
 
     name: str
@@ -75,9 +76,10 @@ class Program:
     disturbances: tuple[Disturbance, ...] = ()
     augmented: frozenset[str] = frozenset()
     engine: str | None = None
+    kept: frozenset[str] = frozenset()
 
     def projection(self) -> dict[str, object]:
-        left_out = {"augmented"} | ({"engine"} if self.engine in (None, DEFAULT) else set())
+        left_out = {"augmented", "kept"} | ({"engine"} if self.engine in (None, DEFAULT) else set())
         return {name: value for name, value in vars(self).items() if name in self.__dataclass_fields__ and name not in left_out}
 
     @cached_property

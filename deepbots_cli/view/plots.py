@@ -78,7 +78,7 @@ def read(paths: Sequence[str | Path], window: int = 100) -> list[Log]:
 def _read_run(path: Path, window: int) -> Log:
     record = Record.read(path)
     log = Log(path, f"{record.scenario} {record.digest}", settings=short(changed_settings(record.command)))
-    rows = _rows(path / "monitor.csv")
+    rows = monitor_rows(path)
     if not rows:
         raise RunError(f"{path} holds no finished episode yet; plot it later")
     try:
@@ -94,7 +94,7 @@ def _read_run(path: Path, window: int) -> Log:
         raise RunError(f"{path} is damaged: one of its logs cannot be read") from error
     log.successes = _averaged(steps, successes, window) if successes.any() else None
     log.evaluations = (np.array([step for step, _ in points]), np.array([value for _, value in points])) if points else None
-    scalars = _scalars(path / "tensorboard")
+    scalars = scalars_of(path / "tensorboard")
     log.terms = {tag.removeprefix("reward/"): curve for tag, curve in scalars.items() if tag.startswith("reward/")}
     return log
 
@@ -103,7 +103,7 @@ def _read_tensorboard(path: Path) -> Log:
     """What Stable-Baselines3 writes."""
     if not path.is_dir():
         raise RunError(f"{path} is neither a run nor a folder of TensorBoard files")
-    scalars = _scalars(path)
+    scalars = scalars_of(path)
     names = {"returns": "rollout/ep_rew_mean", "successes": "rollout/success_rate", "evaluations": "eval/mean_reward"}
     if not scalars.keys() & names.values():
         raise RunError(f"{path} is no run, and its TensorBoard files hold none of {', '.join(names.values())}")
@@ -123,7 +123,13 @@ def _text(path: Path) -> str:
         return ""
 
 
-def _rows(path: Path) -> list[dict[str, str]]:
+def monitor_rows(run: Path) -> list[dict[str, str]]:
+    """The lines of `monitor.csv` of a run: an episode each.
+
+    Raises:
+        RunError: It is damaged.
+    """
+    path = run / "monitor.csv"
     lines = [line for line in _text(path).splitlines() if not line.startswith("#")]
     try:
         return [row for row in csv.DictReader(lines) if None not in row.values()]  # the last line may be half written
@@ -131,7 +137,13 @@ def _rows(path: Path) -> list[dict[str, str]]:
         raise RunError(f"{path} is damaged: {error}") from error
 
 
-def _scalars(path: Path) -> dict[str, Curve]:
+def scalars_of(path: Path) -> dict[str, Curve]:
+    """The scalars of the TensorBoard files in a folder and those below, by tag.
+
+    Raises:
+        RunError: One is no regular file.
+        MissingExtraError: TensorBoard is not installed.
+    """
     files = sorted(path.glob("**/events.out.tfevents.*"))
     if not files:
         return {}

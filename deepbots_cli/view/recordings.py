@@ -97,6 +97,11 @@ def _arrays(value: Any) -> list[bytes]:
     return [np.asarray(part).tobytes() for part in (value.values() if isinstance(value, dict) else [value])]
 
 
+def observation_hash(observation: Any) -> str:
+    """What `/step` keeps of an observation."""
+    return _hash(*_arrays(observation))
+
+
 class Describer:
     """Describes the steps of a player as topics."""
 
@@ -166,7 +171,7 @@ class Describer:
         velocities += [float(state[1]) for read in self._joints for state in read()]
         hidden = {
             "velocities": _hash(struct.pack(f"{len(velocities)}d", *velocities)),
-            "observation": _hash(*_arrays(player.observation)),
+            "observation": observation_hash(player.observation),
             "images": _hash(*(image.tobytes() for image in player.frame.cameras.values())),
             "random": _hash(json.dumps(player.env.random_state(), sort_keys=True).encode()),
         }

@@ -102,13 +102,13 @@ class Divergence(NamedTuple):
     now: str
 
 
-class _Actions:
+class Actions:
     """The driver that repeats an episode."""
 
     note = ""
 
     def __init__(self, recording: Recording, recorded: Recorded, space: Any) -> None:
-        self._path, self._steps, self._space = recording.path, iter(recorded.steps[1:]), space
+        self._path, self._recorded, self._steps, self._space = recording.path, recorded, iter(recorded.steps[1:]), space
 
     def begin(self, seed: int) -> None:
         """Nothing."""
@@ -120,6 +120,11 @@ class _Actions:
                 return {name: unpacked(action[name], part) for name, part in self._space.spaces.items()}
             return unpacked(action["action"], self._space)
 
+    def hash_at(self, place: int) -> str:
+        """The hash of the observation after so many steps."""
+        with damaged(self._path):
+            return msgspec.convert(msgspec.json.decode(self._recorded.steps[place]["/step"])["observation"], str)
+
 
 def verify(recording: Recording, player: Player, on_episode: Callable[[int], object] = lambda done: None) -> Divergence | None:
     """Run the episodes of a recording again, with its seeds and actions, and compare every step; None where all are the same.
@@ -129,7 +134,7 @@ def verify(recording: Recording, player: Player, on_episode: Callable[[int], obj
     """
     describer, time = Describer(player), 0
     for done, recorded in enumerate(recording.episodes, start=1):
-        player.driver = _Actions(recording, recorded, player.env.action_space)
+        player.driver = Actions(recording, recorded, player.env.action_space)
         begun = time
         for place, old in enumerate(recorded.steps):
             if place and player.frame.ended_by is not None:

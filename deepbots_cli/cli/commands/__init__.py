@@ -11,6 +11,8 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "train": ("train.command", "Train a policy in a new run directory, and evaluate it."),
     "eval": ("eval.command", "Evaluate the policy of a run on held-out episodes."),
     "compare": ("compare.command", "Compare policies on the same starts."),
+    "explain-episode": ("insight.explain_episode", "Explain why an episode ended as it did."),
+    "diagnose": ("insight.diagnose", "Tell why a training does not learn."),
     "runs": ("runs.command", "List your runs and groups, with their results."),
     "plot": ("plot.command", "Plot the training of runs over the timesteps."),
     "lint": ("lint.lint", "Check scenarios and report every problem."),

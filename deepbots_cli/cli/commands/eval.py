@@ -14,6 +14,7 @@ import typer
 from deepbots_cli import api, learning
 from deepbots_cli.cli import results, terminal
 from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Json, Sets, fraction, known_engine, whole
+from deepbots_cli.cli.commands.insight import repeat_failed
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import table
 from deepbots_cli.compiler.inputs import RESOLVED
@@ -42,12 +43,23 @@ def _engines(names: list[str] | None) -> list[str] | None:
     return found or None
 
 
+FAILED_ONES = "failed"
+
+
+def _episodes(text: str) -> int | str:
+    """A parser: a number of episodes, or `failed`."""
+    return text if text == FAILED_ONES else whole()(text)
+
+
 def command(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A run directory of `deepbots train`, or the folder of a group.")],
     episodes: Annotated[
-        int | None,
+        Any,
         typer.Option(
-            "--episodes", metavar="N", parser=whole(), help="Number of episodes; by default `evaluation.episodes` of the scenario."
+            "--episodes",
+            metavar="N|failed",
+            parser=_episodes,
+            help="Number of episodes, by default `evaluation.episodes` of the scenario; `failed` repeats those that failed.",
         ),
     ] = None,
     seed: Annotated[
@@ -134,8 +146,12 @@ def command(
     engines, such as --engine mujoco,pybullet, every engine runs episodes from the same starts, and the table shows the difference of each
     further engine from the first, with its 95 % interval over pairs of episodes. The requirements then apply to every engine.
 
+    --episodes failed repeats the failed episodes of the last evaluation that the run keeps, prints what ended each of them and by how much,
+    and films the first 10: in RUN-failed-K.mp4 for episode K, or as --video names them.
+
     \b
       deepbots eval runs/cartpole-0-1
+      deepbots eval runs/cartpole-0-1 --episodes failed
       deepbots eval runs/cartpole-0-1 --baselines
       deepbots eval runs/cartpole-seeds-1 --csv episodes.csv
       deepbots eval runs/cartpole-0-1 --robustness --episodes 20 --mass-of cart.pole
@@ -150,6 +166,29 @@ def command(
     Next: `deepbots compare RUN RUN` compares policies on the same starts, `deepbots runs RUN` lists its evaluations, and
     `deepbots train --resume RUN --timesteps N --full` continues the training.
     """
+    if episodes == FAILED_ONES:
+        refused: dict[str, Any] = {
+            "scenario": scenario,
+            "set": sets,
+            "case": case,
+            "stage": stage,
+            "stochastic": stochastic,
+            "engine": engine,
+            "last": last,
+        }
+        refused |= {
+            "baselines": baselines,
+            "robustness": robustness,
+            "mass-of": mass_of is not None,
+            "details": details,
+            "csv": csv,
+            "junit": junit,
+            "seed": seed is not None,
+        }
+        refused |= {"require-solved": require_solved, "min-success": min_success is not None, "min-return": min_return is not None}
+        _refuse("does not go with --episodes failed, which repeats the last evaluation as it was", **refused)
+        repeat_failed(Run.open(run), video, as_json=as_json, allow_code=allow_code)
+        return
     gates = Gates(min_success, min_return, require_solved)
     if mass_of is not None and not robustness:
         raise UsageError("--mass-of belongs to --robustness; add it")
@@ -213,6 +252,15 @@ def command(
     else:
         found[0].show(details=details)
     _require(requirements, known.program.name, junit)
+
+
+def _check_files(csv: Path | None, junit: Path | None, *, requires: bool) -> None:
+    """Raises: UsageError: A file cannot be written, or there is no requirement for the JUnit file."""
+    for path in (csv, junit):
+        if path is not None and not path.absolute().parent.is_dir():
+            raise UsageError(f"{path} cannot be written: there is no directory {path.parent}")
+    if junit is not None and not requires:
+        raise UsageError("--junit writes requirements, and there is none; add --min-success, --min-return or --require-solved")
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,185 @@
+"""Why: `explain-episode` tells why an episode ended as it did, `diagnose` why a training does not learn."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from shlex import quote
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from deepbots_cli.cli import terminal
+from deepbots_cli.cli.command import MAX_SEED, AllowCode, Json, whole
+from deepbots_cli.errors import UsageError
+
+if TYPE_CHECKING:
+    from deepbots_cli.insight.trace import Trace
+    from deepbots_cli.learning.run import Run
+
+
+def explain_episode(
+    shown: Annotated[
+        str,
+        typer.Argument(metavar="RUN|RECORDING|FAILURE", help="A run directory, a recording (.mcap), or a file in `failures` of a run."),
+    ],
+    episode: Annotated[
+        int | None,
+        typer.Option(
+            "--episode",
+            metavar="K",
+            parser=whole(0),
+            help="Episode of the evaluation or of the recording; by default the first that failed in the last evaluation, or the first.",
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(
+            "--seed", metavar="N", parser=whole(0, MAX_SEED), help="Root seed of the starts of a run; by default that of its evaluation."
+        ),
+    ] = None,
+    last: Annotated[bool, typer.Option("--last", help="Let the last model of a run act instead of the best one.")] = False,
+    as_json: Json = False,
+    allow_code: AllowCode = False,
+) -> None:
+    """Explain why an episode ended as it did.
+
+    The episode runs again, from its seed or with its recorded actions. The command prints the ending and its time, the margin between the
+    value of the ending and its bound, the reward terms in the return, the largest drop of the critic's value, and the observations and
+    actions at the ends of their ranges. --json holds the same numbers in SI units.
+
+    \b
+      deepbots explain-episode runs/cartpole-0-1
+      deepbots explain-episode runs/cartpole-0-1 --episode 7
+      deepbots explain-episode find_ball-0-0.mcap --json
+      deepbots explain-episode runs/cartpole-0-1/failures/0001.json
+
+    Next: `deepbots clip RUN --episode K` shows the episode, `deepbots diagnose RUN` tells why a training does not learn.
+    """
+    with terminal.passing("running the episode again ..."):
+        from deepbots_cli.insight.episode import explain, explanation_json
+
+        trace = _trace(shown, episode, seed, last=last, allow_code=allow_code)
+        statements = explain(trace)
+    if as_json:
+        terminal.show_json(explanation_json(trace, statements))
+        return
+    for note in trace.notes:
+        terminal.note(f"note: {note}")
+    for statement in statements:
+        terminal.say(statement.text)
+
+
+def _trace(shown: str, episode: int | None, seed: int | None, *, last: bool, allow_code: bool) -> Trace:
+    from deepbots_cli.insight import trace
+    from deepbots_cli.learning.run import Run
+    from deepbots_cli.runtime.streams import derive
+
+    path = Path(shown)
+    if path.suffix in (".mcap", ".json"):
+        if seed is not None or last:
+            raise UsageError("a recording or a failure has its own start and actions; leave out --seed and --last")
+        if path.suffix == ".mcap":
+            return trace.trace_recording(shown, episode, allow_code=allow_code)
+        if episode is not None:
+            raise UsageError(f"{shown} holds a single episode; leave out --episode")
+        return trace.trace_failure(path, allow_code=allow_code)
+    run = Run.open(path)
+    kept = trace.last_evaluation(run) if seed is None and not last else None
+    if kept is not None:
+        failed = kept.failed(run.program)
+        chosen = kept.chosen(episode if episode is not None else failed[0] if failed else 0)
+    else:
+        root, number = run.record.seed if seed is None else seed, episode or 0
+        chosen = trace.Chosen(number, derive(root, "evaluation", number), "last" if last else "best")
+    return trace.trace_run(run, chosen, allow_code=allow_code)
+
+
+MAX_FILMS = 10
+
+
+def repeat_failed(run: Run, video: Path | None, *, as_json: bool, allow_code: bool) -> None:
+    """Repeat the failed episodes of the last evaluation of a run, explain the end of each, and film the first ones."""
+    from deepbots_cli.insight import trace
+    from deepbots_cli.insight.episode import explain, explanation_json
+    from deepbots_cli.learning.video import check
+
+    kept = trace.last_evaluation(run)
+    if kept is None:
+        raise UsageError(
+            f"{run.path} keeps no evaluation in its own scenario and engine; make one with: deepbots eval {quote(str(run.path))}"
+        )
+    failed = kept.failed(run.program)
+    base = video or Path(f"{run.path.name}-failed.mp4")
+    films = {number: base.with_name(f"{base.stem}-{number}{base.suffix}") for number in failed[:MAX_FILMS]}
+    for film in films.values():
+        check(film)
+        if video is None and film.exists():
+            raise UsageError(f"{film} exists; name the films with --video, such as --video failed.mp4")
+    found = []
+    with terminal.progress("episodes", always=False) as show:
+        chosen = [kept.chosen(number) for number in failed]
+        for each, traced in zip(
+            chosen, trace.trace_episodes(run, chosen, films=films, allow_code=allow_code) if chosen else (), strict=True
+        ):
+            statements = explain(traced)
+            found.append({"number": each.number, "film": films.get(each.number), **explanation_json(traced, statements)})
+            if show is not None:
+                show(len(found), len(failed))
+            if not as_json:
+                ends = [statement.text for statement in statements if statement.cause in ("margin", "fact", "limit")]
+                filmed = f" ({films[each.number]})" if each.number in films else ""
+                terminal.say(f"episode {each.number}: '{traced.ended_by}' at {traced.time:.2f} s{filmed}\n  {' '.join(ends)}")
+    if as_json:
+        terminal.show_json({"run": run.path, "evaluation": kept.path, "episodes": len(kept.outcomes), "failed": found})
+        return
+    terminal.say(f"{len(failed)} of {len(kept.outcomes)} episodes of {kept.path} failed")
+    if failed:
+        terminal.note(f"\nnext:\n  deepbots explain-episode {quote(str(run.path))} --episode {failed[0]}")
+
+
+def diagnose(
+    run: Annotated[Path, typer.Argument(metavar="RUN|GROUP", help="A run directory of `deepbots train`, or the folder of a group.")],
+    only_logs: Annotated[bool, typer.Option("--only-logs", help="Read the logs only, and run no short episodes.")] = False,
+    as_json: Json = False,
+    allow_code: AllowCode = False,
+) -> None:
+    """Tell why a training does not learn.
+
+    The command reads the logs of the training, and runs a few short episodes with its policy, with random actions and with constant ones.
+    It prints the causes that apply, the most likely first, each with its numbers and what to try. It reports nothing for a training that
+    solves its task. For a group, every seed has its own causes.
+
+    \b
+      deepbots diagnose runs/mine-0-1
+      deepbots diagnose runs/mine-seeds-1
+      deepbots diagnose runs/mine-0-1 --json
+
+    Next: `deepbots explain-episode RUN` explains an episode, and docs/diagnose.md every cause.
+    """
+    from deepbots_cli.learning.group import Group, is_group
+    from deepbots_cli.learning.run import Run
+
+    folders = Group.open(run).runs if is_group(run) else [run]
+    if not folders:
+        raise UsageError(f"{run} is a group without a run yet; train it with: deepbots train --resume {quote(str(run))}")
+    with terminal.passing("reading the logs ..."):
+        from deepbots_cli.insight.diagnosis import diagnose as find_causes
+        from deepbots_cli.insight.training import probe, read
+    found = []
+    for folder in folders:
+        training = read(Run.open(folder))
+        if not only_logs and not training.solved:
+            with terminal.progress("short episodes", always=False) as show:
+                probe(training, allow_code=allow_code, on_episode=show)
+        causes = find_causes(training)
+        found.append({"run": folder, "steps": training.steps, "solved": training.solved, "causes": [cause.as_json() for cause in causes]})
+        if as_json:
+            continue
+        if not causes:
+            terminal.say(f"{folder}: no cause found after {training.steps:,} steps ({'solved' if training.solved else 'not solved'})")
+            continue
+        terminal.say(f"{folder}: {len(causes)} cause{'s' * (len(causes) > 1)}, the most likely first")
+        for number, cause in enumerate(causes, start=1):
+            terminal.say(f"\n{number}. {cause.text}\n   Try: {cause.advice}")
+    if as_json:
+        terminal.show_json({"runs": found})

@@ -1,0 +1,234 @@
+"""The endings of a scenario as comparisons whose values an episode keeps.
+
+`measured` gives a program whose supervisor keeps both sides of each comparison. Everything else of an episode stays the same to the bit:
+the added signals read what the endings read, and share their memories.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+from deepbots_cli.expressions.scalar import is_drawn, names_in
+from deepbots_cli.expressions.types import Invocation, Operation, Reference, Typed
+from deepbots_cli.program import Program
+from deepbots_cli.program.task import Ending, Goal
+from deepbots_cli.program.values import Expression
+from deepbots_cli.runtime import Supervisor
+
+Values = Mapping[str, Sequence[float]]
+"""What the supervisor kept in a step: the components of each value, by its name."""
+
+_PROBE = "insight_"
+_GOAL = f"{_PROBE}goal"
+_NEGATED = {"less": "greater_equal", "less_equal": "greater", "greater": "less_equal", "greater_equal": "less"}
+_NEGATED |= {"equal": "not_equal", "not_equal": "equal"}
+SIGNS = {"less": "<", "less_equal": "<=", "greater": ">", "greater_equal": ">=", "equal": "==", "not_equal": "!="}
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """`value operator bound`: both sides by the names of kept values, and as the scenario writes them.
+
+    Several components hold together if any of them holds, or all. `unit` is the SI unit of both sides.
+    """
+
+    text: str
+    operator: str
+    value: str
+    bound: str
+    unit: str
+    sides: tuple[str, str]
+    joined: Literal["any", "all"] = "any"
+
+
+@dataclass(frozen=True)
+class Fact:
+    """A truth value without a bound, such as a contact; `holds_when` is its value where the condition holds."""
+
+    text: str
+    value: str
+    holds_when: bool = True
+
+
+@dataclass(frozen=True)
+class Junction:
+    """Conditions of which all must hold (`and`), or one (`or`)."""
+
+    operator: Literal["and", "or"]
+    parts: tuple[Condition, ...]
+
+
+Condition = Comparison | Fact | Junction
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A comparison or fact at one moment, in SI units.
+
+    `margin` is how far the value is beyond the bound: from 0 on the condition holds, below 0 this much is missing. A fact has
+    neither bound nor margin.
+    """
+
+    condition: Comparison | Fact
+    holds: bool
+    value: float
+    bound: float | None = None
+    margin: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Watch:
+    """A program that measures its endings, and the condition of each; None for one that has no tree, or draws random numbers."""
+
+    program: Program
+    conditions: Mapping[str, Condition | None]
+
+    def read(self, agent: Supervisor) -> Values:
+        """What this step left in a supervisor of the program."""
+        found = {name: getattr(agent, f"last_{name}") for name in self.program.kept}
+        goal = self.program.policy.goal
+        values = {name: tuple(value) if isinstance(value, list | tuple) else (float(value),) for name, value in found.items()}
+        return values if goal is None else {**values, _GOAL: (_distance(goal, agent),), f"{_GOAL}_bound": (goal.tolerance,)}
+
+
+def measured(program: Program) -> Watch:
+    """The program with kept values for each comparison of its endings."""
+    made = _Builder(program)
+    conditions = {ending.name: made.of_ending(ending) for ending in program.endings}
+    if program.policy.goal is not None:
+        conditions.setdefault("goal_reached", made.goal(program.policy.goal, negated=False))
+    kept = frozenset(made.probes)
+    return Watch(replace(program, signals=(*program.signals, *made.probes.values()), kept=kept), conditions)
+
+
+class _UnmeasuredError(Exception):
+    """A condition whose value an episode cannot keep: a random draw, or the goal as the policy sees it."""
+
+
+class _Builder:
+    def __init__(self, program: Program) -> None:
+        self.probes: dict[str, Expression] = {}
+        self._program = program
+        self._named: dict[str, Expression] = {signal.name: signal for signal in program.signals}
+        self._named |= {ending.name: ending.value for ending in program.endings if ending.foreign is None}
+
+    def of_ending(self, ending: Ending) -> Condition | None:
+        if ending.foreign is not None:
+            return None
+        try:
+            return self._condition(ending.value.typed, ending.value, negated=False)
+        except _UnmeasuredError:
+            return None
+
+    def goal(self, goal: Goal, *, negated: bool) -> Comparison:
+        operator = "greater" if negated else "less_equal"
+        sides = ("the distance from achieved to desired", "goal.tolerance")
+        return Comparison("goal_reached", operator, _GOAL, f"{_GOAL}_bound", goal.unit, sides)
+
+    def _condition(self, node: Typed, home: Expression, *, negated: bool, joined: Literal["any", "all"] = "any") -> Condition:
+        """The condition of a truth value in the text of `home`, with `not` pushed down to the comparisons."""
+        match node:
+            case Operation(operator="not", args=(inner,)):
+                return self._condition(inner, home, negated=not negated, joined=joined)
+            case Operation(operator="and" | "or" as operator, args=args) if node.type.components is None:
+                both: Literal["and", "or"] = "or" if (operator == "or") != negated else "and"
+                return Junction(both, tuple(self._condition(arg, home, negated=negated) for arg in args))
+            case Operation(operator=operator, args=(left, right)) if operator in SIGNS and not left.type.boolean:
+                used = _NEGATED[operator] if negated else operator
+                value, bound = self._probe(left, home), self._probe(right, home)
+                sides = (home.text[left.start : left.end], home.text[right.start : right.end])
+                return Comparison(home.text[node.start : node.end], used, value, bound, str(left.type.dimension), sides, joined)
+            case Invocation(function="any" | "all" as function, args=(inner,)) if not inner.type.copies:
+                every: Literal["any", "all"] = "any" if (function == "any") != negated else "all"
+                if isinstance(inner, Operation) and inner.operator in SIGNS:
+                    return self._condition(inner, home, negated=negated, joined=every)
+            case Reference(symbol=symbol) if symbol.name == "goal_reached" and self._program.policy.goal is not None:
+                return self.goal(self._program.policy.goal, negated=negated)
+            case Reference(symbol=symbol) if symbol.name in self._named and node.type.components is None:
+                other = self._named[symbol.name]
+                if not any(map(is_drawn, other.scalars)):
+                    return self._condition(other.typed, other, negated=negated)
+        return Fact(home.text[node.start : node.end], self._probe(node, home), not negated)
+
+    def _probe(self, node: Typed, home: Expression) -> str:
+        """The name of a signal that has the value of a part of an expression."""
+        made = Expression("", home.span, home.text[node.start : node.end], node, home.owner, home.per_component)
+        refused = {"achieved", "desired", "goal_reached", *(ending.name for ending in self._program.endings)}
+        if any(is_drawn(tree) or refused & {leaf.name for leaf in names_in(tree)} for tree in made.scalars):
+            raise _UnmeasuredError
+        name = f"{_PROBE}{len(self.probes)}"
+        self.probes[name] = replace(made, name=name)
+        return name
+
+
+def _distance(goal: Goal, agent: Supervisor) -> float:
+    """How far what is achieved is from what is desired, both as the policy sees them."""
+    size = len(goal.low)
+    seen = agent.goal.tolist()
+    halves = [(high - low) / 2 for low, high in zip(goal.low, goal.high, strict=True)]
+    return math.hypot(*((one - other) * half for one, other, half in zip(seen[:size], seen[size:], halves, strict=True)))
+
+
+_MARGIN: Mapping[str, Callable[[float, float], float]] = {
+    "less": lambda value, bound: bound - value,
+    "less_equal": lambda value, bound: bound - value,
+    "greater": lambda value, bound: value - bound,
+    "greater_equal": lambda value, bound: value - bound,
+    "equal": lambda value, bound: -abs(value - bound),
+    "not_equal": lambda value, bound: abs(value - bound),
+}
+_HOLDS: Mapping[str, Callable[[float, float], bool]] = {
+    "less": lambda value, bound: value < bound,
+    "less_equal": lambda value, bound: value <= bound,
+    "greater": lambda value, bound: value > bound,
+    "greater_equal": lambda value, bound: value >= bound,
+    "equal": lambda value, bound: value == bound,
+    "not_equal": lambda value, bound: value != bound,
+}
+
+
+def leaves(condition: Condition) -> list[Comparison | Fact]:
+    if isinstance(condition, Junction):
+        return [leaf for part in condition.parts for leaf in leaves(part)]
+    return [condition]
+
+
+def measure(condition: Comparison | Fact, values: Values) -> Measured:
+    """A comparison or fact in one step. Of several components, the one that decides counts."""
+    if isinstance(condition, Fact):
+        value = values[condition.value][0]
+        return Measured(condition, bool(value) is condition.holds_when, float(value))
+    sides, bounds = values[condition.value], values[condition.bound]
+    count = max(len(sides), len(bounds))
+    pairs = [(sides[index % len(sides)], bounds[index % len(bounds)]) for index in range(count)]
+    chosen = max if condition.joined == "any" else min
+    value, bound = chosen(pairs, key=lambda pair: _MARGIN[condition.operator](*pair))
+    holds = _HOLDS[condition.operator](value, bound)
+    return Measured(condition, holds, float(value), float(bound), _MARGIN[condition.operator](value, bound))
+
+
+def holds(condition: Condition, values: Values) -> bool:
+    if isinstance(condition, Junction):
+        return (all if condition.operator == "and" else any)(holds(part, values) for part in condition.parts)
+    return measure(condition, values).holds
+
+
+def deciding(condition: Condition, before: Values | None, now: Values) -> Measured:
+    """The comparison or fact that made a condition hold: one that holds now and did not in the step before, a comparison before a fact."""
+    if not isinstance(condition, Junction):
+        return measure(condition, now)
+    parts = [part for part in condition.parts if holds(part, now)] or list(condition.parts)
+    new = [part for part in parts if before is not None and not holds(part, before)] or parts
+    found = [deciding(part, before, now) for part in new]
+    return next((each for each in found if each.margin is not None), found[0])
+
+
+def as_json(found: Measured) -> dict[str, Any]:
+    """In SI units."""
+    data: dict[str, Any] = {"condition": found.condition.text, "holds": found.holds, "value": found.value}
+    if isinstance(found.condition, Comparison):
+        data |= {"operator": SIGNS[found.condition.operator], "bound": found.bound, "margin": found.margin, "unit": found.condition.unit}
+    return data

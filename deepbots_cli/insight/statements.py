@@ -1,0 +1,104 @@
+"""Sentences with their evidence: the form of every row in the two tables.
+
+A row is a function that finds numbers, and whose docstring is the sentence that shows them. There is no sentence without its numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+
+Numbers = Mapping[str, Any]
+T = TypeVar("T")
+T_contra = TypeVar("T_contra", contravariant=True)
+
+
+class Finder(Protocol[T_contra]):
+    """A row of a table: a function that finds the numbers of a sentence.
+
+    Its name is the cause, and its docstring is the sentence, with a field in braces for each number, then `Try:` and what to try. It
+    returns None where the row does not apply. Evidence may hold more than the sentence shows; its entry `likelihood` (0 to 1) orders
+    causes.
+    """
+
+    __name__: str
+
+    def __call__(self, about: T_contra, /) -> Numbers | None: ...
+
+
+@dataclass(frozen=True)
+class Statement:
+    """A sentence with the numbers that it rests on."""
+
+    cause: str
+    text: str
+    advice: str
+    evidence: Mapping[str, Any]
+
+    def as_json(self) -> dict[str, Any]:
+        return {"cause": self.cause, "text": self.text, **({"advice": self.advice} if self.advice else {}), "evidence": self.evidence}
+
+
+@dataclass(frozen=True)
+class Share:
+    """A share, shown in per cent."""
+
+    value: float
+
+
+def state_all(finders: Sequence[Finder[T]], about: T) -> list[Statement]:
+    """The statements of the rows that apply, in the order of the table."""
+    found = []
+    for finder in finders:
+        evidence = finder(about)
+        if evidence is not None:
+            shown = {key: _shown(value) for key, value in evidence.items()}
+            text, _, advice = " ".join((finder.__doc__ or "").split()).partition(" Try: ")
+            found.append(Statement(finder.__name__, text.format(**shown), advice.format(**shown), _plain(evidence)))
+    return found
+
+
+def _plain(value: Any) -> Any:
+    match value:
+        case Share(value=share):
+            return float(share)
+        case Mapping():
+            return {key: _plain(part) for key, part in value.items()}
+        case list() | tuple():
+            return [_plain(part) for part in value]
+        case np.floating() | np.integer() | np.bool_():
+            return value.item()
+        case _:
+            return value
+
+
+def _shown(value: Any) -> str:
+    match value:
+        case Share(value=share):
+            return f"{share:.0%}" if share in (0.0, 1.0) or 0.005 <= share < 0.995 else "less than 1%" if share < 0.5 else "more than 99%"
+        case bool() | str():
+            return str(value)
+        case float() | np.floating():
+            return f"{value:.4g}"
+        case int() | np.integer():
+            return f"{value:,}"
+        case _:
+            return str(value)
+
+
+_DEGREES = {"rad": "deg", "rad/s": "deg/s", "rad/s^2": "deg/s^2"}
+
+
+def quantity(value: float, unit: str, digits: int = 4) -> str:
+    """`15.3 deg`: a number in the unit that people use, given in SI units."""
+    if unit in _DEGREES:
+        value, unit = float(np.degrees(value)), _DEGREES[unit]
+    return f"{value:.{digits}g}{'' if unit in ('', '1') else f' {unit}'}"
+
+
+def listed(parts: Sequence[str]) -> str:
+    """`a, b and c`."""
+    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"

@@ -1,0 +1,359 @@
+"""An episode that runs again, with what each step saw, did, earned and measured.
+
+Runs keep the seeds of their evaluations, recordings their actions, failures both: each of them gives the same episode once more.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, nullcontext
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Literal
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from deepbots_cli import api
+from deepbots_cli.errors import DeepbotsError, RunError, UsageError
+from deepbots_cli.insight.conditions import Values, Watch, measured
+from deepbots_cli.learning import failures
+from deepbots_cli.learning.run import ModelName, Run, kept_evaluations, read_evaluation
+from deepbots_cli.program import Program
+from deepbots_cli.program.task import ActionRange, Choices, ObservedNumber, viewed
+from deepbots_cli.runtime import Supervisor
+from deepbots_cli.runtime.streams import derive
+from deepbots_cli.view.episodes import Opened, Source
+from deepbots_cli.view.recordings import Recorded, Recording, observation_hash
+from deepbots_cli.view.replay import Actions, changes
+
+Array = NDArray[np.float64]
+
+
+@dataclass(eq=False)
+class Trace:
+    """One episode of an agent. Of a team, it is the agent that ended the episode, or the first one.
+
+    Step k lies between moment k - 1 and moment k; moment 0 is the reset. `observations` (moments, numbers) holds the newest value of each
+    number as the policy sees it, `values` what the conditions of the endings compare in each moment. `terms` (steps) are the reward terms,
+    and `actions` the actions in the action space. `critic` holds the critic's value of each moment but the last, None where there is no
+    critic, and `critic_absent` says why.
+    """
+
+    what: str
+    watch: Watch
+    observations: Array
+    actions: Sequence[Any]
+    terms: Mapping[str, Array]
+    values: Sequence[Values]
+    ended_by: str | None
+    outcome: Literal["success", "failure", "time limit", "error", "not ended"]
+    time: float
+    error: str = ""
+    agent: str = ""
+    critic: Array | None = None
+    critic_absent: str = ""
+    notes: Sequence[str] = ()
+
+    @property
+    def program(self) -> Program:
+        return self.watch.program
+
+    @property
+    def steps(self) -> int:
+        return len(self.actions)
+
+    @property
+    def returns(self) -> float:
+        return float(sum(term.sum() for term in self.terms.values()))
+
+    def at(self, step: int) -> float:
+        """The time of a moment, in s."""
+        return self.time if step == self.steps else step * self.program.period
+
+    @cached_property
+    def numbers(self) -> tuple[ObservedNumber, ...]:
+        return self.program.policy.numbers
+
+    def saturation(self) -> dict[str, float]:
+        """The share of moments in which each clipped number of the observation was at an end of its range, the largest first."""
+        shares = (np.abs(self.observations) >= 1.0).mean(axis=0)
+        found = {n.full_name: float(shares[i]) for i, n in enumerate(self.numbers) if n.clip and not n.truth}
+        return dict(sorted(found.items(), key=lambda entry: -entry[1]))
+
+    def options(self) -> dict[str, dict[str, float]]:
+        """For each choice of the action, the share of steps of each option, the largest first."""
+        choices = [part for part in self.program.policy.action if isinstance(part, Choices)]
+        found = {}
+        for place, part in enumerate(choices):
+            taken = [int(np.asarray(_part(action, "choices")).reshape(-1)[place]) for action in self.actions]
+            counts = Counter(part.options[number].name for number in taken)
+            found[part.name] = {name: count / max(1, len(taken)) for name, count in counts.most_common()}
+        return found
+
+    def ranges(self) -> dict[str, Array]:
+        """For each number of the ranges of the action, its values in [-1, 1] in the steps."""
+        parts = [part for part in self.program.policy.action if isinstance(part, ActionRange)]
+        names = [f"{part.name}.{name}" if name else part.name for part in parts for name in part.components or ("",)]
+        rows = np.array([np.asarray(_part(action, "ranges"), float).reshape(-1) for action in self.actions if names])
+        return {name: rows[:, place] for place, name in enumerate(names)} if len(rows) else {}
+
+
+def _part(action: Any, key: str) -> Any:
+    return action[key] if isinstance(action, dict) else action
+
+
+class Traced(gym.Wrapper[Any, Any, Any, Any]):
+    """A world that notes each step of an episode; a reset begins anew. The wrapper closes the world."""
+
+    def __init__(self, world: Supervisor, watch: Watch) -> None:
+        super().__init__(world)
+        self.world, self.watch = world, watch
+        self.seen: list[Any] = []
+        self.actions: list[Any] = []
+        self.rewards: list[float] = []
+        self._terms: list[list[Mapping[str, float]]] = []
+        self._values: list[list[Values]] = []
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        observation, info = self.env.reset(seed=seed, options=options)
+        self.seen, self.actions, self.rewards, self._terms, self._values = [observation], [], [], [], []
+        self._note()
+        return observation, info
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        outcome = self.env.step(action)
+        self.seen.append(outcome[0])
+        self.actions.append(action)
+        self.rewards.append(float(outcome[1]))
+        self._terms.append([agent.get_info()["reward_terms"] for agent in self.world.agents.values()])
+        self._note()
+        return outcome
+
+    def _note(self) -> None:
+        self._values.append([self.watch.read(agent) for agent in self.world.agents.values()])
+
+    def trace(self, what: str, *, error: str = "", notes: Sequence[str] = ()) -> Trace:
+        """The episode so far."""
+        world, program = self.world, self.watch.program
+        agents = list(world.agents.items())
+        over = [n for n, (_, agent) in enumerate(agents) if agent.ended_by is not None and agent.ended_by == world.ended_by]
+        row = over[0] if over else 0
+        team = len(agents) > 1
+        seen = [_row(each, row) if team else each for each in self.seen]
+        names = [term.name for term in program.policy.reward]
+        time = (world.timestep_count or world.step_count * program.action_repeat) * program.world.timestep
+        outcome: Any = "error" if error else "not ended"
+        if world.ended_by is not None and not error:
+            outcome = "success" if world.is_success else "time limit" if world.truncated else "failure"
+        return Trace(
+            what,
+            self.watch,
+            newest(program, seen),
+            [_row(each, row) if team else each for each in self.actions],
+            {name: np.array([terms[row][name] for terms in self._terms], float) for name in names},
+            [values[row] for values in self._values],
+            world.ended_by,
+            outcome,
+            time,
+            error,
+            agents[row][0] if team else "",
+            notes=notes,
+        )
+
+
+def _row(value: Any, row: int) -> Any:
+    return {key: part[row] for key, part in value.items()} if isinstance(value, dict) else value[row]
+
+
+def newest(program: Program, observations: Sequence[Any]) -> Array:
+    """The newest value of each number in observations: (moments, numbers)."""
+    policy = program.policy
+    places = {index: place for place, (index, age) in enumerate(viewed(policy.numbers, policy.frame_stack)) if age == 0}
+    order = [places[index] for index in range(len(policy.numbers))]
+    rows = [each.get("observation", np.zeros(0)) if isinstance(each, dict) else each for each in observations]
+    return np.array([np.asarray(row, float)[order] for row in rows]).reshape(len(rows), len(order))
+
+
+# Runs
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """An episode of a run: its number, the seed of its reset, and how the policy acts. `evaluation` is the one that it is of."""
+
+    number: int
+    seed: int
+    model: ModelName = "best"
+    deterministic: bool = True
+    evaluation: str = ""
+
+
+@dataclass(frozen=True)
+class Kept:
+    """The last evaluation of a run in the scenario, engine and seed of which its episodes can be repeated."""
+
+    path: Path
+    model: ModelName
+    seed: int
+    deterministic: bool
+    success_defined: bool
+    outcomes: Sequence[Mapping[str, Any]] = field(repr=False)
+
+    def failed(self, program: Program) -> list[int]:
+        """The numbers of the episodes that failed: without a success, or where none is defined, ended by a failure."""
+        failing = {ending.name for ending in program.endings if ending.outcome == "failure"}
+        bad = [not outcome["is_success"] if self.success_defined else outcome["ended_by"] in failing for outcome in self.outcomes]
+        return [number for number, is_bad in enumerate(bad) if is_bad]
+
+    def chosen(self, number: int) -> Chosen:
+        return Chosen(number, derive(self.seed, "evaluation", number), self.model, self.deterministic, self.path.name)
+
+
+def last_evaluation(run: Run) -> Kept | None:
+    """The last evaluation that a run keeps of its own scenario and engine; None without one.
+
+    Raises:
+        RunError: It is damaged.
+    """
+    for _, path in reversed(kept_evaluations(run.path)):
+        known = read_evaluation(path)
+        elsewhere = known.case or known.stage or known.set or known.elsewhere or known.engine not in (None, run.record.engine)
+        if elsewhere or known.model not in ("best", "last"):
+            continue
+        outcomes = json.loads(path.read_text("utf-8")).get("outcomes", [])
+        if not all(isinstance(each, dict) and {"is_success", "ended_by"} <= each.keys() for each in outcomes):
+            raise RunError(f"{path} is damaged: its episodes cannot be read")
+        model: Any = known.model
+        return Kept(path, model, known.seed, known.deterministic, known.success_defined, outcomes)
+    return None
+
+
+def trace_run(run: Run, chosen: Chosen, *, allow_code: bool = False) -> Trace:
+    """An episode of an evaluation, with the policy of a run; see `trace_episodes`."""
+    return next(trace_episodes(run, [chosen], allow_code=allow_code))
+
+
+def trace_episodes(
+    run: Run, episodes: Sequence[Chosen], *, films: Mapping[int, Path] = MappingProxyType({}), allow_code: bool = False
+) -> Iterator[Trace]:
+    """Episodes of one evaluation, with the policy of a run; `films` are the MP4 files to write, by the number of the episode.
+
+    Raises:
+        RunError: The run holds no model, or one that does not fit.
+        UsageError: Films are wanted, and the engine cannot draw.
+    """
+    from deepbots_cli.learning import algorithms, evaluation, video
+
+    model = episodes[0].model
+    if not run.model(model).is_file():
+        raise RunError(f"{run.path} holds no model '{model}'; train it first, with: deepbots train --resume {run.path}")
+    watch = measured(run.program)
+    with algorithms.torch_settings(), closing(_world(watch, run.engine_for(run.program), allow_code, draw=bool(films))) as world:
+        policy = evaluation.load(run, model, world)
+        for each in episodes:
+            film = films.get(each.number)
+            rate = 1 / watch.program.period
+            with video.filmed(world, film, rate) if film is not None else nullcontext(world) as acted:
+                evaluation.repeat(policy, acted, each.seed, each.number, deterministic=each.deterministic)
+            trace = world.trace(f"episode {each.number} of {run.path}", notes=run.notes())
+            row = list(world.world.agents).index(trace.agent) if trace.agent else None
+            trace.critic = _critic_values(policy, [seen if row is None else _row(seen, row) for seen in world.seen[:-1]])
+            trace.critic_absent = "" if trace.critic is not None else "the critic has a memory"
+            yield trace
+
+
+def _critic_values(model: Any, observations: Sequence[Any]) -> Array | None:
+    """The critic's value of each observation: V, or Q of the action of the policy, the smaller one of two critics."""
+    import torch
+    from stable_baselines3.common.policies import ActorCriticPolicy
+
+    policy = model.policy
+    if not observations or hasattr(policy, "lstm_actor"):
+        return None
+    parts = observations[0].keys() if isinstance(observations[0], dict) else None
+    stacked = {key: np.stack([each[key] for each in observations]) for key in parts} if parts else np.stack(observations)
+    with torch.no_grad():
+        seen, _ = policy.obs_to_tensor(stacked)
+        if isinstance(policy, ActorCriticPolicy):
+            values = policy.predict_values(seen).reshape(len(observations), -1)
+        elif hasattr(policy, "q_net"):
+            values = policy.q_net(seen).max(dim=1, keepdim=True).values
+        else:
+            found = policy.critic(seen, policy.actor(seen))
+            # TQC has an array of quantiles (rows, critics, quantiles), others a tuple of columns.
+            values = found.mean(dim=2) if isinstance(found, torch.Tensor) else torch.cat(found, dim=1)
+        return np.asarray(values.min(dim=1).values.cpu().numpy(), float)
+
+
+def _world(watch: Watch, engine: str | None, allow_code: bool, *, draw: bool = False) -> Traced:
+    return Traced(api.build(watch.program, engine=engine, allow_code=allow_code, render_mode="rgb_array" if draw else None), watch)
+
+
+# Recordings and failures
+
+
+def trace_recording(path: str, episode: int | None, *, allow_code: bool = False) -> Trace:
+    """An episode of a recording, by default its first one; see `trace_recorded`."""
+    opened = Source(path, allow_code=allow_code).open()
+    recording: Recording = opened.recording
+    return next(trace_recorded(opened, [recording.episodes[0] if episode is None else recording.episode(episode)]))
+
+
+def trace_recorded(opened: Opened, episodes: Sequence[Recorded]) -> Iterator[Trace]:
+    """Episodes of a recording that is open, each run again with its actions.
+
+    Raises:
+        RecordingError: A step is damaged.
+        UsageError: An episode is another one when its actions run here.
+    """
+    recording: Recording = opened.recording
+    assert opened.program is not None  # a recording that does not compile is refused when it is opened
+    watch = measured(opened.program)
+    with closing(_world(watch, opened.source.engine, opened.source.allow_code)) as world:
+        for recorded in episodes:
+            actor = Actions(recording, recorded, world.action_space)
+            observation, _ = world.reset(seed=recorded.seed)
+            for place in range(len(recorded.steps)):
+                if place:
+                    try:
+                        observation, *_ = world.step(actor.act(observation))
+                    except UsageError:  # the episode has ended, or the action is none of this scenario
+                        raise _other(recording, place) from None
+                if actor.hash_at(place) != observation_hash(observation):
+                    raise _other(recording, place)
+            trace = world.trace(f"episode {recorded.number} of {recording.path}")
+            trace.critic_absent = "a recording keeps no critic"
+            yield trace
+
+
+def _other(recording: Recording, step: int) -> UsageError:
+    reason = "; ".join(changes(recording)) or "it was made on another machine, or changed since then"
+    return UsageError(f"{recording.path}: the episode differs from its recording at step {step}, so it cannot be explained here: {reason}")
+
+
+def trace_failure(path: Path, *, allow_code: bool = False) -> Trace:
+    """The episode of a file in the folder `failures` of a run.
+
+    Raises:
+        RunError: The file is damaged, or does not lie in the folder of a run.
+    """
+    failure, run, program = failures.read(path)
+    watch = measured(program)
+    error = ""
+    with closing(_world(watch, run.record.engine, allow_code)) as world:
+        try:
+            for _ in failures.steps(failure, program, world, path):
+                pass
+        except RunError:
+            raise
+        except DeepbotsError as found:
+            error = str(found)
+        trace = world.trace(f"{path}, episode {failure.episode}", error=error)
+    trace.critic_absent = "a failure keeps no critic"
+    return trace
