@@ -1,9 +1,9 @@
 """The bundle of an exported policy: its graphs, a card that says what they take and return, and whether it fits a scenario.
 
-    policy.onnx       the observation of the environment in, its action out
-    policy_si.onnx    the same observation in SI units in, commands in SI units out
-    card.json         names, units, ranges and rates, the result with its interval, versions
-    README.md         the same for people
+policy.onnx       the observation of the environment in, its action out
+policy_si.onnx    the same observation in SI units in, commands in SI units out
+card.json         names, units, ranges and rates, the result with its interval, versions
+README.md         the same for people
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ import math
 import re
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
-from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 
@@ -192,87 +191,15 @@ def _licences(inputs: Path) -> dict[str, str]:
     return found
 
 
-# The card for people
-
-
 def readme(card: Card) -> str:
-    """The README of a bundle."""
-    lines = [
-        f"# Policy for {card.scenario}",
-        "",
-        card.summary or "(the scenario has no summary)",
-        "",
-        f"- result: {card.result_text}",
-        f"- rate: an action every {card.control_period_s:g} s ({card.control_rate_hz:g} Hz)",
-        f"- trained with {card.algorithm}, {card.training_steps:,} steps, seed {card.training_seed}, engine {card.engine}; {card.model} model",
-        f"- scenario: {card.scenario_digest}",
-        f"- licence: {', '.join(f'{name}: {licence}' for name, licence in card.licences.items()) or 'none is given in the scenario'}",
-        f"- versions: deepbots {card.deepbots}, {', '.join(f'{name} {number}' for name, number in card.versions.items())}",
-        "",
-        "`policy.onnx` takes observations of the Gymnasium environment and returns its actions. `policy_si.onnx` takes the same values in SI",
-        "units, and returns commands in SI units; it scales and clips inside. Both run with onnxruntime alone. The first axis of each input",
-        "and output is the batch.",
-        "",
-    ]
-    for name, numbers in _inputs(card):
-        lines += _table(
-            f"Input `{name}`: float32 (batch, {len(numbers)})",
-            ("index", "name", "unit", "stands for -1 .. 1", "steps ago"),
-            [
-                (at, n.name, n.unit, "0 or 1" if n.truth else f"{n.low:g} .. {n.high:g}{'' if n.clipped else ', not clipped'}", n.steps_ago)
-                for at, n in enumerate(numbers)
-            ],
-        )
-    lines += _table("Pictures: uint8 (batch, rows, columns, channels)", ("input", "shape"), [(p.name, p.shape) for p in card.pictures])
-    if card.action_mask is not None:
-        options = ", ".join(card.action_mask)
-        lines += [f"Input `action_mask`: bool (batch, {len(card.action_mask)}), whether each option is allowed: {options}", ""]
-    if card.memory is not None:
-        shape = f"float32 ({card.memory[0]}, batch, {card.memory[1]})"
-        lines += [f"Inputs `hidden` and `cell`: {shape}, zeros at the start of an episode, then the outputs `next_hidden` and `next_cell`", ""]
-    lines += _table(
-        "Output: `action` of `policy.onnx`, or `command` of `policy_si.onnx`; float32, and int64 for the number of an option",
-        ("part", "`action`", "`command`"),
-        [(part.name, *_acting(part)) for part in card.action],
-    )
-    feeds = [f'"{name}": np.zeros((1, {len(numbers)}), np.float32)' for name, numbers in _inputs(card)]
-    feeds += [f'"{p.name}": np.zeros({(1, *p.shape)}, np.uint8)' for p in card.pictures]
-    feeds += [f'"action_mask": np.ones((1, {len(card.action_mask)}), bool)'] if card.action_mask else []
-    feeds += [f'"{name}": np.zeros({(card.memory[0], 1, card.memory[1])}, np.float32)' for name in ("hidden", "cell") if card.memory]
-    lines += [
-        "```python",
-        "import numpy as np",
-        "import onnxruntime",
-        "",
-        'policy = onnxruntime.InferenceSession("policy_si.onnx")',
-        f"inputs = {{{', '.join(feeds)}}}",
-        'command = policy.run(["command"], inputs)[0]',
-        "```",
-        "",
-        "`deepbots export --check SCENARIO FOLDER` tells whether the policy in this folder fits a scenario.",
-    ]
-    return "\n".join(lines) + "\n"
+    """The card for people."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
 
-
-def _inputs(card: Card) -> list[tuple[str, tuple[Observed, ...]]]:
-    """The vectors that the graphs take."""
-    found = [("observation", card.observation)] if card.observation else []
-    return found + [(f"{name}_goal", card.achieved_and_desired_goal) for name in ("achieved", "desired") if card.achieved_and_desired_goal]
-
-
-def _acting(part: Acted) -> tuple[str, str]:
-    """What the action and the command of a part mean."""
-    if not part.options:
-        return "-1 .. 1", f"{part.low:g} .. {part.high:g} {part.unit}".rstrip()
-    settings = (", ".join(f"{name} = {value:g}" for name, value in values.items()) for values in part.options.values())
-    return "; ".join(f"{at}: {name}" for at, name in enumerate(part.options)), "; ".join(settings)
-
-
-def _table(title: str, head: tuple[str, ...], rows: list[tuple[Any, ...]]) -> list[str]:
-    if not rows:
-        return []
-    cells = [head, ("---",) * len(head), *rows]
-    return [title, "", *("| " + " | ".join(str(cell).replace("|", "\\|") for cell in row) + " |" for row in cells), ""]
+    loader = PackageLoader("deepbots_cli.insight", ".")
+    environment = Environment(loader=loader, undefined=StrictUndefined, trim_blocks=True, keep_trailing_newline=True, autoescape=False)
+    vectors = {"observation": card.observation, "achieved_goal": card.achieved_and_desired_goal}
+    vectors["desired_goal"] = card.achieved_and_desired_goal
+    return environment.get_template("bundle.md.j2").render(card=card, vectors={name: found for name, found in vectors.items() if found})
 
 
 # Whether it fits
@@ -306,7 +233,9 @@ def remarks(card: Card, program: Program, digest: str) -> list[str]:
     """What differs although the policy fits, a sentence each."""
     found = []
     if not math.isclose(card.control_period_s, program.period):
-        found.append(f"the policy was trained with an action every {card.control_period_s:g} s, the scenario takes one every {program.period:g} s")
+        found.append(
+            f"the policy acted every {card.control_period_s:g} s in its training, the scenario takes an action every {program.period:g} s"
+        )
     if card.scenario_digest != digest:
         found.append("the scenario differs from that of the training in something else than the interface; `deepbots diff` shows it")
     return found

@@ -197,7 +197,9 @@ def _extractor(model: BaseAlgorithm) -> nn.Module:
 
 
 def _extracted(graph: _Graph, extractor: Any, value: str) -> str:
-    return graph.layers(extractor.linear, graph.layers(extractor.cnn, value)) if hasattr(extractor, "cnn") else graph.layers(extractor, value)
+    return (
+        graph.layers(extractor.linear, graph.layers(extractor.cnn, value)) if hasattr(extractor, "cnn") else graph.layers(extractor, value)
+    )
 
 
 def _bounds(program: Program, name: str) -> tuple[Any, Any]:

@@ -17,12 +17,11 @@ from deepbots_cli.view.page import COLOURS
 from deepbots_cli.view.plots import THEMES, Curve, Log, band, endings_over_time, finish
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 SUCCESS, FAILURE = "#009E73", "#D55E00"
 _MAX_STARTS = 6
-_WIDTH = 7.0  # inches
+_WIDTH, _WIDE = 5.0, 8.0  # inches
 
 
 @dataclass(frozen=True)
@@ -36,10 +35,10 @@ class Path:
     """Whether it is one of the best, the median and the worst, which are drawn thicker."""
 
 
-def _figure(theme: str, height: float, columns: int = 1, rows: int = 1) -> tuple[Figure, Any]:
+def _figure(theme: str, height: float, columns: int = 1, rows: int = 1, width: float = _WIDTH) -> tuple[Figure, Any]:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(_WIDTH, height), layout="constrained", facecolor=THEMES[theme][0])
+    figure = Figure(figsize=(width, height), layout="constrained", facecolor=THEMES[theme][0])
     return figure, figure.subplots(rows, columns, squeeze=False)
 
 
@@ -49,7 +48,7 @@ def _style(number: int, label: str) -> dict[str, Any]:
 
 def returns(logs: Sequence[Log], theme: str) -> Figure:
     """Returns of training episodes, the mean over seeds with a band from the lowest to the highest, and evaluations."""
-    figure, ((panel,),) = _figure(theme, 3.2)
+    figure, ((panel,),) = _figure(theme, 2.9)
     label = "training episodes" if len(logs) == 1 else f"training episodes, mean of {len(logs)} seeds"
     band(panel, [log.returns for log in logs if log.returns is not None], _style(0, label))
     evaluations = [log.evaluations for log in logs if log.evaluations is not None]
@@ -64,7 +63,7 @@ def successes(logs: Sequence[Log], theme: str) -> Figure | None:
     curves = [log.successes for log in logs if log.successes is not None]
     if not curves:
         return None
-    figure, ((panel,),) = _figure(theme, 2.8)
+    figure, ((panel,),) = _figure(theme, 2.9)
     band(panel, curves, _style(2, "success rate"))
     panel.set_ylim(-0.03, 1.03)
     finish(panel, "success rate of training episodes", theme, legend=False)
@@ -79,7 +78,7 @@ def shares(logs: Sequence[Log], theme: str) -> Figure | None:
         return None
     at = np.linspace(min(steps[0] for steps, _ in curves), max(steps[-1] for steps, _ in curves), 200)
     sizes = np.array([np.mean([np.interp(at, *_sizes(log.terms[term])) for log in logs if term in log.terms], axis=0) for term in terms])
-    figure, ((panel,),) = _figure(theme, 3.2)
+    figure, ((panel,),) = _figure(theme, 2.9)
     colours = [COLOURS[number % len(COLOURS)] for number in range(len(terms))]
     panel.stackplot(at, sizes / np.maximum(sizes.sum(axis=0), 1e-12), labels=terms, colors=colours, alpha=0.85, linewidth=0)
     panel.set_ylim(0, 1)
@@ -96,7 +95,7 @@ def endings(logs: Sequence[Log], theme: str) -> Figure | None:
     found = [ending for log in logs for ending in log.endings]
     if not found:
         return None
-    figure, ((panel,),) = _figure(theme, 3.2)
+    figure, ((panel,),) = _figure(theme, 2.9)
     endings_over_time(panel, found)
     finish(panel, "endings, share of training episodes", theme)
     return figure
@@ -115,7 +114,7 @@ def starts(episodes: Sequence[Episode], theme: str, *, success_defined: bool) ->
         return None
     columns = min(2, len(names))
     rows = math.ceil(len(names) / columns)
-    figure, panels = _figure(theme, 0.4 + 2.3 * rows, columns, rows)
+    figure, panels = _figure(theme, 0.4 + 2.3 * rows, columns, rows, _WIDE)
     for panel, name in zip(panels.flat, names, strict=False):
         drawn = [episode for episode in episodes if name in episode.drawn]
         words = sorted({str(episode.drawn[name]) for episode in drawn}) if isinstance(drawn[0].drawn[name], str) else []
@@ -147,7 +146,9 @@ def _plain() -> Any:
 
 def trajectories(paths: Sequence[Path], world: WorldModel, fixed: Mapping[str, Sequence[Triple]], theme: str) -> Figure:
     """Paths from above, with rings where they begin and discs where they end; `fixed` are the outlines of objects that stand still."""
-    figure, ((panel,),) = _figure(theme, 5.0)
+    low, high = _limits(paths, world)
+    height = min(5.5, max(1.8, 1.2 + (_WIDE - 1.0) * (high[1] - low[1]) / (high[0] - low[0])))
+    figure, ((panel,),) = _figure(theme, height, width=_WIDE)
     ground, text, grid = THEMES[theme]
     if world.arena is not None:
         x, y = (side / 2 for side in world.arena.size)
@@ -164,21 +165,25 @@ def trajectories(paths: Sequence[Path], world: WorldModel, fixed: Mapping[str, S
         panel.plot(xs, ys, color=colour, linewidth=width, alpha=alpha, label=path.title if path.shown else "")
         panel.plot(xs[:1], ys[:1], "o", color=colour, markerfacecolor=ground, markersize=5)
         panel.plot(xs[-1:], ys[-1:], "o" if path.is_success else "X", color=colour, markersize=6)
-    _square(panel)
-    finish(panel, "", theme)
+    panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+    finish(panel, "", theme, legend=False)
+    box = figure.legend(loc="outside lower center", fontsize=8, labelcolor=text, facecolor=ground, edgecolor=grid)
+    for label in box.get_texts():
+        label.set_parse_math(False)
     panel.set_xlabel("x, m", fontsize=9, color=text)
     panel.set_ylabel("y, m", fontsize=9, color=text)
     panel.xaxis.set_major_formatter(_plain())
     return figure
 
 
-def _square(panel: Axes) -> None:
-    """Equal scales, and at least 10 cm along each axis: a path along a line is seen too."""
-    for get, put in ((panel.get_xlim, panel.set_xlim), (panel.get_ylim, panel.set_ylim)):
-        low, high = get()
-        spare = max(0.0, 0.1 - (high - low)) / 2
-        put(low - spare, high + spare)
-    panel.set_aspect("equal", adjustable="datalim")
+def _limits(paths: Sequence[Path], world: WorldModel) -> tuple[Any, Any]:
+    """What is seen: the arena, or the surroundings of paths that take less than a third of it."""
+    points = np.array([point[:2] for path in paths for point in path.points])
+    low, high = points.min(axis=0), points.max(axis=0)
+    if world.arena is not None and ((high - low) > np.array(world.arena.size) / 3).any():
+        low, high = np.minimum(low, -np.array(world.arena.size) / 2), np.maximum(high, np.array(world.arena.size) / 2)
+    margin = np.maximum(0.05 * (high - low).max(), (0.15 * (high - low).max() + 0.1 - (high - low)) / 2)
+    return low - margin, high + margin
 
 
 def outline(shape: Any, pose: tuple[Triple, Sequence[float]]) -> list[Triple]:

@@ -218,7 +218,7 @@ class Report:
         )
         yield "starts", caption, figures.starts(outcomes, theme, success_defined=defined)
         if self.paths:
-            title = f"{len(self.paths)} evaluation episodes from above: where {self.link} was. Ring: start, disc: success, cross: no success."
+            title = f"{len(self.paths)} evaluation episodes from above: {self.link}. Ring: start, disc: success, cross: none."
             world = self.members[0].run.program.world
             yield "trajectories", title, figures.trajectories(self.paths, world, self.fixed, theme)
 
@@ -238,9 +238,8 @@ class Report:
         """The page."""
         from jinja2 import Environment, PackageLoader, StrictUndefined
 
-        environment = Environment(
-            loader=PackageLoader("deepbots_cli.insight", "."), undefined=StrictUndefined, autoescape=True, trim_blocks=True, lstrip_blocks=True
-        )
+        loader = PackageLoader("deepbots_cli.insight", ".")
+        environment = Environment(loader=loader, undefined=StrictUndefined, autoescape=True, trim_blocks=True, lstrip_blocks=True)
         dark = {name: figure for name, _, figure in self.figures("dark")}
         drawn = [
             {"name": name, "caption": caption, "light": _svg(figure), "dark": _svg(dark[name])}

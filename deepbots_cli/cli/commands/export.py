@@ -60,7 +60,7 @@ def command(
         raise UsageError("--set and --allow-path are for the scenario of --check; a run is exported as it was trained")
     if is_group(source):
         runs = Group.open(source).runs
-        raise RunError(f"{source} is a group, and one policy is exported at a time; name one of its runs, such as {runs[0] if runs else ''}")
+        raise RunError(f"{source} is a group; name one of its runs, such as {runs[0] if runs else ''}")
     run = Run.open(source)
     folder = out or Path(f"{source.resolve().name}-onnx")
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):

@@ -16,7 +16,7 @@ from deepbots_cli.errors import MissingExtraError, UsageError
 def command(
     run: Annotated[Path, typer.Argument(metavar="RUN|GROUP", help="A run directory of `deepbots train`, or the folder of a group.")],
     out: Annotated[Path | None, typer.Option("--out", "-o", metavar="FILE", help="File to write, .html; by default RUN.html.")] = None,
-    figures: Annotated[Path | None, typer.Option("--figures", metavar="FOLDER", help="Write every figure as PNG into this folder too.")] = None,
+    figures: Annotated[Path | None, typer.Option("--figures", metavar="FOLDER", help="Also write every figure as PNG.")] = None,
     episodes: Annotated[
         int, typer.Option("--episodes", metavar="N", parser=whole(3, 1000), help="Evaluation episodes to run again for trajectories.")
     ] = 12,
@@ -69,4 +69,6 @@ def command(
         terminal.show_json({"report": target, "result": report.result, "figures": written, "notes": report.notes})
         return
     terminal.say(report.result)
-    terminal.say(f"{target} ({target.stat().st_size / 1000:,.0f} kB)" + (f", {len(written)} figures in {quote(str(figures))}" if written else ""))
+    terminal.say(
+        f"{target} ({target.stat().st_size / 1000:,.0f} kB)" + (f", {len(written)} figures in {quote(str(figures))}" if written else "")
+    )
