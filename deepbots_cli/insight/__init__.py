@@ -1,4 +1,4 @@
-"""Why: what an episode came to, and why a training does not learn, in sentences with their numbers.
+"""Why an episode ended as it did, why a training does not learn, and how to hand both on.
 
 conditions.py  the endings of a scenario as comparisons whose values an episode keeps
 trace.py       an episode that runs again, with what each step saw, did, earned and measured
@@ -6,4 +6,7 @@ statements.py  sentences with their evidence: the form of every row in the two t
 episode.py     the table that explains an episode
 training.py    what is known of a training: its logs, and a few short episodes
 diagnosis.py   the table of causes why a training does not learn
+report.py      one HTML file about a run or a group: result, curves, episodes, scenario
+export.py      the policy of a run as ONNX graphs
+card.py        the bundle of an exported policy: its card, and whether it fits a scenario
 """

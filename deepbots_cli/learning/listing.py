@@ -85,7 +85,8 @@ def _of_run(path: Path) -> ListedRun:
     recent = list(_recent_episodes(path / "monitor.csv")) if result is None or state == "training" else []
     mean: float | None
     success: float | None
-    evaluation = _last_evaluation(path, record) if state != "training" else None
+    found = last_evaluation(path, record) if state != "training" else None
+    evaluation = found[1] if found else None
     steps, episodes = (recent[-1].steps, recent[-1].number) if recent else (result.steps, result.episodes) if result else (0, 0)
     if evaluation is not None:
         mean, success = evaluation.mean_return, evaluation.success_rate if evaluation.success_defined else None
@@ -161,8 +162,8 @@ def evaluations(run: Path) -> list[tuple[int, KeptEvaluation | str]]:
     return found
 
 
-def _last_evaluation(path: Path, record: Record) -> KeptEvaluation | None:
-    """The last evaluation of the best model in the scenario of the training, since the training ended."""
+def last_evaluation(path: Path, record: Record) -> tuple[Path, KeptEvaluation] | None:
+    """The last evaluation of the best model in the scenario of the training, since the training ended, and its file."""
     for _, kept in reversed(kept_evaluations(path)):
         try:
             found = read_evaluation(kept)
@@ -170,7 +171,7 @@ def _last_evaluation(path: Path, record: Record) -> KeptEvaluation | None:
             continue
         plain = found.model == "best" and found.deterministic and not (found.set or found.elsewhere or found.case or found.stage)
         if plain and found.engine in (None, record.engine) and found.evaluated >= record.updated:
-            return found
+            return kept, found
     return None
 
 

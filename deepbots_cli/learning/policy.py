@@ -136,8 +136,17 @@ def load_policy(run: str | Path, *, model: ModelName = "best") -> Policy:
         MissingExtraError: The extra `train` is not installed.
     """
     known = Run.open(run)
+    return Policy(known.program, loaded(known, model))
+
+
+def loaded(run: Run, model: ModelName) -> BaseAlgorithm:
+    """The model of a run without a world; the random generators of the caller stay as they are.
+
+    Raises:
+        RunError: There is no such model, or it is damaged.
+    """
     with _generators_kept():
-        return Policy(known.program, evaluation.load(known, model, _Spaces(known.program)))
+        return evaluation.load(run, model, _Spaces(run.program))
 
 
 class _Spaces(gym.Env[Any, Any]):

@@ -28,7 +28,7 @@ _BINS = 40  # of the endings
 _ENDINGS = 20  # that have a colour of their own
 _MAX_BYTES = 1 << 28  # of a log
 _DASHES = ("-", "--", "-.", ":")
-_THEMES = {"light": ("#ffffff", "#202428", "#d5d8dc"), "dark": ("#16181c", "#e4e6ea", "#3c4046")}
+THEMES = {"light": ("#ffffff", "#202428", "#d5d8dc"), "dark": ("#16181c", "#e4e6ea", "#3c4046")}
 """Background, text and grid."""
 Curve = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Timesteps and values."""
@@ -187,20 +187,20 @@ def plot(logs: Sequence[Log], *, theme: str = "light") -> Figure:
     if len(groups) > len(COLOURS):
         raise UsageError(f"{len(groups)} scenarios are too many for one plot; at most {len(COLOURS)} can be told apart")
     detailed = [members for members in groups.values() if any(log.terms or log.endings for log in members)]
-    figure = Figure(figsize=(10.0, 3.4 + 2.7 * len(detailed)), layout="constrained", facecolor=_THEMES[theme][0])
+    figure = Figure(figsize=(10.0, 3.4 + 2.7 * len(detailed)), layout="constrained", facecolor=THEMES[theme][0])
     axes = figure.subplots(1 + len(detailed), 2, squeeze=False)
     returns, successes = axes[0]
     for number, members in enumerate(groups.values()):
         name = members[0].name
         label = name if len(members) == 1 else f"{name} ({len(members)} seeds)"
         style: dict[str, Any] = {"color": COLOURS[number], "linestyle": _DASHES[number % len(_DASHES)], "label": label}
-        _band(returns, [log.returns for log in members if log.returns is not None], style)
-        _band(successes, [log.successes for log in members if log.successes is not None], style)
+        band(returns, [log.returns for log in members if log.returns is not None], style)
+        band(successes, [log.successes for log in members if log.successes is not None], style)
         for log in members:
             if log.evaluations is not None:
                 returns.plot(*log.evaluations, "o", color=COLOURS[number], markersize=3, alpha=0.7)
     for panel, title in ((returns, "return of training episodes; dots: evaluations"), (successes, "success rate of training episodes")):
-        _finish(panel, title, theme, legend=panel is returns)
+        finish(panel, title, theme, legend=panel is returns)
     successes.set_ylim(-0.03, 1.03)
     if not successes.lines:
         successes.set_visible(False)
@@ -208,14 +208,14 @@ def plot(logs: Sequence[Log], *, theme: str = "light") -> Figure:
         name = f"{members[0].name}: " if len(groups) > 1 else ""
         for number, term in enumerate(sorted({term for log in members for term in log.terms})):
             style = {"color": COLOURS[number % len(COLOURS)], "linestyle": _DASHES[number // len(COLOURS) % len(_DASHES)], "label": term}
-            _band(left, [log.terms[term] for log in members if term in log.terms], style)
-        _finish(left, f"{name}reward terms of an episode", theme)
-        _endings(right, [ending for log in members for ending in log.endings])
-        _finish(right, f"{name}endings, share of episodes", theme)
+            band(left, [log.terms[term] for log in members if term in log.terms], style)
+        finish(left, f"{name}reward terms of an episode", theme)
+        endings_over_time(right, [ending for log in members for ending in log.endings])
+        finish(right, f"{name}endings, share of episodes", theme)
     return figure
 
 
-def _band(panel: Axes, curves: Sequence[Curve], style: Mapping[str, Any]) -> None:
+def band(panel: Axes, curves: Sequence[Curve], style: Mapping[str, Any]) -> None:
     """The mean of curves as far as all go, between the lowest and the highest."""
     curves = [(steps, values) for steps, values in curves if len(steps)]
     if not curves:
@@ -227,7 +227,7 @@ def _band(panel: Axes, curves: Sequence[Curve], style: Mapping[str, Any]) -> Non
         panel.fill_between(at, rows.min(axis=0), rows.max(axis=0), color=style["color"], alpha=0.22, linewidth=0)
 
 
-def _endings(panel: Axes, endings: Sequence[tuple[float, str]]) -> None:
+def endings_over_time(panel: Axes, endings: Sequence[tuple[float, str]]) -> None:
     """How episodes end, as shares of those in equal parts of the training."""
     if not endings:
         return
@@ -244,10 +244,10 @@ def _endings(panel: Axes, endings: Sequence[tuple[float, str]]) -> None:
     panel.set_ylim(0, 1)
 
 
-def _finish(panel: Axes, title: str, theme: str, *, legend: bool = True) -> None:
+def finish(panel: Axes, title: str, theme: str, *, legend: bool = True) -> None:
     from matplotlib.ticker import EngFormatter
 
-    ground, text, grid = _THEMES[theme]
+    ground, text, grid = THEMES[theme]
     panel.set_facecolor(ground)
     panel.set_title(title, fontsize=10, color=text, loc="left", parse_math=False)  # a name may hold a $
     panel.set_xlabel("timesteps", fontsize=9, color=text)

@@ -252,13 +252,20 @@ def _schema_of(value: Any, key: str = "") -> dict[str, Any]:
 
 
 def record(
-    player: Player, path: Path, seed: int, episodes: Sequence[int], on_episode: Callable[[int], object] = lambda number: None
+    player: Player,
+    path: Path,
+    seed: int,
+    episodes: Sequence[int],
+    on_episode: Callable[[int], object] = lambda number: None,
+    *,
+    steps: int | None = None,
 ) -> list[WorldFrame]:
     """Record episodes of a seed in a new file; the last frame of each.
 
     Args:
         path: Replaced whole, at the end.
         on_episode: Called after each episode with its number.
+        steps: Where to cut an episode.
 
     Raises:
         MissingExtraError: mcap is not installed.
@@ -278,7 +285,7 @@ def record(
             writer.add_attachment(0, 0, name, "application/octet-stream", content)
         for number in episodes:
             begun = time
-            for frame in player.episode(seed, number):
+            for frame in player.episode(seed, number, steps):
                 time = begun + round(frame.time * SECOND)
                 for topic, payload in describer.describe(time, number, player.seed).items():
                     if topic not in channels:

@@ -126,8 +126,15 @@ class Actions:
             return msgspec.convert(msgspec.json.decode(self._recorded.steps[place]["/step"])["observation"], str)
 
 
-def verify(recording: Recording, player: Player, on_episode: Callable[[int], object] = lambda done: None) -> Divergence | None:
+def verify(
+    recording: Recording, player: Player, on_episode: Callable[[int], object] = lambda done: None, *, tolerance: float = 0.0
+) -> Divergence | None:
     """Run the episodes of a recording again, with its seeds and actions, and compare every step; None where all are the same.
+
+    Args:
+        on_episode: Called after each episode with the number of episodes that are done.
+        tolerance: Numbers may differ by this, and by this share of them where they are larger than 1. 0 compares to the bit. Otherwise
+            hashes, images, contact forces, which jump, and the points of scans, which follow from the rays, are left out.
 
     Raises:
         RecordingError: A step cannot be read.
@@ -149,11 +156,13 @@ def verify(recording: Recording, player: Player, on_episode: Callable[[int], obj
             new = describer.describe(time, recorded.number, recorded.seed)
             with damaged(recording.path):
                 for topic in sorted(new, key=_cause):
-                    if topic.startswith("/image/") or new[topic] == old.get(topic):
+                    if topic.startswith("/image/") or new[topic] == old.get(topic) or (tolerance and topic.startswith("/scan/")):
                         continue
                     before, after = msgspec.json.decode(old.get(topic, b"{}")), msgspec.json.decode(new[topic])
-                    if before != after:  # other programs write the same numbers in another way
-                        return Divergence(recorded.number, place, *_first(topic.removeprefix("/"), before, after))
+                    if tolerance:
+                        before, after = ({k: v for k, v in side.items() if k not in _UNLIKE.get(topic, ())} for side in (before, after))
+                    if not _alike(before, after, tolerance):  # other programs write the same numbers in another way
+                        return Divergence(recorded.number, place, *_first(topic.removeprefix("/"), before, after, tolerance))
         time += SECOND
         on_episode(done)
     return None
@@ -174,15 +183,30 @@ def _cause(topic: str) -> int:
     return ("episode", "/to_robot", "world", "tf", "scan", "message", "agent", "step", "image").index(kind)
 
 
-def _first(where: str, recorded: Any, now: Any) -> tuple[str, str, str]:
+_UNLIKE = {"/step": ("hash", "velocities", "observation", "images", "random"), "/world": ("forces",)}
+"""Parts of topics that are compared to the bit or not at all."""
+
+
+def _alike(recorded: Any, now: Any, tolerance: float) -> bool:
+    if isinstance(recorded, dict) and isinstance(now, dict):
+        return recorded.keys() == now.keys() and all(_alike(part, now[key], tolerance) for key, part in recorded.items())
+    if isinstance(recorded, list) and isinstance(now, list):
+        return len(recorded) == len(now) and all(_alike(*pair, tolerance) for pair in zip(recorded, now, strict=True))
+    if tolerance and type(recorded) in (int, float) and type(now) in (int, float):
+        return abs(recorded - now) <= tolerance * max(1.0, abs(recorded), abs(now))
+    return bool(recorded == now)
+
+
+def _first(where: str, recorded: Any, now: Any, tolerance: float) -> tuple[str, str, str]:
     """The first part of a topic that differs, by its path."""
     if isinstance(recorded, dict) and isinstance(now, dict):
         for key in {**recorded, **now}:
-            if recorded.get(key) != now.get(key):
-                return _first(f"{where}.{key}" if "." in where or key != "transforms" else where, recorded.get(key), now.get(key))
+            if not _alike(recorded.get(key), now.get(key), tolerance):
+                inner = f"{where}.{key}" if "." in where or key != "transforms" else where
+                return _first(inner, recorded.get(key), now.get(key), tolerance)
     if isinstance(recorded, list) and isinstance(now, list) and len(recorded) == len(now):
         for place, (before, after) in enumerate(zip(recorded, now, strict=True)):
-            if before != after:
+            if not _alike(before, after, tolerance):
                 name = after.get("child_frame_id", place) if isinstance(after, dict) else place
-                return _first(f"{where} {name}", before, after)
+                return _first(f"{where} {name}", before, after, tolerance)
     return where, str(recorded)[:80], str(now)[:80]

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import io
 import json
+import lzma
 import random
+import re
 from contextlib import closing
 from dataclasses import fields
 from pathlib import Path
@@ -112,6 +114,53 @@ def test_the_first_step_and_quantity_that_differ_are_named(find_ball, tmp_path, 
     assert "episode 2, step 10: tf epuck/left_wheel.translation.y differs" in capsys.readouterr().out
     assert main(["replay", "--verify", str(find_ball[0])]) == 0
     assert "2 episodes and " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["cartpole", "find_ball", *(pytest.param(n, marks=pytest.mark.slow) for n in ("line_follower", "panda_reach", "quadrotor", "tag"))],
+)
+def test_what_was_recorded_once_happens_again(name, tmp_path, capsys):
+    """Recordings in the folder `golden`, which `deepbots record NAME --seed 1 --steps N` wrote; the tolerance is for other machines."""
+    path = tmp_path / f"{name}.mcap"
+    path.write_bytes(lzma.decompress((Path(__file__).parent / "golden" / f"{name}.mcap.xz").read_bytes()))
+    assert main(["replay", "--verify", str(path), "--tolerance", "1e-6"]) == 0, capsys.readouterr()
+    assert "are the same within 1e-06" in capsys.readouterr().out
+
+
+def test_a_friction_of_one_percent_more_is_noticed_and_named(tmp_path, capsys):
+    path = tmp_path / "find_ball.mcap"
+    path.write_bytes(lzma.decompress((Path(__file__).parent / "golden" / "find_ball.mcap.xz").read_bytes()))
+    again = ["replay", "--verify", str(path), "--tolerance", "1e-6", "--scenario", "find_ball"]
+    assert main(again) == 0
+    assert main([*again, "--set", "world.arena.friction=1.01"]) == 1
+    told = capsys.readouterr()
+    assert "world.arena: " in told.err
+    assert "friction: 1.01" in told.err
+    assert re.search(r"episode 0, step \d+: .* differs", told.out)
+    assert main(["replay", "--verify", str(path), "--scenario", "cartpole"]) == 2
+    assert "observation.apart: recording 0 .. 1.5 m, scenario has none" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("by", "same"), [(5e-7, True), (2e-6, False)])
+def test_a_tolerance_bears_small_differences_only(find_ball, tmp_path, by, same):
+    def edit(place, topic, content):
+        if topic == "/tf":
+            content["transforms"][0]["translation"]["x"] += by
+        return content | {"hash": "other", "velocities": "other"} if topic == "/step" else content
+
+    path = _changed(find_ball[0], tmp_path / "changed.mcap", payload=edit)
+    assert main(["replay", "--verify", str(path), "--tolerance", "1e-6"]) == (0 if same else 1)
+    assert main(["replay", "--verify", str(path)]) == 1
+
+
+@pytest.mark.slow
+def test_a_hundred_recordings_happen_again_to_the_bit(tmp_path, capsys):
+    for name in ("cartpole", "find_ball", "line_follower", "panda_reach", "quadrotor", "tag"):
+        path = tmp_path / f"{name}.mcap"
+        assert main(["record", name, "--seed", "7", "--episodes", "17", "--steps", "40", "--out", str(path)]) == 0
+        assert main(["replay", "--verify", str(path)]) == 0
+        assert "17 episodes and " in capsys.readouterr().out
 
 
 def test_foxglove_finds_its_types(find_ball):

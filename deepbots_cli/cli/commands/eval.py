@@ -207,7 +207,9 @@ def command(
         one = f"evaluates a single run, and {run} is a group; name one of its runs, such as {group.runs[0] if group.runs else run}"
         _refuse(one, video=video, robustness=robustness, baselines=baselines, details=details, engine=len(several) > 1)
         compiled = _judged(run, group.record.engine, scenario, sets, several[0], allow_paths, allow_code)
-        _evaluate_group(run, compiled, gates, csv=csv, junit=junit, as_json=as_json, seed=seed or 0, case=case, stage=stage, **chosen)
+        found_in = scenario or ("the scenario of the run, changed" if compiled else None)
+        chosen |= {"seed": seed or 0, "case": case, "stage": stage}
+        _evaluate_group(run, compiled, gates, csv=csv, junit=junit, as_json=as_json, elsewhere=found_in, sets=tuple(sets or ()), **chosen)
         return
     known = Run.open(run)
     if robustness:
@@ -432,7 +434,16 @@ class Gates:
 
 
 def _evaluate_group(
-    folder: Path, compiled: Compiled | None, gates: Gates, *, csv: Path | None, junit: Path | None, as_json: bool, **chosen: Any
+    folder: Path,
+    compiled: Compiled | None,
+    gates: Gates,
+    *,
+    csv: Path | None,
+    junit: Path | None,
+    as_json: bool,
+    elsewhere: str | None,
+    sets: tuple[str, ...],
+    **chosen: Any,
 ) -> None:
     with terminal.passing("loading the policies ..."):
         evaluate_group = learning.evaluate_group  # which imports torch
@@ -446,6 +457,8 @@ def _evaluate_group(
         chosen["until"] = partial(gates.decided_of_group, planned=planned)
     with terminal.progress("runs", always=False) as show_run:
         found = evaluate_group(folder, scenario=compiled, on_run=show_run, **chosen)
+    for result in found.evaluations:
+        Run.open(result.run).keep_evaluation({**with_cases(result, ()), "elsewhere": elsewhere, "set": list(sets)})
     if csv is not None:
         results.write_csv(csv, found.evaluations)
     if as_json:

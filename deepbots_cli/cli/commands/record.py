@@ -24,6 +24,9 @@ def command(
     episodes: Annotated[
         int, typer.Option("--episodes", metavar="N", parser=whole(1, 10_000), help="Number of episodes, from --episode on.")
     ] = 1,
+    steps: Annotated[
+        int | None, typer.Option("--steps", metavar="N", parser=whole(1), help="Record at most N steps of each episode; by default all.")
+    ] = None,
     sets: Sets = None,
     case: Case = None,
     stage: Stage = None,
@@ -59,7 +62,7 @@ def command(
         if out is None and path.exists():
             raise UsageError(f"{path} exists; name the file to write with --out")
         numbers = range(episode, episode + episodes)
-        last = record(world, path, seed, numbers, lambda number: show(number + 1 - episode, episodes) if show else None)
+        last = record(world, path, seed, numbers, lambda number: show(number + 1 - episode, episodes) if show else None, steps=steps)
     returns = [next(iter(frame.agents.values())).episode_return for frame in last]
     if as_json:
         ends = [
@@ -68,6 +71,6 @@ def command(
         terminal.show_json({"recording": path, "bytes": path.stat().st_size, "episodes": ends})
         return
     for number, frame, total in zip(numbers, last, returns, strict=True):
-        terminal.say(f"episode {number}: {frame.ending} after {frame.time:.2f} s ({frame.step} steps), return {total:.2f}")
+        terminal.say(f"episode {number}: {frame.ending or 'cut'} after {frame.time:.2f} s ({frame.step} steps), return {total:.2f}")
     terminal.say(f"{path} ({path.stat().st_size / 1000:,.0f} kB)")
     terminal.note(f"\nnext:\n  deepbots view {path}\n  deepbots replay --verify {path}")

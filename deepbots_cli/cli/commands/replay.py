@@ -2,39 +2,72 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import closing
-from typing import Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import AllowCode, Json
+from deepbots_cli.cli import sources, terminal
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Sets
+from deepbots_cli.cli.commands.diff import Change, Group
+from deepbots_cli.cli.commands.diff import changes as changes_of_meaning
 from deepbots_cli.cli.exits import FAILED
+from deepbots_cli.diagnostics import Findings, Source
+from deepbots_cli.document.parse import parse
+from deepbots_cli.errors import ScenarioError, UsageError
+from deepbots_cli.program import identity
+
+if TYPE_CHECKING:
+    from deepbots_cli.view.episodes import Opened
 
 
 def command(
     recording: Annotated[str, typer.Argument(metavar="RECORDING", help="A file that `deepbots record` wrote.")],
     to_verify: Annotated[bool, typer.Option("--verify", help="Run the episodes again, and compare every step to the bit.")] = False,
+    tolerance: Annotated[
+        float,
+        typer.Option(
+            "--tolerance", metavar="X", min=0.0, max=1.0, help="With --verify, allow differences of X (relative for numbers over 1)."
+        ),
+    ] = 0.0,
+    scenario: Annotated[
+        str | None, typer.Option("--scenario", metavar="SCENARIO", help="With --verify, run the episodes in this scenario instead.")
+    ] = None,
+    sets: Sets = None,
     as_json: Json = False,
+    allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
 ) -> None:
     """Show what a recording holds, or run it again and compare.
 
     With --verify, the scenario in the recording is compiled, each episode starts from its seed and takes its recorded actions. The command
     names the first step and the first quantity that differ, with exit code 1. On the machine of the recording, with the same
-    versions, nothing differs.
+    versions, nothing differs. For another machine or other versions, --tolerance compares numbers within a tolerance (relative for numbers
+    over 1), and leaves out hashes, images and contact forces.
+
+    --scenario runs the episodes in another scenario with the same observation, action and messages, such as a later state of the same file,
+    and names the settings that differ. --set overrides its values.
 
     \b
       deepbots replay find_ball-0-0.mcap
       deepbots replay --verify find_ball-0-0.mcap
+      deepbots replay --verify find_ball-0-0.mcap --tolerance 1e-6
+      deepbots replay --verify find_ball-0-0.mcap --scenario find_ball
 
     Next: `deepbots view RECORDING` plays it in the browser.
     """
-    from deepbots_cli.view.episodes import Player, Source
+    from deepbots_cli.view.episodes import Player
+    from deepbots_cli.view.episodes import Source as Shown
     from deepbots_cli.view.replay import Replayed, changes, verify
 
-    opened = Source(recording if recording.endswith(".mcap") else f"{recording}.mcap", allow_code=allow_code).open()
+    opened = Shown(recording if recording.endswith(".mcap") else f"{recording}.mcap", allow_code=allow_code).open()
     found, notes = opened.recording, changes(opened.recording)
+    if not to_verify and (tolerance or scenario):
+        raise UsageError("--tolerance and --scenario are for --verify")
+    if sets and not scenario:
+        raise UsageError("a recording keeps its scenario; --set changes that of --scenario")
     if not to_verify:
         with closing(Replayed(opened)) as player:
             ends = [(each.number, player.begin(0, each.number), player.seek(len(each.steps))) for each in found.episodes]
@@ -53,20 +86,51 @@ def command(
             terminal.say(f"episode {row['episode']}: {row['ending']} after {row['steps']} steps, return {row['return']:.2f}")
         terminal.note(f"\nnext:\n  deepbots replay --verify {recording}")
         return
+    shown, changed = opened, []
+    if scenario is not None:
+        shown, changed = _elsewhere(opened, scenario, sets or (), allow_paths or (), allow_code=allow_code)
+        notes += [f"{change.path}: recorded {change.one or 'nothing'}, now {change.other or 'nothing'}" for change in changed]
+    elif opened.texts()[2] != found.metadata.get("digest"):
+        notes.append("the scenario in the recording means something else than when it was recorded; it or deepbots has changed")
     for note in notes:
         terminal.note(note)
-    with closing(Player(opened, "zero")) as player, terminal.progress(always=False) as show:
+    with closing(Player(shown, "zero")) as player, terminal.progress(always=False) as show:
         count = len(found.episodes)
-        difference = verify(found, player, lambda done: show(done, count) if show else None)
+        difference = verify(found, player, lambda done: show(done, count) if show else None, tolerance=tolerance)
     if as_json:
         terminal.show_json(
             {"recording": found.path, "same": difference is None, "first": difference and difference._asdict(), "notes": notes}
         )
     elif difference is None:
         steps = sum(len(each.steps) - 1 for each in found.episodes)
-        terminal.say(f"{found.path}: {count} episode{'s' * (count > 1)} and {steps} steps are the same to the bit")
+        how = f"within {tolerance:g}" if tolerance else "to the bit"
+        terminal.say(f"{found.path}: {count} episode{'s' * (count > 1)} and {steps} steps are the same {how}")
     else:
         terminal.say(f"{found.path}: episode {difference.episode}, step {difference.step}: {difference.quantity} differs")
         terminal.say(f"  recorded {difference.recorded}\n  now      {difference.now}")
     if difference is not None:
         raise typer.Exit(FAILED)
+
+
+def _elsewhere(
+    opened: Opened, scenario: str, sets: Sequence[str], allow_paths: Sequence[Path], *, allow_code: bool
+) -> tuple[Opened, list[Change]]:
+    """Another scenario for the episodes of a recording, and how its meaning differs.
+
+    Raises:
+        UsageError: Its observation, action or messages differ; lists them.
+    """
+    from deepbots_cli.view.episodes import Source as Shown
+
+    recorded = opened.source
+    other = Shown(scenario, sets, allow_paths, allow_code, recorded.engine, recorded.case, recorded.stage).open()
+    if other.program is None or opened.program is None:
+        raise ScenarioError(other.findings)
+    differ = identity.differences(opened.program, other.program, words=("recording", "scenario"))
+    if differ:
+        raise UsageError(f"the actions of {opened.recording.path} do not fit {scenario}:\n  " + "\n  ".join(differ))
+    text = opened.texts()[0]
+    one = sources.Opened(opened.program, parse(Source("resolved.yaml", text), Findings()))
+    now = other.texts()[0]
+    found = changes_of_meaning(one, sources.Opened(other.program, parse(Source("resolved.yaml", now), Findings())))
+    return other, [change for change in found if change.group not in (Group.cosmetic, Group.training)]

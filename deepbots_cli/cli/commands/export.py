@@ -1,0 +1,104 @@
+"""`deepbots export`: a policy as ONNX, and whether it fits a scenario."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from shlex import quote
+from typing import Annotated
+
+import typer
+
+from deepbots_cli import api
+from deepbots_cli.cli import terminal
+from deepbots_cli.cli.command import AllowPaths, Json, Sets
+from deepbots_cli.cli.commands.new import write_new
+from deepbots_cli.cli.exits import FAILED
+from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.learning.group import Group, is_group
+from deepbots_cli.learning.run import Run
+
+
+class Target(StrEnum):
+    onnx = "onnx"
+
+
+def command(
+    source: Annotated[Path, typer.Argument(metavar="RUN|BUNDLE", help="A run directory, or with --check a folder that `export` wrote.")],
+    to: Annotated[Target, typer.Option("--to", help="Format of the policy.")] = Target.onnx,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="FOLDER", help="Folder to write, new or empty; by default RUN-onnx.")
+    ] = None,
+    last: Annotated[bool, typer.Option("--last", help="Export the last model instead of the best one.")] = False,
+    check: Annotated[
+        str | None, typer.Option("--check", metavar="SCENARIO", help="Compare a bundle with a scenario, item by item; write nothing.")
+    ] = None,
+    sets: Sets = None,
+    as_json: Json = False,
+    allow_paths: AllowPaths = None,
+) -> None:
+    """Export the policy of a run as ONNX, or check that a bundle fits a scenario.
+
+    The bundle is a folder that runs with onnxruntime alone. policy.onnx takes the observation of the environment and returns its action;
+    policy_si.onnx takes and returns the same values in SI units. card.json and README.md hold names, units, ranges, the control rate, the
+    result with its interval, and versions.
+
+    --check compares the observation, action and messages of the bundle with those of a scenario. The exit code is 0 if the policy fits,
+    and 1 if it does not.
+
+    \b
+      deepbots export runs/cartpole-0-1 --to onnx -o cartpole-onnx
+      deepbots export --check cartpole cartpole-onnx
+      deepbots export --check mine.yaml cartpole-onnx
+
+    Next: the README.md of the bundle shows its inputs and outputs.
+    """
+    if check is not None:
+        _check(source, check, sets or (), allow_paths or (), as_json=as_json, writes=out is not None or last)
+        return
+    if sets or allow_paths:
+        raise UsageError("--set and --allow-path are for the scenario of --check; a run is exported as it was trained")
+    if is_group(source):
+        runs = Group.open(source).runs
+        raise RunError(f"{source} is a group; name one of its runs, such as {runs[0] if runs else ''}")
+    run = Run.open(source)
+    folder = out or Path(f"{source.resolve().name}-onnx")
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise UsageError(f"{folder} exists and is not an empty folder; name another folder with --out")
+    with terminal.passing("exporting the policy ..."):
+        from deepbots_cli.insight import card  # torch, which exporting imports, takes a second
+
+        files = card.bundle(run, "last" if last else "best")
+    write_new(files, folder)
+    known = card.read(folder)
+    if as_json:
+        terminal.show_json({"bundle": folder, **known.model_dump(mode="json")})
+        return
+    terminal.say(f"{folder}: {', '.join(f'{name} ({len(content) / 1000:,.0f} kB)' for name, content in files.items())}")
+    terminal.say(f"  {known.scenario}, {known.algorithm}: {known.result_text}")
+    if known.result is None and not last:
+        terminal.note(f"evaluate the run first for a result in the card: deepbots eval {quote(str(source))}")
+    terminal.note(f"\nnext:\n  deepbots export --check SCENARIO {quote(str(folder))}")
+
+
+def _check(
+    folder: Path, scenario: str, sets: list[str] | tuple[()], allow_paths: list[Path] | tuple[()], *, as_json: bool, writes: bool
+) -> None:
+    from deepbots_cli.insight import card
+
+    if writes:
+        raise UsageError("--check writes nothing; leave out --out and --last")
+    known = card.read(folder)
+    compiled = api.compile(scenario, sets=sets, allow_paths=allow_paths, allow_code=True)
+    differ = card.differences(known, compiled.program)
+    remarks = card.remarks(known, compiled.program, compiled.digest)
+    if as_json:
+        terminal.show_json({"bundle": folder, "scenario": scenario, "fits": not differ, "differences": differ, "remarks": remarks})
+    elif differ:
+        terminal.say(f"the policy in {folder} does not fit {scenario}:\n  " + "\n  ".join(differ))
+    else:
+        terminal.say(f"the policy in {folder} fits {scenario}")
+    for remark in () if as_json else remarks:
+        terminal.note(f"note: {remark}")
+    if differ:
+        raise typer.Exit(FAILED)

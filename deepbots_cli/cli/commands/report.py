@@ -1,0 +1,74 @@
+"""`deepbots report`: a run or a group as one HTML file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from shlex import quote
+from typing import Annotated
+
+import typer
+
+from deepbots_cli.cli import terminal
+from deepbots_cli.cli.command import AllowCode, Json, whole
+from deepbots_cli.errors import MissingExtraError, UsageError
+
+
+def command(
+    run: Annotated[Path, typer.Argument(metavar="RUN|GROUP", help="A run directory of `deepbots train`, or the folder of a group.")],
+    out: Annotated[Path | None, typer.Option("--out", "-o", metavar="FILE", help="File to write, .html; by default RUN.html.")] = None,
+    figures: Annotated[Path | None, typer.Option("--figures", metavar="FOLDER", help="Also write every figure as PNG.")] = None,
+    episodes: Annotated[
+        int, typer.Option("--episodes", metavar="N", parser=whole(3, 1000), help="Evaluation episodes to run again for trajectories.")
+    ] = 12,
+    clips: Annotated[bool, typer.Option("--clips/--no-clips", help="Film the best, the median and the worst episode.")] = True,
+    as_json: Json = False,
+    allow_code: AllowCode = False,
+) -> None:
+    """Write a report about a run or a group: one HTML file.
+
+    The file holds the result with its interval, learning curves, reward terms, endings, starts against outcomes, trajectories, clips of the
+    best, the median and the worst episode, the scenario with the findings of lint, and versions. It loads nothing from elsewhere, needs no
+    scripts, and can be sent and archived as it is. It follows the light or dark setting of the reader.
+
+    Results are those of the last evaluation of the best model; `deepbots eval RUN` makes a new one. Clips need the engine to draw.
+
+    \b
+      deepbots report runs/cartpole-0-1
+      deepbots report runs/cartpole-seeds-1 -o report.html --figures figures
+      deepbots report runs/quadruped-0-1 --no-clips --episodes 30
+
+    Next: open the file in a browser.
+    """
+    from deepbots_cli.files import atomic
+    from deepbots_cli.view import pictures
+
+    target = out or Path(f"{run.resolve().name}.html")
+    if target.suffix.lower() not in (".html", ".htm"):
+        raise UsageError(f"{target} must end in .html")
+    if out is None and target.exists():
+        raise UsageError(f"{target} exists; name the file to write with --out")
+    pictures.check_target(target.with_suffix(".png"), (".png",))
+    try:
+        import matplotlib  # noqa: F401
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("view", "a report") from error
+    from deepbots_cli.insight.report import Report
+
+    with terminal.passing("reading the run ..."):
+        report = Report.read(run)
+    with terminal.progress("episodes") as show:
+        report.run_again(report.chosen(episodes), show or (lambda done, of: None), clips=clips, allow_code=allow_code)
+    with terminal.passing("drawing ..."):
+        page = report.html()
+        written = report.write_figures(figures) if figures is not None else []
+    with atomic(target) as draft:
+        draft.write_text(page, encoding="utf-8")
+    for note in report.notes:
+        terminal.note(f"note: {note}")
+    if as_json:
+        terminal.show_json({"report": target, "result": report.result, "figures": written, "notes": report.notes})
+        return
+    terminal.say(report.result)
+    terminal.say(
+        f"{target} ({target.stat().st_size / 1000:,.0f} kB)" + (f", {len(written)} figures in {quote(str(figures))}" if written else "")
+    )

@@ -1,0 +1,241 @@
+"""The bundle of an exported policy: its graphs, a card that says what they take and return, and whether it fits a scenario.
+
+policy.onnx       the observation of the environment in, its action out
+policy_si.onnx    the same observation in SI units in, commands in SI units out
+card.json         names, units, ranges and rates, the result with its interval, versions
+README.md         the same for people
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import re
+from collections.abc import Mapping
+from pathlib import Path, PurePosixPath
+
+from pydantic import BaseModel, ConfigDict
+
+import deepbots_cli
+from deepbots_cli.errors import RunError
+from deepbots_cli.learning.listing import last_evaluation
+from deepbots_cli.learning.run import Format, KeptEvaluation, ModelName, Run, read_json
+from deepbots_cli.program import Program, identity
+from deepbots_cli.program.task import ActionRange, Choices, viewed
+
+FORMAT = 1
+NAME = "card.json"
+_LIMIT = 10_000_000
+_LICENCE = re.compile(r"SPDX-License-Identifier:\s*([A-Za-z0-9][\w.+() -]*)")
+
+
+class Observed(BaseModel):
+    """A number of an input: `low` and `high`, in `unit`, stand for -1 and 1; a truth value is 0 or 1. `steps_ago` is 0 for the present."""
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    truth: bool = False
+    clipped: bool = True
+    steps_ago: int = 0
+
+
+class Picture(BaseModel):
+    """A picture: uint8 of `shape` (rows, columns, channels)."""
+
+    name: str
+    shape: tuple[int, ...]
+
+
+class Acted(BaseModel):
+    """A part of the action: a choice, with the values that each option sets by variable, or a number, of which -1 and 1 mean a range."""
+
+    name: str
+    unit: str = ""
+    low: float | None = None
+    high: float | None = None
+    options: Mapping[str, Mapping[str, float]] = {}
+
+
+class Card(BaseModel):
+    """The content of `card.json`. Digests are SHA-256; `interface` is what `deepbots export --check` compares; rates are simulated time."""
+
+    model_config = ConfigDict(frozen=True)
+
+    format: int
+    deepbots: str
+    scenario: str
+    summary: str
+    scenario_digest: str
+    licences: Mapping[str, str]
+    algorithm: str
+    model: str
+    training_seed: int
+    training_steps: int | None
+    engine: str
+    control_period_s: float
+    control_rate_hz: float
+    observation: tuple[Observed, ...]
+    achieved_and_desired_goal: tuple[Observed, ...]
+    pictures: tuple[Picture, ...]
+    action: tuple[Acted, ...]
+    action_mask: tuple[str, ...] | None
+    memory: tuple[int, int] | None
+    """Layers and units of a recurrent policy."""
+    result: KeptEvaluation | None
+    interface: Mapping[str, str]
+    files: Mapping[str, str]
+    versions: Mapping[str, str]
+
+    @property
+    def result_text(self) -> str:
+        """The result in a sentence."""
+        return result_text(self.result) if self.result else "not evaluated since the end of the training"
+
+
+def result_text(found: KeptEvaluation) -> str:
+    """Mean return and success rate with their intervals, and what they are of."""
+    low, high = found.return_interval or (found.mean_return, found.mean_return)
+    text = f"mean return {found.mean_return:.4g} (95 % interval {low:.4g} .. {high:.4g})"
+    if found.success_defined:
+        low, high = found.success_interval
+        text += f", success rate {found.success_rate:.1%} (95 % interval {low:.1%} .. {high:.1%})"
+    solved = {True: "; solved", False: "; not solved", None: ""}[found.solved]
+    return f"{text}, over {found.episodes:,} held-out episodes from seed {found.seed}{solved}"
+
+
+def bundle(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
+    """The files of the bundle of a run.
+
+    Raises:
+        MissingExtraError: onnx or Stable-Baselines3 is not installed.
+        RunError: There is no such model, or it is damaged.
+        UsageError: The policy cannot be exported.
+    """
+    from deepbots_cli.insight import export
+    from deepbots_cli.learning import models, policy
+
+    model = policy.loaded(run, name)
+    graphs = export.networks(model, run.program)
+    evaluated = last_evaluation(run.path, run.record) if name == "best" else None
+    program, record, lstm = run.program, run.record, getattr(model.policy, "lstm_actor", None)
+    masks = [f"{part.name}: {option.name}" for part in program.policy.action if isinstance(part, Choices) for option in part.options]
+    card = Card(
+        format=FORMAT,
+        deepbots=deepbots_cli.__version__,
+        scenario=program.name,
+        summary=program.summary,
+        scenario_digest=run.digest,
+        licences=_licences(run.path / "inputs"),
+        algorithm=program.policy.training.algorithm if program.policy.training else "",
+        model=name,
+        training_seed=record.seed,
+        training_steps=models.steps_of(run.model(name)),
+        engine=record.engine,
+        control_period_s=program.period,
+        control_rate_hz=round(1 / program.period, 6),
+        observation=tuple(_observed(program)),
+        achieved_and_desired_goal=_goal(program),
+        pictures=tuple(
+            Picture(name=each.key, shape=(*each.shape[:2], each.shape[2] * len(each.ages(program.policy.frame_stack))))
+            for each in program.policy.images
+        ),
+        action=tuple(_acted(program)),
+        action_mask=tuple(masks) if export.takes_masks(model, program) else None,
+        memory=(lstm.num_layers, lstm.hidden_size) if lstm is not None else None,
+        result=evaluated[1] if evaluated else None,
+        interface=identity.interface(program),
+        files={name: hashlib.sha256(content).hexdigest() for name, content in graphs.items()},
+        versions=record.versions,
+    )
+    texts = {NAME: card.model_dump_json(indent=2) + "\n", "README.md": readme(card)}
+    return {PurePosixPath(name): content for name, content in [*graphs.items(), *((name, text.encode()) for name, text in texts.items())]}
+
+
+def _observed(program: Program) -> list[Observed]:
+    numbers = program.policy.numbers
+    seen = [(numbers[index], age) for index, age in viewed(numbers, program.policy.frame_stack)]
+    return [
+        Observed(name=n.full_name, unit=n.unit.removeprefix("1"), low=n.low, high=n.high, truth=n.truth, clipped=n.clip, steps_ago=age)
+        for n, age in seen
+    ]
+
+
+def _goal(program: Program) -> tuple[Observed, ...]:
+    goal = program.policy.goal
+    if goal is None:
+        return ()
+    rows = zip(goal.components or ("goal",), goal.low, goal.high, strict=True)
+    return tuple(Observed(name=name, unit=goal.unit, low=low, high=high) for name, low, high in rows)
+
+
+def _acted(program: Program) -> list[Acted]:
+    found = []
+    for part in program.policy.action:
+        if isinstance(part, ActionRange):
+            names = [f"{part.name}.{component}" for component in part.components] or [part.name]
+            found += [Acted(name=name, unit=part.unit.removeprefix("1"), low=part.low, high=part.high) for name in names]
+        else:
+            options = {option.name: dict(zip(part.variables, option.values, strict=True)) for option in part.options}
+            found.append(Acted(name=part.name, options=options))
+    return found
+
+
+def _licences(inputs: Path) -> dict[str, str]:
+    """The SPDX identifiers in the scenario and robot files of a run, by file."""
+    found = {}
+    for path in sorted(inputs.rglob("*")):
+        if path.suffix in (".yaml", ".urdf", ".xacro") and (match := _LICENCE.search(path.read_text("utf-8", errors="replace"))):
+            found[path.relative_to(inputs).as_posix()] = match[1].strip(" -")
+    return found
+
+
+def readme(card: Card) -> str:
+    """The card for people."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    loader = PackageLoader("deepbots_cli.insight", ".")
+    environment = Environment(loader=loader, undefined=StrictUndefined, trim_blocks=True, keep_trailing_newline=True, autoescape=False)
+    vectors = {"observation": card.observation, "achieved_goal": card.achieved_and_desired_goal}
+    vectors["desired_goal"] = card.achieved_and_desired_goal
+    return environment.get_template("bundle.md.j2").render(card=card, vectors={name: found for name, found in vectors.items() if found})
+
+
+# Whether it fits
+
+
+def read(folder: Path) -> Card:
+    """The card of a bundle whose graphs are as they were exported.
+
+    Raises:
+        RunError: The folder is no bundle, its card is damaged or of another format, or a graph has changed.
+    """
+    if not (folder / NAME).is_file():
+        raise RunError(f"{folder} is not a bundle of `deepbots export`: it holds no {NAME}")
+    found = read_json(folder / NAME, Format, _LIMIT).format
+    if found != FORMAT:
+        raise RunError(f"{folder} is a bundle of format {found}, this deepbots reads {FORMAT}; use the deepbots that wrote it")
+    card = read_json(folder / NAME, Card, _LIMIT)
+    for name, digest in card.files.items():
+        path = folder / PurePosixPath(name).name
+        if not path.is_file() or hashlib.sha256(path.read_bytes()).hexdigest() != digest:
+            raise RunError(f"{path} is {'not the file that was exported' if path.is_file() else 'missing'}; export the run again")
+    return card
+
+
+def differences(card: Card, program: Program) -> list[str]:
+    """A line for each item of the interface that bundle and scenario do not share; empty if the policy fits."""
+    return identity.compare(card.interface, identity.interface(program), words=("bundle", "scenario"))
+
+
+def remarks(card: Card, program: Program, digest: str) -> list[str]:
+    """What differs although the policy fits, a sentence each."""
+    found = []
+    if not math.isclose(card.control_period_s, program.period):
+        found.append(
+            f"the policy acted every {card.control_period_s:g} s in its training, the scenario takes an action every {program.period:g} s"
+        )
+    if card.scenario_digest != digest:
+        found.append("the scenario differs from that of the training in something else than the interface; `deepbots diff` shows it")
+    return found

@@ -1,0 +1,192 @@
+"""The figures of a report, each drawn for a light or a dark ground."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from deepbots_cli.footprint import bounds_of_shape
+from deepbots_cli.frames import Triple
+from deepbots_cli.learning.episodes import Episode, by_drawn_value
+from deepbots_cli.program.world import WorldModel
+from deepbots_cli.view.page import COLOURS
+from deepbots_cli.view.plots import THEMES, Curve, Log, band, endings_over_time, finish
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SUCCESS, FAILURE = "#009E73", "#D55E00"
+_MAX_STARTS = 6
+_WIDTH, _WIDE = 5.0, 8.0  # inches
+
+
+@dataclass(frozen=True)
+class Path:
+    """Where a link of a robot was in an episode (m), and how the episode ended."""
+
+    title: str
+    points: Sequence[Triple]
+    is_success: bool
+    shown: bool
+    """Whether it is one of the best, the median and the worst, which are drawn thicker."""
+
+
+def _figure(theme: str, height: float, columns: int = 1, rows: int = 1, width: float = _WIDTH) -> tuple[Figure, Any]:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained", facecolor=THEMES[theme][0])
+    return figure, figure.subplots(rows, columns, squeeze=False)
+
+
+def _style(number: int, label: str) -> dict[str, Any]:
+    return {"color": COLOURS[number % len(COLOURS)], "label": label}
+
+
+def returns(logs: Sequence[Log], theme: str) -> Figure:
+    """Returns of training episodes, the mean over seeds with a band from the lowest to the highest, and evaluations."""
+    figure, ((panel,),) = _figure(theme, 2.9)
+    label = "training episodes" if len(logs) == 1 else f"training episodes, mean of {len(logs)} seeds"
+    band(panel, [log.returns for log in logs if log.returns is not None], _style(0, label))
+    evaluations = [log.evaluations for log in logs if log.evaluations is not None]
+    for number, curve in enumerate(evaluations):
+        panel.plot(*curve, "o", color=COLOURS[1], markersize=4, label="" if number else "evaluations during the training")
+    finish(panel, "return", theme)
+    return figure
+
+
+def successes(logs: Sequence[Log], theme: str) -> Figure | None:
+    """The success rate of training episodes."""
+    curves = [log.successes for log in logs if log.successes is not None]
+    if not curves:
+        return None
+    figure, ((panel,),) = _figure(theme, 2.9)
+    band(panel, curves, _style(2, "success rate"))
+    panel.set_ylim(-0.03, 1.03)
+    finish(panel, "success rate of training episodes", theme, legend=False)
+    return figure
+
+
+def shares(logs: Sequence[Log], theme: str) -> Figure | None:
+    """The size of each reward term of an episode, as a share of all their sizes; means over seeds."""
+    terms = sorted({term for log in logs for term in log.terms})
+    curves = [curve for log in logs for curve in log.terms.values() if len(curve[0])]
+    if len(terms) < 2 or not curves:
+        return None
+    at = np.linspace(min(steps[0] for steps, _ in curves), max(steps[-1] for steps, _ in curves), 200)
+    sizes = np.array([np.mean([np.interp(at, *_sizes(log.terms[term])) for log in logs if term in log.terms], axis=0) for term in terms])
+    figure, ((panel,),) = _figure(theme, 2.9)
+    colours = [COLOURS[number % len(COLOURS)] for number in range(len(terms))]
+    panel.stackplot(at, sizes / np.maximum(sizes.sum(axis=0), 1e-12), labels=terms, colors=colours, alpha=0.85, linewidth=0)
+    panel.set_ylim(0, 1)
+    finish(panel, "size of each reward term, share of all", theme)
+    return figure
+
+
+def _sizes(curve: Curve) -> Curve:
+    return curve[0], np.abs(curve[1])
+
+
+def endings(logs: Sequence[Log], theme: str) -> Figure | None:
+    """How training episodes end, as shares over time."""
+    found = [ending for log in logs for ending in log.endings]
+    if not found:
+        return None
+    figure, ((panel,),) = _figure(theme, 2.9)
+    endings_over_time(panel, found)
+    finish(panel, "endings, share of training episodes", theme)
+    return figure
+
+
+def starts(episodes: Sequence[Episode], theme: str, *, success_defined: bool) -> Figure | None:
+    """Drawn values of evaluation episodes against the return; bars are means of parts of the range with their intervals."""
+    bins = by_drawn_value(episodes)
+
+    def effect(name: str) -> float:
+        means = [part.mean_return for part in bins[name]]
+        return max(means) - min(means)
+
+    names = sorted(bins, key=lambda name: -effect(name))[:_MAX_STARTS]
+    if not names:
+        return None
+    columns = min(2, len(names))
+    rows = math.ceil(len(names) / columns)
+    figure, panels = _figure(theme, 0.4 + 2.3 * rows, columns, rows, _WIDE)
+    for panel, name in zip(panels.flat, names, strict=False):
+        drawn = [episode for episode in episodes if name in episode.drawn]
+        words = sorted({str(episode.drawn[name]) for episode in drawn}) if isinstance(drawn[0].drawn[name], str) else []
+        at = [words.index(str(episode.drawn[name])) if words else float(episode.drawn[name]) for episode in drawn]
+        colours = [(SUCCESS if episode.is_success else FAILURE) if success_defined else COLOURS[0] for episode in drawn]
+        panel.scatter(at, [episode.total_return for episode in drawn], s=9, c=colours, alpha=0.6, linewidths=0, rasterized=len(drawn) > 300)
+        for part in bins[name]:
+            low, high = (words.index(str(end)) if words else float(end) for end in (part.low, part.high))
+            middle, wide = (low + high) / 2, high > low
+            panel.plot((low, high) if wide else (middle - 0.02, middle + 0.02), [part.mean_return] * 2, color=THEMES[theme][1], linewidth=2)
+            if part.return_interval is not None:
+                panel.plot([middle] * 2, part.return_interval, color=THEMES[theme][1], linewidth=1)
+        finish(panel, "", theme, legend=False)
+        panel.set_xlabel(name, fontsize=8, color=THEMES[theme][1], parse_math=False)
+        panel.set_ylabel("return", fontsize=8, color=THEMES[theme][1])
+        panel.xaxis.set_major_formatter(_plain())
+        if words:
+            panel.set_xticks(range(len(words)), [word[:12] for word in words], parse_math=False)
+    for panel in list(panels.flat)[len(names) :]:
+        panel.set_visible(False)
+    return figure
+
+
+def _plain() -> Any:
+    from matplotlib.ticker import ScalarFormatter
+
+    return ScalarFormatter()
+
+
+def trajectories(paths: Sequence[Path], world: WorldModel, fixed: Mapping[str, Sequence[Triple]], theme: str) -> Figure:
+    """Paths from above, with rings where they begin and discs where they end; `fixed` are the outlines of objects that stand still."""
+    low, high = _limits(paths, world)
+    height = min(5.5, max(1.8, 1.2 + (_WIDE - 1.0) * (high[1] - low[1]) / (high[0] - low[0])))
+    figure, ((panel,),) = _figure(theme, height, width=_WIDE)
+    ground, text, grid = THEMES[theme]
+    if world.arena is not None:
+        x, y = (side / 2 for side in world.arena.size)
+        panel.plot([-x, x, x, -x, -x], [-y, -y, y, y, -y], color=text, linewidth=1.2)
+    for line in world.lines:
+        panel.plot(*zip(*line.points, strict=True), color=grid, linewidth=3)
+    for outline in fixed.values():
+        panel.fill([x for x, _, _ in outline], [y for _, y, _ in outline], color=grid)
+    chosen = [path for path in paths if path.shown]
+    for path in [*(path for path in paths if not path.shown), *chosen]:
+        colour = COLOURS[chosen.index(path)] if path.shown else COLOURS[6]
+        xs, ys = [point[0] for point in path.points], [point[1] for point in path.points]
+        width, alpha = (2.0, 1.0) if path.shown else (0.9, 0.7)
+        panel.plot(xs, ys, color=colour, linewidth=width, alpha=alpha, label=path.title if path.shown else "")
+        panel.plot(xs[:1], ys[:1], "o", color=colour, markerfacecolor=ground, markersize=5)
+        panel.plot(xs[-1:], ys[-1:], "o" if path.is_success else "X", color=colour, markersize=6)
+    panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+    finish(panel, "", theme, legend=False)
+    box = figure.legend(loc="outside lower center", fontsize=8, labelcolor=text, facecolor=ground, edgecolor=grid)
+    for label in box.get_texts():
+        label.set_parse_math(False)
+    panel.set_xlabel("x, m", fontsize=9, color=text)
+    panel.set_ylabel("y, m", fontsize=9, color=text)
+    panel.xaxis.set_major_formatter(_plain())
+    return figure
+
+
+def _limits(paths: Sequence[Path], world: WorldModel) -> tuple[Any, Any]:
+    """What is seen: the arena, or the surroundings of paths that take less than a third of it."""
+    points = np.array([point[:2] for path in paths for point in path.points])
+    low, high = points.min(axis=0), points.max(axis=0)
+    if world.arena is not None and ((high - low) > np.array(world.arena.size) / 3).any():
+        low, high = np.minimum(low, -np.array(world.arena.size) / 2), np.maximum(high, np.array(world.arena.size) / 2)
+    margin = np.maximum(0.05 * (high - low).max(), (0.15 * (high - low).max() + 0.1 - (high - low)) / 2)
+    return low - margin, high + margin
+
+
+def outline(shape: Any, pose: tuple[Triple, Sequence[float]]) -> list[Triple]:
+    """The corners of the box around an object, seen from above."""
+    low, high = bounds_of_shape(shape, (pose[0], (pose[1][0], pose[1][1], pose[1][2], pose[1][3])))
+    return [(low[0], low[1], 0.0), (high[0], low[1], 0.0), (high[0], high[1], 0.0), (low[0], high[1], 0.0)]

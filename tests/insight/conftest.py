@@ -1,0 +1,23 @@
+"""A short training with an evaluation, for all tests that read it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from deepbots_cli import api
+from deepbots_cli.learning import evaluate, train
+from deepbots_cli.learning.report import to_json
+from deepbots_cli.learning.run import Run
+
+
+@pytest.fixture(scope="session")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of CartPole with short episodes that draw two values; not to be changed."""
+    folder = tmp_path_factory.mktemp("insight")
+    sets = ["truncation.max_steps=12", "world.arena.friction=uniform(0.8 .. 1.2)", "train.environments=2", "train.n_steps=64"]
+    compiled = api.compile("cartpole", sets=sets)
+    trained = train(compiled, run=folder / "cartpole", seed=3, total_timesteps=256, command=("deepbots", "train", "<b>cartpole</b>"))
+    Run.open(trained.run).keep_evaluation(to_json(evaluate(trained.run, episodes=12)))
+    return trained.run

@@ -1,0 +1,152 @@
+"""Reports: what they show is what the files of the run say, in a file that loads nothing."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("matplotlib")
+pytest.importorskip("tensorboard")
+from deepbots_cli.cli import main
+from deepbots_cli.insight.report import Report
+from deepbots_cli.learning.episodes import Episode
+from deepbots_cli.learning.group import GroupRecord
+from deepbots_cli.learning.statistics import mean_interval
+from tests.view.browser import CHROMIUM, browser
+
+
+@pytest.fixture(scope="module")
+def written(run, tmp_path_factory):
+    """The report of the run, the folder with its figures, and what the command told."""
+    folder = tmp_path_factory.mktemp("reports")
+    assert main(["report", str(run), "-o", str(folder / "report.html"), "--figures", str(folder / "figures"), "--episodes", "3"]) == 0
+    return folder / "report.html", folder / "figures"
+
+
+@pytest.fixture
+def group(run, tmp_path) -> Path:
+    """Three seeds, of which the second is damaged and the third has no evaluation."""
+    folder = tmp_path / "cartpole-seeds-1"
+    folder.mkdir()
+    for seed in range(3):
+        shutil.copytree(run, folder / f"seed-{seed}")
+    (folder / "seed-1" / "run.json").write_text("{")
+    shutil.rmtree(folder / "seed-2" / "evaluations")
+    record = dict.fromkeys(GroupRecord.model_fields) | {
+        "format": 1, "deepbots": "0", "scenario": "CartPole", "source": "cartpole", "engine": "pybullet", "seeds": [0, 1, 2],
+        "stop_when_solved": True, "keep_checkpoints": 0, "command": [], "started": "",
+    }  # fmt: skip
+    (folder / "group.json").write_text(json.dumps(record))
+    return folder
+
+
+def test_the_page_shows_the_result_of_the_run_and_loads_nothing(run, written):
+    text = written[0].read_text(encoding="utf-8")
+    kept = json.loads((run / "evaluations" / "0001.json").read_text())
+    low, high = kept["return_interval"]
+    assert f"mean return {kept['mean_return']:.4g} (95 % interval {low:.4g} .. {high:.4g})" in text
+    assert set(re.findall(r'(?:src|srcset|href)="([a-z]+:)', text)) == {"data:"}
+    assert not re.search(r"<script|https?://", text.lower())
+    assert "deepbots train &#39;&lt;b&gt;cartpole&lt;/b&gt;&#39;" in text
+    assert len(text) < 8_000_000
+
+
+def test_every_figure_is_a_file_too(written):
+    assert {path.name for path in written[1].iterdir()} == {"returns.png", "endings.png", "starts.png", "trajectories.png"}
+    assert all(path.read_bytes().startswith(b"\x89PNG") for path in written[1].iterdir())
+
+
+def test_best_median_and_worst_are_those_of_the_evaluation_and_happen_again(run):
+    report = Report.read(run)
+    shown = report.chosen(5)
+    returns = sorted(episode["total_return"] for episode in json.loads((run / "evaluations" / "0001.json").read_text())["outcomes"])
+    assert [each.outcome.total_return for each in shown if each.label] == [returns[-1], returns[len(returns) // 2 - 1], returns[0]]
+    report.run_again(shown, lambda done, of: None, clips=False)
+    assert report.notes == []  # a return that differs now would be noted
+    assert [len(path.points) - 1 for path in report.paths] == [each.outcome.length for each in shown]
+
+
+def test_a_return_that_is_another_one_now_is_noted(run):
+    report = Report.read(run)
+    (episode,) = report.chosen(3)[:1]
+    changed = Episode(**{field.name: getattr(episode.outcome, field.name) for field in fields(Episode)} | {"total_return": 99.0})
+    outcomes = [*episode.member.evaluation.outcomes]
+    outcomes[episode.number] = changed
+    member = type(episode.member)(
+        episode.member.run, episode.member.log, episode.member.evaluation.model_copy(update={"outcomes": tuple(outcomes)})
+    )
+    report.members = [member]
+    report.run_again(report.chosen(3)[:1], lambda done, of: None, clips=False)
+    assert "99 in the evaluation" in report.notes[0]
+
+
+def test_a_group_leaves_damaged_seeds_out_and_says_so(group):
+    report = Report.read(group)
+    assert len(report.members) == 1
+    assert [note[:20] for note in report.notes] == ["seed 1 is left out: ", "seed 2 is left out: "]
+    assert "deepbots eval" in report.notes[1]
+    assert "1 seed with 12 held-out episodes" in report.result
+
+
+def test_the_interval_of_a_group_is_over_its_seeds(group, run):
+    for seed in (1, 2):
+        shutil.rmtree(group / f"seed-{seed}")
+        shutil.copytree(run, group / f"seed-{seed}")
+    path = group / "seed-1" / "evaluations" / "0001.json"
+    kept = json.loads(path.read_text())
+    path.write_text(json.dumps(kept | {"mean_return": kept["mean_return"] + 3.0}))
+    low, high = mean_interval([kept["mean_return"] + more for more in (0.0, 3.0, 0.0)])
+    assert f"{kept['mean_return'] + 1:.4g} (95 % interval over seeds {low:.4g} .. {high:.4g})" in Report.read(group).result
+
+
+def test_what_cannot_be_reported_is_told_in_a_sentence(run, tmp_path, capsys, group):
+    copy = Path(shutil.copytree(run, tmp_path / "copy"))
+    shutil.rmtree(copy / "evaluations")
+    (tmp_path / "empty").mkdir()
+    shutil.rmtree(group / "seed-0")
+    for folder, told in (
+        (copy, f"holds no evaluation of its best model since its training ended; next: deepbots eval {copy}"),
+        (tmp_path / "empty", "is not a run"),
+        (group, "holds no run that can be reported; seed 0 is left out"),
+    ):
+        assert main(["report", str(folder), "-o", str(tmp_path / "x.html")]) == 2
+        err = capsys.readouterr().err
+        assert told in err
+        assert err.count("\n") == 1
+    assert not (tmp_path / "x.html").exists()
+
+
+def test_only_a_named_file_is_replaced(run, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "cartpole.html").write_text("mine")
+    assert main(["report", str(run)]) == 2
+    assert "cartpole.html exists" in capsys.readouterr().err
+    assert main(["report", str(run), "-o", "report.pdf"]) == 2
+    assert "must end in .html" in capsys.readouterr().err
+    assert (tmp_path / "cartpole.html").read_text() == "mine"
+
+
+@pytest.mark.browser
+@pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium")
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_browser_without_scripts_shows_everything(written, scheme):
+    with browser() as new_tab:
+        tab = new_tab()
+        tab.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+        tab.call("Emulation.setDeviceMetricsOverride", width=390, height=800, deviceScaleFactor=1, mobile=False)
+        tab.call("Page.navigate", url=written[0].as_uri())
+        tab.wait("document.readyState == 'complete' && document.images.length == 4")
+        assert tab.run("[...document.images].every(image => image.naturalWidth > 0)")
+        assert tab.run("document.documentElement.scrollWidth") <= 390  # wide parts scroll by themselves
+        tab.wait(
+            "[...document.querySelectorAll('video')].length == 3 && [...document.querySelectorAll('video')].every(v => v.duration > 0.1)"
+        )
+        ground = tab.run("getComputedStyle(document.body).backgroundColor")
+        assert ground == {"light": "rgb(255, 255, 255)", "dark": "rgb(22, 24, 28)"}[scheme]
+        assert [address for address in tab.requests if not address.startswith("data:")] == [written[0].as_uri()]
+        assert tab.errors == []
