@@ -34,7 +34,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.scalar import is_drawn
 from deepbots_cli.program.resets import Disturbance, Reset
 from deepbots_cli.program.robots import Robot, Timing
-from deepbots_cli.program.task import Criterion, Ending, Evaluation, Policy, Script, Solved, Truncation
+from deepbots_cli.program.task import Criterion, Ending, Evaluation, Policy, ScenarioTest, Script, Solved, Truncation
 from deepbots_cli.program.values import Expression, Foreign, NamedScalars
 from deepbots_cli.program.world import WorldModel
 
@@ -51,7 +51,8 @@ class Program:
     - the episode: reset, endings, truncation, and the `repeat` of a step. A world is reset and stepped as a whole.
 
     There is one policy, named `policy`. `augmented` holds the names of the signals that policies may see. `engine` is the one that the
-    scenario names, None for the default.
+    scenario names, None for the default. `tests` are empty in what the compiler returns: `deepbots test` adds those whose conditions
+    the generated code computes.
     """
 
     name: str
@@ -75,9 +76,10 @@ class Program:
     disturbances: tuple[Disturbance, ...] = ()
     augmented: frozenset[str] = frozenset()
     engine: str | None = None
+    tests: tuple[ScenarioTest, ...] = ()
 
     def projection(self) -> dict[str, object]:
-        left_out = {"augmented"} | ({"engine"} if self.engine in (None, DEFAULT) else set())
+        left_out = {"augmented", "tests"} | ({"engine"} if self.engine in (None, DEFAULT) else set())
         return {name: value for name, value in vars(self).items() if name in self.__dataclass_fields__ and name not in left_out}
 
     @cached_property

@@ -14,6 +14,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "runs": ("runs.command", "List your runs and groups, with their results."),
     "plot": ("plot.command", "Plot the training of runs over the timesteps."),
     "lint": ("lint.lint", "Check scenarios and report every problem."),
+    "test": ("test.command", "Run the tests of scenarios."),
     "explain": ("explain.command", "Explain a finding, a word of the language, or a glossary term."),
     "fmt": ("rewriting.fmt", "Format scenario files in the canonical layout."),
     "lsp": ("lint.lsp", "Run the language server: findings, completion, hover, fixes."),
