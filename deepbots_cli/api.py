@@ -25,7 +25,7 @@ from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.document import load as read
 from deepbots_cli.document import loads, shipped
-from deepbots_cli.document.load import NO_DRAFTS, Drafts
+from deepbots_cli.document.load import NO_DRAFTS, TESTS, Drafts
 from deepbots_cli.errors import MissingExtraError, ScenarioError, UsageError
 from deepbots_cli.lint import review
 from deepbots_cli.scenario import Scenario
@@ -88,6 +88,7 @@ def load(
     allow_code: bool = False,
     drafts: Drafts = NO_DRAFTS,
     project: Path | None = None,
+    tests: bool = False,
 ) -> Checked:
     """Read and check a scenario; problems are in `.findings`, and nothing is raised for them.
 
@@ -98,6 +99,7 @@ def load(
         allow_code: Whether it may name functions of installed packages, which run when an environment is made of it.
         drafts: What to read in the place of files, by their absolute paths.
         project: The folder that the scenario may read from; by default the nearest one above that looks like a project.
+        tests: Whether to read `tests` also with `sets`, which may change what the tests name.
 
     Raises:
         UsageError: There is no such file.
@@ -107,7 +109,10 @@ def load(
     else:
         path, name = locate(source)
         document = read(path, sets, display=name, allow_paths=allow_paths, drafts=drafts, project=project)
-    return check(replace(document, allow_code=allow_code))
+    root = document.root
+    if sets and not tests and root is not None:
+        root = replace(root, entries={key: entry for key, entry in root.entries.items() if key != TESTS})
+    return check(replace(document, root=root, allow_code=allow_code))
 
 
 def lint(

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 from xml.etree import ElementTree
 
 from deepbots_cli.cli import terminal
@@ -316,16 +316,33 @@ def write_csv(path: Path, results: Iterable[EvaluationResult]) -> None:
         writer.writerows(rows)
 
 
-def write_junit(path: Path, suite: str, requirements: Sequence[tuple[str, bool, str]]) -> None:
-    """A test case for each requirement: its text, whether it is met, and the reason."""
-    failures = sum(not met for _, met, _ in requirements)
-    root = ElementTree.Element("testsuite", name=f"deepbots eval {suite}", tests=str(len(requirements)), failures=str(failures))
-    for requirement, met, reason in requirements:
-        case = ElementTree.SubElement(root, "testcase", classname=suite, name=requirement)
-        if met:
-            ElementTree.SubElement(case, "system-out").text = reason
-        else:
-            ElementTree.SubElement(case, "failure", message=f"not met: {requirement} ({reason})")
+class JUnitCase(NamedTuple):
+    """A requirement or a test: its text, whether it is met, the reason, and the wall time."""
+
+    name: str
+    met: bool
+    reason: str
+    seconds: float | None = None
+
+
+def write_junit(path: Path, command: str, suites: Mapping[str, Sequence[JUnitCase]]) -> None:
+    """The cases of each suite, as a document of JUnit; a single suite is its root."""
+    found = []
+    for suite, cases in suites.items():
+        failures = sum(not case.met for case in cases)
+        root = ElementTree.Element("testsuite", name=f"deepbots {command} {suite}", tests=str(len(cases)), failures=str(failures))
+        for case in cases:
+            element = ElementTree.SubElement(root, "testcase", classname=suite, name=case.name)
+            if case.seconds is not None:
+                element.set("time", f"{case.seconds:.3f}")
+            if case.met:
+                ElementTree.SubElement(element, "system-out").text = case.reason
+            else:
+                ElementTree.SubElement(element, "failure", message=f"not met: {case.name} ({case.reason})")
+        found.append(root)
+    if len(found) > 1:
+        root = ElementTree.Element("testsuites")
+        root.extend(found)
     ElementTree.indent(root)
     with atomic(path) as draft:
         draft.write_bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")

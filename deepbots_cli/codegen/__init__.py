@@ -158,7 +158,8 @@ def _names(scenario: Program) -> Iterator[str]:
     ]
     own: list[tuple[Any, ...]] = [scenario.parameters, scenario.signals, scenario.policy.reward, scenario.endings, scenario.policy.action]
     yield from (robot.name for robot in robots)
-    yield from (entry.name for entries in (*parts, *own, scenario.disturbances, scenario.policy.scripts) for entry in entries)
+    own += [scenario.disturbances, scenario.policy.scripts, scenario.tests]
+    yield from (entry.name for entries in (*parts, *own) for entry in entries)
 
 
 def _as_isort(name: str) -> tuple[int, str]:

@@ -94,7 +94,7 @@ def supervisor(scenario: Program, constants: Constants) -> list[str]:
     space = Workspace(scenario, constants)
     # What the other methods read says what a reset has to begin anew.
     observing, acting, pushing = observe(space), advance(space), drawing(space)
-    asked = [*_allowed(space), *_compute_reward(space), *(line for script in scenario.policy.scripts for line in _script(space, script))]
+    asked = [*_allowed(space), *_compute_reward(space), *_between_steps(space)]
     methods = [*begin(space), *pushing, *start(space), *acting, *observing]
     tables = choice_tables(space)
     terms = ", ".join(f"{quoted(term.name)}: self.term_{term.name}" for term in scenario.policy.reward)
@@ -189,14 +189,32 @@ def _compute_reward(space: Workspace) -> list[str]:
 # Hand-written policies
 
 
-def _script(space: Workspace, script: Script) -> list[str]:
-    """A method that computes the next action from the values of the last timestep. It is called between two steps, on request only."""
-    # Between two steps the reward of the last one is known.
+def _between_steps(space: Workspace) -> list[str]:
+    """Methods that read the values of the last timestep. They are called between two steps, on request only."""
+    lines = [line for script in space.scenario.policy.scripts for line in _script(space, script)]
+    for test in space.scenario.tests:
+        asked = {"holds": (test.scalars, "Whether each condition"), "compared": (test.compared, "The compared values of the conditions")}
+        for name, (scalars, said) in asked.items():
+            printer = _printer_after(space, scalars)
+            printer.line(f"return {printer.tuple(scalars) if scalars else '()'}")
+            head = f"def test_{test.name}_{name}(self) -> tuple[Any, ...]:"
+            lines += block(head, printer.finished(docstring(f"{said} of the test {test.name}.")))
+    return lines
+
+
+def _printer_after(space: Workspace, scalars: tuple[Scalar, ...]) -> Printer:
+    """A printer for these values, which stands after the last timestep: the reward of that one is known."""
     printer = Printer(space, settable=space.settable, renamed={"previous_reward": "self.reward"})
-    used = space.named(script.scalars)
+    used = space.named(scalars)
     kept = [space.local(name) for name in space.kept_names() if name in used]
     printer.lines += [f"{local} = self.last_{local}" for local in kept]
     printer.insert_readers_here()
+    return printer
+
+
+def _script(space: Workspace, script: Script) -> list[str]:
+    """The method that computes the next action."""
+    printer = _printer_after(space, script.scalars)
     choices, ranges = [], []
     for part, decided in zip(space.scenario.policy.action, script.parts, strict=True):
         if isinstance(part, Choices) and isinstance(decided, ScriptedChoice):

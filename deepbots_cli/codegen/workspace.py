@@ -14,12 +14,14 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Direction, Robot
 from deepbots_cli.program.task import ActionRange, Choices, action_names
 
+_GOAL = ("achieved", "desired", "goal_reached")
+
 
 class Workspace:
     """One per printed supervisor.
 
     `evaluated` are the expressions of every timestep; `sent` are those of messages to robots, with values of the
-    timestep before; `scripted` are those of hand-written policies, which are called between two steps.
+    timestep before; `scripted` are those of hand-written policies and of tests, which are called between two steps.
     """
 
     def __init__(self, scenario: Program, constants: Constants, target: Target = SCALAR) -> None:
@@ -41,6 +43,7 @@ class Workspace:
         goal = scenario.policy.goal
         evaluated += [*conditions, *((*goal.achieved.scalars, *goal.targets) if goal is not None else ())]
         self.scripted = [value for script in scenario.policy.scripts for value in script.scalars]
+        self.scripted += [value for test in scenario.tests for value in (*test.scalars, *test.compared)]
         self.sent = [value for robot in scenario.robots for entry in robot.received for value in entry.scalars]
         self.forbids = bool(conditions)
         """Whether an option of a choice may ever be forbidden."""
@@ -121,7 +124,8 @@ class Workspace:
         """Names of the values that a timestep stores: those in messages, in `kept` and in scripts, with parts of the action."""
         sent, read = self.named(self.sent), {*self.named(self.scripted), *self.scenario.kept} if self.target is SCALAR else set()
         acted = [name for name, _ in (*self.variables, *self.given) if name in read]
-        return [*(name for name in self._results() if name in sent or name in read), *acted]
+        ended = [name for name in (*(ending.name for ending in self.scenario.endings), *_GOAL) if name in read]
+        return [*(name for name in self._results() if name in sent or name in read), *acted, *ended]
 
     def storing_statements(self) -> list[str]:
         """Statements that store the values of this timestep that the next message to a robot, or a script, uses."""

@@ -14,6 +14,7 @@ policy.py       action, observation, goal, scripts, copies of a robot
 scoring.py      signals, reward, endings, limits; the age of readings
 places.py       placements, layouts, maps, and whether there is room
 resets.py       how an episode begins: arrangements, groups, joints
+tests.py        tests of the scenario
 variants.py     training; cases of the evaluation and stages of the curriculum
 inputs.py       the files that the scenario was made from, as a run keeps copies of them
 inventory.py    the names of a scenario by kind, for editors and its JSON Schema
@@ -32,6 +33,7 @@ from deepbots_cli.compiler.policy import Actions, Goals, Observations, copies, s
 from deepbots_cli.compiler.resets import arrangement, joint_starts, settling_time
 from deepbots_cli.compiler.robots import RobotScene, load_robot
 from deepbots_cli.compiler.scoring import Signals, reward_terms, solved, truncation, with_reading_ages
+from deepbots_cli.compiler.tests import scenario_tests
 from deepbots_cli.compiler.values import Values, invalid_names
 from deepbots_cli.compiler.variants import training
 from deepbots_cli.compiler.world import define_bodies, lines, world
@@ -39,7 +41,7 @@ from deepbots_cli.diagnostics import Finding, Findings, TooManyFindings
 from deepbots_cli.document import Document
 from deepbots_cli.document.hints import as_a_number
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import Evaluation, Policy, Truncation
+from deepbots_cli.program.task import Evaluation, Policy, ScenarioTest, Truncation
 from deepbots_cli.scenario.base import visit
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.validate import validate, with_new_names
@@ -53,7 +55,8 @@ _SPELLING = frozenset({"DB003", "DB004"})  # warnings about how a value is spelt
 class Checked:
     """A document that was checked; `program` is None where findings at error level left nothing to compile.
 
-    `variants` are the same for the scenario under the settings of each case and stage.
+    `variants` are the same for the scenario under the settings of each case and stage. `tests` are those of the file, each compiled
+    under its own case or stage.
     """
 
     document: Document
@@ -63,6 +66,7 @@ class Checked:
     robots: Mapping[str, RobotScene] | None = None
     namespace: Namespace | None = None
     variants: tuple[Checked, ...] = ()
+    tests: tuple[ScenarioTest, ...] = ()
 
     @property
     def inputs(self) -> Inputs:
@@ -95,7 +99,9 @@ def _with_cases(document: Document) -> Checked:
     from deepbots_cli.compiler.variants import with_cases  # brings the back end, which most linting does without
 
     variants, program = with_cases(checked.document, checked.spec, checked.program, checked.findings, _check)
-    return replace(checked, program=None if checked.findings.errors else program, variants=variants)
+    own = {test.name: test.expected for variant in variants for test in variant.tests}
+    tests = tuple(replace(test, expected=own.get(test.name, test.expected)) for test in checked.tests)
+    return replace(checked, program=None if checked.findings.errors else program, variants=variants, tests=tests)
 
 
 def _check(document: Document) -> Checked:
@@ -108,8 +114,9 @@ def _check(document: Document) -> Checked:
     invalid = invalid_names(document.root, spec.pruned, (found.span for found in findings.errors))
     namespace = Namespace(Values(document.root, findings, {path: kind for path, kind, _ in visit(spec)}, invalid), document, spec)
     program = _program(namespace)
+    tests = scenario_tests(namespace, program)
     robots = {name: robot for name, robot in namespace.robots.items() if robot is not None}
-    return Checked(document, _joined(findings), spec, None if findings.errors else program, robots, namespace)
+    return Checked(document, _joined(findings), spec, None if findings.errors else program, robots, namespace, tests=tests)
 
 
 def _program(namespace: Namespace) -> Program:

@@ -58,7 +58,7 @@ def names(checked: Checked, kind: str, path: Path = ()) -> list[Named]:
         return []
     if kind in _OF_ROBOTS:
         return list(_of_robots(checked.namespace, kind, path))
-    if kind in ("action", "choice", "option", "layout"):
+    if kind in ("action", "choice", "option", "layout", *_OF_TESTS):
         return _keys(checked.namespace, kind, path)
     return [Named("arena", "the floor of the arena")] if kind == "region" else _of_namespace(checked.namespace, kind, path)
 
@@ -80,7 +80,9 @@ def _keys(namespace: Namespace, kind: str, path: Path) -> list[Named]:
         return [_keyed(namespace, ("action", name), "an action") for name in namespace.scenario.action]
     if kind == "layout":
         return [_keyed(namespace, ("reset", "layouts", name), "a layout") for name in namespace.scenario.reset.layouts]
-    name = str(path[2] if path[:1] == ("scripts",) and len(path) > 2 else path[1] if len(path) > 1 else "")
+    if kind in _OF_TESTS:
+        return _of_tests(namespace, kind)
+    name = action_at(path)
     part = namespace.scenario.action.get(name)
     if isinstance(part, DiscreteAction):
         return [_keyed(namespace, ("action", name, "choices", option), "an option") for option in part.choices]
@@ -89,6 +91,33 @@ def _keys(namespace: Namespace, kind: str, path: Path) -> list[Named]:
     symbol = namespace.resolve(name) if part is not None else None  # a range for each member of a group
     components = symbol.type.components if symbol is not None and symbol.type is not None else None
     return [_keyed(namespace, ("action", name), f"a component of `{name}`", component) for component in components or ()]
+
+
+def action_at(path: Path) -> str:
+    """The action that a place of a script, of an action of a test or of the section `action` belongs to; empty for none."""
+    place = {"scripts": 2, "tests": 4}.get(str(path[0]), 1) if path else 1
+    return str(path[place]) if len(path) > place else ""
+
+
+_OF_TESTS = ("policy", "case", "stage", "ending")
+
+
+def _of_tests(namespace: Namespace, kind: str) -> list[Named]:
+    """What a test may name."""
+    spec = namespace.scenario
+    match kind:
+        case "policy":
+            found = [_keyed(namespace, ("scripts", name), "a script") for name in spec.scripts]
+            return [*found, Named("random", "random actions"), Named("zero", "the middle of each range, the first option of each choice")]
+        case "case":
+            return [_keyed(namespace, ("evaluation", "cases", name), "a case of the evaluation") for name in spec.evaluation.cases]
+        case "stage":
+            places = enumerate(spec.curriculum)
+            return [_keyed(namespace, ("curriculum", index, "name"), "a stage of the curriculum", each.name) for index, each in places]
+        case _:
+            found = _defined(namespace, namespace.names_of(Origin.ENDING))
+            limits = spec.truncation.model_fields_set if spec.truncation else ()
+            return [*found, *(_keyed(namespace, ("truncation", name), "a limit") for name in ("max_steps", "max_time") if name in limits)]
 
 
 def _of_namespace(namespace: Namespace, kind: str, path: Path) -> list[Named]:
@@ -204,6 +233,7 @@ _PLACES: Mapping[str, Path] = {
     "layout": ("reset", "layout"),
     "setting": ("curriculum",),
     "action": ("scripts",),
+    **dict.fromkeys(_OF_TESTS, ("tests",)),
     "value": ("observation",),
     "parameter or signal": ("augment",),
 }
@@ -213,6 +243,7 @@ _SUPERVISED = {
     "ending": Context.ENDING,
     "forbid": Context.FORBID,
     "script": Context.SCRIPT,
+    "test": Context.TEST,
     "goal": Context.GOAL,
     "receive": Context.RECEIVE,
 }

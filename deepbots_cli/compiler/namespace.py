@@ -432,6 +432,8 @@ def _rgba(word: str) -> Colour:
     return (*COLOURS[word], 1.0)
 
 
+AFTER_SIGNALS = (Context.REWARD, Context.ENDING, Context.TEST)
+"""Where endings and the goal have a value."""
 _FROM_ZERO = Interval(0.0, float("inf"))
 _END_FLAGS = ("terminated", "truncated", "ended")
 _PAST_REWARDS = ("previous_reward", "episode_return")
@@ -479,9 +481,9 @@ class SupervisorScope(_Scope):
         if (built_in := self._built_in(name)) is not None:
             return built_in
         origin = self.namespace.origin(name)
-        if origin is Origin.ENDING and self.context not in (Context.REWARD, Context.ENDING):
+        if origin is Origin.ENDING and self.context not in AFTER_SIGNALS:
             return Symbol(name, None, refused="endings are computed after the signals; use the condition itself")
-        if origin is Origin.GOAL and self.context not in (Context.REWARD, Context.ENDING):
+        if origin is Origin.GOAL and self.context not in AFTER_SIGNALS:
             return Symbol(name, None, refused=GOAL_IS_LATE)
         robot, _, rest = name.partition(".")
         scene = self.namespace.robots.get(robot)
@@ -507,7 +509,7 @@ class SupervisorScope(_Scope):
 
     def names(self) -> Iterable[str]:
         known = (Origin.PARAMETER, Origin.ACTION, Origin.FIELD, Origin.AUGMENT, Origin.SIGNAL)
-        endings = [Origin.ENDING] if self.context in (Context.REWARD, Context.ENDING) else []
+        endings = [Origin.ENDING] if self.context in AFTER_SIGNALS else []
         return [*self.namespace.names_of(*known, *endings), "time", "step", *_PAST_REWARDS, *self.namespace.built_in]
 
 

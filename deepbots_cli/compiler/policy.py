@@ -9,7 +9,7 @@ from dataclasses import replace
 from functools import partial
 
 from deepbots_cli.compiler.controllers import driven_parts
-from deepbots_cli.compiler.namespace import GOAL_IS_LATE, Namespace, Origin, SupervisorScope
+from deepbots_cli.compiler.namespace import AFTER_SIGNALS, GOAL_IS_LATE, Namespace, Origin, SupervisorScope
 from deepbots_cli.compiler.values import Text
 from deepbots_cli.document.nodes import Mapping as MappingNode
 from deepbots_cli.document.nodes import Path
@@ -18,7 +18,7 @@ from deepbots_cli.expressions.dimensions import NUMBER
 from deepbots_cli.expressions.functions import FUNCTIONS, Family
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import constant
-from deepbots_cli.expressions.types import Components, Context, Invocation, Reference, Stage, Symbol, Type, Typed, children
+from deepbots_cli.expressions.types import Components, Context, Invocation, Reference, Scope, Stage, Symbol, Type, Typed, children
 from deepbots_cli.expressions.unification import ANY_SHAPE, expect
 from deepbots_cli.program.task import (
     MAX_CONDITIONS,
@@ -406,7 +406,7 @@ class Goals:
 
     def _reached(self, context: Context) -> Symbol:
         name = "goal_reached"
-        if context not in (Context.REWARD, Context.ENDING):
+        if context not in AFTER_SIGNALS:
             return Symbol(name, None, refused=GOAL_IS_LATE)
         for part in self._namespace.names_of(Origin.GOAL):
             symbol = self._namespace.resolve(part)
@@ -446,33 +446,35 @@ _WORD = re.compile(r"\w+", re.ASCII)
 
 def scripts(namespace: Namespace, action: tuple[Choices | ActionRange, ...]) -> tuple[Script, ...]:
     """The scripts without findings, which decide every part of the `action`."""
-    reader = _Reader(namespace, {part.name: part for part in action}, list(namespace.scenario.action))
-    found = (reader.script(name, given) for name, given in namespace.scenario.scripts.items())
-    return tuple(script for script in found if script is not None)
+    reader = Decisions(namespace, action, SupervisorScope(namespace, Context.SCRIPT))
+    found = ((name, reader.read(("scripts", name), given, f"the script `{name}`")) for name, given in namespace.scenario.scripts.items())
+    return tuple(Script(name, parts) for name, parts in found if parts is not None)
 
 
-class _Reader:
-    """Reads scripts for one action; `names` are those of all its parts, `parts` has those without findings."""
+class Decisions:
+    """Reads decisions for every part of an action; `action` has the parts without findings, `scope` is that of the expressions."""
 
-    def __init__(self, namespace: Namespace, parts: Mapping[str, Choices | ActionRange], names: list[str]) -> None:
+    def __init__(self, namespace: Namespace, action: tuple[ActionPart, ...], scope: Scope) -> None:
         self._namespace = namespace
         self._values = namespace.values
-        self._scope = SupervisorScope(namespace, Context.SCRIPT)
-        self._parts = parts
-        self._names = names
+        self._scope = scope
+        self._parts = {part.name: part for part in action}
+        self._names = list(namespace.scenario.action)
+        self._called = ""
 
-    def script(self, name: str, given: Mapping[str, object]) -> Script | None:
-        place: Path = ("scripts", name)
+    def read(self, place: Path, given: Mapping[str, object], called: str) -> tuple[ScriptedChoice | ScriptedRange, ...] | None:
+        """The decisions at `place`, which findings call `called`; None after a finding."""
+        self._called = called
         for part in given:
             if part not in self._names:
                 self._values.report_unknown(self._values.key_span((*place, part)), "action", part, self._names)
         for part in self._names:
             if part not in given and not self._values.is_invalid(part):
-                headline = f"the script `{name}` does not decide `{part}`"
+                headline = f"{called} does not decide `{part}`"
                 self._values.findings.add("DB102", self._values.key_span(place), headline, help=self._example(part))
         decided = {part: self._decision((*place, part), self._parts[part], given[part]) for part in self._parts if part in given}
         parts = [decided.get(part) for part in self._names]
-        return Script(name, tuple(part for part in parts if part is not None)) if all(parts) else None
+        return tuple(part for part in parts if part is not None) if all(parts) else None
 
     def _example(self, name: str) -> str | None:
         """How a part may be decided."""
@@ -505,7 +507,7 @@ class _Reader:
             self._values.report_unknown(self._values.key_span((*place, name)), f"component of `{part.name}` called", name, part.components)
         for name in part.components:
             if name not in given and not strange:  # otherwise it probably stands there under another name
-                headline = f"the script `{place[1]}` does not decide `{name}` of `{part.name}`"
+                headline = f"{self._called} does not decide `{name}` of `{part.name}`"
                 self._values.findings.add("DB102", key, headline, help="give a value for each component, or one for all")
         aims = [self._aim((*place, name), part, given[name], None) for name in part.components if name in given]
         found = tuple(aim for aim in aims if aim is not None)

@@ -6,7 +6,7 @@ all of them, so what it sees, does and sends must be the same.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
@@ -15,7 +15,7 @@ from deepbots_cli.compiler.scoring import NO_SUCCESS
 from deepbots_cli.diagnostics import Findings, Label, Span
 from deepbots_cli.document import Document, Entry, Mapping, Path, descend
 from deepbots_cli.document.load import place
-from deepbots_cli.document.nodes import follow, measure, without
+from deepbots_cli.document.nodes import Scalar, follow, measure, without
 from deepbots_cli.program import CurriculumStage, EvaluationCase, Program, identity
 from deepbots_cli.program.task import (
     ActionNoise,
@@ -209,7 +209,7 @@ class _Maker:
         if [entry for entry in entries if self._is_fixed(entry, word)]:
             return None
         findings = Findings(self._document.findings.limit)
-        root = without(self._root, _OTHERS)
+        root = without(self._root, (*_OTHERS, *self._tests(word, name)))
         assert isinstance(root, Mapping)  # as it was
         for entry in entries:
             root = place(root, entry, findings)
@@ -223,6 +223,13 @@ class _Maker:
                 also = found.also if inside else (*found.also, Label(here, f"in this {word}"))
                 self._findings.append(replace(found, also=also))
         return checked.program if checked.program is not None and self._is_bearable(checked.program, word, name, here) else None
+
+    def _tests(self, word: Word, name: str) -> Iterator[Path]:
+        """What the variant leaves out of `tests`: all other tests, and the keys that name the variant, which has no variants itself."""
+        tests = self._root.get("tests")
+        for test, entry in tests.entries.items() if isinstance(tests, Mapping) else ():
+            named = entry.value.get(word) if isinstance(entry.value, Mapping) else None
+            yield ("tests", test, word) if isinstance(named, Scalar) and named.text == name else ("tests", test)
 
     def _place(self, word: Word, path: Path) -> Span:
         node, key, _ = descend(self._root, path if word == "case" else (*path, "name"))

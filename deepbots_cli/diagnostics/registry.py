@@ -143,6 +143,7 @@ _CATALOGUE = (
     Rule("DB810", "return-out-of-reach", "warning", "a mean return that no policy reaches, or that every policy reaches"),
     Rule("DB811", "after-the-end", "warning", "a push, a reading or a message after the end of every episode"),
     Rule("DB812", "requirement-not-redrawn", "warning", "a requirement that a new draw cannot meet"),
+    Rule("DB813", "idle-test", "warning", "a test that can only pass, or only fail"),
     Rule("DB901", "unused-suppression", "warning", "a suppression comment that suppresses nothing"),
     Rule("DB902", "preview-rule-selected", "warning", "a selected rule that is in preview or needs a simulation"),
     Rule("DB903", "rule-failed", "error", "a rule or the compiler raised an exception on this file, which is a fault of deepbots"),

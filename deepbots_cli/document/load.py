@@ -23,6 +23,8 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.renames import former, headline
 
 MAX_CHAIN = 32
+TESTS = "tests"
+"""The section that `extends` does not take over."""
 _MAX_LISTED = 20
 
 Drafts = Table[Path, bytes]
@@ -178,7 +180,9 @@ class _Reader:
             base = self.referenced(extends, folder, chain)
             if base is None:
                 return None
-            tree = merge(base, tree)
+            # A test is about the scenario of its own file: another one moves, scores and ends differently.
+            kept = {key: entry for key, entry in base.entries.items() if key != TESTS}
+            tree = merge(replace(base, entries=kept), tree)
         return self.pruned(tree, remove.value, own) if remove else tree
 
     def expanded(self, node: Node, folder: Path, chain: tuple[Path, ...], depth: int) -> Node:

@@ -73,6 +73,8 @@ _CONTEXT_HELP = {
     **{(Context.FORBID, family): "compute it under `augment`, and use that name here" for family in Family},
     (Context.FIXED, Family.DRAW): "it must be the same in every episode; write a fixed value",
     (Context.SCRIPT, Family.STATEFUL): "define it as a signal, and use the signal here",
+    (Context.TEST, Family.STATEFUL): "define it as a signal, and use the signal here",
+    (Context.TEST, Family.MESSAGE): "define it as a signal, and use the signal here",
 }
 # A common question about a part of the world that has no position.
 _ASKED = {

@@ -58,6 +58,7 @@ ALLOWED: dict[Context, frozenset[Family]] = {
     Context.OBSERVATION: frozenset({Family.PURE}),
     Context.FORBID: frozenset({Family.PURE}),
     Context.SCRIPT: _TASK - {Family.STATEFUL},
+    Context.TEST: _WORLD,
     Context.GOAL: _WORLD,
     Context.REWARD: _TASK,
     Context.ENDING: _TASK,

@@ -144,6 +144,7 @@ class Context(Enum):
     OBSERVATION = "the range of an observation"
     FORBID = "a `forbid` condition"
     SCRIPT = "a script"
+    TEST = "a test"
     GOAL = "a goal"
     REWARD = "a reward"
     ENDING = "an ending"

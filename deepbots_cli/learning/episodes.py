@@ -6,7 +6,7 @@ import json
 import math
 import time
 from collections import Counter, deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from itertools import pairwise
 from pathlib import Path
@@ -78,6 +78,13 @@ class EpisodeAccumulator:
         episode = Episode(self._return, self._length, success, ended_by, self._terms, self._seed, self._drawn)
         self._return, self._length, self._terms, self._seed, self._drawn = 0.0, 0, {}, None, {}
         return episode
+
+
+def zero(world: Any) -> Callable[[], Any]:
+    """A policy that takes the middle of every range, and the first option of every choice."""
+    drawn = world.action_space.sample()
+    action = {key: part * 0 for key, part in drawn.items()} if isinstance(drawn, dict) else drawn * 0
+    return lambda: action
 
 
 class EpisodeLog:

@@ -24,7 +24,7 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import algorithms, models, video
 from deepbots_cli.learning.environments import BuildWorld, VectorEnvironment, World, compiled_of, default_build, is_team
-from deepbots_cli.learning.episodes import DrawnBin, Episode, EpisodeAccumulator, Summary, by_drawn_value, meets, statistics_of
+from deepbots_cli.learning.episodes import DrawnBin, Episode, EpisodeAccumulator, Summary, by_drawn_value, meets, statistics_of, zero
 from deepbots_cli.learning.failures import Guarded
 from deepbots_cli.learning.run import ModelName, Run
 from deepbots_cli.learning.statistics import gate_rate
@@ -180,13 +180,6 @@ def evaluate_baselines(
             where = {"case": case, "stage": stage, "seed": root, "deterministic": True, "video": None}
             results.append(_result(known, program, name, done, engine=None if build else engine, **where))
     return tuple(results)
-
-
-def zero(world: World) -> Callable[[], Any]:
-    """A policy that takes the middle of every range, and the first option of every choice."""
-    drawn = world.action_space.sample()
-    action = {key: part * 0 for key, part in drawn.items()} if isinstance(drawn, dict) else drawn * 0
-    return lambda: action
 
 
 def _episode(world: World, seed: int, policy: Callable[[], Any]) -> Episode:

@@ -12,18 +12,19 @@ from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import LENGTH, TIME
 from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, TRUTH, Interval, hull
 from deepbots_cli.expressions.scalar import Name, Op, Scalar, World
-from deepbots_cli.lint.analysis import Analysis, Comparison, Context, Threshold, has_choice, thresholds, total
+from deepbots_cli.lint.analysis import Analysis, Comparison, Context, Threshold, has_choice, names_in, thresholds, total
 from deepbots_cli.lint.ranges import Ranges, between, with_unit
 from deepbots_cli.lint.simulation import Simulation
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Thrust
-from deepbots_cli.program.task import Ending
+from deepbots_cli.program.task import Ending, Expected, ScenarioTest
 from deepbots_cli.program.values import Expression
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, RobotModel, Shape, Sphere
 
 _TOLERANCE = 0.98
 """Engines let bodies penetrate each other a little."""
 _CLOCK = frozenset({"time", "step"})
+_OF_LAST_STEP = frozenset({"previous_reward", "episode_return"})
 _MAX_SEEDS = 8
 """Seeds listed in a note."""
 
@@ -460,5 +461,48 @@ def _is_outside(analysis: Analysis, body: str, near: float) -> bool:
     return False
 
 
-STATIC_RULES = (never_true, always_true, shadowed_limit, timeout_as_termination, ends_at_reset, after_the_end, unreachable_goal)
+def idle_test(context: Context) -> Iterator[Finding]:
+    """DB813: a test that can only pass, or only fail.
+
+    A condition holds in every step or in none, a rate may be anything, or every ending of the scenario is expected.
+
+    Example::
+
+        tests:
+          stays_up: {policy: random, expect: {always: abs(x) >= 0 m}}
+
+    Instead::
+
+        tests:
+          stays_up: {policy: random, expect: {always: abs(x) < 0.5 m}}
+    """
+    program = context.program
+    settings = [("", ""), *((case.name, "") for case in program.cases), *(("", stage.name) for stage in program.curriculum)]
+    versions = dict(zip(settings, context.versions, strict=True))
+    for test in context.checked.tests:
+        analysis = versions[test.case or "", test.stage or ""]
+        for expected in test.expected:
+            outcome = _only_outcome(analysis, test, expected)
+            if outcome is not None:
+                headline = f"`{expected.key}` of the test `{test.name}` {'holds in every episode' if outcome else 'can never hold'}"
+                help = "expect something that a wrong scenario misses" if outcome else "expect something that can be reached"
+                yield Finding("DB813", expected.span, headline, help=help)
+
+
+def _only_outcome(analysis: Analysis, test: ScenarioTest, expected: Expected) -> bool | None:
+    """Whether an expectation is met in any case (True) or in none (False)."""
+    if expected.endings:
+        limits = analysis.program.truncation
+        every = {ending.name for ending in analysis.program.endings}
+        every |= {name for name in ("max_steps", "max_time") if getattr(limits, name) is not None}
+        return True if every <= set(expected.endings) and test.steps >= analysis.last else None
+    if expected.condition is None:
+        return True if expected.key != "mean_return" and expected.low <= 0.0 and expected.high >= 1.0 else None
+    if not _OF_LAST_STEP.isdisjoint(names_in(expected.condition.typed)):
+        return None  # their ranges are those of the step before
+    known = analysis.ranges_in(1.0, float(test.steps)).of(analysis.scalars(expected.condition)[0])
+    return known == ALWAYS if known.single else None
+
+
+STATIC_RULES = (never_true, always_true, shadowed_limit, timeout_as_termination, ends_at_reset, after_the_end, unreachable_goal, idle_test)
 SIMULATED_RULES = (sometimes_ends_at_reset, undefined_value)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from lsprotocol.types import CompletionItem, CompletionItemKind, CompletionList, MarkupContent, MarkupKind, TextEdit
 
 from deepbots_cli.compiler import Checked
-from deepbots_cli.compiler.inventory import definition, names
+from deepbots_cli.compiler.inventory import action_at, definition, names
 from deepbots_cli.compiler.namespace import ParameterScope, RobotScope, SupervisorScope
 from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.document import shipped
@@ -469,6 +469,9 @@ _SECTIONS: dict[str, tuple[Path, ...]] = {
     "value on board": (("parameters",), ("action",)),
     "setting": (("parameters",),),
     "parameter or signal": (("parameters",), ("signals",)),
+    "policy": (("scripts",),),
+    "ending": (("termination", "success"), ("termination", "failure")),
+    "case": (("evaluation", "cases"),),
     "value": (("parameters",), ("augment",), ("signals",)),
 }
 """The mappings whose keys are the names of each kind."""
@@ -493,8 +496,8 @@ def _defines(path: Path, name: str) -> bool:
 
 def _sections(kind: str, path: Path) -> tuple[Path, ...]:
     if kind in ("choice", "option"):
-        named = path[2:3] if path[:1] == ("scripts",) else path[1:2]
-        return (("action", *named, "choices"),) if named else ()
+        named = action_at(path)
+        return (("action", named, "choices"),) if named else ()
     robot = path[:2] if path[:1] == ("robots",) and len(path) > 1 else ()
     own = tuple((*robot, section) for section in _ROBOT_SECTIONS.get(kind, ())) if robot else ()
     return (*own, *_SECTIONS.get(kind, ()))

@@ -34,7 +34,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.scalar import is_drawn
 from deepbots_cli.program.resets import Disturbance, Reset
 from deepbots_cli.program.robots import Robot, Timing
-from deepbots_cli.program.task import Criterion, Ending, Evaluation, Policy, Script, Solved, Truncation
+from deepbots_cli.program.task import Criterion, Ending, Evaluation, Policy, ScenarioTest, Script, Solved, Truncation
 from deepbots_cli.program.values import Expression, Foreign, NamedScalars
 from deepbots_cli.program.world import WorldModel
 
@@ -52,7 +52,8 @@ class Program:
 
     There is one policy, named `policy`. `augmented` holds the names of the signals that policies may see. `engine` is the one that the
     scenario names, None for the default. `kept` names the signals that the supervisor keeps after each step, as `last_NAME`; a program
-    that explains its episodes (`insight`) has some, and no scenario does.
+    that explains its episodes (`insight`) has some, and no scenario does. `tests` are empty in what the compiler returns: `deepbots test`
+    adds those whose conditions the generated code computes.
     """
 
     name: str
@@ -77,9 +78,10 @@ class Program:
     augmented: frozenset[str] = frozenset()
     engine: str | None = None
     kept: frozenset[str] = frozenset()
+    tests: tuple[ScenarioTest, ...] = ()
 
     def projection(self) -> dict[str, object]:
-        left_out = {"augmented", "kept"} | ({"engine"} if self.engine in (None, DEFAULT) else set())
+        left_out = {"augmented", "kept", "tests"} | ({"engine"} if self.engine in (None, DEFAULT) else set())
         return {name: value for name, value in vars(self).items() if name in self.__dataclass_fields__ and name not in left_out}
 
     @cached_property

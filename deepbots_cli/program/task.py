@@ -9,6 +9,7 @@ from functools import cached_property
 from itertools import groupby
 from typing import Literal, NamedTuple
 
+from deepbots_cli.diagnostics import Span
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 from deepbots_cli.program.values import Expression, Foreign, Noise
 from deepbots_cli.robots.model import Vector
@@ -302,6 +303,70 @@ class Script:
     @property
     def scalars(self) -> tuple[Scalar, ...]:
         return tuple(scalar for part in self.parts for scalar in part.scalars)
+
+
+# Tests
+
+
+@dataclass(frozen=True)
+class FixedAction:
+    """The same action always: the index of an option of each choice, and a number in [-1, 1] for each component of the ranges."""
+
+    choices: tuple[int, ...]
+    ranges: tuple[float, ...]
+
+
+ExpectedKey = Literal["success_rate", "failure_rate", "mean_return", "ends_by", "always", "eventually"]
+
+
+@dataclass(frozen=True, eq=False)
+class Expected:
+    """One expected result, its place and its text in the file.
+
+    A rate or a return is expected from `low` to `high`; one of the `endings` is expected to end every episode; a `condition` has the
+    values that it compares, which a failed test shows.
+    """
+
+    key: ExpectedKey
+    span: Span
+    text: str
+    low: float = -math.inf
+    high: float = math.inf
+    endings: tuple[str, ...] = ()
+    condition: Expression | None = None
+    compared: tuple[Expression, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class ScenarioTest:
+    """Episodes without a trained policy, and the expected results.
+
+    The policy is the name of a script, `random`, `zero`, or a sequence of actions. `steps` is the largest number of steps of an episode.
+    """
+
+    name: str
+    span: Span
+    policy: str | tuple[FixedAction, ...]
+    episodes: int
+    seed: int
+    steps: int
+    expected: tuple[Expected, ...]
+    case: str | None = None
+    stage: str | None = None
+
+    @property
+    def conditions(self) -> tuple[Expected, ...]:
+        return tuple(entry for entry in self.expected if entry.condition is not None)
+
+    @property
+    def scalars(self) -> tuple[Scalar, ...]:
+        """The conditions."""
+        return tuple(entry.condition.scalar for entry in self.expected if entry.condition is not None)
+
+    @property
+    def compared(self) -> tuple[Scalar, ...]:
+        """The compared values of all conditions in a row."""
+        return tuple(value.scalar for entry in self.conditions for value in entry.compared)
 
 
 # Training

@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from struct import Struct
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Any, Literal, Protocol, TypeVar, runtime_checkable
 
 import gymnasium as gym
 import numpy as np
@@ -340,6 +340,18 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
     def scripted(self, name: str) -> Any:
         """The same, without a check that the script exists."""
         return getattr(self, f"script_{name}")()
+
+    def tested(self, test: str, what: Literal["holds", "compared"]) -> tuple[Any, ...]:
+        """Whether each condition of a test holds after the last step, or the values that the conditions compare, in SI units.
+
+        Raises:
+            EvaluationError: An expression has no value; shows which.
+        """
+        try:
+            found: tuple[Any, ...] = getattr(self, f"test_{test}_{what}")()
+        except (ArithmeticError, ValueError, NameError) as error:
+            raise self._no_value(error) from error
+        return found
 
     def acting(self, choices: Sequence[int], ranges: Sequence[float]) -> Any:
         """An action of these options, by number, and these values from -1 to 1."""

@@ -545,6 +545,27 @@ class Range(Parsed):
 
 
 @dataclass(frozen=True)
+class Bounds(Range):
+    """The minimum of a plain number, or both of its bounds."""
+
+    dimension: str = "number"
+
+    noun = "a minimum or a range"
+    example = "0 .. 10 %"
+    takes = (str, int, float)
+
+    def check(self, value: Any) -> None:
+        if not isinstance(value, str):
+            check_bounds(value)
+
+    def meant_by(self, value: object) -> None:
+        """Nothing: a text without `..` is a minimum."""
+
+    def json_schema(self) -> JsonSchema:
+        return FieldType.json_schema(self)
+
+
+@dataclass(frozen=True)
 class Expression(Parsed):
     """A text of the expression language, evaluated in `context`.
 

@@ -28,7 +28,7 @@ from typing import Any
 from deepbots_cli.document import shipped
 from deepbots_cli.scenario.base import Forms, Kinds, ListOf, MappingOf, Section, Shape, fields, noun_of
 from deepbots_cli.scenario.docs import about, about_kind, default_of, description, example_of, example_text, unit_of
-from deepbots_cli.scenario.fields import COLOURS, Color, Expression, FieldType, FilePath, Pattern, Range, Reference, Word
+from deepbots_cli.scenario.fields import COLOURS, Color, Expression, FieldType, FilePath, Name, Pattern, Range, Reference, Word
 from deepbots_cli.scenario.robot import Robot
 from deepbots_cli.scenario.scenario import VERSION, Scenario
 
@@ -189,11 +189,18 @@ class _Writer:
     def _single(self, shape: FieldType) -> Json:
         schema, offer = shape.json_schema(), self._names.get(topic_of(shape))
         if offer is None or not offer.names:
-            return schema
+            return self._shared("name", schema) if isinstance(shape, Name) else schema
+        if isinstance(shape, Color):
+            return self._shared("colour", offer.added_to(schema, shape.noun))
         if isinstance(shape, Reference) and shape.several:
             one = offer.added_to({"type": "string"}, shape.noun)
             return schema | {"items": one, "anyOf": [{"title": shape.noun, "type": "array"}, *one.get("anyOf", ())]}
         return offer.added_to(schema, shape.noun)
+
+    def _shared(self, name: str, schema: Json) -> Json:
+        """A reference to a schema that stands at dozens of places."""
+        self.definitions.setdefault(name, schema)
+        return {"$ref": f"#/$defs/{name}"}
 
     def _mapping(self, shape: MappingOf) -> Json:
         key = self._single(shape.key)
@@ -271,7 +278,7 @@ class _Writer:
         default = section.model_fields[key].default
         if isinstance(default, (str, int, float)) and default != "":
             schema["default"] = default
-        example, listed = example_of(section, key), isinstance(shape, Word) or "anyOf" in schema or own
+        example, listed = example_of(section, key), isinstance(shape, (Word, Color)) or "anyOf" in schema or own
         if example and type(example.data) in (str, int, float) and example.data != default and not listed:
             escaped = re.sub(r"([\\$}])", r"\\\1", example.text)
             schema["defaultSnippets"] = [{"label": example.text, "body": f"${{1:{escaped}}}"}]

@@ -20,6 +20,7 @@ from deepbots_cli.scenario.task import (
     Observation,
     Reset,
     Reward,
+    ScenarioTest,
     Script,
     Solved,
     Stage,
@@ -96,6 +97,8 @@ class Scenario(Section):
     """Criterion for a solved task."""
     train: AnyTraining | None = None
     """How the policy is trained."""
+    tests: dict[LocalName, ScenarioTest] = {}
+    """Tests by names of your choice, which `deepbots test` runs: who acts, and the expected result."""
 
     _pruned: frozenset[Path] = PrivateAttr(frozenset())
 

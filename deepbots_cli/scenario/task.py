@@ -6,6 +6,7 @@ from deepbots_cli.scenario.base import FORMS, Keys, Many, Section, Size
 from deepbots_cli.scenario.fields import (
     BodyName,
     Bool,
+    Bounds,
     Expression,
     Length,
     LocalName,
@@ -176,6 +177,59 @@ class Solved(Section):
     """Minimum of the share of successful episodes, 0 to 1."""
     episodes: PositiveInt = 100
     """Number of consecutive episodes."""
+
+
+# Tests
+
+FixedAction = dict[Annotated[str, Reference("action")], Annotated[dict[Annotated[str, Reference("choice")], Choice] | Choice, FORMS]]
+Requirement = Annotated[str, Expression("test", boolean=True)]
+EndingName = Annotated[str, Reference("ending")]
+
+
+class Expectation(Section):
+    """Result that a test expects; all of it must hold."""
+
+    key_rules: ClassVar[tuple[Keys, ...]] = (
+        Keys(("success_rate", "failure_rate", "mean_return", "ends_by", "always", "eventually"), min=1, max=6),
+    )
+
+    success_rate: Annotated[Scalar, Bounds()] | None = None
+    """Share of successful episodes: its minimum, or a range."""
+    failure_rate: Annotated[Scalar, Bounds()] | None = None
+    """Share of episodes that end by a failure: its minimum, or a range."""
+    mean_return: Annotated[Scalar, Bounds()] | None = None
+    """Mean return of the episodes: its minimum, or a range."""
+    ends_by: Annotated[Many[EndingName] | EndingName, FORMS] | None = None
+    """The ending or limit, or several, by one of which every episode ends."""
+    always: Annotated[Many[Requirement] | Requirement, FORMS] | None = None
+    """A condition, or several, that hold after every step."""
+    eventually: Annotated[Many[Requirement] | Requirement, FORMS] | None = None
+    """A condition, or several, each of which holds after at least one step of every episode."""
+
+
+class ScenarioTest(Section):
+    """Episodes without a trained policy, and their expected result."""
+
+    key_rules: ClassVar[tuple[Keys, ...]] = (Keys(("policy", "actions"), min=1), Keys(("case", "stage")))
+
+    policy: Annotated[str, Reference("policy")] | None = None
+    """What acts: a script, `random`, or `zero`, which takes the middle of each range and the first option of each choice."""
+    actions: Annotated[Many[Annotated[FixedAction | Choice, FORMS]], Size(1, "action")] | None = None
+    """Actions of the first steps; the episode stops after the last of them."""
+    episodes: Annotated[int, Whole(1, 1000)] = 1
+    """Number of episodes."""
+    seed: Annotated[int, Whole(0, 1_000_000_000)] = 0
+    """Root seed of the episodes, which start as those of an evaluation."""
+    max_steps: PositiveInt | None = None
+    """Steps after which an episode stops."""
+    max_time: Annotated[Scalar, Quantity("time", minimum=0, exclusive=True)] | None = None
+    """Simulated time after which an episode stops."""
+    case: Annotated[str, Reference("case")] | None = None
+    """Case of the evaluation whose settings apply."""
+    stage: Annotated[str, Reference("stage")] | None = None
+    """Stage of the curriculum whose settings apply."""
+    expect: Expectation
+    """Expected result."""
 
 
 class Measured(Section):

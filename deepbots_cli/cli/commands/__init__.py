@@ -18,6 +18,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "report": ("report.command", "Write a report about a run or a group: one HTML file."),
     "export": ("export.command", "Export the policy of a run as ONNX, or check that a bundle fits a scenario."),
     "lint": ("lint.lint", "Check scenarios and report every problem."),
+    "test": ("test.command", "Run the tests of scenarios."),
     "explain": ("explain.command", "Explain a finding, a word of the language, or a glossary term."),
     "fmt": ("rewriting.fmt", "Format scenario files in the canonical layout."),
     "lsp": ("lint.lsp", "Run the language server: findings, completion, hover, fixes."),

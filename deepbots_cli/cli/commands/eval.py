@@ -526,7 +526,7 @@ def with_cases(result: EvaluationResult, cases: Sequence[EvaluationResult]) -> d
 def _require(requirements: Sequence[Requirement], suite: str, junit: Path | None) -> None:
     """Report each requirement, and exit with 1 if one is not met."""
     if junit is not None:
-        results.write_junit(junit, suite, requirements)
+        results.write_junit(junit, "eval", {suite: [results.JUnitCase(*requirement) for requirement in requirements]})
     for words, met, reason in requirements:
         if met:
             terminal.note(f"met: {words} ({reason})")

@@ -19,7 +19,7 @@ from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Engine, Json, 
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.engine_kinds import on_engine
 from deepbots_cli.errors import UsageError
-from deepbots_cli.learning.episodes import Episode, EpisodeAccumulator, Summary
+from deepbots_cli.learning.episodes import Episode, EpisodeAccumulator, Summary, zero
 from deepbots_cli.program.task import ActionRange, Choices
 
 if TYPE_CHECKING:
@@ -168,13 +168,6 @@ def _term(done: list[Episode], name: str) -> Row:
 
 Acting = Callable[[], Any]
 """Returns the next action."""
-
-
-def zero(environment: Supervisor) -> Acting:
-    """The middle of every range, and the first option of every choice."""
-    drawn = environment.action_space.sample()
-    action = {key: part * 0 for key, part in drawn.items()} if isinstance(drawn, dict) else drawn * 0
-    return lambda: action
 
 
 def repeated(environment: Supervisor, text: str) -> Acting:

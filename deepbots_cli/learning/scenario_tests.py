@@ -1,0 +1,203 @@
+"""Runs the `tests` of scenarios: episodes of a script, of random or zero actions, or of a sequence of actions, against expected results.
+
+Episode k of a test starts as episode k of an evaluation with the seed of the test does, so `deepbots view --seed S --episode K` shows it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from itertools import groupby
+from statistics import fmean
+from typing import TYPE_CHECKING, Any
+
+from deepbots_cli import api
+from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.learning.episodes import Episode, EpisodeAccumulator, zero
+from deepbots_cli.lint.ranges import with_unit
+from deepbots_cli.program import Program
+from deepbots_cli.program.task import Expected, ScenarioTest
+from deepbots_cli.runtime.streams import derive
+
+if TYPE_CHECKING:
+    from deepbots_cli.runtime import Supervisor
+
+OnEpisode = Callable[[int, int], None]
+"""Is told after each episode how many are done, and of how many."""
+
+
+@dataclass(frozen=True)
+class Miss:
+    """An expectation that is not met.
+
+    `expected` is the key and its text, `where` its `file:line:column`, `measured` the result in words. `episode` counts from 0; it and
+    the number of the `step` are None if the miss is of no single episode or step.
+    """
+
+    expected: str
+    where: str
+    measured: str
+    episode: int | None = None
+    step: int | None = None
+
+
+@dataclass(frozen=True)
+class TestResult:
+    """The result of a test; `steps` counts those of all episodes, `seconds` is wall time, and `misses` are empty if it passed."""
+
+    test: ScenarioTest
+    episodes: int
+    steps: int
+    seconds: float
+    misses: tuple[Miss, ...]
+
+    @property
+    def passed(self) -> bool:
+        return not self.misses
+
+
+def run_tests(
+    program: Program,
+    tests: Sequence[ScenarioTest],
+    *,
+    engine: str | None = None,
+    allow_code: bool = False,
+    on_episode: OnEpisode | None = None,
+) -> Iterator[TestResult]:
+    """Yield the result of each test, those in the same case or stage together, which share an environment.
+
+    Raises:
+        UsageError: There is no such engine, or the scenario calls functions of Python without `allow_code`.
+        MissingExtraError: The simulator is not installed.
+        EngineError: The engine cannot build this world.
+    """
+
+    def setting(test: ScenarioTest) -> tuple[str, str]:
+        return test.case or "", test.stage or ""
+
+    for (case, stage), group in groupby(sorted(tests, key=setting), setting):
+        together = tuple(group)
+        chosen = program.case(case).program if case else program.stage(stage).program if stage else program
+        with closing(api.make(replace(chosen, tests=together), engine=engine, allow_code=allow_code)) as environment:
+            for test in together:
+                yield _run(environment, test, on_episode)
+
+
+def _run(environment: Supervisor, test: ScenarioTest, on_episode: OnEpisode | None) -> TestResult:
+    began, done = time.perf_counter(), list[Episode]()
+    misses: list[Miss] = []
+    cut = 0
+    try:
+        for number in range(test.episodes):
+            done.append(_episode(environment, test, number, misses))
+            if on_episode is not None:
+                on_episode(number + 1, test.episodes)
+    except DeepbotsError as error:
+        cut = environment.step_count
+        misses.append(Miss("no error", test.span.where, str(error), len(done), cut or None))
+    else:
+        misses += _over_episodes(environment.scenario, test, done)
+    steps = cut + sum(episode.length for episode in done)
+    return TestResult(test, len(done), steps, time.perf_counter() - began, tuple(_first_of_each(misses, test)))
+
+
+def _first_of_each(misses: Sequence[Miss], test: ScenarioTest) -> Iterator[Miss]:
+    """The first miss of each expectation, with the number of episodes that miss it."""
+    for first in {miss.where: miss for miss in reversed(misses)}.values():
+        episodes = {miss.episode for miss in misses if miss.where == first.where}
+        yield first if len(episodes) < 2 else replace(first, measured=f"{first.measured}; in {len(episodes)} of {test.episodes} episodes")
+
+
+def _episode(environment: Supervisor, test: ScenarioTest, number: int, misses: list[Miss]) -> Episode:
+    """One episode, whose `ended_by` is None if the test stops it; what it misses is added to `misses`."""
+    seed, accumulator = derive(test.seed, "evaluation", number), EpisodeAccumulator()
+    accumulator.begin(seed, environment.reset(seed=seed)[1])
+    policy, watches = _policy(environment, test), [_Watch(agent, test, number) for agent in environment.agents.values()]
+    for step in range(1, test.steps + 1):
+        _, reward, terminated, truncated, info = environment.step(policy(step))
+        accumulator.add(reward, info)
+        for watch in watches:
+            watch.look(step)
+        if terminated or truncated:
+            break
+    episode = accumulator.close(info)
+    after = f"after {episode.length:,} steps ({episode.length * environment.scenario.period:.4g} s)"
+    for expected in test.expected:
+        if expected.endings and episode.ended_by not in expected.endings:
+            words = f"ended by `{episode.ended_by}` {after}" if episode.ended_by else f"goes on {after}"
+            misses.append(_miss(expected, words, number))
+    for watch in watches:
+        misses += watch.misses(after.removeprefix("after "))
+    return episode
+
+
+def _policy(environment: Supervisor, test: ScenarioTest) -> Callable[[int], Any]:
+    """Returns the action of a step, which counts from 1."""
+    if not isinstance(test.policy, str):
+        actions = [environment.acting(action.choices, action.ranges) for action in test.policy]
+        return lambda step: actions[step - 1]
+    if any(script.name == test.policy for script in environment.scenario.policy.scripts):
+        name = test.policy
+        return lambda _: environment.script(name)
+    acting = zero(environment) if test.policy == "zero" else environment.action_space.sample  # the reset seeds it
+    return lambda _: acting()
+
+
+def _miss(expected: Expected, measured: str, episode: int | None = None, step: int | None = None) -> Miss:
+    return Miss(f"{expected.key}: {expected.text}", expected.span.where, measured, episode, step)
+
+
+class _Watch:
+    """Follows the conditions of a test in one episode, for one agent."""
+
+    def __init__(self, agent: Supervisor, test: ScenarioTest, episode: int) -> None:
+        self._agent = agent
+        self._test = test
+        self._episode = episode
+        self._met: set[Expected] = set()
+        self._broken: dict[Expected, Miss] = {}
+
+    def look(self, step: int) -> None:
+        """Note which conditions hold after a step."""
+        if not self._test.conditions:
+            return
+        for expected, holds in zip(self._test.conditions, self._agent.tested(self._test.name, "holds"), strict=True):
+            if holds:
+                self._met.add(expected)
+            elif expected.key == "always" and expected not in self._broken:
+                self._broken[expected] = _miss(expected, self._compared(expected) or "false", self._episode, step)
+
+    def misses(self, length: str) -> Iterator[Miss]:
+        """What the episode misses, called after its last step."""
+        yield from self._broken.values()
+        for expected in self._test.conditions:
+            if expected.key == "eventually" and expected not in self._met:
+                compared = self._compared(expected)
+                yield _miss(expected, f"never in {length}" + (f"; at the end, {compared}" if compared else ""), self._episode)
+
+    def _compared(self, wanted: Expected) -> str:
+        """What the condition compares, with the values after the last step."""
+        values = iter(self._agent.tested(self._test.name, "compared"))
+        found = {expected: [(value, next(values)) for value in expected.compared] for expected in self._test.conditions}
+        return ", ".join(f"{value.text} is {with_unit(number, value.typed.type.dimension)}" for value, number in found[wanted])
+
+
+def _over_episodes(program: Program, test: ScenarioTest, done: Sequence[Episode]) -> Iterator[Miss]:
+    """What all episodes together miss."""
+    failures = {ending.name for ending in program.endings if ending.outcome == "failure"}
+    returns = [episode.total_return for episode in done]
+    for expected in test.expected:
+        match expected.key:
+            case "success_rate" | "failure_rate":
+                counted = [episode.is_success if expected.key == "success_rate" else episode.ended_by in failures for episode in done]
+                share = sum(counted) / len(done)
+                if not expected.low <= share <= expected.high:
+                    yield _miss(expected, f"{sum(counted)} of {len(done)} episodes ({share:.4g})", counted.index(share > expected.high))
+            case "mean_return":
+                mean = fmean(returns)
+                if not expected.low <= mean <= expected.high:
+                    extreme, worst = ("highest", max(returns)) if mean > expected.high else ("lowest", min(returns))
+                    words = f"{mean:.6g}" if len(done) == 1 else f"{mean:.6g} over {len(done)} episodes, the {extreme} is {worst:.6g}"
+                    yield _miss(expected, words, returns.index(worst))

@@ -1,0 +1,193 @@
+"""`deepbots test`: what passes, what a failed test shows, and that tests change nothing else."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from contextlib import closing
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from deepbots_cli import api
+from deepbots_cli.document import shipped
+from deepbots_cli.learning.scenario_tests import run_tests
+from deepbots_cli.program.identity import digest
+from deepbots_cli.runtime.streams import derive
+from tests.cli.conftest import Deepbots, Ran
+from tests.few import few
+
+# The exact engine moves the cart by 0.4 mm in a step at full drive.
+WORLD = """\
+deepbots: 1
+name: Small
+parameters: {start: uniform(-1 .. 1 m), edge: 3 mm}
+world: {timestep: 20 ms, substeps: 4}
+robots:
+  cart:
+    urdf: cartpole_rail
+    base: fixed
+    sensors: {place: {type: joint_position, joint: slider}}
+    actuators: {motor: {type: velocity_motor, joint: slider, max_torque: 10 N}}
+    emit: [place]
+    apply: {motor: drive * 0.02 m/s}
+augment: {driven: cart.place - start}
+observation: {cart.place: -2.4 .. 2.4 m, driven: auto}
+action: {drive: -1 .. 1}
+reward: {pay: 2}
+termination:
+  success: {there: driven > edge}
+  failure: {back: driven < -3 mm}
+truncation: {max_steps: 50}
+reset: {set: {cart.slider: start}}
+scripts:
+  onward: {drive: 1}
+  homeward: {drive: -1}
+  uncertain: {drive: "where(start > 0 m, 1, -1)"}
+evaluation: {cases: {near: {set: {edge: 1 mm}}}}
+curriculum: [{name: far, set: {edge: 10 mm}, until: 100 steps}, {name: usual}]
+"""
+
+
+@pytest.fixture
+def small(deepbots: Deepbots, tmp_path: Path):
+    """Writes that world with tests, and runs them on the exact engine."""
+
+    def run(tests: str, *words: object, world: str = WORLD) -> Ran:
+        (tmp_path / "small.yaml").write_text(f"{world}tests:\n{tests}")
+        return deepbots("test", "small.yaml", "--engine", "exact", *words)
+
+    return run
+
+
+@pytest.mark.parametrize(
+    "test",
+    [
+        "{policy: onward, episodes: 3, expect: {success_rate: 100 %, failure_rate: 0 .. 0, ends_by: there, mean_return: 16 .. 16}}",
+        "{policy: homeward, expect: {ends_by: [there, back], failure_rate: 100 %, eventually: back and time < 0.2 s}}",
+        "{policy: zero, expect: {ends_by: max_steps, mean_return: 100, always: abs(driven) < 0.01 mm}}",
+        "{policy: zero, max_time: 0.1 s, expect: {mean_return: 10 .. 10}}",
+        "{policy: random, max_steps: 3, expect: {mean_return: 6, always: [abs(driven) < 1.3 mm, previous_reward == 2]}}",
+        "{actions: [1, {drive: 1}, -1, 0.5], expect: {mean_return: 8 .. 8, eventually: driven > 0.7 mm, always: driven < 0.9 mm}}",
+        "{policy: onward, case: near, expect: {mean_return: 6 .. 6, always: edge < 2 mm}}",
+        "{policy: onward, stage: far, expect: {mean_return: 52 .. 52, eventually: driven > 9 mm}}",
+        "{policy: uncertain, episodes: 20, expect: {success_rate: 20 .. 80 %, ends_by: [there, back]}}",
+    ],
+)
+def test_an_expectation_that_is_met_passes(small, test: str) -> None:
+    ran = small(f"  one: {test}\n")
+    assert ran.code == 0, ran.out
+    assert "1 passed in" in ran.out
+
+
+@pytest.mark.parametrize(
+    ("expect", "measured"),
+    [
+        ("always: driven < 2.1 mm", "; seed 0, episode 0, step 6 (0.12 s)"),
+        ("always: cart.place - start < 2.1 mm", "cart.place - start is 0.0023"),
+        ("eventually: driven < -1 mm", "never in 8 steps (0.16 s); at the end, driven is 0.00"),
+        ("ends_by: back", "ended by `there` after 8 steps (0.16 s); in 2 of 2 episodes; seed 0, episode 0"),
+        ("ends_by: max_steps", "ended by `there` after 8 steps"),
+        ("failure_rate: 50 %", "0 of 2 episodes (0)"),
+        ("success_rate: 0 .. 0.5", "2 of 2 episodes (1)"),
+        ("mean_return: 17 .. 20", "16 over 2 episodes, the lowest is 16; seed 0, episode 0"),
+    ],
+)
+def test_a_failed_test_shows_what_was_expected_and_measured(small, expect: str, measured: str) -> None:
+    ran = small(f"  one: {{policy: onward, episodes: 2, expect: {{{expect}}}}}\n")
+    assert ran.code == 1
+    place = WORLD.count("\n") + 2
+    assert "FAILED one" in ran.out
+    assert f"expected  {expect} (small.yaml:{place}:" in ran.out
+    assert measured in ran.out
+
+
+def test_the_command_of_a_failed_test_shows_its_episode(small, deepbots: Deepbots) -> None:
+    """`view` begins an episode as the evaluation does; a sequence of actions is for `run`."""
+    ran = small("  one: {policy: uncertain, episodes: 9, seed: 4, case: near, expect: {ends_by: there}}\n", "--json")
+    (miss,) = json.loads(ran.out)["scenarios"][0]["tests"][0]["misses"]
+    assert miss["command"] == (
+        f"deepbots view small.yaml --case near --engine exact --script uncertain --seed 4 --episode {miss['episode']}"
+    )
+    with closing(api.make("small.yaml", engine="exact")) as environment:
+        starts = [environment.reset(seed=derive(4, "evaluation", k))[1]["drawn"]["start"] for k in range(9)]
+    assert starts[miss["episode"]] < 0
+    assert all(start > 0 for start in starts[: miss["episode"]])
+
+    ran = small("  one: {actions: [0.5, -1, 1], episodes: 2, expect: {always: driven > -0.1 mm}}\n", "--json")
+    (miss,) = json.loads(ran.out)["scenarios"][0]["tests"][0]["misses"]
+    assert (miss["step"], miss["episode"]) == (2, 0)
+    repeated = json.loads(deepbots(*shlex.split(miss["command"])[1:], "--json").out)
+    assert [(episode["length"], episode["return"]) for episode in repeated["episodes"]] == [(3, 6.0)]
+
+
+def test_an_episode_that_breaks_off_fails_its_test_alone(small) -> None:
+    world = WORLD.replace("reward: {pay: 2}", "reward: {pay: 1 / (step - 3)}")
+    tests = "  one: {policy: zero, expect: {ends_by: max_steps}}\n  two: {policy: zero, max_steps: 2, expect: {mean_return: -2}}\n"
+    ran = small(tests, world=world)
+    assert ran.code == 1
+    assert "1 passed, 1 failed" in ran.out
+    assert "step 3: no value for" in ran.out
+
+
+def test_k_selects_tests_by_a_part_of_their_names(small) -> None:
+    tests = "  drives: {policy: onward, expect: {ends_by: back}}\n  rests: {policy: zero, expect: {ends_by: max_steps}}\n"
+    assert small(tests).code == 1
+    assert small(tests, "-k", "rest").code == 0
+    nothing = small(tests, "-k", "sleeps")
+    assert nothing.code == 2
+    assert "there is no test whose name contains 'sleeps' in small.yaml" in nothing.err
+
+
+def test_junit_has_a_suite_for_each_scenario_and_a_case_for_each_test(small, deepbots: Deepbots, tmp_path: Path) -> None:
+    tests = "  drives: {policy: onward, expect: {ends_by: back}}\n  rests: {policy: zero, expect: {ends_by: max_steps}}\n"
+    assert small(tests, "--junit", "one.xml").code == 1
+    suite = ElementTree.parse(tmp_path / "one.xml").getroot()
+    assert (suite.tag, suite.attrib["tests"], suite.attrib["failures"]) == ("testsuite", "2", "1")
+    assert [(case.attrib["name"], case.find("failure") is None) for case in suite] == [("drives", False), ("rests", True)]
+
+    (tmp_path / "broken.yaml").write_text("deepbots: 1\nextends: small.yaml\ntests: {one: {policy: nobody, expect: {mean_return: 1}}}\n")
+    ran = deepbots("test", ".", "--engine", "exact", "--junit", "both.xml")
+    assert ran.code == 1
+    assert "there is no script `nobody`" in ran.err
+    assert "1 passed, 1 failed, 1 scenario with errors" in ran.out
+    suites = ElementTree.parse(tmp_path / "both.xml").getroot()
+    assert [suite.attrib["name"] for suite in suites] == ["deepbots test broken.yaml", "deepbots test small.yaml"]
+
+
+def test_tests_change_neither_the_scenario_nor_one_that_extends_it(small, tmp_path: Path) -> None:
+    small("  one: {policy: onward, expect: {ends_by: there, always: driven < 1 m}}\n")
+    (tmp_path / "plain.yaml").write_text(WORLD)
+    (tmp_path / "other.yaml").write_text("deepbots: 1\nextends: small.yaml\nname: Other\nremove: [scripts.onward]\n")
+    tested, plain, other = (api.compile(api.load(tmp_path / name)) for name in ("small.yaml", "plain.yaml", "other.yaml"))
+    assert (tested.digest, tested.code, digest(tested.program)) == (plain.digest, plain.code, plain.digest)
+    assert api.load(tmp_path / "small.yaml").tests
+    assert api.load(tmp_path / "other.yaml").tests == ()
+    assert [found.code for found in other.findings] == [found.code for found in plain.findings]
+
+
+def test_an_assignment_leaves_tests_out_except_of_a_test(small, deepbots: Deepbots) -> None:
+    """`--set` may take away what a test names; `test --set` asks for the tests under this setting."""
+    assert small("  one: {policy: onward, expect: {ends_by: there}}\n", "--set", "edge=40mm").code == 1
+    assert deepbots("run", "small.yaml", "--engine", "exact", "--set", "scripts={rest: {drive: 0}}", "--steps", "2").code == 0
+
+
+def test_a_condition_holds_only_if_it_holds_for_every_copy(tmp_path: Path) -> None:
+    (tmp_path / "team.yaml").write_text(
+        f"deepbots: 1\nextends: {shipped.scenario_path('multi_cartpole')}\n"
+        "reset: {place: {cart: {x: uniform(-5 .. 5 cm), z: 0.04 m}}}\n"
+        "tests:\n"
+        "  some: {policy: zero, max_steps: 2, expect: {always: x > 0 m}}\n"
+        "  all: {policy: zero, max_steps: 2, expect: {always: abs(x) < 10 cm}}\n"
+    )
+    checked = api.load(tmp_path / "team.yaml")
+    assert checked.program is not None
+    assert [result.passed for result in run_tests(checked.program, checked.tests)] == [False, True]
+
+
+@pytest.mark.parametrize("name", few(shipped.scenario_names(), ("cartpole", "quadrotor", "panda_reach")))
+def test_the_tests_of_a_shipped_scenario_pass(deepbots: Deepbots, name: str) -> None:
+    ran = deepbots("test", name)
+    assert ran.code == 0, ran.out
+    assert len(api.load(name).tests) >= 2
