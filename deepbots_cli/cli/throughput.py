@@ -132,12 +132,12 @@ def _single(compiled: Compiled, engine: str, steps: int, seed: int) -> Row:
 def _batch(compiled: Compiled, count: int, steps: int, seed: int) -> Row:
     with closing(api.make_vec(compiled, count)) as worlds:
         batch = worlds.batch
-        physics, begin = Watch(batch.engine.step), Watch(batch._begin)
+        physics, begin = Watch(batch.engine.step), Watch(batch.begin)
         worlds.reset(seed=seed)
         worlds.action_space.seed(seed)
         number = max(LEAST, steps // count)
         actions = [worlds.action_space.sample() for _ in range(number)]
-        batch.engine.step, batch._begin = physics, begin  # type: ignore[method-assign]
+        batch.engine.step, batch.begin = physics, begin  # type: ignore[method-assign]
 
         def run() -> None:
             for action in actions:

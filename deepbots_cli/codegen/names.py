@@ -24,7 +24,8 @@ RUNTIME = (
 )
 """What a printed module may import from `deepbots_cli.runtime`."""
 COLUMNS = (
-    *("all_of", "any_of", "hypot", "maximum", "minimum", "pick", "scale", "scale_each", "scale_freely", "to_body_frame", "total"),
+    *("all_of", "any_of", "atan2", "cos", "exp", "hypot", "log", "maximum", "minimum", "pick", "pow", "scale", "scale_each"),
+    *("scale_freely", "sin", "tan", "to_body_frame", "total"),
     *sorted(FORMULAS),
 )
 """What a module for a batch may import from `deepbots_cli.runtime.columns`."""

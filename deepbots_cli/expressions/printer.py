@@ -60,8 +60,16 @@ def _on_floats(function: Function) -> str:
 
 SCALAR = Target("scalar", _on_floats)
 
-_ON_COLUMNS = {"hypot": "hypot(x, *y)", "min": "minimum(*x)", "max": "maximum(*x)"}
-"""What has a function of its own in `runtime.columns`; the array Python of `hypot` takes each number by itself."""
+_ON_COLUMNS = {
+    **{name: f"{name}(x)" for name in ("exp", "log")},
+    **{name: f"{name}(angle)" for name in ("sin", "cos", "tan")},
+    "atan2": "atan2(y, x)",
+    "hypot": "hypot(x, *y)",
+    "pow": "pow(a, b)",
+    "min": "minimum(*x)",
+    "max": "maximum(*x)",
+}
+"""What has a function of its own in `runtime.columns`; numpy rounds many of these otherwise than `math` does."""
 
 
 def _on_columns(function: Function) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from deepbots_cli.codegen import not_batched
 from deepbots_cli.learning.environments import BuildWorld, VectorEnvironment, last_info
 from deepbots_cli.learning.episodes import Episode
 from deepbots_cli.program import Program
-from deepbots_cli.runtime.batch import BatchSupervisor, Running
+from deepbots_cli.runtime.batch import BatchSupervisor, Outcome, Running
 
 SMALLEST = 8
 """Worlds from which on a batch is faster: what it does per step over arrays takes as long as 5 single worlds."""
@@ -39,6 +39,31 @@ def described(program: Program, worlds: int, engine: str, build: BuildWorld) -> 
     return f"{program.name} steps its {worlds} worlds {how}"
 
 
+class Sums:
+    """Adds up the running episodes of a batch, as `EpisodeAccumulator` does for a single world."""
+
+    def __init__(self, batch: BatchSupervisor) -> None:
+        self._names, self._count = batch.TERMS, batch.count
+        self.clear()
+
+    def clear(self) -> None:
+        self._returns, self._lengths = np.zeros(self._count), np.zeros(self._count, int)
+        self._terms = np.zeros((len(self._names), self._count))
+
+    def add(self, rewards: npt.NDArray[Any], terms: npt.NDArray[Any], acting: Any = True) -> None:
+        """Count one step of the worlds that are `acting` (truth values)."""
+        self._returns += np.where(acting, rewards, 0.0)
+        self._lengths += acting
+        self._terms += np.where(acting, terms, 0.0)
+
+    def close(self, world: int, info: Mapping[str, Any], seed: int | None = None, drawn: Mapping[str, Any] | None = None) -> Episode:
+        """The finished episode of a world, given the info of its last step; the next one begins."""
+        terms = dict(zip(self._names, self._terms[:, world].tolist(), strict=True))
+        total, length = float(self._returns[world]), int(self._lengths[world])
+        self._returns[world], self._lengths[world], self._terms[:, world] = 0.0, 0, 0.0
+        return Episode(total, length, info["is_success"], info["ended_by"], terms, seed, drawn or {})
+
+
 class BatchedWorlds(VectorEnvironment):
     """The worlds of a batch, a row each; world i starts from `seeds[i]` at the first reset and runs on from there.
 
@@ -58,22 +83,18 @@ class BatchedWorlds(VectorEnvironment):
         on_episode: Callable[[int, Episode], None] = lambda world, episode: None,
     ) -> None:
         self.batch = batch
+        self._sums = Sums(batch)
         super().__init__(batch.singles, seeds, on_step=on_step, on_episode=on_episode)
-        self._clear()
-
-    def _clear(self) -> None:
-        self._returns, self._lengths = np.zeros(self.batch.count), np.zeros(self.batch.count, int)
-        self._sums = np.zeros((len(self.batch.TERMS), self.batch.count))
 
     def reset(self) -> VecEnvObs:
-        self._clear()
+        self._sums.clear()
         self.last_observations = self.batch.reset(self.starts)
         self.drawn = [single.drawn() for single in self.batch.singles]
         return self.last_observations
 
     def step_wait(self) -> VecEnvStepReturn:
         outcome = self.batch.step(self._actions)
-        self._add(outcome.rewards, outcome.terms)
+        self._sums.add(outcome.rewards, outcome.terms)
         dones = np.zeros(self.num_envs, bool)
         dones[outcome.done] = True
         infos: list[dict[str, Any]] = [_NOTHING] * self.num_envs
@@ -86,19 +107,11 @@ class BatchedWorlds(VectorEnvironment):
         self.last_observations = outcome.observations
         return self.last_observations, outcome.rewards.astype(np.float32), dones, infos
 
-    def _add(self, rewards: npt.NDArray[Any], terms: npt.NDArray[Any], acting: Any = True) -> None:
-        self._returns += np.where(acting, rewards, 0.0)
-        self._lengths += acting
-        self._sums += np.where(acting, terms, 0.0)
-
-    def _close(self, world: int, place: int, outcome: Any) -> dict[str, Any]:
+    def _close(self, world: int, place: int, outcome: Outcome) -> dict[str, Any]:
         """The last info of an episode, which is reported."""
         info, last = outcome.infos[place], outcome.last
-        terms = dict(zip(self.batch.TERMS, self._sums[:, world].tolist(), strict=True))
-        total, length = float(self._returns[world]), int(self._lengths[world])
-        episode = Episode(total, length, info["is_success"], info["ended_by"], terms)
+        episode = self._sums.close(world, info)
         self._on_episode(world, episode)
-        self._returns[world], self._lengths[world], self._sums[:, world] = 0.0, 0, 0.0
         seen = {key: part[place] for key, part in last.items()} if isinstance(last, dict) else last[place]
         return last_info(info, seen, episode, timed_out=not outcome.terminated[world])
 
@@ -106,9 +119,9 @@ class BatchedWorlds(VectorEnvironment):
         return self.batch.snapshot()
 
     def repeat(self, histories: Sequence[Running]) -> VecEnvObs:
-        self._clear()
+        self._sums.clear()
         batch = self.batch
-        self.last_observations = batch.restore(histories, lambda acting: self._add(batch.rewards(), batch.terms(), acting))
+        self.last_observations = batch.restore(histories, lambda acting: self._sums.add(batch.rewards(), batch.terms(), acting))
         self.drawn = [single.drawn() for single in batch.singles]
         return self.last_observations
 

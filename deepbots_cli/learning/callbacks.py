@@ -27,19 +27,21 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import HParam, Logger, TensorBoardOutputFormat
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
+from deepbots_cli.api import build_batch
 from deepbots_cli.compiler.inputs import RESOLVED
 from deepbots_cli.errors import RunError
-from deepbots_cli.learning import models
+from deepbots_cli.learning import batch, models
 from deepbots_cli.learning.curriculum import Curriculum
 from deepbots_cli.learning.defaults import effective
 from deepbots_cli.learning.environments import BuildWorld, World
 from deepbots_cli.learning.episodes import Episode, Statistics, Summary
-from deepbots_cli.learning.evaluation import rollout
+from deepbots_cli.learning.evaluation import batch_rollout, rollout
 from deepbots_cli.learning.failures import Guarded
 from deepbots_cli.learning.report import Reporter, TrainingProgress
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Choices, Training, viewed
+from deepbots_cli.runtime.batch import BatchSupervisor
 from deepbots_cli.runtime.streams import derive
 
 EPISODES = 20
@@ -87,15 +89,17 @@ def signals_handled(interruption: Interruption) -> Iterator[None]:
 
 
 class Evaluator:
-    """Evaluates the current policy without noise, in a world of its own, from starts that neither training nor a later evaluation has."""
+    """Evaluates the current policy without noise, in worlds of its own, from starts that neither training nor a later evaluation has."""
 
     def __init__(self, build: BuildWorld, seed: int, run: Run | None = None) -> None:
         self.steps = 0
         """Those of all evaluations."""
         self._build, self._run = build, run
+        self._engine = "" if run is None else run.record.engine
         self._seeds: Sequence[int] = [derive(seed, "trial", k) for k in range(CONFIRMATION_EPISODES)]
         self._scenario: Program | None = None
         self._world: World | None = None
+        self._batch: BatchSupervisor | None = None
 
     def due(self, trained: int, length: float, share: float) -> bool:
         """Whether another evaluation fits into this share of `trained` steps, if its episodes are of that length."""
@@ -109,30 +113,34 @@ class Evaluator:
         Raises:
             KeyboardInterrupt: Somebody wants the training to end; it goes on from its last checkpoint, before this evaluation.
         """
-        world = self._world_of(scenario, stage)
-        state = torch.get_rng_state()
-        done: list[Episode] = []
+        seeds, state = self._seeds[:count], torch.get_rng_state()
+
+        def look(done: int = 0, of: int = count) -> None:
+            if interruption.requested:
+                raise KeyboardInterrupt
+
+        look()
+        if scenario is not self._scenario:
+            self.close()
+            self._scenario = scenario
+            if not batch.reasons_against(scenario, EPISODES, self._engine, self._build):
+                self._batch = build_batch(scenario, EPISODES, engine=self._engine)
         try:
-            for seed in self._seeds[:count]:
-                if interruption.requested:
-                    raise KeyboardInterrupt
-                done += rollout(model, [world], [seed], deterministic=True)
-                self.steps += done[-1].length
+            found = None if self._batch is None else batch_rollout(model, self._batch, seeds, on_episode=look)
+            if found is None:
+                if self._world is None:
+                    self._world = Guarded(self._build(scenario), self._run, scenario, seeds=self._seeds, stage=stage)
+                found = rollout(model, [self._world], seeds, deterministic=True, on_episode=look)
         finally:
             torch.set_rng_state(state)
-        return done
-
-    def _world_of(self, scenario: Program, stage: str | None) -> World:
-        if self._world is None or scenario is not self._scenario:
-            self.close()
-            built, self._scenario = self._build(scenario), scenario
-            self._world = Guarded(built, self._run, scenario, seeds=self._seeds, stage=stage)
-        return self._world
+        self.steps += sum(episode.length for episode in found)
+        return found
 
     def close(self) -> None:
-        if self._world is not None:
-            self._world.close()
-            self._world = None
+        for worlds in (self._world, self._batch):
+            if worlds is not None:
+                worlds.close()
+        self._world = self._batch = None
 
 
 class Rank(NamedTuple):

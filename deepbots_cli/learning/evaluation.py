@@ -1,13 +1,14 @@
 """Evaluation: a trained policy on held-out episodes, with intervals and a verdict.
 
-Several worlds run at a time, with results that do not depend on how many. A matrix product may round a row otherwise when it stands
-in another place or among another number of rows, and a rounding is enough to tip an action. Every forward pass therefore has the same
-number of rows, and episode k always sits in row k mod ROWS; what the other rows hold does not touch it. This, and the same starts for
-every policy, is what `evaluate_policy` of Stable-Baselines3 cannot do.
+Several worlds run at a time, singly or as a batch, with results that do not depend on how many. A matrix product may round a row
+otherwise when it stands in another place or among another number of rows, and a rounding is enough to tip an action. Every forward
+pass therefore has the same number of rows, and episode k always sits in row k mod ROWS; what the other rows hold does not touch it.
+This, and the same starts for every policy, is what `evaluate_policy` of Stable-Baselines3 cannot do.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
@@ -20,9 +21,9 @@ import numpy as np
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from deepbots_cli.api import Compiled
-from deepbots_cli.errors import RunError, UsageError
-from deepbots_cli.learning import algorithms, models, video
+from deepbots_cli.api import Compiled, build_batch
+from deepbots_cli.errors import DeepbotsError, RunError, UsageError
+from deepbots_cli.learning import algorithms, batch, models, video
 from deepbots_cli.learning.environments import BuildWorld, VectorEnvironment, World, compiled_of, default_build, is_team
 from deepbots_cli.learning.episodes import DrawnBin, Episode, EpisodeAccumulator, Summary, by_drawn_value, meets, statistics_of, zero
 from deepbots_cli.learning.failures import Guarded
@@ -30,11 +31,15 @@ from deepbots_cli.learning.run import ModelName, Run
 from deepbots_cli.learning.statistics import gate_rate
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Solved
+from deepbots_cli.runtime.batch import BatchSupervisor
 from deepbots_cli.runtime.streams import derive
 from deepbots_cli.scenario import Scenario
 
 ROWS = 8
 """A forward pass of a small policy takes about 0.1 ms for any number of rows up to 16; more worlds than 8 gain little."""
+
+TOGETHER = 32
+"""Worlds of a batch. What a batch does per step over arrays takes as long as 5 single worlds; those that end early rest at the end."""
 
 OnEpisode = Callable[[int, int], None]
 """Is told after each episode how many are done, and of how many."""
@@ -86,7 +91,7 @@ def evaluate(
     case: str | None = None,
     stage: str | None = None,
     video_to: str | Path | None = None,
-    copies: int = ROWS,
+    copies: int | None = None,
     allow_code: bool = False,
     engine: str | None = None,
     build: BuildWorld | None = None,
@@ -109,7 +114,7 @@ def evaluate(
         case: One of the scenario's cases to evaluate in, by name.
         stage: One of the stages of its curriculum to evaluate in, by name.
         video_to: Where to write the first episode as mp4.
-        copies: Worlds at a time, 1 to 8.
+        copies: Single worlds at a time, 1 to 8. By default a batch of worlds if the engine has batches and the scenario fits one, else 8.
         allow_code: Whether terms in Python run.
         engine: The physics engine; by default that of the training, or of `scenario` if it names another.
         build: Makes a world of the scenario in place of the generated supervisor.
@@ -130,12 +135,19 @@ def evaluate(
     make = build or default_build(engine, allow_code=allow_code)
     seeds = [derive(root, "evaluation", k) for k in range(count)]
     with algorithms.torch_settings(), ExitStack() as stack:
-        worlds = []
-        for _ in range(min(count, max(1, min(copies, ROWS)) if deterministic else 1)):
-            worlds.append(Guarded(make(program), known if scenario is None else None, program, seeds=seeds, case=case, stage=stage))
-            stack.callback(worlds[-1].close)
-        policy = load(known, model, worlds[0])
-        done = rollout(policy, worlds, seeds, deterministic=deterministic, on_episode=on_episode, until=until)
+        done: list[Episode] | None = None
+        together = min(count, TOGETHER)
+        if deterministic and copies is None and not batch.reasons_against(program, together, engine, make):
+            many = stack.enter_context(closing(build_batch(program, together, engine=engine)))
+            policy = load(known, model, many.singles[0])
+            done = batch_rollout(policy, many, seeds, on_episode=on_episode, until=until)
+        if done is None:
+            worlds = []
+            for _ in range(min(count, max(1, min(copies or ROWS, ROWS)) if deterministic else 1)):
+                worlds.append(Guarded(make(program), known if scenario is None else None, program, seeds=seeds, case=case, stage=stage))
+                stack.callback(worlds[-1].close)
+            policy = load(known, model, worlds[0])
+            done = rollout(policy, worlds, seeds, deterministic=deterministic, on_episode=on_episode, until=until)
         if video_to is not None:
             world = stack.enter_context(closing(make(program, render_mode="rgb_array")))
             filmed = stack.enter_context(video.filmed(world, video_to, 1 / program.period))
@@ -315,16 +327,16 @@ def rollout(
                 break
         return episodes
     together = min(len(worlds), ROWS) if deterministic else 1
-    batch = _Batch(worlds[0].observation_space, _choices(worlds[0]) if algorithms.takes_masks(model) else None)
+    forward = _Pass(worlds[0].observation_space, _choices(worlds[0]) if algorithms.takes_masks(model) else None)
     finished: dict[int, Episode] = {}
     for first in range(0, min(ROWS, len(seeds)), together):
         rows = range(first, min(first + together, ROWS, len(seeds)))
         lanes = [_Lane(world, row, range(row, len(seeds), ROWS), seeds) for world, row in zip(worlds, rows, strict=False)]
-        running = [lane for lane in lanes if lane.begin(batch)]
+        running = [lane for lane in lanes if lane.begin(forward)]
         while running:
-            actions = batch.answer(model, deterministic=deterministic)
+            actions = forward.answer(model, deterministic=deterministic)
             for lane in running:
-                episode = lane.step(actions[lane.row], batch)
+                episode = lane.step(actions[lane.row], forward)
                 if episode is not None:
                     finished[lane.number] = episode
                     on_episode(len(finished), len(seeds))
@@ -332,7 +344,71 @@ def rollout(
                 episodes.append(following)
                 if until(episodes):
                     return episodes
-            running = [lane for lane in running if lane.number not in finished or lane.begin(batch)]
+            running = [lane for lane in running if lane.number not in finished or lane.begin(forward)]
+    return episodes
+
+
+def batch_rollout(
+    model: BaseAlgorithm,
+    worlds: BatchSupervisor,
+    seeds: Sequence[int],
+    *,
+    on_episode: OnEpisode | None = None,
+    until: Until | None = None,
+) -> list[Episode] | None:
+    """The episodes of `rollout` in a batch of worlds, with the likeliest actions; there are at least as many seeds as worlds.
+
+    World i sits in row i mod ROWS of one of several forward passes, and goes through episodes that sit in the same row of `rollout`.
+
+    Returns:
+        The same as `rollout`. None if a world fails: `rollout` then says where, and keeps its episode.
+    """
+    on_episode = on_episode or (lambda done, of: None)
+    until = until or (lambda episodes: False)
+    count = worlds.count
+    passes = [_Pass(worlds.observation_space, None) for _ in range(0, count, ROWS)]
+    waiting = [deque(range(count + (row - count) % ROWS, len(seeds), ROWS)) for row in range(ROWS)]
+    numbers, resting = list(range(count)), np.zeros(count, bool)
+    sums = batch.Sums(worlds)
+    finished: dict[int, Episode] = {}
+    episodes: list[Episode] = []
+    answers: list[Any] = [None] * len(passes)
+    lost = len(worlds.losses)
+    try:
+        seen = worlds.reset(seeds[:count])
+        drawn = [single.drawn() for single in worlds.singles]
+        while not resting.all():
+            for place, forward in enumerate(passes):
+                those = slice(place * ROWS, min(count, (place + 1) * ROWS))
+                if answers[place] is None or not resting[those].all():
+                    forward.put_all(seen, those)
+                    answers[place] = forward.answer(model, deterministic=True)
+            outcome = worlds.advance(np.concatenate(answers)[:count], resting if resting.any() else None)
+            if len(worlds.losses) > lost:
+                return None
+            sums.add(outcome.rewards, outcome.terms, ~resting)
+            begun = []
+            for place, world in enumerate(outcome.done.tolist()):
+                number, row = numbers[world], world % ROWS
+                finished[number] = sums.close(world, outcome.infos[place], seeds[number], drawn[world])
+                on_episode(len(finished), len(seeds))
+                if waiting[row]:
+                    numbers[world] = waiting[row].popleft()
+                    passes[world // ROWS].starts[row] = True
+                    begun.append(world)
+                else:
+                    resting[world] = True
+            while (following := finished.get(len(episodes))) is not None:
+                episodes.append(following)
+                if until(episodes):
+                    return episodes
+            if begun:
+                worlds.begin(begun, [seeds[numbers[world]] for world in begun])
+                for world in begun:
+                    drawn[world] = worlds.singles[world].drawn()
+            seen = worlds.observations() if begun else outcome.observations
+    except DeepbotsError:
+        return None
     return episodes
 
 
@@ -379,7 +455,7 @@ def _team_episode(model: BaseAlgorithm, world: World, seed: int, *, deterministi
             return accumulator.close(info)
 
 
-class _Batch:
+class _Pass:
     """The observations of one forward pass; rows of worlds that do not run keep what they last held.
 
     If the policy takes action masks, `masks` holds which of the `choices` of each row are allowed. A recurrent policy
@@ -401,6 +477,15 @@ class _Batch:
         )
         self.starts[:] = False
         return actions
+
+    def put_all(self, observations: Any, worlds: slice) -> None:
+        """Take the rows of these worlds of a batch, the first as the first row."""
+        count = worlds.stop - worlds.start
+        if isinstance(self.observations, dict):
+            for key, rows in self.observations.items():
+                rows[:count] = observations[key][worlds]
+        else:
+            self.observations[:count] = observations[worlds]
 
     def put(self, row: int, observation: Any, world: World) -> None:
         for masks in self.masks.values():
@@ -425,7 +510,7 @@ def _zeros(space: gym.Space[Any]) -> np.ndarray[Any, np.dtype[Any]]:
 
 
 class _Lane:
-    """One world that goes through its episodes `todo`, in one row of the batch."""
+    """One world that goes through its episodes `todo`, in one row of a forward pass."""
 
     def __init__(self, world: World, row: int, todo: Iterable[int], seeds: Sequence[int]) -> None:
         self.row = row
@@ -435,7 +520,7 @@ class _Lane:
         self._seeds = seeds
         self._accumulator = EpisodeAccumulator()
 
-    def begin(self, batch: _Batch) -> bool:
+    def begin(self, forward: _Pass) -> bool:
         """Start the next episode; whether there was one."""
         number = next(self._todo, None)
         if number is None:
@@ -444,15 +529,15 @@ class _Lane:
         # Only a policy that samples draws from this.
         seed = self._seeds[number]
         torch.manual_seed(derive(seed, "policy"))
-        batch.starts[self.row] = True
+        forward.starts[self.row] = True
         observation, info = self._world.reset(seed=seed)
         self._accumulator.begin(seed, info)
-        batch.put(self.row, observation, self._world)
+        forward.put(self.row, observation, self._world)
         return True
 
-    def step(self, action: Any, batch: _Batch) -> Episode | None:
+    def step(self, action: Any, forward: _Pass) -> Episode | None:
         """The episode, if this step was its last."""
         observation, reward, terminated, truncated, info = self._world.step(action)
         self._accumulator.add(float(reward), info)
-        batch.put(self.row, observation, self._world)
+        forward.put(self.row, observation, self._world)
         return self._accumulator.close(info) if terminated or truncated else None

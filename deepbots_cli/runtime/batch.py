@@ -219,7 +219,6 @@ class BatchSupervisor(_Part, ABC):
         self._views = views(self.scenario)
         self.depth, self.newest = len(self._views), 0
         self.frames = np.zeros((self.depth, len(self.scenario.policy.numbers), self.count), np.float32)
-        self.running: Column | None = None
         self._ranges = sum(max(1, len(part.components)) for part in self.scenario.policy.action if isinstance(part, ActionRange))
         size = len(self.scenario.policy.goal.low) if self.scenario.policy.goal else 0
         self.goal = np.zeros((2 * size, self.count), np.float32)
@@ -229,6 +228,9 @@ class BatchSupervisor(_Part, ABC):
 
     def _forget(self) -> None:
         count = self.count
+        self.running: Column | None = None
+        """The worlds that take part in this tick, as truth values; None for all. `_acting` are those of the step."""
+        self._acting: Column | None = None
         self.step_count, self.timestep_count = np.zeros(count, np.int64), np.zeros(count, np.int64)
         self.reward: Any = np.zeros(count)
         self.previous_reward: Any = np.zeros(count)
@@ -267,7 +269,7 @@ class BatchSupervisor(_Part, ABC):
     def reset(self, seeds: Sequence[int | None]) -> Any:
         """Begin an episode in all worlds, each with a seed of its own or going on with its streams; the observations."""
         self._forget()
-        self._begin(range(self.count), seeds)
+        self.begin(range(self.count), seeds)
         return self.observations()
 
     def step(self, action: Any) -> Outcome:
@@ -279,24 +281,38 @@ class BatchSupervisor(_Part, ABC):
         Raises:
             EvaluationError: An expression has no value in a world that is finite, or an episode would end before its first step.
         """
+        known = len(self.losses)
+        outcome = self.advance(action)
+        for world, (seed, step) in zip(np.flatnonzero(self._lost).tolist(), self.losses[known:], strict=True):
+            message = f"world {world} (seed {seed}) was no longer finite in step {step} and begins anew"
+            warnings.warn(message, RuntimeWarning, stacklevel=3)
+        if not len(outcome.done):
+            return outcome
+        self.begin(outcome.done.tolist(), [None] * len(outcome.done))
+        return outcome._replace(observations=self.observations())
+
+    def advance(self, action: Any, resting: Column | None = None) -> Outcome:
+        """One step of all worlds but those that are `resting` (truth values), whose episodes have ended; no episode begins."""
         action = _copied(action)
         for episode, act in zip(self._episodes, _each_of(action, self.count), strict=True):
             episode.actions.append(act)
+        self._acting = self.running = None if resting is None else ~resting
         with np.errstate(all="ignore"):
             self._advance(action)
+        self._acting = self.running = None
         if self._lost.any():
             self._give_up()
         observations, rewards, terms = self.observations(), self.rewards(), self.terms()
         terminated, truncated = self.terminated, self.truncated
-        done = np.flatnonzero(terminated | truncated)
+        ended = terminated | truncated
+        done = np.flatnonzero(ended if resting is None else ended & ~resting)
         if not len(done):
             return Outcome(observations, rewards, terms, terminated, truncated, done, None, [])
         last, infos = _taken(observations, done), [self.info(world) for world in done.tolist()]
-        self._begin(done.tolist(), [None] * len(done))
-        return Outcome(self.observations(), rewards, terms, terminated, truncated, done, last, infos)
+        return Outcome(observations, rewards, terms, terminated, truncated, done, last, infos)
 
-    def _begin(self, worlds: Sequence[int], seeds: Sequence[int | None]) -> None:
-        """Let single worlds begin episodes, and take over what they begin with."""
+    def begin(self, worlds: Sequence[int], seeds: Sequence[int | None]) -> None:
+        """Let some worlds begin episodes, each with a seed of its own or going on with its streams."""
         for world, seed in zip(worlds, seeds, strict=True):
             single = self.singles[world]
             self._episodes[world] = Running(single.random_state() if seed is None else seed, [])
@@ -364,8 +380,6 @@ class BatchSupervisor(_Part, ABC):
         lost = self._lost
         for world in np.flatnonzero(lost).tolist():
             self.losses.append((self.singles[world].streams.root, int(self.step_count[world])))
-            message = f"world {world} (seed {self.losses[-1][0]}) was no longer finite in step {self.losses[-1][1]} and begins anew"
-            warnings.warn(message, RuntimeWarning, stacklevel=4)
         self.reward = np.where(lost, 0.0, self.reward)
         self.terminated, self.truncated = self.terminated & ~lost, self.truncated | lost
         self.is_success = self.is_success & ~lost
@@ -434,10 +448,12 @@ class BatchSupervisor(_Part, ABC):
             yield
             if number < count - 1:
                 goes_on = ~(self.terminated | self.truncated | self._lost)
+                if self._acting is not None:
+                    goes_on &= self._acting
                 self.running = None if goes_on.all() else goes_on
                 if not goes_on.any():
                     break
-        self.running = None
+        self.running = self._acting
 
     def redraw(self, due: Any, draw: Callable[[Any], None], *names: str) -> None:
         """Let the single worlds that are due draw values anew."""

@@ -6,6 +6,7 @@ value becomes inf or NaN, which the supervisor of the batch reports with the wor
 
 from __future__ import annotations
 
+import math
 import operator
 from collections.abc import Callable, Iterable, Sequence
 from functools import reduce
@@ -60,9 +61,34 @@ def all_of(values: Iterable[Any]) -> Any:
     return reduce(np.logical_and, values)
 
 
-def hypot(*values: Any) -> Any:
-    """The root of the sum of squares."""
-    return reduce(np.hypot, values) if len(values) < 3 else np.sqrt(reduce(operator.add, [value * value for value in values]))
+class Exact:
+    """A function of `math` in each world; numpy may round its last bit otherwise, and a batch lives the episodes of single worlds.
+
+    It takes 0.1 us per world. Where a world has no value, all take that of `estimate`, which numpy computes over columns.
+    """
+
+    def __init__(self, function: Callable[..., float], estimate: Callable[..., Any]) -> None:
+        self._function, self._estimate = function, estimate
+
+    def __call__(self, *columns: Any) -> Any:
+        arrays = np.broadcast_arrays(*columns)
+        try:
+            values = [*map(self._function, *(array.ravel().tolist() for array in arrays))]
+        except (ValueError, ArithmeticError):
+            return self._estimate(*columns)
+        return np.array(values).reshape(arrays[0].shape)
+
+
+def _length(*values: Any) -> Any:
+    return np.sqrt(reduce(operator.add, [value * value for value in values]))
+
+
+exp = Exact(math.exp, np.exp)
+log = Exact(math.log, np.log)
+sin, cos, tan = Exact(math.sin, np.sin), Exact(math.cos, np.cos), Exact(math.tan, np.tan)
+atan2 = Exact(math.atan2, np.arctan2)
+pow = Exact(math.pow, np.float_power)
+hypot = Exact(math.hypot, _length)
 
 
 def scale(value: Any, low: float, high: float) -> Any:
@@ -85,33 +111,33 @@ def distance(pose: Any, other: Any) -> Any:
 
 
 def ground_distance(pose: Any, other: Any) -> Any:
-    return np.hypot(other[0][0] - pose[0][0], other[0][1] - pose[0][1])
+    return hypot(other[0][0] - pose[0][0], other[0][1] - pose[0][1])
 
 
 def bearing(pose: Any, other: Any) -> Any:
     ahead_x, ahead_y = _ahead(pose[1])
     dx, dy = other[0][0] - pose[0][0], other[0][1] - pose[0][1]
-    return np.arctan2(ahead_x * dy - ahead_y * dx, ahead_x * dx + ahead_y * dy)
+    return atan2(ahead_x * dy - ahead_y * dx, ahead_x * dx + ahead_y * dy)
 
 
 def roll(pose: Any) -> Any:
     x, y, z, w = pose[1]
-    return np.arctan2(2.0 * (z * y + x * w), 1.0 - 2.0 * (x * x + y * y))
+    return atan2(2.0 * (z * y + x * w), 1.0 - 2.0 * (x * x + y * y))
 
 
 def pitch(pose: Any) -> Any:
     x, y, z, w = pose[1]
-    return np.arctan2(-(2.0 * (z * x - y * w)), np.hypot(*_ahead(pose[1])))
+    return atan2(-(2.0 * (z * x - y * w)), hypot(*_ahead(pose[1])))
 
 
 def yaw(pose: Any) -> Any:
     ahead_x, ahead_y = _ahead(pose[1])
-    return np.arctan2(ahead_y, ahead_x)
+    return atan2(ahead_y, ahead_x)
 
 
 def tilt(pose: Any) -> Any:
     x, y, z, w = pose[1]
-    return 2.0 * np.arctan2(np.hypot(x, y), np.hypot(z, w))
+    return 2.0 * atan2(hypot(x, y), hypot(z, w))
 
 
 def _ahead(turn: Any) -> tuple[Any, Any]:

@@ -12,9 +12,12 @@ pytest.importorskip("deepbots_cli.engines.mujoco")
 pytest.importorskip("stable_baselines3")
 
 from deepbots_cli import api, learning
+from deepbots_cli.errors import EvaluationError
+from deepbots_cli.learning import algorithms
 from deepbots_cli.learning.batch import BatchedWorlds, why_single_worlds
 from deepbots_cli.learning.environments import VectorEnvironment, default_build, fingerprint
 from deepbots_cli.learning.episodes import Episode
+from deepbots_cli.learning.evaluation import batch_rollout, rollout
 from deepbots_cli.program import Program
 
 SEEDS = (3, 4, 5)
@@ -56,6 +59,34 @@ def test_a_running_batch_is_restored_exactly(program: Program) -> None:
             mine, again = first.step(actions), other.step(actions)
             np.testing.assert_array_equal(mine[0], again[0])
             assert [info.get("episode") for info in mine[3]] == [info.get("episode") for info in again[3]]
+
+
+def evaluated(name: str, worlds: int, seeds: list[int], sets: tuple[str, ...] = ()) -> tuple[list[Episode] | None, list[Episode]]:
+    """Episodes of an untrained policy in a batch, and in two single worlds."""
+    program = api.compile(name, sets=sets).program
+    assert program.policy.training is not None
+    singles = [api.build(program, engine="mujoco") for _ in range(2)]
+    with closing(VectorEnvironment(singles, [0, 0])) as usual, closing(api.build_batch(program, worlds)) as many:
+        model = algorithms.create(program.policy.training, usual, seed=0, total_timesteps=100)
+        return batch_rollout(model, many, seeds), rollout(model, singles, seeds, deterministic=True)
+
+
+@pytest.mark.parametrize(
+    ("name", "sets"),
+    [
+        ("cartpole", ("action={drive: -1 .. 1}", "truncation.max_steps=20")),  # episodes of many lengths
+        ("quadrotor", ("truncation={max_steps: 2}",)),  # several timesteps in a step, and functions that numpy rounds otherwise
+    ],
+)
+def test_an_evaluation_in_a_batch_gives_the_episodes_of_single_worlds(name: str, sets: tuple[str, ...]) -> None:
+    together, apart = evaluated(name, worlds=10, seeds=list(range(21)), sets=sets)
+    assert together == apart
+
+
+def test_an_evaluation_in_which_a_world_fails_is_left_to_single_worlds() -> None:
+    """They say which episode it is, and keep it."""
+    with pytest.raises(EvaluationError, match="step 5"):
+        evaluated("cartpole", worlds=8, seeds=list(range(8)), sets=("reward.odd=1/(5 - step)",))
 
 
 def test_why_worlds_are_stepped_one_by_one_is_told() -> None:
