@@ -161,6 +161,5 @@ def test_a_recording_is_scrubbed_beside_its_messages(new_tab, tmp_path):
         tab.wait("document.body.innerText.includes('reward terms of this step')")
         page._todo.put(lambda: page.seek(40))
         tab.wait("document.body.innerText.includes('step 40,')")
-        tab.click("Messages")
-        tab.wait("document.body.innerText.includes('to epuck')")
+        tab.wait("document.body.innerText.includes('message to epuck')")
         assert tab.errors == []
