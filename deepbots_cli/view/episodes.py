@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from deepbots_cli import api
+from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.engine_kinds import on_engine
 from deepbots_cli.errors import EngineError, MissingExtraError, RunError, ScenarioError, UsageError
@@ -72,7 +73,7 @@ class Source:
         parameters = {name: str(value) for name, value in checked.spec.parameters.items()} if checked.spec else {}
         return Opened(self._chosen(compiled.program), compiled.findings, files, self, run, compiled=compiled, parameters=parameters)
 
-    def _kept(self, folder: Path) -> api.Checked:
+    def _kept(self, folder: Path) -> Checked:
         """The scenario of a run or a recording, which reads only files of its folder."""
         # The functions of Python that it names are not called before a world is built, which asks again whether they may.
         return api.load(folder / "resolved.yaml", project=folder, sets=self.sets, allow_paths=self.allow_paths, allow_code=True)
@@ -125,7 +126,8 @@ class Opened:
         if self.program is None:
             raise ScenarioError(self.findings)
         engine = self.source.engine or (self.run.engine_for(self.program) if self.run else None)
-        return api.make(self.program, engine=engine, allow_code=self.source.allow_code)
+        code = self.compiled.code if self.compiled and self.compiled.program is self.program else None
+        return api.build(self.program, engine=engine, allow_code=self.source.allow_code, code=code)
 
     def player(self, driver: str | None = None) -> Player:
         """A player of it.

@@ -249,7 +249,7 @@ def clip(
         if path.suffix.lower() == ".html":
             _write_page(player, draft, shown, speed)
         elif path.suffix.lower() == ".gif":
-            _write_gif(draft, *_pictures(player, shot, shown, speed, _GIF_RATE))
+            write_gif(draft, *_pictures(player, shot, shown, speed, _GIF_RATE))
         else:
             _write_mp4(draft, *_pictures(player, shot, shown, speed, _MP4_RATE))
     return player.frame
@@ -278,7 +278,7 @@ def _write_mp4(path: Path, pictures: Iterator[Any], rate: float) -> None:
             writer.append_data(image)
 
 
-def _write_gif(path: Path, pictures: Iterator[Any], rate: float) -> None:
+def write_gif(path: Path, pictures: Iterator[Any], rate: float) -> None:
     """One palette for all pictures, without dithering: what does not change is not stored again."""
     from PIL import Image
 
