@@ -197,7 +197,7 @@ def make(
         source = compile(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code)
     if isinstance(source, Compiled):
         allowed = allow_code or source.allow_code
-        return build(source.program, engine=engine, render_mode=render_mode, allow_code=allowed, fixed=source.fixed)
+        return build(source.program, engine=engine, render_mode=render_mode, allow_code=allowed, fixed=source.fixed, code=source.code)
     return build(source, engine=engine, render_mode=render_mode, allow_code=allow_code)
 
 
@@ -288,8 +288,14 @@ def build(
     render_mode: str | None = None,
     allow_code: bool = False,
     fixed: tuple[str, ...] = (),
+    code: str | None = None,
 ) -> Supervisor:
-    """The environment of a compiled scenario; see `make`. `fixed` are the parameters that no episode draws."""
+    """The environment of a compiled scenario; see `make`.
+
+    Args:
+        fixed: The parameters that no episode draws.
+        code: What `emit` returns for the program; None to call it.
+    """
     if program.foreign and not allow_code:
         names = ", ".join(map(str, program.foreign))
         raise UsageError(f"{program.name} runs Python code ({names}); allow it with --allow-code (allow_code=True) if you trust it")
@@ -305,9 +311,8 @@ def build(
     from deepbots_cli.program.identity import digest
 
     engine = engine_kinds.chosen(engine or program.engine)
-    code = emit(program)
     name = class_name(program.name)
-    module = load_module(code, f"deepbots_generated_{name}", f"<deepbots {name} {digest(program)[:12]}>")
+    module = load_module(code or emit(program), f"deepbots_generated_{name}", f"<deepbots {name} {digest(program)[:12]}>")
     environment = assemble(vars(module)[f"{name}Supervisor"], program, partial(engines.create, engine), render_mode)
     environment.fixed = fixed
     builder = Builder(program, allow_code, fixed)

@@ -14,42 +14,78 @@ from deepbots_cli.program.resets import Placement, Region, Top
 from deepbots_cli.program.world import ObjectBody, Picture, Pit, WorldModel
 from deepbots_cli.runtime.placement import offset
 
-_FROM = (0.25, -0.94, 0.34)  # the direction of the eye from the middle: the front right, above
+_FROM = (0.25, -0.94, 0.34)  # the direction of the eye from the middle: the right, a little to the front, above
+_LONG = 2.0  # how many times as long as wide a scene is that is seen from the front
 _FLAT = 0.9  # how much higher the eye stands over what is flat
-_MARGIN = 1.12
+_MARGIN = 1.08
+_APART = 1.1  # how far apart two scenes stand, as a factor
 _LEAST = 0.05  # m; half the side of the smallest scene
 
 
 def overview(scenario: Program, width: int = 480, height: int = 320) -> View:
     """A view on the arena or the ground that matters, on objects, and on robots wherever an episode may begin."""
+    return around(extent(scenario), width, height)
+
+
+def extent(scenario: Program) -> list[Bounds]:
+    """Boxes (m) around all that an overview shows."""
     places = {place.body: place for place in scenario.reset.placements}
     for layout in scenario.reset.layouts:
         places = {place.body: place for place in layout.placements} | places
-    around_all = [*_surroundings(scenario.world), *_robots(scenario, places), *_objects(scenario.world, places)]
+    boxes = [*_surroundings(scenario.world), *_robots(scenario, places), *_objects(scenario.world, places)]
     arena = scenario.world.arena
     if arena is None:
-        return around(around_all, width, height)
+        return boxes
     x, y = (side / 2 + arena.wall_thickness for side in arena.size)  # what looks for a place stays within the walls
-    inside = [((max(a[0], -x), max(a[1], -y), a[2]), (min(b[0], x), min(b[1], y), b[2])) for a, b in around_all]
-    return around(inside, width, height)
+    return [((max(a[0], -x), max(a[1], -y), a[2]), (min(b[0], x), min(b[1], y), b[2])) for a, b in boxes]
 
 
 def around(boxes: Sequence[Bounds], width: int = 480, height: int = 320) -> View:
-    """A view from the front right, above, that just holds all boxes, each given by its least and its greatest corner."""
-    low = tuple(min((box[0][axis] for box in boxes), default=-0.5) for axis in range(3))
-    high = tuple(max((box[1][axis] for box in boxes), default=0.5) for axis in range(3))
-    middle = ((low[0] + high[0]) / 2, (low[1] + high[1]) / 2, (low[2] + high[2]) / 2)
-    half = tuple(max(_LEAST, (b - a) / 2) for a, b in zip(low, high, strict=True))
-    flat = max(0.0, 1.0 - 2.0 * half[2] / max(half[0], half[1]))
-    back = _unit((_FROM[0], _FROM[1], _FROM[2] + _FLAT * flat))
+    """A view that just holds all boxes, each given by its least and its greatest corner: from the right, above, or from the front where
+    the boxes extend far to the sides.
+    """
+    middle, (right, up, back) = _axes(boxes)
+    corners = _corners([*boxes, (add(middle, (-_LEAST,) * 3), add(middle, (_LEAST,) * 3))])
+    tall = math.tan(View(STILL, STILL).fov / 2) / _MARGIN
+    # A corner is in the picture if |(corner - eye) * side| <= slope * (eye - corner) * back, for both sides of the picture.
+    eye, distance = STILL, -math.inf
+    for side, slope in ((right, tall * width / height), (up, tall)):
+        ahead = max(dot(corner, side) + slope * dot(corner, back) for corner in corners)
+        behind = max(slope * dot(corner, back) - dot(corner, side) for corner in corners)
+        eye = add(eye, scaled(side, (ahead - behind) / 2))
+        distance = max(distance, (ahead + behind) / (2 * slope))
+    eye = add(eye, scaled(back, distance))
+    return View(eye, add(eye, scaled(back, dot(middle, back) - distance)), width, height)
+
+
+def beside(boxes: Sequence[Bounds], others: Sequence[Bounds]) -> Triple:
+    """The shift (m) that puts other boxes to the right of boxes, as `around` sees these."""
+    _, (right, _, _) = _axes(boxes)
+    gap = max(dot(corner, right) for corner in _corners([_whole(boxes)])) - min(dot(corner, right) for corner in _corners([_whole(others)]))
+    return scaled(right, _APART * gap)
+
+
+def _axes(boxes: Sequence[Bounds]) -> tuple[Triple, tuple[Triple, Triple, Triple]]:
+    """The middle of all boxes, and the directions right, up and back of who looks at them."""
+    (x, y, z), (x_end, y_end, z_end) = _whole(boxes)
+    wide, deep, tall = (max(2 * _LEAST, extent) for extent in (x_end - x, y_end - y, z_end - z))
+    away, aside, above = _FROM
+    if deep > _LONG * wide:
+        away, aside = -aside, away
+    back = _unit((away, aside, above + _FLAT * max(0.0, 1.0 - 2.0 * tall / max(wide, deep))))
     right = _unit(cross((0.0, 0.0, 1.0), back))
-    up = cross(back, right)
-    view = View(middle, middle, width, height)
-    tall = math.tan(view.fov / 2)
-    wide = tall * width / height
-    corners = [(x * half[0], y * half[1], z * half[2]) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
-    distance = max(dot(corner, back) + max(abs(dot(corner, right)) / wide, abs(dot(corner, up)) / tall) for corner in corners)
-    return View(add(middle, scaled(back, _MARGIN * distance)), middle, width, height)
+    return ((x + x_end) / 2, (y + y_end) / 2, (z + z_end) / 2), (right, cross(back, right), back)
+
+
+def _whole(boxes: Sequence[Bounds]) -> Bounds:
+    """The box around all boxes; a cube of 1 m around the origin for none."""
+    corners = _corners(boxes or [((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5))])
+    xs, ys, zs = zip(*corners, strict=True)
+    return (min(xs), min(ys), min(zs)), (max(xs), max(ys), max(zs))
+
+
+def _corners(boxes: Iterable[Bounds]) -> list[Triple]:
+    return [(x, y, z) for a, b in boxes for x in (a[0], b[0]) for y in (a[1], b[1]) for z in (a[2], b[2])]
 
 
 def _surroundings(world: WorldModel) -> Iterator[Bounds]:

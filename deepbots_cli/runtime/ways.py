@@ -79,6 +79,10 @@ class Ways:
             self._ways[one, other] = _Way(self, one, other, self._engine.pose(*one), self._engine.pose(*other))
         return self._ways[one, other]
 
+    def shown(self) -> list[list[Spot]]:
+        """The points of the shortest paths whose lengths were read last, from where the bodies are now; reading them changes nothing."""
+        return [way.points() for way in self._ways.values()]
+
     def radius(self, part: Part) -> float:
         """The radius of the disc around a body; a link is a point."""
         return self.forms.footprint(part[0]).radius if part[1] is None else 0.0
@@ -134,6 +138,11 @@ class _Way:
     def is_open(self) -> bool:
         x, y, _ = self._here()[0]
         return self._current().reaches(x, y)
+
+    def points(self) -> list[Spot]:
+        """The path in the field as it is, which is computed only when a length is read."""
+        x, y, _ = self._here()[0]
+        return self._field.points(x, y) if self._field is not None else []
 
     def _current(self) -> DistanceField:
         """The field; a new one where something has moved by more than a cell."""
@@ -239,6 +248,21 @@ class DistanceField:
         if column == inside_column and row == inside_row:
             return length * self._unit
         return length * self._unit + self.cell * hypot(column - inside_column, row - inside_row)
+
+    def points(self, x: float, y: float) -> list[Spot]:
+        """A place and the nodes of a shortest way from it to the goal, m; the place alone if no way begins there."""
+        points = [(x, y)]
+        column = min(max(round((x - self._left) / self.cell), 0), self._columns - 1) + MARGIN
+        row = min(max(round((y - self._low) / self.cell), 0), self._rows - 1) + MARGIN
+        while self._reached[row, column]:
+            points.append((float(self._x[column]), float(self._y[row])))
+            # The length of a node is that of the next node and of the move there.
+            here = self._found[row, column]
+            nodes = [(row + sign * up, column + sign * aside, hypot(up, aside)) for up, aside in _MOVES for sign in (1, -1)]
+            misfit, row, column = min((abs(self._found[i, j] + self._step * SCALE * move - here), i, j) for i, j, move in nodes)
+            if misfit > 1e-6 or self._found[row, column] >= here:
+                break
+        return points
 
     def reaches(self, x: float, y: float) -> bool:
         """Whether there is a way from a place, or from a node beside it."""

@@ -12,18 +12,20 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from deepbots_cli import api
+from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.engine_kinds import on_engine
 from deepbots_cli.errors import EngineError, MissingExtraError, RunError, ScenarioError, UsageError
 from deepbots_cli.port import View
-from deepbots_cli.program import Program
+from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Choices
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.streams import derive
+from deepbots_cli.runtime.ways import Ways
 from deepbots_cli.view.frames import FrameReader, WorldFrame
 
 if TYPE_CHECKING:
-    from deepbots_cli.learning.run import ModelName
+    from deepbots_cli.learning.run import ModelName, Run
 
 RANDOM, ZERO, HAND, POLICY, RECORDED = "random", "zero", "you", "policy", "recording"
 """Drivers besides the scripts of a scenario. `zero` is the middle of each range and the first option of each choice."""
@@ -51,35 +53,30 @@ class Source:
         Raises:
             UsageError: There is no such file, run, case or stage.
         """
-        if self.is_run:
-            return self._open_run()
         if self.reference.endswith(".mcap"):
             return self._open_recording()
-        checked = api.load(self.reference, sets=on_engine(self.sets, self.engine), allow_paths=self.allow_paths, allow_code=self.allow_code)
-        files = frozenset({checked.document.path, *checked.document.files})
+        run: Run | None = None
+        if self.is_run:
+            from deepbots_cli.learning.run import Run
+
+            run = Run.open(self.reference)
+            checked, files = self._kept(Path(self.reference)), frozenset[Path]()
+        else:
+            sets = on_engine(self.sets, self.engine)
+            checked = api.load(self.reference, sets=sets, allow_paths=self.allow_paths, allow_code=self.allow_code)
+            files = frozenset({checked.document.path, *checked.document.files})
         try:
             compiled = api.compile(checked)
         except ScenarioError as error:
-            return Opened(None, error.findings, files, self)
+            return Opened(None, error.findings, files, self, run)
+        files |= frozenset(checked.inputs.names) if run is None else files
         parameters = {name: str(value) for name, value in checked.spec.parameters.items()} if checked.spec else {}
-        files |= frozenset(checked.inputs.names)
-        return Opened(self._chosen(compiled.program), compiled.findings, files, self, compiled=compiled, parameters=parameters)
+        return Opened(self._chosen(compiled.program), compiled.findings, files, self, run, compiled=compiled, parameters=parameters)
 
-    def _open_run(self) -> Opened:
-        from deepbots_cli.learning.run import Run
-
-        run = Run.open(self.reference)
-        if not self.sets:
-            return Opened(self._chosen(run.program), (), frozenset(), self, run)
-        compiled = self._compiled(Path(self.reference))
-        return Opened(self._chosen(compiled.program), (), frozenset(), self, run, compiled=compiled)
-
-    def _compiled(self, folder: Path) -> api.Compiled:
+    def _kept(self, folder: Path) -> Checked:
         """The scenario of a run or a recording, which reads only files of its folder."""
         # The functions of Python that it names are not called before a world is built, which asks again whether they may.
-        return api.compile(
-            api.load(folder / "resolved.yaml", project=folder, sets=self.sets, allow_paths=self.allow_paths, allow_code=True)
-        )
+        return api.load(folder / "resolved.yaml", project=folder, sets=self.sets, allow_paths=self.allow_paths, allow_code=True)
 
     def _open_recording(self) -> Opened:
         from deepbots_cli.view.recordings import Recording
@@ -87,7 +84,7 @@ class Source:
         if self.sets or self.case or self.stage or self.engine:
             raise UsageError("a recording keeps its scenario, case, stage and engine; leave out --set, --case, --stage and --engine")
         recording = Recording.read(Path(self.reference))
-        compiled = self._compiled(Path(recording.folder.name))
+        compiled = api.compile(self._kept(Path(recording.folder.name)))
         known = recording.metadata
         source = replace(self, engine=known.get("engine") or None, case=known.get("case") or None, stage=known.get("stage") or None)
         return Opened(source._chosen(compiled.program), (), frozenset(), source, recording=recording, compiled=compiled)
@@ -129,7 +126,8 @@ class Opened:
         if self.program is None:
             raise ScenarioError(self.findings)
         engine = self.source.engine or (self.run.engine_for(self.program) if self.run else None)
-        return api.make(self.program, engine=engine, allow_code=self.source.allow_code)
+        code = self.compiled.code if self.compiled and self.compiled.program is self.program else None
+        return api.build(self.program, engine=engine, allow_code=self.source.allow_code, code=code)
 
     def player(self, driver: str | None = None) -> Player:
         """A player of it.
@@ -144,9 +142,14 @@ class Opened:
         return Replayed(self)
 
     def texts(self) -> tuple[str, Mapping[str, bytes], str]:
-        """The resolved scenario, the files that it names, and its digest."""
-        compiled = self.compiled or self.source._compiled(Path(self.source.reference))
-        return compiled.resolved, compiled.inputs, compiled.digest
+        """The resolved scenario, the files that it names, and its digest.
+
+        Raises:
+            ScenarioError: There is no program.
+        """
+        if self.compiled is None:
+            raise ScenarioError(self.findings)
+        return self.compiled.resolved, self.compiled.inputs, self.compiled.digest
 
 
 class Driver(Protocol):
@@ -220,6 +223,8 @@ class Trained:
             from deepbots_cli.learning.run import Record
         except ModuleNotFoundError as error:
             raise MissingExtraError("train", "showing the policy of a run") from error
+        if differences := identity.differences(run.program, env.scenario):
+            raise RunError(f"the policy of {run.path} does not fit the changed scenario:\n  " + "\n  ".join(differences))
         self._load, self._takes_masks, self._steps_of = evaluation.load, algorithms.takes_masks, models.steps_of
         self._run, self._env, self._record = run, env, Record.read
         self._model: Any = None
@@ -329,6 +334,11 @@ class Player:
         if "rendering" not in engine.capabilities:
             raise EngineError(f"the engine '{engine.name}' cannot draw; use the engine 'pybullet' for pictures, or an offline page (.html)")
         return engine.render(view)
+
+    def ways(self) -> list[list[tuple[float, float]]]:
+        """The shortest paths (points in m) whose lengths the scenario reads with `path_distance`."""
+        found = (getattr(agent, "ways", None) for agent in self.env.agents.values())
+        return [points for ways in found if isinstance(ways, Ways) for points in ways.shown()]
 
     def episode(self, seed: int, episode: int, steps: int | None = None) -> Iterator[WorldFrame]:
         """The frames of an episode, at most those of so many steps."""

@@ -11,7 +11,7 @@ import math
 import queue
 import re
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,9 @@ import numpy as np
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.render import render
 from deepbots_cli.errors import DeepbotsError, UsageError
-from deepbots_cli.runtime.view import overview
+from deepbots_cli.frames import add, scaled
+from deepbots_cli.port import STILL
+from deepbots_cli.runtime.view import around, beside, extent
 from deepbots_cli.view import server
 from deepbots_cli.view.episodes import HAND, RANDOM, ZERO, Opened, Player, Source, stamps
 from deepbots_cli.view.frames import AgentFrame, Field, Image, Layout, WorldFrame
@@ -105,6 +107,9 @@ class Page:
         if playing and opened.recording is not None:
             raise UsageError(f"{source.reference} is a recording, which nobody can drive; see it with: deepbots view {source.reference}")
         self.server, self.address = server.serve(host, port, f"deepbots {source.reference}", lambda keys, axes: self._hand.hold(keys, axes))
+        self._framed: dict[int, tuple[tuple[int, int], np.ndarray[Any, Any]]] = {}
+        self.server.on_client_connect(lambda client: client.camera.on_update(lambda _: self._todo.put(lambda: self._frame(client))))
+        self.server.on_client_disconnect(lambda client: self._framed.pop(client.client_id, None))
         self._theme(dark=False)
         self._seen = stamps(opened.files)
         self._files = opened.files
@@ -217,21 +222,21 @@ class Page:
         scene.reset()
         if panel != self._panel:
             self._clear()
-        view = overview(player.program, 340, 400)  # beside the panel
-        apart = 1.15 * math.dist(view.eye, view.target) * math.tan(view.fov / 2) * 340 / 400 * 2
-        right = np.cross(np.subtract(view.target, view.eye), (0.0, 0.0, 1.0))
-        right *= apart / np.linalg.norm(right)
-        back = np.subtract(view.eye, view.target) * (0.9 if len(players) > 1 else 0.0)
+        boxes, right = extent(player.program), STILL
+        for other in players[1:]:
+            right = beside(boxes, extent(other.program))
+            boxes += [(add(low, right), add(high, right)) for low, high in extent(other.program)]
+        self._boxes = boxes
+        view = around(boxes, 480, 400)  # a usual window beside the panel
         camera, size = self.server.initial_camera, math.dist(view.eye, view.target)
-        middle = right / 2 * (len(players) - 1)
-        camera.position, camera.look_at, camera.fov = view.eye + middle + back, view.target + middle, view.fov
+        camera.position, camera.look_at, camera.fov = view.eye, view.target, view.fov
         camera.near, camera.far = max(0.002, size / 200), 60 * size
         scene.set_up_direction("+z")
         scene.configure_default_lights(cast_shadow=False)
         self.shown = []
         for number, each in enumerate(players):
             root = f"/world{number or ''}"
-            world = WorldScene(scene, each.env.world, each.reader.layout, size=size, root=root, place=tuple(number * right))
+            world = WorldScene(scene, each.env.world, each.reader.layout, size=size, root=root, place=scaled(right, number))
             self.shown.append(Shown(each, world))
             if len(players) > 1:
                 scene.add_label(f"{root}/title", self._title(number), position=(0.0, 0.0, 0.3 * size), font_size_mode="screen")
@@ -255,9 +260,6 @@ class Page:
             self._values = gui.add_html("")
         with tabs.add_tab("Plots"):
             self._add_plots()
-        if any(each.reader.layout.messages for each in players):
-            with tabs.add_tab("Messages"):
-                self._messages = gui.add_html("")
         if not isinstance(player, Replayed):
             with tabs.add_tab("Drive"):
                 self._add_drive()
@@ -269,6 +271,16 @@ class Page:
         self._cameras: dict[str, Any] = {}
         if any(sensor.optics for each in players for robot in each.program.robots for sensor in robot.sensors):
             self._camera_folder = gui.add_folder("Cameras")
+
+    def _frame(self, client: Any) -> None:
+        """Show the whole scene in a browser that has been opened or resized, unless a person has moved its camera."""
+        camera = client.camera
+        size, before = (camera.image_width, camera.image_height), self._framed.get(client.client_id)
+        if not self.shown or min(size) < 1 or (before and (before[0] == size or not np.allclose(camera.position, before[1], rtol=0.01))):
+            return
+        view = around(self._boxes, *size)
+        camera.position, camera.look_at = view.eye, view.target
+        self._framed[client.client_id] = size, np.array(view.eye)
 
     def _title(self, number: int) -> str:
         """What a world is called where there are two."""
@@ -379,8 +391,8 @@ class Page:
         self._hand.base[name] = float(value)
 
     def _add_switches(self) -> None:
-        gui, shown = self.server.gui, {"rays": True, "contacts": True, "goal": True, "path": False, "names": False, "axes": False}
-        self._switches = {what: gui.add_checkbox(what, on) for what, on in shown.items()}
+        gui, useless = self.server.gui, set() if any(shown.player.ways() for shown in self.shown) else {"shortest path"}
+        self._switches = {what: gui.add_checkbox(what, on) for what, on in self.world.shows.items() if what not in useless}
         for what, box in self._switches.items():
             box.on_update(lambda event, what=what: self._todo.put(lambda: self._switch(what, event.target.value)))
         world = self.shown[0].player.env.world
@@ -565,6 +577,7 @@ class Page:
             self._tell()
             self._draw_plots()
             for number, shown in enumerate(self.shown):
+                shown.world.draw_ways(shown.player.ways())
                 for name, image in shown.player.frame.cameras.items():
                     label = f"{'AB'[number]}: {name}" if self._compare else name
                     if label in self._cameras:
@@ -574,16 +587,15 @@ class Page:
                             self._cameras[label] = self.server.gui.add_image(_enlarged(image), label=label)
 
     def _tell(self) -> None:
-        """The banner, the values and the messages."""
+        """The banner and the values."""
         if self._message:
             self._put(self._banner, _framed("stopped", self._message, "#D55E00"))
         else:
             self._put(self._banner, "".join(self._state(number) for number in range(len(self.shown))))
         number, name = self._agent
         player = self.shown[number].player
-        self._put(self._values, self._table(player.reader.layout, player.frame.agents[name]))
-        if player.reader.layout.messages:
-            self._put(self._messages, _messages(player.reader.layout, player.frame))
+        layout, frame = player.reader.layout, player.frame
+        self._put(self._values, _table([*_of_agent(layout, frame.agents[name]), *_of_messages(layout, frame)]))
         if self._slider is not None and self._slider.value != min(player.frame.step, self._slider.max):
             self._slider.value = min(player.frame.step, self._slider.max)
 
@@ -614,24 +626,6 @@ class Page:
         if handle.content != content:
             handle.content = content
 
-    @staticmethod
-    def _table(layout: Layout, agent: AgentFrame) -> str:
-        rows = []
-        rows += [_head("reward terms of this step")]
-        rows += [_row(name, f"{value:+.4f}") for name, value in [*agent.terms.items(), ("sum", agent.reward)]]
-        if agent.action is not None:
-            rows += [_head("action")]
-            rows += [_bar(field, value) for field, value in zip(layout.action, agent.action, strict=True)][:_MAX_ROWS]
-        if agent.allowed:
-            options = [f"{entry.name}: {option}" for entry in layout.action for option in entry.options]
-            forbidden = [option for option, may in zip(options, agent.allowed, strict=False) if not may]
-            rows += [_row(f"forbidden next: {', '.join(forbidden)}", "")]
-        rows += [_head("observation")]
-        rows += [_bar(field, value) for field, value in zip(layout.observation, agent.observation, strict=True)][:_MAX_ROWS]
-        left = len(layout.observation) - _MAX_ROWS
-        rows += [_row(f"and {left} more, see Plots", "")] if left > 0 else []
-        return _columns(rows)
-
     def _draw_plots(self) -> None:
         number, name = self._agent
         if self._compare:  # the steps of both, as far as both went
@@ -650,20 +644,36 @@ class Page:
         self._field_plot.data = (steps, *(np.array([row[n] if n < len(row) else math.nan for row in rows]) for n in numbers))
 
 
-def _columns(rows: Sequence[str]) -> str:
+def _table(rows: Iterable[str]) -> str:
     return f"<div style='padding:0 0.8em;font-size:0.8em'><table style='width:100%;border-spacing:0 1px'>{''.join(rows)}</table></div>"
 
 
-def _messages(layout: Layout, frame: WorldFrame) -> str:
+def _of_agent(layout: Layout, agent: AgentFrame) -> Iterator[str]:
+    """Reward terms, action and observation."""
+    yield _head("reward terms of this step")
+    yield from (_row(name, f"{value:+.4f}") for name, value in [*agent.terms.items(), ("sum", agent.reward)])
+    if agent.action is not None:
+        yield _head("action")
+        yield from (_bar(field, value) for field, value in list(zip(layout.action, agent.action, strict=True))[:_MAX_ROWS])
+    if agent.allowed:
+        options = [f"{entry.name}: {option}" for entry in layout.action for option in entry.options]
+        forbidden = [option for option, may in zip(options, agent.allowed, strict=False) if not may]
+        yield _row(f"forbidden next: {', '.join(forbidden)}", "")
+    yield _head("observation")
+    yield from (_bar(field, value) for field, value in list(zip(layout.observation, agent.observation, strict=True))[:_MAX_ROWS])
+    left = len(layout.observation) - _MAX_ROWS
+    if left > 0:
+        yield _row(f"and {left} more, see Plots", "")
+
+
+def _of_messages(layout: Layout, frame: WorldFrame) -> Iterator[str]:
     """The message that each receiver goes by, with its age."""
-    rows = []
     for key, message in frame.messages.items():
         robot, _, direction = key.partition("/")
-        fresh = "came in this step" if message.received else "none came in this step"
-        rows += [_head(f"{'to' if direction == 'to_robot' else 'from'} {robot}"), _row(f"{fresh}, age", f"{1000 * message.age:.0f} ms")]
+        age = f"{1000 * message.age:.0f} ms old{'' if message.received else ', none came in this step'}"
+        yield _head(f"message {'to' if direction == 'to_robot' else 'from'} {robot}: {age}")
         for entry, value in list(zip(layout.messages[key], message.values, strict=True))[:_MAX_ROWS]:
-            rows.append(_row(entry.name, "" if value is None else entry.text(value)))
-    return _columns(rows)
+            yield _row(entry.name, "" if value is None else entry.text(value))
 
 
 def _framed(title: str, text: str, colour: str) -> str:

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 SUFFIXES = (".mp4", ".gif", ".html")
 _GIF_RATE, _MP4_RATE, _PAGE_RATE = 12.5, 30.0, 20.0  # pictures per second
 _GIF_COLOURS = 96
+_GIF_SHADE = 8  # of 256: shades that are closer count as one colour
 _FINE = 2  # pictures are drawn so many times as large, and reduced
 _LINE = 15  # px between two labels
 
@@ -248,7 +249,7 @@ def clip(
         if path.suffix.lower() == ".html":
             _write_page(player, draft, shown, speed)
         elif path.suffix.lower() == ".gif":
-            _write_gif(draft, *_pictures(player, shot, shown, speed, _GIF_RATE))
+            write_gif(draft, *_pictures(player, shot, shown, speed, _GIF_RATE))
         else:
             _write_mp4(draft, *_pictures(player, shot, shown, speed, _MP4_RATE))
     return player.frame
@@ -277,13 +278,17 @@ def _write_mp4(path: Path, pictures: Iterator[Any], rate: float) -> None:
             writer.append_data(image)
 
 
-def _write_gif(path: Path, pictures: Iterator[Any], rate: float) -> None:
+def write_gif(path: Path, pictures: Iterator[Any], rate: float) -> None:
     """One palette for all pictures, without dithering: what does not change is not stored again."""
     from PIL import Image
 
     images = [Image.fromarray(image) for image in pictures]
-    sample = Image.fromarray(np.concatenate([np.asarray(image)[::2, ::2] for image in images[:: max(1, len(images) // 8)]]))
-    palette = sample.quantize(_GIF_COLOURS, method=Image.Quantize.MEDIANCUT)
+    pixels = np.concatenate([np.asarray(image)[::2, ::2].reshape(-1, 3) for image in images[:: max(1, len(images) // 8)]])
+    _, shades, counts = np.unique(pixels // _GIF_SHADE, axis=0, return_inverse=True, return_counts=True)
+    means = np.stack([np.bincount(shades.ravel(), channel) / counts for channel in pixels.T], axis=1)
+    # A robot is small: by counts of pixels, floor and sky would take its colours (a blue cart turned black).
+    sample = Image.fromarray(np.repeat(np.rint(means).astype(np.uint8), np.sqrt(counts).astype(int), axis=0)[None])
+    palette = sample.quantize(_GIF_COLOURS, method=Image.Quantize.MEDIANCUT, kmeans=2)
     small = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
     pause = [*[max(20, round(1000 / rate))] * (len(small) - 1), 1200]
     small[0].save(path, format="GIF", save_all=True, append_images=small[1:], duration=pause, loop=0, optimize=True, disposal=1)

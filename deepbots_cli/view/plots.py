@@ -203,7 +203,8 @@ def plot(logs: Sequence[Log], *, theme: str = "light") -> Figure:
         finish(panel, title, theme, legend=panel is returns)
     successes.set_ylim(-0.03, 1.03)
     if not successes.lines:
-        successes.set_visible(False)
+        successes.remove()
+        returns.set_subplotspec(returns.get_gridspec()[0, :])
     for (left, right), members in zip(axes[1:], detailed, strict=True):
         name = f"{members[0].name}: " if len(groups) > 1 else ""
         for number, term in enumerate(sorted({term for log in members for term in log.terms})):
@@ -212,6 +213,10 @@ def plot(logs: Sequence[Log], *, theme: str = "light") -> Figure:
         finish(left, f"{name}reward terms of an episode", theme)
         endings_over_time(right, [ending for log in members for ending in log.endings])
         finish(right, f"{name}endings, share of episodes", theme)
+    if detailed:  # reward terms of two scenarios are compared by eye
+        ends = np.array([left.get_ylim() for left, _ in axes[1:]])
+        for left, _ in axes[1:]:
+            left.set_ylim(ends[:, 0].min(), ends[:, 1].max())
     return figure
 
 

@@ -65,6 +65,10 @@ class Replayed(Player):
         """At most so many frames up to the present one."""
         return [self._read(self._recorded.number, place) for place in range(max(0, self._place + 1 - count), self._place + 1)]
 
+    def ways(self) -> list[list[tuple[float, float]]]:
+        """Nothing: frames do not hold them."""
+        return []
+
     def view(self, width: int, height: int) -> View:
         engine = self.env.engine
         for robot in self.env.world.robots:

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from io import BytesIO
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -126,7 +127,8 @@ class WorldScene:
         self._beams: dict[str, tuple[Beams, Any, Any]] = {}
         self._dots: dict[LinkName, Any] = {}
         self._goals: dict[tuple[str, str], Any] = {}
-        self.show_rays, self.show_contacts, self.show_goal, self.show_path = True, True, True, False
+        self.shows = {"rays": True, "contacts": True, "goal": True, "shortest path": True, "path": False, "names": False, "axes": False}
+        """What a person may show and hide. `shortest path` is that of `path_distance`, `path` the one that the robot took."""
         self._build_surroundings(world)
         for robot in world.robots:
             self._build_robot(robot.name, robot.model)
@@ -141,6 +143,9 @@ class WorldScene:
         )  # fmt: skip
         self._path = scene.add_line_segments(
             f"{root}/path", line, np.full((1, 2, 3), (70, 90, 200), np.uint8), thickness=3.0, thickness_units="screen", visible=False
+        )
+        self._ways = scene.add_line_segments(
+            f"{root}/ways", line, np.full((1, 2, 3), (0, 158, 115), np.uint8), thickness=2.0, thickness_units="screen", visible=False
         )
         self._followed = next((r.name for r in world.robots if not r.fixed_base), world.robots[0].name if world.robots else None)
         self._trail: list[tuple[float, float, float]] = []
@@ -250,19 +255,19 @@ class WorldScene:
     # What a person chooses to see
 
     def show(self, what: str, visible: bool) -> None:
-        """Show or hide `rays`, `contacts`, `goal`, `path`, `names` or `axes`."""
+        """Show or hide one of `shows`."""
+        self.shows[what] = visible
         if what == "names":
             for label in self._labels:
                 label.visible = visible
         elif what == "axes":
             for part, node in self._nodes.items():
                 node.show_axes = visible and part[0] in self._layout.robots
-        else:
-            setattr(self, f"show_{what}", visible)
-            if what == "path":
-                self._path.visible = visible and len(self._trail) > 1
+        elif what == "path":
+            self._path.visible = visible and len(self._trail) > 1
+        elif what == "rays":
             for _, lines, _ in self._beams.values():
-                lines.visible = self.show_rays
+                lines.visible = visible
         if self._frame is not None:
             self._mark(self._frame)
 
@@ -307,9 +312,20 @@ class WorldScene:
             if not np.array_equal(self._anchor.position, shift):
                 self._anchor.position = shift
 
+    def draw_ways(self, ways: Sequence[Sequence[tuple[float, float]]]) -> None:
+        """Show shortest paths (points in m) on the ground."""
+        if not self.shows["shortest path"]:
+            ways = []
+        pieces = [((*one, height), (*other, height)) for way in ways for one, other in pairwise(way) for height in [0.004 * self._size]]
+        if pieces:
+            self._ways.points = np.array(pieces, np.float32)
+            self._ways.colors = np.full((len(pieces), 2, 3), (0, 158, 115), np.uint8)
+        if self._ways.visible != bool(pieces):
+            self._ways.visible = bool(pieces)
+
     def _mark(self, frame: WorldFrame) -> None:
         """Rays, contacts, pushes and the path."""
-        if self.show_rays:
+        if self.shows["rays"]:
             for key, (beams, lines, shown) in self._beams.items():
                 free = np.array(frame.rays[key])
                 if not np.array_equal(free, shown):
@@ -327,7 +343,7 @@ class WorldScene:
             self._arrows.points = np.array([[at - np.array(push) / strength * 0.3 * self._size, at]], np.float32)
         if self._arrows.visible != (force is not None):
             self._arrows.visible = force is not None
-        if self.show_path and len(self._trail) > 1:
+        if self.shows["path"] and len(self._trail) > 1:
             points = np.array(self._trail, np.float32)
             self._path.points = np.stack([points[:-1], points[1:]], 1)
             self._path.colors = np.full((len(points) - 1, 2, 3), (70, 90, 200), np.uint8)
@@ -350,11 +366,11 @@ class WorldScene:
                     path = f"{self._root}/{word}_{name.replace('#', '_')}"
                     dot = self._goals[name, word] = self._scene.add_icosphere(path, radius * self._size, colour, opacity=0.6)
                 dot.position = place
-                if dot.visible != self.show_goal:
-                    dot.visible = self.show_goal
+                if dot.visible != self.shows["goal"]:
+                    dot.visible = self.shows["goal"]
 
     def _mark_contacts(self, frame: WorldFrame) -> None:
-        touching = set(frame.forces) if self.show_contacts else set()
+        touching = set(frame.forces) if self.shows["contacts"] else set()
         for part in touching - self._dots.keys():
             model = self._layout.robots[part[0]]
             head, pose = rigid_groups(model)[part[1]]

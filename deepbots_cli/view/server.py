@@ -59,6 +59,12 @@ setInterval(() => {
   if (!wire || wire.readyState > 1) wire = new WebSocket("/drive");
   else if (wire.readyState == 1) { wire.send(now); last = now; } }, 50); }</script></head>"""
 
+# In a window that is narrower than viser's limit (36em), its panel lies over the world; here it stands below.
+_STYLE = """<style>@media (max-width: 36em) {
+  div:has(> .mantine-Paper-root[style*="fixed"]) { flex-direction: column !important; }
+  .mantine-Paper-root[style*="fixed"] { position: relative !important; flex-shrink: 0; width: 100% !important; max-height: 50% !important; }
+  .mantine-Paper-root[style*="fixed"] [style*="width: 20em"] { width: 100% !important; } }</style>"""
+
 Keys = frozenset[str]
 Axes = tuple[float, ...]
 OnDrive = Callable[[Keys, Axes], None]
@@ -127,7 +133,8 @@ def _guarded(host: str, token: str, on_drive: OnDrive) -> Iterator[None]:
     import viser
     import websockets.asyncio.server as wire
 
-    page = Path(viser.__file__).parent.joinpath("client/build/index.html").read_text("utf-8").replace("</head>", _KEYS, 1).encode()
+    text = Path(viser.__file__).parent.joinpath("client/build/index.html").read_text("utf-8")
+    page = text.replace("</head>", _STYLE + _KEYS, 1).encode()
     original = wire.serve
 
     def guarded(handler: Any, host_: str, port: int, *, process_request: Any, **options: Any) -> Any:

@@ -39,7 +39,7 @@ class Tab:
         self._number += 1
         self._wire.send(json.dumps({"id": self._number, "method": method, "params": parameters}))
         while True:
-            answer = json.loads(self._wire.recv(timeout=60))
+            answer = json.loads(self._wire.recv(timeout=180))
             if answer.get("id") == self._number:
                 assert "error" not in answer, answer
                 return answer["result"]
@@ -96,6 +96,16 @@ class Tab:
         x, y = self.wait(script % json.dumps(text))
         for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+
+    def slide(self, label: str, share: float) -> None:
+        """Press the slider of a label at a share of its length."""
+        script = """(() => { const x = [...document.querySelectorAll('label')].find(x => x.innerText.trim() == %s && x.offsetParent);
+            const y = x?.parentElement?.parentElement?.querySelector('.mantine-Slider-root'); if (!y) return null;
+            y.scrollIntoView({block: 'nearest', behavior: 'instant'}); const r = y.getBoundingClientRect();
+            return [r.x, r.width, r.y + r.height / 2]; })()"""
+        left, width, y = self.wait(script % json.dumps(label))
+        for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
+            self.call("Input.dispatchMouseEvent", type=kind, x=left + share * width, y=y, button="left", clickCount=1)
 
     @property
     def text(self) -> str:

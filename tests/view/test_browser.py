@@ -102,10 +102,45 @@ def test_keys_buttons_and_tabs_work(new_tab):
         _soon(lambda: _wheel(page) == 1.0)
         tab.key("KeyD", down=False)
         _soon(lambda: _wheel(page) == 0.0)
+        tab.run("navigator.getGamepads = () => [{axes: [0.5, -1, 0, 0]}]; 1")  # stick up and to the right
+        _soon(lambda: _wheel(page) == pytest.approx(0.5))
+        tab.run("navigator.getGamepads = () => []; 1")
+        _soon(lambda: _wheel(page) == 0.0)
+        tab.slide("wheel", 0.98)
+        _soon(lambda: (_wheel(page) or 0.0) > 0.9)
         for name in ("Plots", "Show"):
             tab.click(name)
         tab.click("names")
         _soon(lambda: page.world._labels[0].visible)
+
+
+def test_a_narrow_window_shows_the_whole_world_above_the_panel(new_tab):
+    with served("find_ball") as page:
+        page._todo.put(page.step_once)
+        tab = new_tab()
+        tab.open(page.address, 480, 800)
+        tab.wait("document.body.innerText.includes('reward terms of this step')")
+        edge = "document.querySelector('canvas').getBoundingClientRect().bottom"
+        tab.wait(f"{edge} <= document.querySelector('.mantine-Paper-root').getBoundingClientRect().top + 1")
+        _soon(lambda: _is_world(tab.see()[: tab.run(edge)].astype(int), (215, 200, 80), 60))
+        tab.click("step")
+        tab.wait("document.body.innerText.includes('step 2,')")
+
+
+def test_two_worlds_are_seen_side_by_side(new_tab):
+    with served("find_ball", compare=Source("find_ball"), driver="around") as page:
+        page._todo.put(page.step_once)
+        tab = new_tab()
+        tab.open(page.address)
+        tab.wait("document.body.innerText.includes('A: find_ball') && document.body.innerText.includes('B: find_ball')")
+        _soon(lambda: _columns(_world(tab), (215, 200, 80)) == 2)
+        assert tab.errors == []
+
+
+def _columns(image, colour):
+    """How many things of a colour stand side by side."""
+    there = (np.abs(image - colour).sum(axis=2) < 60).any(axis=0)
+    return int((np.diff(np.flatnonzero(there)) > 20).sum()) + int(there.any())
 
 
 def test_a_saved_mistake_and_its_repair_are_seen(new_tab, tmp_path):
@@ -161,6 +196,5 @@ def test_a_recording_is_scrubbed_beside_its_messages(new_tab, tmp_path):
         tab.wait("document.body.innerText.includes('reward terms of this step')")
         page._todo.put(lambda: page.seek(40))
         tab.wait("document.body.innerText.includes('step 40,')")
-        tab.click("Messages")
-        tab.wait("document.body.innerText.includes('to epuck')")
+        tab.wait("document.body.innerText.includes('message to epuck')")
         assert tab.errors == []

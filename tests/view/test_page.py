@@ -159,5 +159,5 @@ def test_messages_are_shown_with_their_age():
     with closing(Page(Source("cartpole_wireless"), port=0)) as page:
         page.step_once()
         page._tell()
-        assert "to cart" in page._messages.content
-        assert "32 ms" in page._messages.content or "64 ms" in page._messages.content
+        assert "message to cart" in page._values.content
+        assert "32 ms old" in page._values.content or "64 ms old" in page._values.content

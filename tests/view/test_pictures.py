@@ -11,7 +11,7 @@ from PIL import Image
 from deepbots_cli.cli import main
 from deepbots_cli.port import View
 from deepbots_cli.view.episodes import Player, Source
-from deepbots_cli.view.pictures import Shot, clip, picture, projection
+from deepbots_cli.view.pictures import Shot, clip, picture, projection, write_gif
 
 
 def _yellow(image):
@@ -65,6 +65,15 @@ def test_a_clip_can_be_read_and_moves(tmp_path, suffix):
     assert pictures[0].shape == (120, 160, 3)
     assert np.abs(pictures[0].astype(int) - pictures[-1]).max() > 60
     assert out.stat().st_size < 100_000
+
+
+def test_a_gif_keeps_the_colour_of_a_small_robot(tmp_path):
+    shades = np.random.default_rng(0).integers(0, 256, (1, 160, 1)) * np.array([[[0.9, 0.95, 1.0]]])  # a floor of many shades
+    image = np.broadcast_to(shades, (120, 160, 3)).astype(np.uint8).copy()
+    image[50:58, 60:68] = (30, 90, 200)
+    write_gif(tmp_path / "clip.gif", iter([image, image[::-1]]), 10.0)
+    with Image.open(tmp_path / "clip.gif") as found:
+        assert np.abs(np.asarray(found.convert("RGB")).astype(int)[54, 64] - (30, 90, 200)).max() < 20
 
 
 def test_an_offline_page_holds_the_episode(tmp_path):

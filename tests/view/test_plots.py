@@ -88,6 +88,17 @@ def test_runs_of_one_folder_name_are_told_apart_by_their_paths(tmp_path):
     assert [log.name for log in plots.read(paths)] == [str(path) for path in paths]
 
 
+def test_reward_terms_of_scenarios_share_their_scale_and_no_place_is_left_for_unknown_successes(runs):
+    _events(runs / "b0" / "tensorboard", reward__closer=[(10, 50.0), (40, 90.0)])
+    logs = plots.read([runs / "a0", runs / "b0"])
+    figure = plots.plot(logs)
+    assert figure.axes[2].get_ylim() == figure.axes[4].get_ylim()
+    assert figure.axes[2].get_ylim()[1] >= 90.0
+    for log in logs:
+        log.successes = None
+    assert [axes.get_title(loc="left").split(" ")[0] for axes in plots.plot(logs).axes][:2] == ["return", "a0:"]
+
+
 def test_endings_are_shares_of_episodes(runs):
     figure = plots.plot(plots.read([runs / "a0"]))
     tops = [area.get_paths()[0].vertices[:, 1].max() for area in figure.axes[3].collections]

@@ -62,3 +62,15 @@ def test_a_training_is_followed_to_its_newest_policy(tmp_path):
         before = player.driver._model
         player.begin(0, 1)
         assert player.driver._model is before
+
+
+def test_a_parameter_of_a_run_changes_its_world_and_a_policy_that_does_not_fit_is_refused(tmp_path):
+    run = str(_trained(tmp_path, "cartpole"))
+    assert Source(run).open().parameters["fall_angle"] == "15 deg"
+    with closing(Source(run, sets=["parameters.fall_angle=1 deg"]).open().player()) as player:
+        *_, last = player.episode(0, 0)
+        assert (player.driver_name, last.ended_by) == (POLICY, "fallen")
+        assert last.agents["agent"].episode_return < 60
+    with pytest.raises(RunError, match="does not fit the changed scenario"):
+        Source(run, sets=["action.drive.choices.stop=0"]).open().player()
+    assert Source(run, sets=["parameters.fall_angle=1 kg"]).open().program is None

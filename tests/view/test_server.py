@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import http.client
+import os
 import socket
+import threading
 import time
 from contextlib import suppress
 
@@ -132,6 +134,28 @@ def test_rubbish_to_viser_changes_nothing_and_prints_nothing(page, capfd):
     assert _get(port)[0].status == 200
     printed = capfd.readouterr()
     assert "Traceback" not in printed.out + printed.err
+
+
+def test_fifty_closed_connections_leave_nothing_behind(page):
+    port, _ = page
+    origin = f"http://127.0.0.1:{port}"
+
+    def opened() -> tuple[int, int]:
+        return len(os.listdir("/proc/self/fd")), threading.active_count()
+
+    def connect() -> None:
+        with _open(port, origin=origin) as wire:
+            wire.recv(timeout=5)
+
+    for _ in range(3):
+        connect()
+    before = opened()
+    for _ in range(50):
+        connect()
+    end = time.monotonic() + 10
+    while any(now > then for now, then in zip(opened(), before, strict=True)) and time.monotonic() < end:
+        time.sleep(0.05)
+    assert opened() <= before
 
 
 def test_another_version_of_the_page_is_refused(page):

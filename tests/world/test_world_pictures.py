@@ -9,10 +9,10 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.document import shipped
-from deepbots_cli.frames import cross, dot, scaled, subtract
+from deepbots_cli.frames import add, cross, dot, scaled, subtract
 from deepbots_cli.port import View
 from deepbots_cli.runtime import Supervisor
-from deepbots_cli.runtime.view import around, overview
+from deepbots_cli.runtime.view import around, beside, overview
 from tests.few import few
 
 
@@ -42,7 +42,16 @@ def test_a_view_holds_a_box_and_hardly_more(box) -> None:
     view = around([box])
     corners = [seen_at(view, (x, y, z)) for x in (box[0][0], box[1][0]) for y in (box[0][1], box[1][1]) for z in (box[0][2], box[1][2])]
     greatest = max(abs(part) for corner in corners for part in corner)
-    assert 0.4 < greatest < 1.0
+    assert greatest == pytest.approx(1 / 1.08) or (max(box[1][2] - box[0][2], box[1][0] - box[0][0]) < 0.1 and greatest < 1.0)
+
+
+def test_scenes_stand_side_by_side_and_long_ones_lie_across() -> None:
+    boxes = [((-5.0, -5.0, 0.0), (5.0, 5.0, 0.1))]
+    view, shift = around(boxes), beside(boxes, boxes)
+    assert seen_at(view, add(view.target, shift))[0] > 1.0
+    row = around([((-0.5, -4.0, 0.0), (0.5, 4.0, 0.2))])
+    ends = [seen_at(row, (0.0, y, 0.0)) for y in (-4.0, 4.0)]
+    assert abs(ends[1][0] - ends[0][0]) > 1.5
 
 
 @pytest.mark.parametrize("name", few(shipped.scenario_names()))
