@@ -287,7 +287,8 @@ def judge(solved: Solved | None, episodes: int, mean_return: float, success_rate
         if certain.met is False:
             return False, f"not solved: a success rate of {solved.success_rate:.1%} is required, and {certain.reason}"
     if episodes < solved.episodes:
-        return None, f"cannot be told from {episodes} episode{'' if episodes == 1 else 's'}: the scenario asks for {solved.episodes}"
+        evaluated = f"{episodes} {'was' if episodes == 1 else 'were'} evaluated"
+        return None, f"solved: unknown; the criterion needs {solved.episodes} episodes, and {evaluated}"
     reasons = []
     if solved.mean_return is not None:
         reasons.append(f"mean return {mean_return:.4g} where {solved.mean_return:g} is required")

@@ -103,7 +103,7 @@ class Page:
         self._message, self._best, self._successes, self._played = "", -math.inf, 0, 0
         opened = source.open()
         if playing and opened.recording is not None:
-            raise UsageError(f"{source.reference} is a recording, which nobody can drive; see it with: deepbots view {source.reference}")
+            raise UsageError(f"`play` does not accept a recording; use: deepbots view {source.reference}")
         self.server, self.address = server.serve(host, port, f"deepbots {source.reference}", lambda keys, axes: self._hand.hold(keys, axes))
         self._theme(dark=False)
         self._seen = stamps(opened.files)

@@ -81,7 +81,7 @@ def command(
         typer.Option("--robustness", help="Evaluate with latency, message loss, noise, other masses and friction, and weaker motors."),
     ] = False,
     details: Annotated[
-        bool, typer.Option("--details", help="Show the results by drawn value too, and those in the stages of the curriculum.")
+        bool, typer.Option("--details", help="Also show the results by the random values of the episodes, and the results of each curriculum stage.")
     ] = False,
     engine: Annotated[
         list[str] | None,
@@ -113,18 +113,19 @@ def command(
     """Evaluate the policy of a run on held-out episodes.
 
     The episodes begin with starts that the training does not use. The cases in `evaluation.cases` are evaluated too, with the same starts.
-    --require-solved, --min-success and --min-return apply to the result in the scenario, or in the case or stage that is given.
-    For a group, every seed is evaluated on the same starts, and requirements apply to the means over the seeds.
+    --require-solved, --min-success and --min-return check the result in the scenario itself. With --case or --stage, they check the result
+    in that case or stage. For a group, every seed is evaluated on the same starts, and the requirements apply to the means over the seeds.
 
-    --min-success and --min-return stop the evaluation of a run as soon as the answer is certain: when the remaining episodes cannot change
-    it, or when a 95 % confidence sequence (beta-binomial mixture; for returns, an anytime-valid t-test) excludes the required value.
+    --min-success and --min-return stop the evaluation of a run early when the remaining episodes cannot change the answer, or when the
+    answer is certain at 95 %.
 
-    --robustness changes one condition at a time by several amounts, and shows where the result falls below --min-success or --min-return,
-    by default below `solved` of the scenario or 80 % of the result without a change.
+    --robustness changes one condition at a time by several amounts, and shows the level at which the result falls below the bar. The bar
+    is --min-success or --min-return. If neither is given, it is `solved` of the scenario. Without `solved`, it is 80 % of the result
+    without a change.
 
     --set overrides values of the scenario of the run, or of the scenario that --scenario names. This scenario must have the
     observation, action and messages of the training; its world may differ. --engine runs the episodes in another engine. With several
-    engines, such as --engine mujoco,pybullet, every engine runs episodes from the same starts, and the table shows the difference of each
+    engines, such as --engine mujoco,pybullet, every engine runs episodes from the same starts. The table shows the difference of each
     further engine from the first, with its 95 % interval over pairs of episodes. The requirements then apply to every engine.
 
     \b

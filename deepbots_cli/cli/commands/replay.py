@@ -14,11 +14,11 @@ from deepbots_cli.cli.exits import FAILED
 
 def command(
     recording: Annotated[str, typer.Argument(metavar="RECORDING", help="A file that `deepbots record` wrote.")],
-    to_verify: Annotated[bool, typer.Option("--verify", help="Run the episodes again, and compare every step to the bit.")] = False,
+    to_verify: Annotated[bool, typer.Option("--verify", help="Run the episodes again, and compare every step bit for bit.")] = False,
     as_json: Json = False,
     allow_code: AllowCode = False,
 ) -> None:
-    """Show what a recording holds, or run it again and compare.
+    """Show the contents of a recording, or run it again and compare.
 
     With --verify, the scenario in the recording is compiled, each episode starts from its seed and takes its recorded actions. The command
     names the first step and the first quantity that differ, with exit code 1. On the machine of the recording, with the same
