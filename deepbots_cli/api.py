@@ -62,11 +62,11 @@ def locate(source: str | Path) -> tuple[Path, str]:
     """The file of a scenario and how to call it.
 
     Raises:
-        UsageError: There is neither such a file nor a shipped scenario of that name; lists those. Or it is a robot file.
+        UsageError: No file or shipped scenario has this name, or it is a robot file.
     """
     path = Path(source)
     if path.suffix.lower() in (".urdf", ".xacro"):
-        raise UsageError(f"{source} is a robot file, and no scenario; what is odd in it is shown by: deepbots inspect {source}")
+        raise UsageError(f"{source} is a robot file, not a scenario; `deepbots inspect {source}` describes it")
     if path.is_file():
         return path, str(source)
     found = shipped.scenario_path(str(source))  # a folder of the same name does not hide it
@@ -74,10 +74,9 @@ def locate(source: str | Path) -> tuple[Path, str]:
         return path, str(source)
     if found is not None:
         return found, found.name
-    names = shipped.scenario_names()
-    near = nearest(Path(source).stem, names)
+    near = nearest(Path(source).stem, shipped.scenario_names())
     hint = f" (did you mean {near}?)" if near else ""
-    raise UsageError(f"there is no file {source}, and no shipped scenario of that name{hint}; shipped are: {', '.join(names)}")
+    raise UsageError(f"no file or shipped scenario is called '{source}'{hint}; `deepbots list` shows the shipped scenarios")
 
 
 def load(

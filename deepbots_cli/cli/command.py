@@ -86,7 +86,7 @@ def seed_list(text: str) -> tuple[int, ...]:
             raise typer.BadParameter(f"--seeds: {error.message}") from None
         if not low <= high < low + MAX_SEEDS:
             raise typer.BadParameter(
-                f"--seeds: '{part}' is no range of seeds; write it like 0..4, the smaller one first, at most {MAX_SEEDS} seeds"
+                f"--seeds: '{part}' is not a range of 1 to {MAX_SEEDS} seeds; write the smaller seed first, such as 0..4"
             )
         seeds += range(low, high + 1)
         if len(seeds) > MAX_SEEDS:

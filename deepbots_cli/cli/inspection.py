@@ -285,7 +285,7 @@ def _parameters(scenario: Program, root: Node) -> list[Row]:
         period = entry.period
         often[entry.name] = "repeatedly" if period else "in every step" if entry.redraw or changing else "in every episode"
     names = list(node.entries) if isinstance(node, Mapping) and node is not root else []
-    return [{"parameter": name, "is": wording(root, "parameters", name), "set": often.get(name, "once")} for name in names]
+    return [{"parameter": name, "value": wording(root, "parameters", name), "drawn": often.get(name, "never")} for name in names]
 
 
 def _sensors(scenario: Program, root: Node) -> list[Row]:
@@ -371,7 +371,7 @@ def _message(layout: MessageLayout, format: str) -> Row:
         "direction": layout.direction.replace("_", " "),
         "format": format,
         "values": sum(max(1, len(field.components)) for field in layout.fields),
-        "stamp": f"{layout.layout_hash:08x}",
+        "layout_hash": f"{layout.layout_hash:08x}",
         "bytes": message_size(layout, format) or "varies",
     }
 

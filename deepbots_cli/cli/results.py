@@ -40,7 +40,7 @@ def training_text(result: TrainingResult) -> str:
         rows[f"stage {end.name}"] = f"done after {end.steps:,} steps, {end.episodes:,} episodes"
     rows["last stage"] = result.stage
     if result.mean_return is not None:
-        rows["mean return"] = f"{result.mean_return:.1f} over the recent episodes"
+        rows["mean return"] = f"{result.mean_return:.1f} over the most recent training episodes, with exploration"
     if result.success_rate:
         rows["success rate"] = f"{result.success_rate:.0%}"
     at = result.solved_at
@@ -50,8 +50,8 @@ def training_text(result: TrainingResult) -> str:
     lines = [f"training {result.status}", pairs(rows), *(f"note: {reason}" for reason in result.inexact)]
     if result.interrupted:
         if (result.run / "models" / POLICY / "best.zip").is_file():  # not before the first checkpoint
-            lines.append(f"evaluate what was learned with: deepbots eval {quote(str(result.run))}")
-        lines.append(f"what was learned is kept; go on with: deepbots train --resume {quote(str(result.run))}")
+            lines.append(f"evaluate the policy with: deepbots eval {quote(str(result.run))}")
+        lines.append(f"the policy is kept; continue the training with: deepbots train --resume {quote(str(result.run))}")
     return "\n".join(lines)
 
 
@@ -76,7 +76,7 @@ def group_training_text(result: GroupTraining) -> str:
     if result.waiting:
         lines.append(f"unfinished: seed {', '.join(map(str, result.waiting))}")
     if result.waiting or result.failed:
-        lines.append(f"what was learned is kept; go on with: deepbots train --resume {quote(str(result.group))}")
+        lines.append(f"the policy is kept; continue the training with: deepbots train --resume {quote(str(result.group))}")
     return "\n".join(lines)
 
 
@@ -186,7 +186,7 @@ def drawn_text(result: EvaluationResult) -> str:
             )
             scores = {"mean_return": part.mean_return, "return_95 %": between(part.return_interval)}
             rows.append(
-                {"value": name, "from": span, "episodes": part.episodes, **(_success(part) if result.success_defined else {}), **scores}
+                {"name": name, "range": span, "episodes": part.episodes, **(_success(part) if result.success_defined else {}), **scores}
             )
     left = len(names) - MAX_DRAWN
     more = f"\n  and {left} more; --json has all of them" if left > 0 else ""
@@ -234,11 +234,11 @@ def robustness_text(found: Robustness) -> str:
     is_rate = found.metric == "success_rate"
     bar = f"{found.bar:.1%}" if is_rate else number(found.bar)
     unchanged = {"condition": "(no change)", "level": "", **_level(found.nominal, is_rate=is_rate)}
-    rows: list[Row] = [unchanged | {"bar": "holds" if found.nominal_holds else "below"}]
+    rows: list[Row] = [unchanged | {"bar": _against_bar(holds=found.nominal_holds, certain=found.nominal_certain)}]
     for condition in found.conditions:
         for entry in condition.levels:
             row = {"condition": condition.name, "level": entry.level, **_level(entry.evaluation, is_rate=is_rate)}
-            rows.append(row | {"bar": ("holds" if entry.holds else "below") + ("" if entry.certain else ", uncertain")})
+            rows.append(row | {"bar": _against_bar(holds=entry.holds, certain=entry.certain)})
     without = _episodes(found.nominal)
     same = [
         condition.name
@@ -255,10 +255,14 @@ def robustness_text(found: Robustness) -> str:
             table(rows),
             "",
             pairs(limits),
-            *([f"note: {', '.join(same)}: every episode is as long, and has the same return, as without any change"] if same else []),
-            *([] if found.nominal_holds else [f"note: the policy is below the bar without any change; name another bar with {option}"]),
+            *([f"note: no effect on any episode (the lengths and returns are unchanged): {', '.join(same)}"] if same else []),
+            *([] if found.nominal_holds else [f"note: the policy is below the bar without any change; set another bar with {option}"]),
         ]
     )
+
+
+def _against_bar(*, holds: bool, certain: bool) -> str:
+    return ("holds" if holds else "below") + ("" if certain else ", uncertain")
 
 
 def _episodes(result: EvaluationResult) -> list[tuple[float, int]]:
@@ -284,7 +288,7 @@ def robustness_json(found: Robustness) -> dict[str, Any]:
         }
         for condition in found.conditions
     ]
-    known = {name: getattr(found, name) for name in ("scenario", "metric", "bar", "bar_source", "nominal_holds")}
+    known = {name: getattr(found, name) for name in ("scenario", "metric", "bar", "bar_source", "nominal_holds", "nominal_certain")}
     return {"run": str(found.run), **known, "nominal": to_json(found.nominal), "conditions": conditions}
 
 

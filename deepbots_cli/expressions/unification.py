@@ -134,7 +134,7 @@ def _plain_name(*values: Typed) -> str | None:
     for value in values:
         if isinstance(value, Reference) and value.symbol.value is not None and value.type.dimension == NUMBER:
             known = " ".join(f"{number:g}" for number in value.symbol.value)
-            return f"`{value.symbol.name}` is {known}, a plain number; if it has a unit, write the unit in its definition"
+            return f"`{value.symbol.name}` is {known}, a plain number; if it has a unit, write the unit where you set it (file or `--set`)"
     return None
 
 

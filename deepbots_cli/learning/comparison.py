@@ -93,14 +93,19 @@ class Compared:
         """The result in a sentence."""
         difference = self.mean_return
         if difference.interval is None:
-            return f"{self.group}: a group with one run has no interval; train more seeds"
+            return f"{self.group}: unknown, because a group with one run has no interval; train more seeds"
         low, high = difference.interval
         if low == high == 0:
             return f"{self.group}: the same mean return in every {'run' if self.between_seeds else 'episode'}"
-        size = f"by {abs(difference.mean):.4g} in the mean return (95 % interval of the difference: {low:.4g} .. {high:.4g})"
+        interval = f"(95 % interval of the difference: {low:.4g} .. {high:.4g})"
+        size, sign = f"{abs(difference.mean):.4g}", "higher" if difference.mean >= 0 else "lower"
         if not difference.certain:
-            return f"{self.group}: no certain difference from {self.first}; it differs {size}"
-        return f"{self.group} is {'better' if difference.mean > 0 else 'worse'} than {self.first} {size}"
+            return (
+                f"{self.group}: no significant difference from {self.first}; the mean return is {size} {sign}, and 0 is possible {interval}"
+            )
+        return (
+            f"{self.group} is {'better' if difference.mean > 0 else 'worse'} than {self.first}: the mean return is {size} {sign} {interval}"
+        )
 
 
 @dataclass(frozen=True)

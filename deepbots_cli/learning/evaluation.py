@@ -288,8 +288,8 @@ def judge(solved: Solved | None, episodes: int, mean_return: float, success_rate
         if certain.met is False:
             return False, f"not solved: a success rate of {solved.success_rate:.1%} is required, and {certain.reason}"
     if episodes < solved.episodes:
-        count = f"{episodes} episode{'' if episodes == 1 else 's'}"
-        return None, f"whether it is solved cannot be told from {count}: the scenario asks for {solved.episodes}"
+        evaluated = f"{episodes} {'was' if episodes == 1 else 'were'} evaluated"
+        return None, f"solved: unknown; the criterion needs {solved.episodes} episodes, and {evaluated}"
     reasons = []
     if solved.mean_return is not None:
         reasons.append(f"mean return {mean_return:.4g} where {solved.mean_return:g} is required")
@@ -416,11 +416,11 @@ def repeat(model: BaseAlgorithm, world: World, seed: int, number: int, *, determ
     """One episode of an evaluation once more, to the bit: the one of this number, whose reset has this seed."""
     if is_team(world):
         return _team_episode(model, world, seed, deterministic=deterministic)
-    batch = _Batch(world.observation_space, _choices(world) if algorithms.takes_masks(model) else None)
+    forward = _Pass(world.observation_space, _choices(world) if algorithms.takes_masks(model) else None)
     lane = _Lane(world, number % ROWS, [0], [seed])
-    lane.begin(batch)
+    lane.begin(forward)
     while True:
-        episode = lane.step(batch.answer(model, deterministic=deterministic)[lane.row], batch)
+        episode = lane.step(forward.answer(model, deterministic=deterministic)[lane.row], forward)
         if episode is not None:
             return episode
 

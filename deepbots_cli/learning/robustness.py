@@ -74,12 +74,15 @@ class Condition:
         failed = [entry.level for entry in self.levels if not entry.holds]
         held = [entry.level for entry in self.levels if entry.holds]
         if not failed:
-            return "holds at all levels"
-        if not held:
-            return "below the bar at all levels"
-        if failed == [entry.level for entry in self.levels[len(held) :]]:
-            return f"holds up to {held[-1]}, below the bar from {failed[0]} on"
-        return f"holds at {', '.join(held)}; below the bar at {', '.join(failed)}"
+            found = "holds at all levels"
+        elif not held:
+            found = "below the bar at all levels"
+        elif failed == [entry.level for entry in self.levels[len(held) :]]:
+            found = f"holds up to {held[-1]}, below the bar from {failed[0]} on"
+        else:
+            found = f"holds at {', '.join(held)}; below the bar at {', '.join(failed)}"
+        uncertain = sum(not entry.certain for entry in self.levels)
+        return f"{found} ({uncertain} of {len(self.levels)} uncertain)" if uncertain else found
 
 
 @dataclass(frozen=True)
@@ -101,7 +104,12 @@ class Robustness:
     @property
     def nominal_holds(self) -> bool:
         """Whether the score reaches the bar without any change."""
-        return (self.nominal.success_rate if self.metric == "success_rate" else self.nominal.mean_return) >= self.bar
+        return _level("", self.nominal, self.metric, self.bar).holds
+
+    @property
+    def nominal_certain(self) -> bool:
+        """Whether the 95 % interval of the score without any change excludes the bar."""
+        return _level("", self.nominal, self.metric, self.bar).certain
 
 
 def evaluate_robustness(

@@ -461,7 +461,7 @@ def new_directory(wanted: str | Path | None, parent: str | Path, scenario: str, 
             except FileExistsError:
                 number += 1  # another process was faster
     except FileExistsError as error:
-        raise UsageError(f"{error.filename} exists; a run is never overwritten, name another directory") from error
+        raise UsageError(f"{error.filename} already exists; choose another directory, because runs are not overwritten") from error
     except OSError as error:
         raise UsageError(unwritable(wanted or parent, error)) from error
 

@@ -180,7 +180,8 @@ def resume(
         steps = checkpoints.state.statistics.steps if checkpoints.state else 0
         if steps >= training.total_timesteps and record.status == "finished":  # else it was killed before it said so
             raise UsageError(
-                f"{known.path} has trained {steps:,} of {training.total_timesteps:,} steps; name a higher total to go on with it"
+                f"the training of {known.path} is complete ({steps:,} of {training.total_timesteps:,} timesteps);"
+                f" to continue it, give a total of more than {steps:,} timesteps (`--timesteps N`)"
             )
         was_solved = record.status == "finished" and record.result is not None and record.result.solved_at is not None
         known.update(

@@ -140,9 +140,9 @@ class Program:
             names = [entry.name for entry in known]
             near = nearest(name, names)
             hint = f" (did you mean {near}?)" if near else ""
-            raise UsageError(
-                f"{self.name} has no {what} '{name}'{hint}" + (f"; there are: {', '.join(names)}" if names else ", nor any other")
-            )
+            if not names:
+                raise UsageError(f"{self.name} has no {what}s, so there is no '{name}'")
+            raise UsageError(f"{self.name} has no {what} '{name}'{hint}; it has: {', '.join(names)}")
         return found
 
 

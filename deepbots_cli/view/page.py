@@ -105,7 +105,7 @@ class Page:
         self._message, self._best, self._successes, self._played = "", -math.inf, 0, 0
         opened = source.open()
         if playing and opened.recording is not None:
-            raise UsageError(f"{source.reference} is a recording, which nobody can drive; see it with: deepbots view {source.reference}")
+            raise UsageError(f"`play` does not accept a recording; use: deepbots view {source.reference}")
         self.server, self.address = server.serve(host, port, f"deepbots {source.reference}", lambda keys, axes: self._hand.hold(keys, axes))
         self._framed: dict[int, tuple[tuple[int, int], np.ndarray[Any, Any]]] = {}
         self.server.on_client_connect(lambda client: client.camera.on_update(lambda _: self._todo.put(lambda: self._frame(client))))

@@ -213,11 +213,15 @@ def plot(logs: Sequence[Log], *, theme: str = "light") -> Figure:
         finish(left, f"{name}reward terms of an episode", theme)
         endings_over_time(right, [ending for log in members for ending in log.endings])
         finish(right, f"{name}endings, share of episodes", theme)
-    if detailed:  # reward terms of two scenarios are compared by eye
-        ends = np.array([left.get_ylim() for left, _ in axes[1:]])
-        for left, _ in axes[1:]:
-            left.set_ylim(ends[:, 0].min(), ends[:, 1].max())
+    _same_scale([left for left, _ in axes[1:]])
     return figure
+
+
+def _same_scale(panels: Sequence[Axes]) -> None:
+    """Reward terms of two scenarios are compared by eye."""
+    ends = [panel.get_ylim() for panel in panels]
+    for panel in panels:
+        panel.set_ylim(min(low for low, _ in ends), max(high for _, high in ends))
 
 
 def band(panel: Axes, curves: Sequence[Curve], style: Mapping[str, Any]) -> None:

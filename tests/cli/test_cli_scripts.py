@@ -71,7 +71,7 @@ def test_what_cannot_be_followed_is_said_with_what_can(deepbots, scripted, words
 def test_a_scenario_without_scripts_says_so(deepbots):
     result = deepbots("run", "cartpole", "--script", "catch")
     assert result.code == 2
-    assert result.err == "error: CartPole has no script 'catch', nor any other\n"
+    assert result.err == "error: CartPole has no scripts, so there is no 'catch'\n"
 
 
 def test_few_episodes_are_shown_one_by_one_and_summed_up(deepbots, scripted):

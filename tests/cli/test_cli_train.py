@@ -44,7 +44,7 @@ def trained(first, tmp_path):
 
 def test_a_training_ends_with_a_verdict_and_what_to_do_next(trained, tmp_path):
     assert "mean return" in trained.out
-    assert "whether it is solved cannot be told from 4 episodes" in trained.out
+    assert "solved: unknown; the criterion needs" in trained.out
     assert "deepbots eval mine --video" in trained.err
     assert "tensorboard --logdir mine" in trained.err
     assert json.loads((tmp_path / "mine" / "run.json").read_text())["status"] == "finished"
@@ -104,7 +104,7 @@ def test_a_run_is_evaluated_in_its_cases_too(deepbots, tmp_path):
 def test_a_demanded_result_that_is_not_met_ends_with_1(deepbots, trained):
     ran = deepbots("eval", "mine", "--episodes", "2", "--require-solved", "--min-return", "1000")
     assert ran.code == 1
-    assert "not met: the task is solved (whether it is solved cannot be told from 2 episodes" in ran.err
+    assert "not met: the task is solved (solved: unknown; the criterion needs" in ran.err
     assert "not met: mean return of at least 1000" in ran.err
     ran = deepbots("eval", "mine", "--episodes", "40", "--min-return", "1", "--json")
     assert (ran.code, "met: mean return of at least 1 (" in ran.err) == (0, True)
@@ -177,7 +177,7 @@ def test_a_group_is_trained_listed_evaluated_and_compared_as_one(deepbots):
     assert (refused.code, "name one of its runs, such as runs/cartpole-seeds-1/seed-0" in refused.err) == (2, True)
     shutil.copytree(group, "runs/other")
     ran = deepbots("compare", group, "runs/other", "--episodes", "2")
-    assert "other: no certain difference from cartpole-seeds-1" in ran.out
+    assert "other: no significant difference from cartpole-seeds-1" in ran.out
     again = json.loads(deepbots("train", "--resume", group, "--json").out)
     assert again["training"]["skipped"] == [0, 2]
 

@@ -217,7 +217,7 @@ def test_a_script_is_asked_while_an_episode_runs(small: Small) -> None:
 def test_a_scenario_without_scripts_says_so(small: Small) -> None:
     environment = small(REWARD)
     environment.reset(seed=0)
-    with pytest.raises(UsageError, match="nor any other"):
+    with pytest.raises(UsageError, match="has no scripts"):
         environment.script("__init__")
 
 

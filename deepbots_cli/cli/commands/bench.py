@@ -39,7 +39,13 @@ def command(
         int | None, typer.Option("--steps", metavar="N", parser=whole(100), help="Steps of the agent per measurement; 2000 by default.")
     ] = None,
     pairs: Annotated[
-        int | None, typer.Option("--pairs", metavar="N", parser=whole(), help="Number of measurements of each side; 9 by default.")
+        int | None,
+        typer.Option(
+            "--pairs",
+            metavar="N",
+            parser=whole(),
+            help="Number of pairs of measurements, one with and one without the environment; 9 by default.",
+        ),
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Measure 3 pairs of 600 steps, which takes a tenth of the time.")] = False,
     seed: Seed = 0,
@@ -60,8 +66,9 @@ def command(
 ) -> None:
     """Compare the time of a step with the time of the physics alone.
 
-    Both sides run the same episodes in the same engine with the same substeps; resets are not timed. The ratio is the cost of messages,
-    observation, reward and endings on top of the physics.
+    The command runs the same episodes twice in the same engine: with full environment steps, and with the physics alone. Resets are not
+    timed. The ratio is the time of an environment step divided by the time of its physics. The difference is the cost of messages,
+    observation, reward and endings.
 
     \b
       deepbots bench cartpole
@@ -104,7 +111,7 @@ def command(
             {
                 "environment step": f"{result.step_us:.2f} us, {result.steps_per_second:,.0f} per second",
                 "physics alone": f"{result.bare_us:.2f} us",
-                "ratio": f"{result.ratio:.3f} (min {result.min_ratio:.3f}, max {result.max_ratio:.3f})",
+                "ratio": f"{result.ratio:.3f} (median of the ratios of the pairs; min {result.min_ratio:.3f}, max {result.max_ratio:.3f})",
             }
         )
     )
@@ -144,7 +151,7 @@ def measure(
 ) -> Timing:
     """Time about `steps` steps of an environment, and the physics alone in another one of the same scenario, `pairs` times.
 
-    `on_measured` is called with the number of measured pairs and of all pairs. The first pair is a warm-up and is not counted.
+    `on_measured` is called with the number of measured pairs and of all pairs. A first pair warms up caches and clocks; it is not counted.
 
     Raises:
         UsageError: An episode ends in the steps that are not timed.
@@ -159,11 +166,11 @@ def measure(
         lambda: timed(other, episodes, other.engine.step, lambda _: program.world.substeps * program.action_repeat),
     )
     for number in range(pairs + 1):
-        show(number, pairs + 1)
+        show(max(0, number - 1), pairs)
         seconds = {side: sides[side]() for side in ((1, 0) if number % 2 else (0, 1))}
         measured.append((seconds[0], seconds[1]))
-    show(pairs + 1, pairs + 1)
-    del measured[0]  # caches and clocks warm up
+    show(pairs, pairs)
+    del measured[0]  # the warm-up
     ratios = [step / base for step, base in measured]
     step_us, bare_us = (1e6 / timed_steps * median(side) for side in zip(*measured, strict=True))
     return Timing(

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 def command(
     runs: Annotated[
-        list[Path], typer.Argument(metavar="RUN...", help="Groups, run directories, or folders of run directories; at least two runs.")
+        list[Path], typer.Argument(metavar="RUN", help="Groups, run directories, or folders of run directories; at least two runs.")
     ],
     episodes: Annotated[
         int | None,
@@ -36,7 +36,7 @@ def command(
     ] = None,
     case: Annotated[str | None, typer.Option("--case", metavar="NAME", help="Evaluate in this case of the scenario.")] = None,
     own: Annotated[
-        bool, typer.Option("--own", help="Evaluate each run in its own scenario, such as variants with other observations.")
+        bool, typer.Option("--own", help="Evaluate each run in its own scenario, for runs with different observations.")
     ] = False,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
@@ -44,11 +44,13 @@ def command(
 ) -> None:
     """Compare policies on the same starts.
 
-    A folder of `deepbots train --seeds` is a group. Other runs that differ only in their seed form a group too. Every run is evaluated in
-    the scenario of the first run, on the same held-out starts, and every group is compared with the first group. The table shows the
-    difference of the mean returns over seeds with Welch's 95 % confidence interval, and the probability that a run of the group is better
-    than a run of the first group. If all runs have the same scenario, each run is a group of its own. Groups of one run are compared
-    episode by episode.
+    A folder of `deepbots train --seeds` is a group. Single runs of one scenario, trained in the same engine, form a group too. If all
+    given runs would form one single group, each run is compared as a group of its own.
+
+    Every run is evaluated in the scenario of the first run, on the same held-out starts, and every group is compared with the first
+    group. The table shows the difference of the mean returns over seeds with Welch's 95 % confidence interval, and the probability that a
+    run of the group has a higher mean return than a run of the first group. Two groups of one run each are compared episode by episode:
+    the table then shows the share of the episodes with a higher return than in the first run.
 
     \b
       deepbots compare runs/cartpole-0-1 runs/cartpole-1-1
@@ -106,8 +108,10 @@ def _show(found: Comparison) -> None:
         if entry.success_rate is not None:
             success = entry.success_rate
             row |= {"success": f"{success.mean:+.1%}", "success_95 %": results.between(success.interval, percent=True)}
-        rows.append(row | {"probability_of_improvement": entry.mean_return.improvement})
+        rows.append(row | {"probability_of_improvement" if entry.between_seeds else "episodes_better": entry.mean_return.improvement})
     terminal.say(table(rows))
+    if not all(entry.between_seeds for entry in found.differences):
+        terminal.say("episodes_better: share of the episodes with a higher return than in the first run; equal returns count half")
     for entry in found.differences:
         terminal.say(entry.verdict)
     for note in found.notes:

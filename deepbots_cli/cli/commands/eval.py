@@ -99,7 +99,10 @@ def command(
         ),
     ] = None,
     details: Annotated[
-        bool, typer.Option("--details", help="Show the results by drawn value too, and those in the stages of the curriculum.")
+        bool,
+        typer.Option(
+            "--details", help="Also show the results by the random values of the episodes, and the results of each curriculum stage."
+        ),
     ] = False,
     engine: Annotated[
         list[str] | None,
@@ -131,19 +134,20 @@ def command(
     """Evaluate the policy of a run on held-out episodes.
 
     The episodes begin with starts that the training does not use. The cases in `evaluation.cases` are evaluated too, with the same starts.
-    --require-solved, --min-success and --min-return apply to the result in the scenario, or in the case or stage that is given.
-    For a group, every seed is evaluated on the same starts, and requirements apply to the means over the seeds.
+    --require-solved, --min-success and --min-return check the result in the scenario itself. With --case or --stage, they check the result
+    in that case or stage. For a group, every seed is evaluated on the same starts, and the requirements apply to the means over the seeds.
 
-    --min-success and --min-return stop the evaluation of a run as soon as the answer is certain: when the remaining episodes cannot change
-    it, or when a 95 % confidence sequence (beta-binomial mixture; for returns, an anytime-valid t-test) excludes the required value.
+    --min-success and --min-return stop the evaluation of a run early when the remaining episodes cannot change the answer, or when the
+    answer is certain at 95 %.
     The evaluation of a group stops when the remaining episodes of all seeds cannot change the answer to --min-success.
 
-    --robustness changes one condition at a time by several amounts, and shows where the result falls below --min-success or --min-return,
-    by default below `solved` of the scenario or 80 % of the result without a change.
+    --robustness changes one condition at a time by several amounts, and shows the level at which the result falls below the bar. The bar
+    is --min-success or --min-return. If neither is given, it is `solved` of the scenario. Without `solved`, it is 80 % of the result
+    without a change.
 
     --set overrides values of the scenario of the run, or of the scenario that --scenario names. This scenario must have the
     observation, action and messages of the training; its world may differ. --engine runs the episodes in another engine. With several
-    engines, such as --engine mujoco,pybullet, every engine runs episodes from the same starts, and the table shows the difference of each
+    engines, such as --engine mujoco,pybullet, every engine runs episodes from the same starts. The table shows the difference of each
     further engine from the first, with its 95 % interval over pairs of episodes. The requirements then apply to every engine.
 
     --episodes failed repeats the failed episodes of the last evaluation that the run keeps, prints what ended each of them and by how much,
@@ -254,15 +258,6 @@ def command(
     else:
         found[0].show(details=details)
     _require(requirements, known.program.name, junit)
-
-
-def _check_files(csv: Path | None, junit: Path | None, *, requires: bool) -> None:
-    """Raises: UsageError: A file cannot be written, or there is no requirement for the JUnit file."""
-    for path in (csv, junit):
-        if path is not None and not path.absolute().parent.is_dir():
-            raise UsageError(f"{path} cannot be written: there is no directory {path.parent}")
-    if junit is not None and not requires:
-        raise UsageError("--junit writes requirements, and there is none; add --min-success, --min-return or --require-solved")
 
 
 @dataclass(frozen=True)

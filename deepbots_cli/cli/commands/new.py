@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from enum import StrEnum
 from pathlib import Path, PurePosixPath
 from shlex import quote
@@ -54,8 +54,8 @@ def new(
 ) -> None:
     """Write a first scenario from a template or for a robot file.
 
-    With --urdf, the task depends on the robot: wheels, an arm, legs, rotors, or a part that falls over. Existing files are not overwritten.
-    The templates are:
+    With --urdf, the command chooses a task that suits the robot: driving, reaching, walking, flying or balancing. Existing files are not
+    overwritten. The templates are:
 
     \b
       cartpole  a cart that balances a pole
@@ -76,14 +76,14 @@ def new(
     if not (template or urdf):
         raise UsageError(f"choose a start: --template {'|'.join(Template)}, or --urdf ROBOT")
     made = from_robot(urdf, name, folder) if urdf else from_template(template or "", name)
+    kept = _present(made, folder)
     written = write_with_schema(made, folder) if schema else write_new(made, folder)
     if urdf:
         terminal.mention(api.lint(written[0]), str(written[0]))
     if as_json:
         terminal.show_json({"scenario": written[0], "files": written})
         return
-    for path in written:
-        terminal.say(str(path))
+    _list(written, kept)
     terminal.note(_next(quote(str(written[0]))))
     if not schema:
         terminal.note(f"  deepbots schema --for {_named(written[0])}")
@@ -177,12 +177,13 @@ def copy(
 
     Next: change the copy, then run `deepbots lint cartpole.yaml` and `deepbots train cartpole.yaml`.
     """
-    written = write_new(collect(name), folder)
+    found = collect(name)
+    kept = _present(found, folder)
+    written = write_new(found, folder)
     if as_json:
         terminal.show_json({"scenario": written[0], "files": written})
         return
-    for path in written:
-        terminal.say(str(path))
+    _list(written, kept)
     scenario = quote(str(written[0]))
     terminal.note(f"\nnext:\n  deepbots lint {scenario}\n  deepbots train {scenario}")
 
@@ -254,6 +255,17 @@ def _references(file: Path, text: str) -> Iterator[tuple[Scalar, Path]]:
 
 
 # Writing
+
+
+def _present(files: Files, folder: Path) -> set[Path]:
+    """The paths of the files that are already in `folder`."""
+    return {folder / target for target in files if (folder / target).exists()}
+
+
+def _list(written: Sequence[Path], kept: set[Path]) -> None:
+    """Print the paths, with a mark at files that were there before with the same content."""
+    for path in written:
+        terminal.say(f"{path} (unchanged)" if path in kept else str(path))
 
 
 def write_new(files: Files, folder: Path) -> list[Path]:

@@ -13,9 +13,7 @@ from deepbots_cli.files import atomic
 
 
 def command(
-    runs: Annotated[
-        list[Path], typer.Argument(metavar="RUN...", help="Run directories, folders of runs, or folders of TensorBoard files.")
-    ],
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN", help="Run directories, folders of runs, or folders of TensorBoard files.")],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="File to write, .png or .svg.")] = Path("plot.png"),
     window: Annotated[
         int, typer.Option("--window", metavar="N", parser=whole(1, 100_000), help="Episodes that returns and successes are averaged over.")
@@ -25,8 +23,8 @@ def command(
     """Plot the training of runs over the timesteps.
 
     The panels show returns, success rates, reward terms and endings.
-    Runs of the same scenario with other seeds are one line, the mean over the seeds, with a band from the lowest to the highest seed. Other
-    scenarios are lines of their own. Dots are the evaluations during the training.
+    Runs of one scenario with different seeds are drawn as one line, the mean over the seeds. A band shows the range from the lowest to the
+    highest seed. Each further scenario has its own line. Dots are the evaluations during the training.
 
     \b
       deepbots plot runs/cartpole-0-1

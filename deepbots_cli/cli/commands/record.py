@@ -9,12 +9,12 @@ import typer
 
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Json, Seed, Sets, Stage, whole
-from deepbots_cli.cli.commands.view import Driver, EngineOrRun, Episode, Shown
+from deepbots_cli.cli.commands.view import Driver, EngineOrRun, Episode, ScenarioOrRun
 from deepbots_cli.errors import UsageError
 
 
 def command(
-    shown: Shown,
+    shown: ScenarioOrRun,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="FILE", help="File to write; by default NAME-SEED-EPISODE.mcap.")
     ] = None,
@@ -37,10 +37,11 @@ def command(
 ) -> None:
     """Record episodes as an MCAP file.
 
-    The file holds poses, sensors, messages, actions, observations, reward terms and the ending of every step, and the scenario itself.
-    `view`, `clip` and `picture` take it in the place of a scenario, Foxglove opens it, and `replay --verify` runs it again.
+    For every step, the file contains poses, sensor readings, messages, actions, observations and reward terms. It also contains the ending
+    of each episode and the scenario. `view`, `clip` and `picture` accept a recording in place of a scenario, Foxglove opens it, and
+    `replay --verify` runs it again.
 
-    A run is driven by its policy, a scenario by its first script, or else by random actions.
+    In a run, the policy acts. In a scenario, the first script acts; without a script, actions are random.
 
     \b
       deepbots record find_ball --script around
@@ -54,7 +55,7 @@ def command(
     from deepbots_cli.view.recordings import SUFFIX, record
 
     if shown.endswith(SUFFIX):
-        raise UsageError(f"{shown} is a recording already; `deepbots clip {shown}` makes a film of it")
+        raise UsageError(f"{shown} is already a recording; `deepbots clip {shown}` makes a video of it")
     source = Source(shown, sets or (), allow_paths or (), allow_code, engine, case, stage)
     with player(source, driver) as world, terminal.progress(always=False) as show:
         path = out or Path(f"{Path(shown).stem}-{seed}-{episode}{SUFFIX}")

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 def command(
     recording: Annotated[str, typer.Argument(metavar="RECORDING", help="A file that `deepbots record` wrote.")],
-    to_verify: Annotated[bool, typer.Option("--verify", help="Run the episodes again, and compare every step to the bit.")] = False,
+    to_verify: Annotated[bool, typer.Option("--verify", help="Run the episodes again, and compare every step bit for bit.")] = False,
     tolerance: Annotated[
         float,
         typer.Option(
@@ -40,7 +40,7 @@ def command(
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
 ) -> None:
-    """Show what a recording holds, or run it again and compare.
+    """Show the contents of a recording, or run it again and compare.
 
     With --verify, the scenario in the recording is compiled, each episode starts from its seed and takes its recorded actions. The command
     names the first step and the first quantity that differ, with exit code 1. On the machine of the recording, with the same

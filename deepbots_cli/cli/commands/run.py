@@ -42,7 +42,11 @@ def command(
     case: Case = None,
     stage: Stage = None,
     policy: Annotated[
-        Policy | None, typer.Option("--policy", help="`random`, the default, draws actions; `zero`: middle of each range, first option.")
+        Policy | None,
+        typer.Option(
+            "--policy",
+            help="`random` (default) samples actions; `zero` takes the middle of each range and the first option of each choice.",
+        ),
     ] = None,
     actions: Annotated[
         str | None, typer.Option("--actions", metavar="A,B,...", help="Repeat these actions: names of options, or numbers.")
@@ -74,7 +78,7 @@ def command(
 
     Commas separate actions, and colons separate the numbers of one action: --actions 0.5:0.5,0.5:-0.5
 
-    The file of a failed episode, which training and evaluation leave in the run, repeats this episode:
+    Training and evaluation save an episode that raised an error in the run directory. To repeat it, give its file:
 
     \b
       deepbots run runs/cartpole-0-1/failures/0001.json

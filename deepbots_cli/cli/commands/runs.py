@@ -28,7 +28,7 @@ class Sort(StrEnum):
 
 
 def command(
-    folder: Annotated[Path, typer.Argument(metavar="[FOLDER]", help="A folder of runs, a group, or a run; by default `runs`.")] = Path(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A folder of runs, a group, or a run; by default `runs`.")] = Path(
         "runs"
     ),
     scenario: Annotated[
@@ -37,7 +37,10 @@ def command(
     solved: Annotated[bool, typer.Option("--solved", help="Only runs that solve their task.")] = False,
     live: Annotated[bool, typer.Option("--live", help="Only runs that are training now.")] = False,
     sort: Annotated[
-        Sort, typer.Option("--sort", help="Order: by date or name, or from the largest number of steps, CPU time, return or success on.")
+        Sort,
+        typer.Option(
+            "--sort", help="Sort order: `date` and `name` ascend; `steps`, `cpu`, `return` and `success` begin with the largest value."
+        ),
     ] = Sort.date,
     as_json: Json = False,
 ) -> None:
@@ -46,8 +49,8 @@ def command(
     The list is read from the files of the runs, also while they train. A group is one row, with the means over its seeds;
     `deepbots runs GROUP` lists its runs, and `deepbots runs RUN` the evaluations that a run keeps.
 
-    The return and the success rate are those of the last evaluation of the best model, on held-out episodes. Before there is one, they are
-    those of the recent episodes of the training, in which the policy explores: the column `score` tells which.
+    The return and the success rate come from the last evaluation of the best model, on held-out episodes. Until the first evaluation, they
+    come from the most recent training episodes, in which the policy explores. The column `score` shows the source.
 
     \b
       deepbots runs

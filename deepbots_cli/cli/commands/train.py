@@ -129,6 +129,8 @@ def command(
         raise UsageError("there is no scenario to train; name one, such as: deepbots train cartpole")
     elif seeds is not None and seed is not None:
         raise UsageError("--seed and --seeds exclude each other")
+    elif run is not None and run.exists():
+        raise UsageError(f"--run: {run} already exists; choose another directory, because runs are not overwritten")
     else:
         listed = None if seeds is None else seed_list(seeds)
         compiled = api.compile(scenario, sets=on_engine(sets, engine), allow_paths=allow_paths or (), allow_code=allow_code)

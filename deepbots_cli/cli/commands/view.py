@@ -42,6 +42,9 @@ def point(text: str) -> tuple[float, float, float]:
 Shown = Annotated[
     str, typer.Argument(metavar="SCENARIO|RUN", help="A scenario file, the name of a shipped scenario, a run directory or a recording.")
 ]
+ScenarioOrRun = Annotated[
+    str, typer.Argument(metavar="SCENARIO|RUN", help="A scenario file, the name of a shipped scenario, or a run directory.")
+]
 EngineOrRun = Annotated[
     str | None,
     typer.Option(
@@ -63,7 +66,7 @@ Port = Annotated[
 Open = Annotated[bool, typer.Option("--open", help="Open the page in the browser.")]
 Episode = Annotated[
     int,
-    typer.Option("--episode", metavar="K", parser=whole(0), help="Use the start of episode K of an evaluation."),
+    typer.Option("--episode", metavar="K", parser=whole(0), help="Use the start of held-out episode K, as `deepbots eval --seed N` does."),
 ]
 # Any: typer would parse each part of a tuple alone.
 Size = Annotated[Any, typer.Option("--size", metavar="WxH", parser=size, help="Width and height in pixels.")]
@@ -72,7 +75,8 @@ From = Annotated[
 ]
 At = Annotated[Any, typer.Option("--at", metavar="X,Y,Z", parser=point, help="Point in m that the camera looks at.")]
 Driver = Annotated[
-    str | None, typer.Option("--script", metavar="NAME", help="What acts: a script of the scenario, `random`, `zero` or `policy`.")
+    str | None,
+    typer.Option("--script", metavar="NAME", help="Source of the actions: a script of the scenario, `random`, `zero` or `policy`."),
 ]
 
 
@@ -81,7 +85,10 @@ def view(
     driver: Annotated[
         str | None,
         typer.Option(
-            "--driver", "--script", metavar="NAME", help="What acts: a script of the scenario, `random`, `zero`, `policy` or `you`."
+            "--driver",
+            "--script",
+            metavar="NAME",
+            help="Source of the actions: a script of the scenario, `random`, `zero`, `policy` or `you` (keys and sliders of the page).",
         ),
     ] = None,
     seed: Seed = 0,
@@ -124,7 +131,7 @@ def view(
 
 
 def play(
-    shown: Shown,
+    shown: ScenarioOrRun,
     seed: Seed = 0,
     episode: Episode = 0,
     sets: Sets = None,
@@ -243,7 +250,7 @@ def clip(
         float | None, typer.Option("--seconds", metavar="S", min=0.01, max=3600, help="Simulated seconds; by default the whole episode.")
     ] = None,
     speed: Annotated[
-        float, typer.Option("--speed", metavar="X", min=0.01, max=100, help="Seconds of the episode in a second of the clip.")
+        float, typer.Option("--speed", metavar="X", min=0.01, max=100, help="Playback speed: simulated seconds per second of video.")
     ] = 1.0,
     size: Size = "480x320",
     eye: From = None,
