@@ -11,6 +11,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryFile
 
 from deepbots_cli.errors import UsageError
 
@@ -48,6 +49,26 @@ def unwritable(path: Path, error: OSError) -> str:
     if "ffmpeg" in str(error):  # which writes through a pipe, and says at length that it has ended
         reason = "ffmpeg has ended, as it does on a full disk"
     return f"{path} cannot be written: {reason}{_REMEDIES.get(error.errno or 0, '')}"
+
+
+def check_writable(path: Path) -> None:
+    """Find out before long work whether a file can be written.
+
+    Raises:
+        UsageError: It is a directory, its directory does not exist, or the system refuses to write there.
+    """
+    folder = path.absolute().parent
+    if path.is_dir():
+        raise UsageError(f"{path} cannot be written: it is a directory")
+    if not folder.is_dir():
+        raise UsageError(f"{path} cannot be written: there is no directory {path.parent}")
+    if path.exists() and not path.is_file():  # a device or a pipe
+        return
+    try:
+        with TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise UsageError(unwritable(path, error)) from error
 
 
 @contextmanager

@@ -21,11 +21,12 @@ from deepbots_cli.insight.conditions import measured
 from deepbots_cli.insight.trace import Trace, Traced
 from deepbots_cli.learning import failures
 from deepbots_cli.learning.defaults import effective
+from deepbots_cli.learning.episodes import read_log
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionRange, Choices, Schedule, Solved
 from deepbots_cli.runtime.streams import derive
-from deepbots_cli.view.plots import monitor_rows, scalars_of
+from deepbots_cli.view.plots import scalars_of
 
 Array = NDArray[np.float64]
 EPISODES, STEPS, FEW_STEPS = 4, 300, 40
@@ -116,7 +117,7 @@ def read(run: Run) -> Training:
     Raises:
         RunError: A log is damaged.
     """
-    rows = monitor_rows(run.path)
+    rows = read_log(run.path / "monitor.csv")
     try:
         steps, returns, lengths, successes = (np.array([float(row[name]) for row in rows]) for name in ("steps", "r", "l", "is_success"))
         text = run.path / "evaluations" / "training.jsonl"

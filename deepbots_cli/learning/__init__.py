@@ -41,25 +41,16 @@ if TYPE_CHECKING:
     from deepbots_cli.learning.run import TrainingResult
     from deepbots_cli.learning.training import resume, train
 
-_HOMES = {
-    "Comparison": "comparison",
-    "EvaluationResult": "evaluation",
-    "GroupResult": "comparison",
-    "Policy": "policy",
-    "Robustness": "robustness",
-    "TrainingResult": "run",
-    "compare": "comparison",
-    "evaluate": "evaluation",
-    "evaluate_baselines": "evaluation",
-    "evaluate_cases": "evaluation",
-    "evaluate_group": "comparison",
-    "evaluate_robustness": "robustness",
-    "load_policy": "policy",
-    "resume": "training",
-    "resume_group": "group",
-    "train": "training",
-    "train_group": "group",
+_MODULES = {
+    "comparison": ("Comparison", "GroupResult", "compare", "evaluate_group"),
+    "evaluation": ("EvaluationResult", "evaluate", "evaluate_baselines", "evaluate_cases"),
+    "group": ("resume_group", "train_group"),
+    "policy": ("Policy", "load_policy"),
+    "robustness": ("Robustness", "evaluate_robustness"),
+    "run": ("TrainingResult",),
+    "training": ("resume", "train"),
 }
+_HOMES = {name: module for module, names in _MODULES.items() for name in names}
 __all__ = [
     "Comparison",
     "EvaluationResult",

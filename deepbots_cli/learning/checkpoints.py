@@ -3,10 +3,11 @@
     checkpoints/000012288/      state.json, arrays.npz, model.zip: a checkpoint after 12 288 steps; only the last one is kept
     checkpoints/replay/         the rows of a replay buffer, in segments that are written once
 
-A checkpoint is taken between two roll-outs, before anything of the next one happened: there the roll-out buffer is empty and every
-local variable of Stable-Baselines3's loops has its initial value. A resumed training calls the same `learn`; once that has set everything
-up, `_setup_learn` puts the state of the checkpoint in its place. The running episodes are repeated (`VectorEnvironment.repeat`), and random
-generators are restored last. What was logged after the checkpoint is cut off, and logged again.
+A checkpoint is taken between two roll-outs, before anything of the next one happens. There the roll-out buffer is empty, and every local
+variable of Stable-Baselines3's loops has its initial value, except a count of roll-outs (`Resumable.dump_logs`). A resumed training calls
+the same `learn`. Once that has set everything up, `_setup_learn` puts the state of the checkpoint in its place. The running episodes are
+repeated (`VectorEnvironment.repeat`), and random generators are restored last. What was logged after the checkpoint is cut off, and logged
+again.
 
 Nothing is unpickled, and no array takes more memory than its file.
 """
@@ -21,6 +22,7 @@ import shutil
 import time
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +34,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.logger import TensorBoardOutputFormat
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.type_aliases import RolloutReturn
 from stable_baselines3.her import HerReplayBuffer
 
@@ -107,6 +110,18 @@ class Resumable:
         if self.checkpoints.before_rollout(self):  # type: ignore[arg-type]
             return super().collect_rollouts(*args, **kwargs)  # type: ignore[misc]
         return RolloutReturn(0, 0, continue_training=False) if isinstance(self, OffPolicyAlgorithm) else False
+
+    def dump_logs(self, *args: Any) -> None:
+        """Log after every roll-out, or as often as the algorithm does by default (A2C after 100).
+
+        Stable-Baselines3 counts the roll-outs of an on-policy algorithm in a process, and would log a resumed training at other steps.
+        """
+        model: Any = self
+        if isinstance(self, OnPolicyAlgorithm):
+            count = model.num_timesteps // (model.n_steps * model.n_envs)
+            if count % signature(super().learn).parameters["log_interval"].default:  # type: ignore[misc]
+                return
+        super().dump_logs(*args)  # type: ignore[misc]
 
 
 class Checkpoints:

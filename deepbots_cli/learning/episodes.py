@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import math
+import os
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
@@ -21,6 +23,10 @@ from deepbots_cli.program.task import Solved
 
 WINDOW = 100
 """Episodes that a training figure is averaged over, unless the scenario's `solved` says otherwise."""
+
+MAX_LOG = 1 << 28
+"""Bytes of a log that is read whole."""
+_LINE = 64_000
 
 Interval = tuple[float, float]
 
@@ -122,6 +128,36 @@ class EpisodeLog:
 
     def close(self) -> None:
         self._writer.close()
+
+
+def read_log(path: Path, *, tail: int | None = None) -> list[dict[str, str]]:
+    """The lines of a `monitor.csv`, or those in its last `tail` bytes; a last line that is half written is left out.
+
+    Raises:
+        RunError: It is no regular file, too large to be read whole, or no table.
+    """
+    if path.is_symlink() or (path.exists() and not path.is_file()):  # opening a pipe waits for ever
+        raise RunError(f"{path} is no regular file, which every log of ours is")
+    try:
+        with path.open("rb") as stream:
+            size = os.fstat(stream.fileno()).st_size
+            if size > MAX_LOG and tail is None:
+                raise RunError(f"{path} is larger than {MAX_LOG >> 20} MiB")
+            stream.readline(_LINE)  # of Stable-Baselines3
+            names = stream.readline(_LINE).decode(errors="replace").strip().split(",")
+            begin = stream.tell()
+            if tail is not None and size - tail > begin:
+                stream.seek(size - tail)
+                stream.readline(_LINE)
+            text = stream.read(MAX_LOG).decode(errors="replace")
+        whole = text[: text.rfind("\n") + 1]
+        return [row for row in csv.DictReader(whole.splitlines(), names) if None not in row.values()]
+    except FileNotFoundError:
+        return []
+    except OSError as error:
+        raise RunError(f"{path} cannot be read: {error.strerror}") from error
+    except csv.Error as error:
+        raise RunError(f"{path} is damaged: {error}") from error
 
 
 # Of a training

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
@@ -14,7 +13,7 @@ from deepbots_cli.compiler.inputs import RESOLVED
 from deepbots_cli.document import Mapping, load
 from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.files import read_at_most
-from deepbots_cli.learning.episodes import WINDOW
+from deepbots_cli.learning.episodes import WINDOW, read_log
 from deepbots_cli.learning.group import Group, is_group
 from deepbots_cli.learning.run import NAME, KeptEvaluation, Record, changed_settings, is_training, kept_evaluations, read_evaluation
 
@@ -82,16 +81,16 @@ def _of_run(path: Path) -> ListedRun:
     state: State = "interrupted" if record.status == "running" else record.status
     if record.status == "running" and is_training(path):
         state = "training"
-    recent = list(_recent_episodes(path / "monitor.csv")) if result is None or state == "training" else []
+    recent = _recent(path / "monitor.csv") if result is None or state == "training" else []
     mean: float | None
     success: float | None
     found = last_evaluation(path, record) if state != "training" else None
     evaluation = found[1] if found else None
-    steps, episodes = (recent[-1].steps, recent[-1].number) if recent else (result.steps, result.episodes) if result else (0, 0)
+    steps, episodes = recent[-1][:2] if recent else (result.steps, result.episodes) if result else (0, 0)
     if evaluation is not None:
         mean, success = evaluation.mean_return, evaluation.success_rate if evaluation.success_defined else None
     elif recent:
-        mean, success = fmean(episode.total_return for episode in recent), fmean(episode.is_success for episode in recent)
+        mean, success = fmean(total for _, _, total, _ in recent), fmean(won for *_, won in recent)
     else:
         mean, success = (result.mean_return, result.success_rate) if result else (None, None)
     if evaluation is None and not _defines_success(path):
@@ -175,37 +174,13 @@ def last_evaluation(path: Path, record: Record) -> tuple[Path, KeptEvaluation] |
     return None
 
 
-@dataclass(frozen=True)
-class _Logged:
-    number: int
-    steps: int
-    total_return: float
-    is_success: bool
-
-
-def _recent_episodes(log: Path) -> Iterator[_Logged]:
-    """The last episodes of a `monitor.csv`, of which the last line may still be written."""
-    if not log.is_file():  # opening a pipe waits for ever
-        return
+def _recent(log: Path) -> list[tuple[int, int, float, bool]]:
+    """Steps, number, return and success of the last episodes in a log; nothing where it cannot be read."""
     try:
-        with log.open("rb") as stream:
-            stream.readline(_TAIL)
-            names = stream.readline(_TAIL).decode(errors="replace").strip().split(",")
-            stream.seek(0, 2)
-            stream.seek(max(0, stream.tell() - _TAIL))
-            lines = stream.read().decode(errors="replace").splitlines(keepends=True)
-    except OSError:
-        return
-    whole = [line for line in lines[1:] if line.endswith("\n")][-WINDOW:]
-    try:
-        rows = list(csv.DictReader(whole, names))
-    except csv.Error:
-        return
-    for row in rows:
-        try:
-            yield _Logged(int(row["episode"]), int(row["steps"]), float(row["r"]), row["is_success"] == "1")
-        except (KeyError, TypeError, ValueError):  # the header, or a line that was cut
-            continue
+        rows = read_log(log, tail=_TAIL)[-WINDOW:]
+        return [(int(row["steps"]), int(row["episode"]), float(row["r"]), row["is_success"] == "1") for row in rows]
+    except (RunError, KeyError, ValueError):
+        return []
 
 
 def _cpu_of_checkpoint(run: Path) -> float | None:

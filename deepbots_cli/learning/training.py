@@ -14,6 +14,7 @@ from shlex import quote
 from typing import Any
 
 from stable_baselines3.common.logger import configure
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 import deepbots_cli
@@ -382,9 +383,14 @@ def _drive(model: Any, training: Training, callback: TrainingCallback, checkpoin
     model.set_logger(configure(str(run.tensorboard), ["tensorboard"]))
     if checkpoints.state is None:
         describe(run, model.logger, training)
-    masks: dict[str, Any] = {"use_masking": algorithms.has_masks(model)} if algorithms.takes_masks(model) else {}
+    options: dict[str, Any] = {"use_masking": algorithms.has_masks(model)} if algorithms.takes_masks(model) else {}
+    if isinstance(model, OnPolicyAlgorithm):
+        options["log_interval"] = 1  # `Resumable.dump_logs` decides
     try:
-        model.learn(callback.total, callback=callback, **masks)
+        if statistics.steps >= callback.total:  # it was killed when it was done, before its record said so
+            model._setup_learn(callback.total, callback)
+            return "finished"
+        model.learn(callback.total, callback=callback, **options)
         if callback.interruption.requested and statistics.steps < callback.total:
             return "interrupted"
         callback.evaluate(AT_ONCE)

@@ -6,13 +6,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
-from tempfile import TemporaryFile
 from typing import Any
 
 import gymnasium as gym
 
 from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.files import atomic, unwritable
+from deepbots_cli.files import atomic, check_writable
 from deepbots_cli.learning.environments import World
 
 
@@ -27,15 +26,7 @@ def check(path: Path) -> None:
         raise MissingExtraError("train", "writing a video")
     if path.suffix.lower() != ".mp4":
         raise UsageError(f"{path} cannot be a video: its name does not end in .mp4")
-    if not path.parent.is_dir():
-        raise UsageError(f"{path} cannot be written: there is no directory {path.parent}")
-    if path.is_dir():
-        raise UsageError(f"{path} cannot be written: it is a directory")
-    try:
-        with TemporaryFile(dir=path.parent):
-            pass
-    except OSError as error:  # ffmpeg would say so at length, and name a file that nobody asked for
-        raise UsageError(unwritable(path, error)) from error
+    check_writable(path)  # ffmpeg would say so at length, and name a file that nobody asked for
 
 
 @contextmanager

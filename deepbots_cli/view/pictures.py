@@ -9,14 +9,13 @@ from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
-from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from deepbots_cli import frames
 from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.files import atomic, unwritable
+from deepbots_cli.files import atomic, check_writable
 from deepbots_cli.footprint import bounds
 from deepbots_cli.frames import Triple
 from deepbots_cli.port import View
@@ -70,15 +69,7 @@ def check_target(path: Path, suffixes: Sequence[str]) -> None:
         raise MissingExtraError("train", "writing a video")
     if kind == ".html" and find_spec("viser") is None:
         raise MissingExtraError("view", "an offline page")
-    if not path.parent.is_dir() or path.is_dir():
-        raise UsageError(
-            f"{path} cannot be written: there is no directory {path.parent}" if not path.is_dir() else f"{path} is a directory"
-        )
-    try:
-        with TemporaryFile(dir=path.parent):
-            pass
-    except OSError as error:
-        raise UsageError(unwritable(path, error)) from error
+    check_writable(path)
 
 
 # Pictures

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli.errors import MissingExtraError, RunError, UsageError
+from deepbots_cli.learning.episodes import read_log
 from deepbots_cli.learning.group import is_group
 from deepbots_cli.learning.run import NAME, Record, changed_settings, run_folders, short
 from deepbots_cli.view.page import COLOURS
@@ -78,7 +78,7 @@ def read(paths: Sequence[str | Path], window: int = 100) -> list[Log]:
 def _read_run(path: Path, window: int) -> Log:
     record = Record.read(path)
     log = Log(path, f"{record.scenario} {record.digest}", settings=short(changed_settings(record.command)))
-    rows = monitor_rows(path)
+    rows = read_log(path / "monitor.csv")
     if not rows:
         raise RunError(f"{path} holds no finished episode yet; plot it later")
     try:
@@ -121,20 +121,6 @@ def _text(path: Path) -> str:
         return path.read_text("utf-8", errors="replace")
     except FileNotFoundError:
         return ""
-
-
-def monitor_rows(run: Path) -> list[dict[str, str]]:
-    """The lines of `monitor.csv` of a run: an episode each.
-
-    Raises:
-        RunError: It is damaged.
-    """
-    path = run / "monitor.csv"
-    lines = [line for line in _text(path).splitlines() if not line.startswith("#")]
-    try:
-        return [row for row in csv.DictReader(lines) if None not in row.values()]  # the last line may be half written
-    except csv.Error as error:
-        raise RunError(f"{path} is damaged: {error}") from error
 
 
 def scalars_of(path: Path) -> dict[str, Curve]:

@@ -11,11 +11,12 @@ from pathlib import Path
 import pytest
 import stand_in
 
+from deepbots_cli import files
 from deepbots_cli.api import Compiled, compile, make
 from deepbots_cli.cli.results import case_rows, evaluation_text, summary_text
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.expressions.dimensions import LENGTH
-from deepbots_cli.learning import TrainingResult, evaluate, evaluate_baselines, evaluate_cases, train, video
+from deepbots_cli.learning import TrainingResult, evaluate, evaluate_baselines, evaluate_cases, train
 from deepbots_cli.learning.episodes import Episode, Summary, by_drawn_value
 from deepbots_cli.learning.evaluation import judge
 from deepbots_cli.learning.report import to_json
@@ -142,7 +143,7 @@ def test_a_video_in_a_folder_that_is_read_only_is_one_sentence_that_names_it(
     def refuse(**_: object) -> None:
         raise OSError(errno.EROFS, os.strerror(errno.EROFS))
 
-    monkeypatch.setattr(video, "TemporaryFile", refuse)  # permissions do not bind the user that tests may run as
+    monkeypatch.setattr(files, "TemporaryFile", refuse)  # permissions do not bind the user that tests may run as
     with pytest.raises(UsageError, match=r"out\.mp4 cannot be written: read-only file system"):
         evaluate(trained.run, video_to=tmp_path / "out.mp4", build=stand_in.build)
     assert capfd.readouterr().err == ""

@@ -404,6 +404,18 @@ def test_a_training_interrupted_during_set_up_goes_on_from_the_beginning(tmp_pat
     assert gone_on.weights_digest == short(tmp_path, build=stand_in.build).weights_digest
 
 
+def test_a_training_that_was_killed_when_it_was_done_is_finished_by_resuming_it(run_copy: Path, trained: TrainingResult) -> None:
+    record = json.loads((run_copy / "run.json").read_text())
+    (run_copy / "run.json").write_text(json.dumps(record | {"status": "running", "result": None}))
+    events = {path.name: path.read_bytes() for path in (run_copy / "tensorboard").iterdir()}
+    result = resume(run_copy, build=stand_in.build)
+    assert (result.status, result.steps, result.weights_digest) == ("finished", trained.steps, trained.weights_digest)
+    assert (run_copy / "monitor.csv").read_bytes() == (trained.run / "monitor.csv").read_bytes()
+    assert all((run_copy / "tensorboard" / name).read_bytes() == content for name, content in events.items())
+    with pytest.raises(UsageError, match="name a higher total"):
+        resume(run_copy, build=stand_in.build)
+
+
 def test_a_finished_run_without_its_checkpoint_is_damaged_and_not_begun_again(run_copy: Path) -> None:
     shutil.rmtree(run_copy / "checkpoints")
     for name in ("models/policy/best.zip", "models/policy/last.zip"):

@@ -6,7 +6,6 @@ for now. A measurement may be stopped at any time: what is finished is in the re
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import json
 import math
@@ -28,6 +27,7 @@ from typing import Any, NamedTuple
 import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.expressions.scalar import Scalar
+from deepbots_cli.learning.episodes import read_log
 from deepbots_cli.learning.run import Run, versions, write_text
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Evaluation as EvaluationSettings
@@ -372,17 +372,15 @@ def points(monitor: Path) -> list[Point]:
     recent: deque[tuple[float, bool]] = deque(maxlen=WINDOW)
     begun: list[str] = []
     found = []
-    with monitor.open(encoding="utf-8", newline="") as stream:
-        next(stream)  # the line of Stable-Baselines3
-        for row in csv.DictReader(stream):
-            if row["stage"] not in begun:
-                begun.append(row["stage"])
-                recent.clear()
-            if row["stage"] == begun[-1]:
-                recent.append((float(row["r"]), row["is_success"] == "1"))
-                mean, share = (sum(values) / len(recent) for values in zip(*recent, strict=True))
-                place = int(row["episode"]), int(row["steps"]), float(row["simulated_hours"])
-                found.append(Point(*place, mean, share, len(recent) == WINDOW, row["stage"]))
+    for row in read_log(monitor):
+        if row["stage"] not in begun:
+            begun.append(row["stage"])
+            recent.clear()
+        if row["stage"] == begun[-1]:
+            recent.append((float(row["r"]), row["is_success"] == "1"))
+            mean, share = (sum(values) / len(recent) for values in zip(*recent, strict=True))
+            place = int(row["episode"]), int(row["steps"]), float(row["simulated_hours"])
+            found.append(Point(*place, mean, share, len(recent) == WINDOW, row["stage"]))
     return found
 
 

@@ -20,6 +20,7 @@ from deepbots_cli.cli.tables import table
 from deepbots_cli.compiler.inputs import RESOLVED
 from deepbots_cli.engine_kinds import on_engine
 from deepbots_cli.errors import UsageError
+from deepbots_cli.files import check_writable
 from deepbots_cli.learning import report
 from deepbots_cli.learning.group import Group, is_group
 from deepbots_cli.learning.run import Run
@@ -350,8 +351,8 @@ def _judged(
 def _check_files(csv: Path | None, junit: Path | None, gates: Gates) -> None:
     """Find out before a long evaluation whether its files can be written, and have a content."""
     for path in (csv, junit):
-        if path is not None and not path.absolute().parent.is_dir():
-            raise UsageError(f"{path} cannot be written: there is no directory {path.parent}")
+        if path is not None:
+            check_writable(path)
     if junit is not None and gates == Gates(None, None, False):
         raise UsageError("--junit writes requirements, and there is none; add --min-success, --min-return or --require-solved")
 
