@@ -23,6 +23,8 @@ from deepbots_cli.program.task import Choices
 _SHOWN = 4
 _SAME = 1e-6  # numbers of the observation, from -1 to 1, that differ by less are equal
 _ENOUGH = 8  # episodes, below which the returns of a training tell nothing
+_CERTAIN, _SYMPTOMS = 0.9, {"too_few_steps", "short_training", "one_ending"}
+"""Beside a cause that is as likely as this, the length of the training and its most frequent ending are no causes of their own."""
 
 
 def diagnose(training: Training) -> list[Statement]:
@@ -37,8 +39,9 @@ def diagnose(training: Training) -> list[Statement]:
         )
     if training.solved or _succeeds(training):
         return []
-    found = state_all(CAUSES, training)
-    return sorted(found, key=lambda statement: -statement.evidence["likelihood"])
+    found = sorted(state_all(CAUSES, training), key=lambda statement: -statement.evidence["likelihood"])
+    certain = bool(found) and found[0].evidence["likelihood"] >= _CERTAIN
+    return [statement for statement in found if not (certain and statement.cause in _SYMPTOMS)]
 
 
 def _has_failed(training: Training) -> bool:
@@ -182,7 +185,7 @@ def _some(names: Sequence[str]) -> str:
 
 
 def term_dominates(t: Training) -> Numbers | None:
-    """The reward term '{term}' is {share} of the reward: it costs {mean} a step with random actions, where all other terms give {others}.
+    """The reward term '{term}' is {share} of the reward: with random actions it gives {mean} a step, and all other terms together {others}.
 
     Try: Weaken '{term}' until the other terms outweigh it, such as by a factor of 10.
     """
@@ -193,7 +196,7 @@ def term_dominates(t: Training) -> Numbers | None:
     name = max(sums, key=lambda each: abs(sums[each]))
     share, rest = abs(sums[name]) / whole, sum(value for key, value in sums.items() if key != name)
     varies = any(np.ptp(trace.terms[name]) > 1e-9 for trace in t.random if trace.steps)
-    if share < 0.7 or not varies or sums[name] * rest > 0 or rest < 0:
+    if share < 0.55 or not varies or sums[name] * rest > 0 or rest < 0:
         return None
     steps = sum(trace.steps for trace in t.random)
     return {"likelihood": 0.94, "term": name, "share": Share(share), "mean": sums[name] / steps, "others": rest / steps, "steps": steps}
@@ -393,7 +396,7 @@ def too_few_steps(t: Training) -> Numbers | None:
 def short_training(t: Training) -> Numbers | None:
     """The training is short: {steps} steps and {episodes} episodes, {share} of the {planned} steps of the scenario.
 
-    Try: Train on, once the causes above are mended: deepbots train --resume {run} --timesteps {more}
+    Try: Train on: deepbots train --resume {run} --timesteps {more}
     """
     numbers = _length(t)
     if numbers["share"].value >= 0.5 or too_few_steps(t) is not None:
@@ -405,7 +408,7 @@ def _length(t: Training) -> dict[str, Any]:
     settings = t.program.policy.training
     planned = settings.total_timesteps if settings else t.run.record.total_timesteps
     share, more = Share(t.steps / planned), max(planned, 2 * t.steps)
-    return {"steps": t.steps, "planned": planned, "share": share, "more": more, "run": str(t.run.path)}
+    return {"steps": t.steps, "planned": planned, "share": share, "more": str(more), "run": str(t.run.path)}
 
 
 CAUSES: tuple[Finder[Training], ...] = (

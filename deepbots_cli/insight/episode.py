@@ -198,7 +198,7 @@ def saturation(about: Explained) -> Numbers | None:
     shares = about.trace.saturation()
     if not shares:
         return None
-    parts = [f"{name} in {share:.0%}" for name, share in shares.items() if share > 0][:_SHOWN]
+    parts = [f"{name} in {share:.0%}" for name, share in shares.items() if share >= 0.005][:_SHOWN]
     return {"shares": shares, "parts": listed(parts) if parts else "none (0%)"}
 
 
@@ -217,7 +217,7 @@ def limits(about: Explained) -> Numbers | None:
     if not ranges:
         return None
     shares: Mapping[str, float] = {name: float((np.abs(values) >= 0.999).mean()) for name, values in ranges.items()}
-    order = [name for name in sorted(shares, key=lambda name: -shares[name]) if shares[name] > 0][:_SHOWN]
+    order = [name for name in sorted(shares, key=lambda name: -shares[name]) if shares[name] >= 0.005][:_SHOWN]
     return {"shares": shares, "parts": listed([f"{name} in {shares[name]:.0%}" for name in order]) if order else "none (0%)"}
 
 
