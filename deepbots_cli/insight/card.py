@@ -17,7 +17,7 @@ from pathlib import Path, PurePosixPath
 from pydantic import BaseModel, ConfigDict
 
 import deepbots_cli
-from deepbots_cli.errors import RunError
+from deepbots_cli.errors import MissingExtraError, RunError
 from deepbots_cli.learning.listing import last_evaluation
 from deepbots_cli.learning.run import Format, KeptEvaluation, ModelName, Run, read_json
 from deepbots_cli.program import Program, identity
@@ -113,9 +113,11 @@ def bundle(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
         RunError: There is no such model, or it is damaged.
         UsageError: The policy cannot be exported.
     """
-    from deepbots_cli.insight import export
-    from deepbots_cli.learning import models, policy
-
+    try:
+        from deepbots_cli.insight import export
+        from deepbots_cli.learning import models, policy
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("export", "exporting a policy") from error
     model = policy.loaded(run, name)
     graphs = export.networks(model, run.program)
     evaluated = last_evaluation(run.path, run.record) if name == "best" else None

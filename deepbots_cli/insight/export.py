@@ -11,24 +11,21 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import onnx
 import torch
 from gymnasium import spaces
+from onnx import TensorProto, helper, numpy_helper
+from onnx.reference import ReferenceEvaluator
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.preprocessing import is_image_space
 from torch import nn
 
 import deepbots_cli
-from deepbots_cli.errors import MissingExtraError, UsageError
+from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import algorithms
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionRange, Choices, viewed
 from deepbots_cli.runtime.spaces import action_space, observation_space
-
-try:
-    import onnx
-    from onnx import TensorProto, helper, numpy_helper
-except ModuleNotFoundError as error:
-    raise MissingExtraError("export", "exporting a policy") from error
 
 _OPSET = 17
 _IR_VERSION = 8
@@ -288,8 +285,6 @@ def largest_difference(
     Args:
         run: Runs the graph; by default the slow reference of onnx does.
     """
-    from onnx.reference import ReferenceEvaluator
-
     random = np.random.default_rng(0)
     space = observation_space(program)
     if isinstance(space, spaces.Dict):
