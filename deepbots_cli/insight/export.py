@@ -84,7 +84,7 @@ class _Graph:
             case nn.Linear():
                 return str(self.add("Gemm", value, self.constant(module.weight), self.constant(module.bias), transB=1))
             case nn.Conv2d() if module.groups == 1 and module.padding_mode == "zeros" and module.bias is not None:
-                sides = {"strides": module.stride, "pads": [*module.padding, *module.padding], "dilations": module.dilation}
+                sides: dict[str, Any] = {"strides": module.stride, "pads": [*module.padding, *module.padding], "dilations": module.dilation}
                 return str(self.add("Conv", value, self.constant(module.weight), self.constant(module.bias), **sides))
             case nn.Flatten():
                 return str(self.add("Flatten", value, axis=1))
@@ -135,7 +135,7 @@ def _graph(model: BaseAlgorithm, program: Program, *, si: bool) -> bytes:
     features = _features(graph, model, program, si=si)
     head: Any = policy
     if hasattr(policy, "lstm_actor"):
-        features = _memory(graph, policy.lstm_actor, features)
+        features = _memory(graph, head.lstm_actor, features)
     if hasattr(policy, "mlp_extractor"):  # PPO, A2C and their kin
         value = graph.layers(head.action_net, graph.layers(head.mlp_extractor.policy_net, features))
     elif hasattr(policy, "q_net"):
@@ -163,7 +163,8 @@ def _graph(model: BaseAlgorithm, program: Program, *, si: bool) -> bytes:
 
 def _features(graph: _Graph, model: BaseAlgorithm, program: Program, *, si: bool) -> str:
     """What the networks begin with: the observation, or the parts of a Dict in the order of the space."""
-    space, seen = observation_space(program), model.policy.observation_space
+    space = observation_space(program)
+    seen: Any = model.policy.observation_space
     parts: Mapping[str, Any] = space.spaces if isinstance(space, spaces.Dict) else {"observation": space}
     values = []
     extractors: Any = getattr(_extractor(model), "extractors", None)
