@@ -4,6 +4,7 @@ policy.onnx       the observation of the environment in, its action out
 policy_si.onnx    the same observation in SI units in, commands in SI units out
 card.json         names, units, ranges and rates, the result with its interval, versions
 README.md         the same for people
+scenario.yaml     what the names mean; the robot files that it names are not in the bundle
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ from pathlib import Path, PurePosixPath
 from pydantic import BaseModel, ConfigDict
 
 import deepbots_cli
-from deepbots_cli.errors import RunError
+from deepbots_cli.compiler.inputs import RESOLVED
+from deepbots_cli.errors import MissingExtraError, RunError
 from deepbots_cli.learning.listing import last_evaluation
 from deepbots_cli.learning.run import Format, KeptEvaluation, ModelName, Run, read_json
 from deepbots_cli.program import Program, identity
@@ -113,9 +115,11 @@ def bundle(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
         RunError: There is no such model, or it is damaged.
         UsageError: The policy cannot be exported.
     """
-    from deepbots_cli.insight import export
-    from deepbots_cli.learning import models, policy
-
+    try:
+        from deepbots_cli.insight import export
+        from deepbots_cli.learning import models, policy
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("export", "exporting a policy") from error
     model = policy.loaded(run, name)
     graphs = export.networks(model, run.program)
     evaluated = last_evaluation(run.path, run.record) if name == "best" else None
@@ -149,7 +153,8 @@ def bundle(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
         files={name: hashlib.sha256(content).hexdigest() for name, content in graphs.items()},
         versions=record.versions,
     )
-    texts = {NAME: card.model_dump_json(indent=2) + "\n", "README.md": readme(card)}
+    scenario = (run.path / RESOLVED).read_text(encoding="utf-8")
+    texts = {NAME: card.model_dump_json(indent=2) + "\n", "README.md": readme(card), "scenario.yaml": scenario}
     return {PurePosixPath(name): content for name, content in [*graphs.items(), *((name, text.encode()) for name, text in texts.items())]}
 
 

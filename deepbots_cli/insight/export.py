@@ -11,24 +11,21 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import onnx
 import torch
 from gymnasium import spaces
+from onnx import TensorProto, helper, numpy_helper
+from onnx.reference import ReferenceEvaluator
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.preprocessing import is_image_space
 from torch import nn
 
 import deepbots_cli
-from deepbots_cli.errors import MissingExtraError, UsageError
+from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import algorithms
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionRange, Choices, viewed
 from deepbots_cli.runtime.spaces import action_space, observation_space
-
-try:
-    import onnx
-    from onnx import TensorProto, helper, numpy_helper
-except ModuleNotFoundError as error:
-    raise MissingExtraError("export", "exporting a policy") from error
 
 _OPSET = 17
 _IR_VERSION = 8
@@ -87,7 +84,7 @@ class _Graph:
             case nn.Linear():
                 return str(self.add("Gemm", value, self.constant(module.weight), self.constant(module.bias), transB=1))
             case nn.Conv2d() if module.groups == 1 and module.padding_mode == "zeros" and module.bias is not None:
-                sides = {"strides": module.stride, "pads": [*module.padding, *module.padding], "dilations": module.dilation}
+                sides: dict[str, Any] = {"strides": module.stride, "pads": [*module.padding, *module.padding], "dilations": module.dilation}
                 return str(self.add("Conv", value, self.constant(module.weight), self.constant(module.bias), **sides))
             case nn.Flatten():
                 return str(self.add("Flatten", value, axis=1))
@@ -138,7 +135,7 @@ def _graph(model: BaseAlgorithm, program: Program, *, si: bool) -> bytes:
     features = _features(graph, model, program, si=si)
     head: Any = policy
     if hasattr(policy, "lstm_actor"):
-        features = _memory(graph, policy.lstm_actor, features)
+        features = _memory(graph, head.lstm_actor, features)
     if hasattr(policy, "mlp_extractor"):  # PPO, A2C and their kin
         value = graph.layers(head.action_net, graph.layers(head.mlp_extractor.policy_net, features))
     elif hasattr(policy, "q_net"):
@@ -166,7 +163,8 @@ def _graph(model: BaseAlgorithm, program: Program, *, si: bool) -> bytes:
 
 def _features(graph: _Graph, model: BaseAlgorithm, program: Program, *, si: bool) -> str:
     """What the networks begin with: the observation, or the parts of a Dict in the order of the space."""
-    space, seen = observation_space(program), model.policy.observation_space
+    space = observation_space(program)
+    seen: Any = model.policy.observation_space
     parts: Mapping[str, Any] = space.spaces if isinstance(space, spaces.Dict) else {"observation": space}
     values = []
     extractors: Any = getattr(_extractor(model), "extractors", None)
@@ -288,8 +286,6 @@ def largest_difference(
     Args:
         run: Runs the graph; by default the slow reference of onnx does.
     """
-    from onnx.reference import ReferenceEvaluator
-
     random = np.random.default_rng(0)
     space = observation_space(program)
     if isinstance(space, spaces.Dict):

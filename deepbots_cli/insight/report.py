@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import io
 import platform
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from importlib.metadata import version
@@ -26,6 +26,7 @@ from deepbots_cli import api
 from deepbots_cli.compiler.inputs import RESOLVED
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.errors import DeepbotsError, EngineError, MissingExtraError, RunError
+from deepbots_cli.frames import Frame
 from deepbots_cli.insight import figures
 from deepbots_cli.insight.card import result_text
 from deepbots_cli.learning.episodes import Episode
@@ -35,17 +36,18 @@ from deepbots_cli.learning.run import KeptEvaluation, Record, Run, is_training, 
 from deepbots_cli.lint import review
 from deepbots_cli.view import pictures, plots
 from deepbots_cli.view.episodes import Player, Source
+from deepbots_cli.view.frames import LinkName
 from deepbots_cli.view.plots import Log
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from deepbots_cli.view.frames import WorldFrame
-
 _EVALUATION_LIMIT = 200_000_000
 _TRACED = 12
-_CLIP_SECONDS = 20.0
-_SHOT = pictures.Shot(480, 320)
+_CLIP_SECONDS, _CLIP_RATE = 10.0, 10.0
+_SHOT = pictures.Shot(420, 300, samples=1)  # 60 instead of 200 ms a picture
+Trace = list[Mapping[LinkName, Frame]]
+"""The poses of all links, step by step."""
 OnEpisode = Callable[[int, int], object]
 
 
@@ -155,26 +157,30 @@ class Report:
 
     def run_again(self, shown: Sequence[Shown], on_episode: OnEpisode, *, clips: bool = True, allow_code: bool = False) -> None:
         """Run episodes of the evaluation again, for their paths and clips."""
-        from deepbots_cli.learning.policy import loaded
-
+        try:
+            from deepbots_cli.learning.policy import loaded
+        except ModuleNotFoundError as error:
+            raise MissingExtraError("train", "running episodes again") from error
         total, done = len(shown), 0
-        traces: dict[Shown, list[WorldFrame]] = {}
+        traces: dict[Shown, Trace] = {}
         for member in self.members:
             mine = [each for each in shown if each.member is member]
+            if not mine:
+                continue
             source = Source(str(member.run.path), engine=member.evaluation.engine, allow_code=allow_code)
-            model = loaded(member.run, "best") if mine else None
+            model = loaded(member.run, "best")
             with closing(Player(source.open(), "zero")) as player:
                 for each in mine:
                     player.driver = _AsEvaluated(model, player, each.number)
-                    traces[each] = list(player.episode(member.evaluation.seed, each.number))
-                    again = sum(frame.agents[next(iter(frame.agents))].reward for frame in traces[each][1:])
-                    if abs(again - each.outcome.total_return) > 1e-6 * max(1.0, abs(again)) and len(player.env.agents) == 1:
+                    traces[each] = [frame.links for frame in player.episode(member.evaluation.seed, each.number)]
+                    again = fmean(agent.episode_return for agent in player.frame.agents.values())
+                    if abs(again - each.outcome.total_return) > 1e-6 * max(1.0, abs(again)):
                         self.notes.append(
                             f"episode {each.number} of seed {member.run.record.seed} has the return {again:.4g} when it is run again, and "
                             f"{each.outcome.total_return:.4g} in the evaluation: versions or machine differ; path and clip are those of now"
                         )
                     if clips and each.label:
-                        self._film(player, each, traces[each])
+                        self._film(player, each)
                     done += 1
                     on_episode(done, total)
                 self.fixed = self.fixed or _standing(player, traces)
@@ -182,22 +188,23 @@ class Report:
         self.link = _traced_link(player, first)
         body, _, link = self.link.partition("/")
         self.paths = [
-            figures.Path(each.title, [frame.links[body, link][0] for frame in traces[each]], each.outcome.is_success, bool(each.label))
+            figures.Path(each.title, [links[body, link][0] for links in traces[each]], each.outcome.is_success, bool(each.label))
             for each in shown
         ]
 
-    def _film(self, player: Player, shown: Shown, trace: Sequence[WorldFrame]) -> None:
-        speed = max(1.0, trace[-1].time / _CLIP_SECONDS)
+    def _film(self, player: Player, shown: Shown) -> None:
+        time = player.frame.time
+        speed, rate = max(1.0, time / _CLIP_SECONDS), _CLIP_RATE
         with TemporaryDirectory() as folder:
             target = Path(folder, "clip.mp4")
             try:
                 pictures.check_target(target, (".mp4",))
-                pictures.clip(player, target, _SHOT, seed=shown.member.evaluation.seed, episode=shown.number, speed=speed)
+                pictures.clip(player, target, _SHOT, seed=shown.member.evaluation.seed, episode=shown.number, speed=speed, rate=rate)
             except (EngineError, MissingExtraError) as error:
                 self.notes = list(dict.fromkeys([*self.notes, f"there are no clips: {error}"]))
                 return
             fast = f", {speed:.1f} times as fast" if speed > 1 else ""
-            self.clips[shown.label] = (f"{shown.title} after {trace[-1].time:.1f} s{fast}", target.read_bytes())
+            self.clips[shown.label] = (f"{shown.title} after {time:.1f} s{fast}", target.read_bytes())
 
     # Figures
 
@@ -295,24 +302,24 @@ class _AsEvaluated:
         return actions if self._team else actions[self._row]
 
 
-def _traced_link(player: Player, trace: Sequence[WorldFrame]) -> str:
+def _traced_link(player: Player, trace: Trace) -> str:
     """The root link of the first robot; of a robot that stands still, the link that goes furthest."""
     robot = player.env.world.robots[0]
 
     def way(link: str) -> float:
-        points = np.array([frame.links[robot.name, link][0] for frame in trace])
+        points = np.array([links[robot.name, link][0] for links in trace])
         return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
     links = [link.name for link in robot.model.links]
     return f"{robot.name}/{robot.model.root if way(robot.model.root) > 0.01 else max(links, key=way)}"
 
 
-def _standing(player: Player, traces: dict[Shown, list[WorldFrame]]) -> dict[str, list[Any]]:
+def _standing(player: Player, traces: dict[Shown, Trace]) -> dict[str, list[Any]]:
     """The outlines of objects that have one place in all these episodes."""
-    frames = [frame for trace in traces.values() for frame in (trace[0], trace[-1])]
+    moments = [links for trace in traces.values() for links in (trace[0], trace[-1])]
     found = {}
     for thing in player.env.world.objects:
-        poses = {frame.links.get((thing.name, thing.name)) for frame in frames}
+        poses = {links.get((thing.name, thing.name)) for links in moments}
         pose = poses.pop() if len(poses) == 1 else None
         if pose is not None:
             found[thing.name] = figures.outline(thing.shape, pose)

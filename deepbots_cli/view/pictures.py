@@ -46,6 +46,8 @@ class Shot:
     height: int = 480
     eye: Triple | None = None
     target: Triple | None = None
+    samples: int = 2
+    """The pictures of a clip are drawn so many times as large, and reduced."""
 
     def view(self, usual: View) -> View:
         """The view, given the one without `eye` and `target`."""
@@ -224,12 +226,21 @@ def _write(draw: ImageDraw, at: Point, text: str) -> None:
 
 
 def clip(
-    player: Player, path: Path, shot: Shot, *, seed: int, episode: int, seconds: float | None = None, speed: float = 1.0
+    player: Player,
+    path: Path,
+    shot: Shot,
+    *,
+    seed: int,
+    episode: int,
+    seconds: float | None = None,
+    speed: float = 1.0,
+    rate: float = _MP4_RATE,
 ) -> WorldFrame:
     """Write an episode, or its first `seconds`, as MP4, GIF or an offline page, by the suffix of `path`; the last frame.
 
     Args:
         speed: Seconds of the episode per second of the clip.
+        rate: The largest number of pictures per second of an MP4.
 
     Raises:
         EngineError: The engine cannot draw.
@@ -242,7 +253,7 @@ def clip(
         elif path.suffix.lower() == ".gif":
             write_gif(draft, *_pictures(player, shot, shown, speed, _GIF_RATE))
         else:
-            _write_mp4(draft, *_pictures(player, shot, shown, speed, _MP4_RATE))
+            _write_mp4(draft, *_pictures(player, shot, shown, speed, rate))
     return player.frame
 
 
@@ -254,7 +265,7 @@ def _pictures(player: Player, shot: Shot, shown: Iterable[WorldFrame], speed: fl
         for frame in shown:
             if frame.step % every == 0 or frame.ended_by is not None:
                 view = shot.view(player.view(shot.width, shot.height))
-                yield player.render(replace(view, width=shot.width, height=shot.height))
+                yield player.render(replace(view, width=shot.width, height=shot.height, samples=shot.samples))
 
     return taken(), speed / player.program.period / every
 

@@ -197,7 +197,7 @@ def _alike(recorded: Any, now: Any, tolerance: float) -> bool:
     if isinstance(recorded, list) and isinstance(now, list):
         return len(recorded) == len(now) and all(_alike(*pair, tolerance) for pair in zip(recorded, now, strict=True))
     if tolerance and type(recorded) in (int, float) and type(now) in (int, float):
-        return abs(recorded - now) <= tolerance * max(1.0, abs(recorded), abs(now))
+        return bool(abs(recorded - now) <= tolerance * max(1.0, abs(recorded), abs(now)))
     return bool(recorded == now)
 
 

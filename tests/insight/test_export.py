@@ -27,11 +27,11 @@ from deepbots_cli.program.task import Network, Training
 slow = pytest.mark.slow
 
 
-def _made(scenario: str, algorithm: str, activation: str = "tanh", sets: tuple[str, ...] = ()):
+def _made(scenario: str, algorithm: str, activation: str = "tanh", frame_stack: int = 1):
     """A program, and an untrained policy whose weights are spread, so that its actions differ."""
-    program = api.compile(scenario, sets=sets).program
+    program = api.compile(scenario).program
     training = Training(algorithm, 1000, network=Network((32, 32), activation))
-    program = program.with_policies(training=training)
+    program = program.with_policies(training=training, frame_stack=frame_stack)
     spaces = VectorEnvironment([_Spaces(program)], [0])
     model = algorithms.create(training, spaces, seed=0, total_timesteps=1, to_learn=False)
     with torch.no_grad():
@@ -93,7 +93,7 @@ def test_in_si_units_values_and_commands_mean_what_the_scenario_says(scenario, a
 
 
 def test_older_values_stand_where_the_environment_puts_them():
-    program, model = _made("cartpole", "PPO", sets=("agent.frame_stack=3",))
+    program, model = _made("cartpole", "PPO", frame_stack=3)
     graph = export.networks(model, program)["policy.onnx"]
     assert _session(graph).get_inputs()[0].shape == ["batch", 12]
     assert [entry.steps_ago for entry in card._observed(program)][::4] == [2, 1, 0]

@@ -22,10 +22,19 @@ from tests.view.browser import CHROMIUM, browser
 
 @pytest.fixture(scope="module")
 def written(run, tmp_path_factory):
-    """The report of the run, the folder with its figures, and what the command told."""
+    """The report of the run without clips, and the folder with its figures."""
     folder = tmp_path_factory.mktemp("reports")
-    assert main(["report", str(run), "-o", str(folder / "report.html"), "--figures", str(folder / "figures"), "--episodes", "3"]) == 0
+    options = ["--figures", str(folder / "figures"), "--episodes", "3", "--no-clips"]
+    assert main(["report", str(run), "-o", str(folder / "report.html"), *options]) == 0
     return folder / "report.html", folder / "figures"
+
+
+@pytest.fixture(scope="module")
+def filmed(run, tmp_path_factory):
+    """The report with clips."""
+    path = tmp_path_factory.mktemp("filmed") / "report.html"
+    assert main(["report", str(run), "-o", str(path), "--episodes", "3"]) == 0
+    return path
 
 
 @pytest.fixture
@@ -134,12 +143,12 @@ def test_only_a_named_file_is_replaced(run, tmp_path, monkeypatch, capsys):
 @pytest.mark.browser
 @pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium")
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_a_browser_without_scripts_shows_everything(written, scheme):
+def test_a_browser_shows_everything_and_asks_for_nothing(filmed, scheme):
     with browser() as new_tab:
         tab = new_tab()
         tab.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
         tab.call("Emulation.setDeviceMetricsOverride", width=390, height=800, deviceScaleFactor=1, mobile=False)
-        tab.call("Page.navigate", url=written[0].as_uri())
+        tab.call("Page.navigate", url=filmed.as_uri())
         tab.wait("document.readyState == 'complete' && document.images.length == 4")
         assert tab.run("[...document.images].every(image => image.naturalWidth > 0)")
         assert tab.run("document.documentElement.scrollWidth") <= 390  # wide parts scroll by themselves
@@ -148,5 +157,5 @@ def test_a_browser_without_scripts_shows_everything(written, scheme):
         )
         ground = tab.run("getComputedStyle(document.body).backgroundColor")
         assert ground == {"light": "rgb(255, 255, 255)", "dark": "rgb(22, 24, 28)"}[scheme]
-        assert [address for address in tab.requests if not address.startswith("data:")] == [written[0].as_uri()]
+        assert [address for address in tab.requests if not address.startswith("data:")] == [filmed.as_uri()]
         assert tab.errors == []

@@ -86,7 +86,7 @@ def command(
             terminal.say(f"episode {row['episode']}: {row['ending']} after {row['steps']} steps, return {row['return']:.2f}")
         terminal.note(f"\nnext:\n  deepbots replay --verify {recording}")
         return
-    shown, changed = opened, []
+    shown = opened
     if scenario is not None:
         shown, changed = _elsewhere(opened, scenario, sets or (), allow_paths or (), allow_code=allow_code)
         notes += [f"{change.path}: recorded {change.one or 'nothing'}, now {change.other or 'nothing'}" for change in changed]
