@@ -1,9 +1,10 @@
-"""A batch of worlds as a vector environment of Stable-Baselines3."""
+"""Batches of worlds as a vector environment of Stable-Baselines3."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from functools import partial
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +28,8 @@ def reasons_against(program: Program, worlds: int, engine: str, build: BuildWorl
     if worlds < SMALLEST:
         return [f"there are fewer than {SMALLEST} worlds"]
     own = [] if getattr(build, "func", None) is api.build else ["its worlds are made by a function of the caller"]
-    return [*own, *not_batched(program), *(["it has a curriculum"] if program.curriculum else [])]
+    stages = [stage.program for stage in program.curriculum]
+    return list(dict.fromkeys([*own, *(reason for one in (program, *stages) for reason in not_batched(one))]))
 
 
 def described(program: Program, worlds: int, engine: str, build: BuildWorld) -> str:
@@ -67,66 +69,129 @@ class Sums:
 class BatchedWorlds(VectorEnvironment):
     """The worlds of a batch, a row each; world i starts from `seeds[i]` at the first reset and runs on from there.
 
+    In a curriculum, each world enters the next stage when its episode ends. There is a batch for each stage that worlds are in; the
+    others rest in it.
+
     Args:
-        batch: The worlds, which are closed with this.
+        build: Makes the worlds of a stage, by its number; they are closed with this.
         seeds: The seed of each.
+        stages: The stage of each, which `next_seed` may change.
         on_step: Called after the step of each row.
         on_episode: Called after each episode of a row with the number of its world.
+        next_seed: Called before a world begins another episode; gives a seed if it begins one of another stage.
     """
 
     def __init__(
         self,
-        batch: BatchSupervisor,
+        build: Callable[[int], BatchSupervisor],
         seeds: Sequence[int],
+        stages: Sequence[int] | None = None,
         *,
         on_step: Callable[[], None] = lambda: None,
         on_episode: Callable[[int, Episode], None] = lambda world, episode: None,
+        next_seed: Callable[[int], int | None] = lambda world: None,
     ) -> None:
-        self.batch = batch
-        self._sums = Sums(batch)
-        super().__init__(batch.singles, seeds, on_step=on_step, on_episode=on_episode)
+        self._build, self._next_seed = build, next_seed
+        self.stages = [0] * len(seeds) if stages is None else stages
+        self._batches: dict[int, tuple[BatchSupervisor, Sums]] = {}
+        first = self._batch_of(self.stages[0])
+        super().__init__(first.singles, seeds, on_step=on_step, on_episode=on_episode)
+
+    def _batch_of(self, stage: int) -> BatchSupervisor:
+        """The worlds of a stage, built when one of them is first needed."""
+        if stage not in self._batches:
+            made = self._build(stage)
+            self._batches[stage] = made, Sums(made)
+        return self._batches[stage][0]
+
+    def _in(self, stage: int) -> npt.NDArray[np.bool_]:
+        """The worlds that are in a stage, as truth values."""
+        return np.array([own == stage for own in self.stages])
 
     def reset(self) -> VecEnvObs:
-        self._sums.clear()
-        self.last_observations = self.batch.reset(self.starts)
-        self.drawn = [single.drawn() for single in self.batch.singles]
+        for stage in dict.fromkeys(self.stages):
+            self._batch_of(stage).reset(self.starts)
+        for _, sums in self._batches.values():
+            sums.clear()
+        self.drawn = [self._batch_of(stage).singles[world].drawn() for world, stage in enumerate(self.stages)]
+        self.last_observations = self._observations()
         return self.last_observations
 
+    def _observations(self) -> VecEnvObs:
+        """Of each world in its stage."""
+        (_, (first, _)), *others = self._batches.items()
+        seen = first.observations()
+        for stage, (worlds, _) in others:
+            rows, more = self._in(stage), worlds.observations()
+            for mine, other in zip(seen.values(), more.values(), strict=True) if isinstance(seen, dict) else [(seen, more)]:
+                mine[rows] = other[rows]
+        return cast(VecEnvObs, seen)
+
     def step_wait(self) -> VecEnvStepReturn:
-        outcome = self.batch.step(self._actions)
-        self._sums.add(outcome.rewards, outcome.terms)
-        dones = np.zeros(self.num_envs, bool)
-        dones[outcome.done] = True
+        rewards, dones = np.zeros(self.num_envs, np.float32), np.zeros(self.num_envs, bool)
         infos: list[dict[str, Any]] = [_NOTHING] * self.num_envs
-        ended = dict(zip(outcome.done.tolist(), range(len(outcome.done)), strict=True))
+        ended: dict[int, tuple[int, Outcome, Sums]] = {}
+        for stage, (worlds, sums) in self._batches.items():
+            acting = self._in(stage)
+            outcome = worlds.advance(self._actions, None if acting.all() else ~acting)
+            worlds.warn_of_losses(stacklevel=3)
+            sums.add(outcome.rewards, outcome.terms, acting)
+            rewards[acting] = outcome.rewards[acting]
+            dones[outcome.done] = True
+            ended |= {world: (place, outcome, sums) for place, world in enumerate(outcome.done.tolist())}
+        begun: dict[int, list[tuple[int, int | None]]] = {}
         for world in range(self.num_envs):
             self._on_step()
             if world in ended:
-                infos[world] = self._close(world, ended[world], outcome)
-                self.drawn[world] = self.batch.singles[world].drawn()  # the next episode has begun
-        self.last_observations = outcome.observations
-        return self.last_observations, outcome.rewards.astype(np.float32), dones, infos
+                infos[world] = self._close(world, *ended[world])
+                seed = self._next_seed(world)
+                begun.setdefault(self.stages[world], []).append((world, seed))
+        for stage, beginning in begun.items():
+            self._begin_in(stage, beginning)
+        for stage in [stage for stage in self._batches if stage not in self.stages]:
+            self._batches.pop(stage)[0].close()
+        self.last_observations = self._observations()
+        return self.last_observations, rewards, dones, infos
 
-    def _close(self, world: int, place: int, outcome: Outcome) -> dict[str, Any]:
+    def _begin_in(self, stage: int, beginning: Sequence[tuple[int, int | None]]) -> None:
+        """Let worlds begin an episode in a stage; the first ones that enter it find the others at rest there."""
+        if stage not in self._batches:
+            self._batch_of(stage).reset(self.starts)
+        worlds = self._batch_of(stage)
+        worlds.begin(*zip(*beginning, strict=True))
+        for world, _ in beginning:
+            self.drawn[world] = worlds.singles[world].drawn()
+
+    def _close(self, world: int, place: int, outcome: Outcome, sums: Sums) -> dict[str, Any]:
         """The last info of an episode, which is reported."""
         info, last = outcome.infos[place], outcome.last
-        episode = self._sums.close(world, info)
+        episode = sums.close(world, info)
         self._on_episode(world, episode)
         seen = {key: part[place] for key, part in last.items()} if isinstance(last, dict) else last[place]
         return last_info(info, seen, episode, timed_out=not outcome.terminated[world])
 
     def histories(self) -> list[Running]:
-        return self.batch.snapshot()
+        running = {stage: worlds.snapshot() for stage, (worlds, _) in self._batches.items()}
+        return [running[stage][world] for world, stage in enumerate(self.stages)]
 
     def repeat(self, histories: Sequence[Running]) -> VecEnvObs:
-        self._sums.clear()
-        batch = self.batch
-        self.last_observations = batch.restore(histories, lambda acting: self._sums.add(batch.rewards(), batch.terms(), acting))
-        self.drawn = [single.drawn() for single in batch.singles]
+        for stage in dict.fromkeys(self.stages):
+            worlds, inside = self._batch_of(stage), self._in(stage)
+            sums = self._batches[stage][1]
+            sums.clear()
+            begun = [history if inside[world] else Running(self.starts[world], []) for world, history in enumerate(histories)]
+            worlds.restore(begun, partial(_count, worlds, sums))
+        self.drawn = [self._batch_of(stage).singles[world].drawn() for world, stage in enumerate(self.stages)]
+        self.last_observations = self._observations()
         return self.last_observations
 
     def close(self) -> None:
-        self.batch.close()
+        for worlds, _ in self._batches.values():
+            worlds.close()
+
+
+def _count(worlds: BatchSupervisor, sums: Sums, acting: npt.NDArray[np.bool_]) -> None:
+    sums.add(worlds.rewards(), worlds.terms(), acting)
 
 
 _NOTHING: dict[str, Any] = {}

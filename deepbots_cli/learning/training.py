@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing, nullcontext, suppress
 from dataclasses import replace
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from shlex import quote
@@ -46,6 +47,7 @@ from deepbots_cli.learning.run import (
 )
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Training
+from deepbots_cli.runtime.batch import BatchSupervisor
 from deepbots_cli.runtime.streams import derive
 from deepbots_cli.scenario import Scenario
 
@@ -340,12 +342,14 @@ def _environment(
         if present and curriculum.add(episode, statistics.steps, statistics.episodes):
             callback.begin_stage()
 
+    next_seed = partial(_enter_stage, run, curriculum, stages)
+
     def next_world(index: int) -> tuple[World, int] | None:
-        if stages[index] == curriculum.index:
+        seed = next_seed(index)
+        if seed is None:
             return None
-        stages[index] = curriculum.index
         worlds[index] = guarded(curriculum.index)
-        return worlds[index], derive(run.record.seed, "environment", index, "stage", curriculum.index)
+        return worlds[index], seed
 
     def guarded(stage: int) -> World:
         scenario = curriculum.scenario_of(stage)
@@ -361,14 +365,26 @@ def _environment(
     seeds = [derive(run.record.seed, "environment", i) for i in range(len(stages))]
     env: VectorEnvironment
     if not batch.reasons_against(run.program, len(stages), run.record.engine, build):
-        made = build_batch(run.program, len(stages), engine=run.record.engine)
-        stack.callback(made.close)
-        env = batch.BatchedWorlds(made, seeds, on_step=count_step, on_episode=count_episode)
+        build_stage = partial(_batch_of_stage, run, curriculum, len(stages))
+        env = batch.BatchedWorlds(build_stage, seeds, stages, on_step=count_step, on_episode=count_episode, next_seed=next_seed)
+        stack.callback(env.close)
     else:
         for stage in stages:
             worlds.append(guarded(stage))
         env = VectorEnvironment(worlds, seeds, on_step=count_step, on_episode=count_episode, next_world=next_world)
     return env if training.normalize is None else _normalized(env, training)
+
+
+def _enter_stage(run: Run, curriculum: Curriculum, stages: list[int], world: int) -> int | None:
+    """Let a world enter the present stage; the seed that it begins there with, or None if it is there already."""
+    if stages[world] == curriculum.index:
+        return None
+    stages[world] = curriculum.index
+    return derive(run.record.seed, "environment", world, "stage", curriculum.index)
+
+
+def _batch_of_stage(run: Run, curriculum: Curriculum, count: int, stage: int) -> BatchSupervisor:
+    return build_batch(curriculum.scenario_of(stage), count, engine=run.record.engine)
 
 
 def _normalized(env: VecEnv, training: Training) -> VecNormalize:

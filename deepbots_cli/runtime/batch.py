@@ -281,11 +281,8 @@ class BatchSupervisor(_Part, ABC):
         Raises:
             EvaluationError: An expression has no value in a world that is finite, or an episode would end before its first step.
         """
-        known = len(self.losses)
         outcome = self.advance(action)
-        for world, (seed, step) in zip(np.flatnonzero(self._lost).tolist(), self.losses[known:], strict=True):
-            message = f"world {world} (seed {seed}) was no longer finite in step {step} and begins anew"
-            warnings.warn(message, RuntimeWarning, stacklevel=3)
+        self.warn_of_losses(stacklevel=4)
         if not len(outcome.done):
             return outcome
         self.begin(outcome.done.tolist(), [None] * len(outcome.done))
@@ -310,6 +307,13 @@ class BatchSupervisor(_Part, ABC):
             return Outcome(observations, rewards, terms, terminated, truncated, done, None, [])
         last, infos = _taken(observations, done), [self.info(world) for world in done.tolist()]
         return Outcome(observations, rewards, terms, terminated, truncated, done, last, infos)
+
+    def warn_of_losses(self, stacklevel: int) -> None:
+        """Warn of each world that was lost in the last step."""
+        for world in np.flatnonzero(self._lost).tolist():
+            seed, step = self.singles[world].streams.root, int(self.step_count[world])
+            message = f"world {world} (seed {seed}) was no longer finite in step {step} and begins anew"
+            warnings.warn(message, RuntimeWarning, stacklevel=stacklevel)
 
     def begin(self, worlds: Sequence[int], seeds: Sequence[int | None]) -> None:
         """Let some worlds begin episodes, each with a seed of its own or going on with its streams."""
@@ -513,7 +517,7 @@ class BatchSupervisor(_Part, ABC):
         """End the task where one of the endings holds, of which the first counts."""
         holds = {name: np.broadcast_to(column, self.count) for name, column in endings.items()}
         if self.running is not None:
-            holds = {name: np.where(self.running, column, self._holds[name]) for name, column in holds.items()}
+            holds = {name: np.where(self.running, column, self._holds.get(name, False)) for name, column in holds.items()}
         self._holds = holds
         ended = np.logical_or.reduce(list(holds.values()))
         if self.running is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from deepbots_cli.learning.environments import VectorEnvironment, default_build,
 from deepbots_cli.learning.episodes import Episode
 from deepbots_cli.learning.evaluation import batch_rollout, rollout
 from deepbots_cli.program import Program
+from deepbots_cli.runtime import Supervisor
 
 SEEDS = (3, 4, 5)
 
@@ -30,7 +32,9 @@ def program() -> Program:
 
 def test_a_learner_sees_the_same_of_a_batch_as_of_single_worlds(program: Program) -> None:
     told: dict[str, list[tuple[int, Episode]]] = {"batch": [], "single": []}
-    batched = BatchedWorlds(api.build_batch(program, 3), SEEDS, on_episode=lambda world, episode: told["batch"].append((world, episode)))
+    batched = BatchedWorlds(
+        lambda stage: api.build_batch(program, 3), SEEDS, on_episode=lambda world, episode: told["batch"].append((world, episode))
+    )
     singles = [api.build(program, engine="mujoco") for _ in SEEDS]
     usual = VectorEnvironment(singles, SEEDS, on_episode=lambda world, episode: told["single"].append((world, episode)))
     with closing(batched), closing(usual):
@@ -43,10 +47,62 @@ def test_a_learner_sees_the_same_of_a_batch_as_of_single_worlds(program: Program
     assert told["batch"] == told["single"] != []
 
 
+def test_worlds_of_a_batch_enter_another_stage_one_by_one(program: Program) -> None:
+    """When three episodes have ended, each at the end of its own, as single worlds do."""
+    harder = api.compile("cartpole", sets=["fall_angle=8 deg"]).program
+    programs = [program, harder]
+    steps: list[list[object]] = []
+    kinds: list[list[int]] = []
+
+    def stage_of(done: int) -> int:
+        return int(done >= 3)
+
+    for is_batch in (True, False):
+        done: list[int] = []
+        stages = [0, 0, 0]
+
+        def enter(world: int, done: list[int] = done, stages: list[int] = stages) -> int | None:
+            if stages[world] == stage_of(len(done)):
+                return None
+            stages[world] = 1
+            return 50 + world
+
+        def next_world(world: int, enter: Callable[[int], int | None] = enter) -> tuple[Supervisor, int] | None:
+            seed = enter(world)
+            return None if seed is None else (api.build(harder, engine="mujoco"), seed)
+
+        def count(world: int, episode: Episode, done: list[int] = done) -> None:
+            done.append(world)
+
+        env: VectorEnvironment
+        if is_batch:
+            env = BatchedWorlds(lambda stage: api.build_batch(programs[stage], 3), SEEDS, stages, on_episode=count, next_seed=enter)
+        else:
+            singles = [api.build(program, engine="mujoco") for _ in SEEDS]
+            env = VectorEnvironment(singles, SEEDS, on_episode=count, next_world=next_world)
+        seen: list[object] = [env.reset().tolist()]
+        of_stages = []
+        with closing(env):
+            generator = np.random.default_rng(0)
+            for _ in range(70):
+                observations, rewards, dones, infos = env.step(generator.integers(0, 2, 3))
+                seen.append((observations.tolist(), rewards.tolist(), dones.tolist(), [info.get("episode") for info in infos]))
+                of_stages.append(sum(stages))
+            if is_batch:
+                histories = env.histories()
+                with closing(BatchedWorlds(lambda stage: api.build_batch(programs[stage], 3), SEEDS, stages)) as other:
+                    assert fingerprint(other.repeat(histories)) == fingerprint(env.last_observations)
+        steps.append(seen)
+        kinds.append(of_stages)
+    assert steps[0] == steps[1]
+    assert kinds[0] == kinds[1]
+    assert {0, 3} < set(kinds[0])
+
+
 def test_a_running_batch_is_restored_exactly(program: Program) -> None:
     with (
-        closing(BatchedWorlds(api.build_batch(program, 3), SEEDS)) as first,
-        closing(BatchedWorlds(api.build_batch(program, 3), SEEDS)) as other,
+        closing(BatchedWorlds(lambda stage: api.build_batch(program, 3), SEEDS)) as first,
+        closing(BatchedWorlds(lambda stage: api.build_batch(program, 3), SEEDS)) as other,
     ):
         first.reset()
         generator = np.random.default_rng(1)
@@ -97,8 +153,11 @@ def test_why_worlds_are_stepped_one_by_one_is_told() -> None:
 
 
 @pytest.mark.slow
-def test_a_training_over_a_batch_resumes_to_the_bit(tmp_path: Path) -> None:
-    sets = ["train.n_steps=32", "train.n_epochs=1"]
+@pytest.mark.parametrize(
+    "stages", ["", "curriculum=[{name: easy, set: {fall_angle: 20 deg}, until: steps >= 480}, {name: hard}]"], ids=["alone", "curriculum"]
+)
+def test_a_training_over_a_batch_resumes_to_the_bit(tmp_path: Path, stages: str) -> None:
+    sets = ["train.n_steps=32", "train.n_epochs=1", *([stages] if stages else [])]
     compiled = api.compile("cartpole", sets=sets)
     whole = learning.train(compiled, run=tmp_path / "whole", total_timesteps=1024, engine="mujoco", stop_when_solved=False)
     learning.train(compiled, run=tmp_path / "parts", total_timesteps=512, engine="mujoco", stop_when_solved=False)
