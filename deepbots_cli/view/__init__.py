@@ -5,7 +5,8 @@ episodes.py    what is opened, who acts, and the frames of an episode
 scene.py       the world in viser's scene
 hand.py        driving by keys, gamepad, buttons and sliders
 server.py      viser's web server behind checks
-page.py        the page: panel, time, plots, and the loop that steps and draws
+page.py        the page: controls, time, plots, and the loop that steps and draws
+panel.py       what the panel says
 pictures.py    PNG pictures, MP4 and GIF clips, and offline pages
 recordings.py  episodes as MCAP files: what is written and read
 replay.py      playing a recording, and running it again to compare

@@ -11,7 +11,7 @@ import math
 import queue
 import re
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -22,12 +22,12 @@ from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.frames import add, scaled
 from deepbots_cli.port import STILL
 from deepbots_cli.runtime.view import around, beside, extent
-from deepbots_cli.view import server
+from deepbots_cli.view import panel, server
 from deepbots_cli.view.episodes import HAND, RANDOM, ZERO, Opened, Player, Source, stamps
-from deepbots_cli.view.frames import AgentFrame, Field, Image, Layout, WorldFrame
+from deepbots_cli.view.frames import Field, Image, WorldFrame
 from deepbots_cli.view.hand import Hand
 from deepbots_cli.view.replay import Replayed
-from deepbots_cli.view.scene import WorldScene
+from deepbots_cli.view.scene import WorldScene, look
 
 RATE = 30
 """Pictures per second of real time."""
@@ -38,7 +38,7 @@ _PAUSE_AT_END = 1.5  # s of real time between the end of an episode and the next
 _BUSY = 0.1  # s; a world that is slower than real time still answers
 _WATCHED_EVERY = 0.25  # s
 _SETTLED = 0.3  # s without a change, after which the value of a parameter counts
-_MAX_ROWS, _MAX_SERIES = 40, 8
+_MAX_SERIES = 8
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#8a8a8a", "#a58b00")
 """Of Okabe and Ito, which colour-blind people can tell apart; grey for black."""
 _PLAIN = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?:\s+(.*)|(%|[a-zA-Z].*)?)\s*")
@@ -100,7 +100,7 @@ class Page:
         self._hand = Hand(())
         self._changed: dict[str, str] = {}
         self._changed_at = 0.0
-        self._panel: Any = None
+        self._controls: Any = None
         self.seed, self.episode, self.paused, self.speed = seed, episode, False, 1.0
         self._message, self._best, self._successes, self._played = "", -math.inf, 0, 0
         opened = source.open()
@@ -175,7 +175,7 @@ class Page:
         )
         if self.player is None:
             self._clear()
-            self._banner = self.server.gui.add_html(_framed("the scenario has errors", self._message, "#D55E00"))
+            self._banner = self.server.gui.add_html(panel.framed("the scenario has errors", self._message, "#D55E00"))
         else:
             self._tell()
 
@@ -211,7 +211,7 @@ class Page:
         """Show worlds side by side; the panel stays as it is where it fits."""
         gui, scene, player = self.server.gui, self.server.scene, players[0]
         layout = player.reader.layout
-        panel = (
+        controls = (
             [
                 (p.program.name, p.reader.layout.observation, p.reader.layout.action, p.reader.layout.terms, list(p.env.agents))
                 for p in players
@@ -220,7 +220,7 @@ class Page:
             list(player.opened.parameters),
         )
         scene.reset()
-        if panel != self._panel:
+        if controls != self._controls:
             self._clear()
         boxes, right = extent(player.program), STILL
         for other in players[1:]:
@@ -228,11 +228,7 @@ class Page:
             boxes += [(add(low, right), add(high, right)) for low, high in extent(other.program)]
         self._boxes = boxes
         view = around(boxes, 480, 400)  # a usual window beside the panel
-        camera, size = self.server.initial_camera, math.dist(view.eye, view.target)
-        camera.position, camera.look_at, camera.fov = view.eye, view.target, view.fov
-        camera.near, camera.far = max(0.002, size / 200), 60 * size
-        scene.set_up_direction("+z")
-        scene.configure_default_lights(cast_shadow=False)
+        size = look(self.server, view)
         self.shown = []
         for number, each in enumerate(players):
             root = f"/world{number or ''}"
@@ -240,11 +236,11 @@ class Page:
             self.shown.append(Shown(each, world))
             if len(players) > 1:
                 scene.add_label(f"{root}/title", self._title(number), position=(0.0, 0.0, 0.3 * size), font_size_mode="screen")
-        if panel == self._panel:
+        if controls == self._controls:
             for what, box in self._switches.items():
                 self._switch(what, box.value)
             return
-        self._panel = panel
+        self._controls = controls
         self._hand = Hand(layout.action)
         self._agents = {
             f"{self._title(number)}: {name}" if len(players) > 1 else name: (number, name)
@@ -336,9 +332,9 @@ class Page:
         for number, field in enumerate(layout.observation):
             self._groups.setdefault(field.group, []).append((number, field))
         options = (*self._groups, *(f"action: {field.name}" for field in layout.action))
-        gui.add_html(_title("return"))
+        gui.add_html(panel.heading("return"))
         self._return_plot = self._add_plot([self._title(n) for n in range(2)] if self._compare else ["return"], 150)
-        gui.add_html(_title("reward terms"))
+        gui.add_html(panel.heading("reward terms"))
         terms = layout.terms[:_MAX_SERIES]
         self._terms_plot = self._add_plot(terms, 200)
         plotted = gui.add_dropdown("field", options)
@@ -589,13 +585,13 @@ class Page:
     def _tell(self) -> None:
         """The banner and the values."""
         if self._message:
-            self._put(self._banner, _framed("stopped", self._message, "#D55E00"))
+            self._put(self._banner, panel.framed("stopped", self._message, "#D55E00"))
         else:
             self._put(self._banner, "".join(self._state(number) for number in range(len(self.shown))))
         number, name = self._agent
         player = self.shown[number].player
         layout, frame = player.reader.layout, player.frame
-        self._put(self._values, _table([*_of_agent(layout, frame.agents[name]), *_of_messages(layout, frame)]))
+        self._put(self._values, panel.table([*panel.of_agent(layout, frame.agents[name]), *panel.of_messages(layout, frame)]))
         if self._slider is not None and self._slider.value != min(player.frame.step, self._slider.max):
             self._slider.value = min(player.frame.step, self._slider.max)
 
@@ -609,7 +605,7 @@ class Page:
         colour = ("#009E73" if frame.is_success else "#E69F00" if frame.truncated else "#D55E00") if frame.ended_by else "#0072B2"
         numbers = f"episode {self.episode}, step {frame.step}, {frame.time:.2f} s, return {agent.episode_return:.2f}"
         note = f"<br>{html.escape(player.driver.note)}" if player.driver.note else ""
-        return _framed(state, f"{numbers}{note}{self._score()}", colour)
+        return panel.framed(state, f"{numbers}{note}{self._score()}", colour)
 
     def _score(self) -> str:
         if not self._playing:
@@ -642,69 +638,6 @@ class Page:
         seen, numbers = self._plotted
         rows = [agent.observation if seen else agent.action or (math.nan,) * (1 + max(numbers)) for agent in agents]
         self._field_plot.data = (steps, *(np.array([row[n] if n < len(row) else math.nan for row in rows]) for n in numbers))
-
-
-def _table(rows: Iterable[str]) -> str:
-    return f"<div style='padding:0 0.8em;font-size:0.8em'><table style='width:100%;border-spacing:0 1px'>{''.join(rows)}</table></div>"
-
-
-def _of_agent(layout: Layout, agent: AgentFrame) -> Iterator[str]:
-    """Reward terms, action and observation."""
-    yield _head("reward terms of this step")
-    yield from (_row(name, f"{value:+.4f}") for name, value in [*agent.terms.items(), ("sum", agent.reward)])
-    if agent.action is not None:
-        yield _head("action")
-        yield from (_bar(field, value) for field, value in list(zip(layout.action, agent.action, strict=True))[:_MAX_ROWS])
-    if agent.allowed:
-        options = [f"{entry.name}: {option}" for entry in layout.action for option in entry.options]
-        forbidden = [option for option, may in zip(options, agent.allowed, strict=False) if not may]
-        yield _row(f"forbidden next: {', '.join(forbidden)}", "")
-    yield _head("observation")
-    yield from (_bar(field, value) for field, value in list(zip(layout.observation, agent.observation, strict=True))[:_MAX_ROWS])
-    left = len(layout.observation) - _MAX_ROWS
-    if left > 0:
-        yield _row(f"and {left} more, see Plots", "")
-
-
-def _of_messages(layout: Layout, frame: WorldFrame) -> Iterator[str]:
-    """The message that each receiver goes by, with its age."""
-    for key, message in frame.messages.items():
-        robot, _, direction = key.partition("/")
-        age = f"{1000 * message.age:.0f} ms old{'' if message.received else ', none came in this step'}"
-        yield _head(f"message {'to' if direction == 'to_robot' else 'from'} {robot}: {age}")
-        for entry, value in list(zip(layout.messages[key], message.values, strict=True))[:_MAX_ROWS]:
-            yield _row(entry.name, "" if value is None else entry.text(value))
-
-
-def _framed(title: str, text: str, colour: str) -> str:
-    return (
-        f"<div style='margin:0.4em 0.8em;padding:0.4em 0.7em;border-left:0.35em solid {colour};background:rgba(128,128,128,0.12)'>"
-        f"<b>{html.escape(title)}</b><div style='font-size:0.85em'>{text}</div></div>"
-    )
-
-
-def _title(text: str) -> str:
-    return f"<div style='padding:0.2em 1em 0;font-size:0.8em;font-weight:600'>{html.escape(text)}</div>"
-
-
-def _head(text: str) -> str:
-    return f"<tr><td colspan='3' style='padding-top:0.5em;font-weight:600'>{html.escape(text)}</td></tr>"
-
-
-def _row(name: str, value: str, bar: str = "") -> str:
-    cells = f"<td>{html.escape(name)}</td><td style='text-align:right;white-space:nowrap'>{html.escape(value)}</td>"
-    return f"<tr>{cells}<td style='width:35%'>{bar}</td></tr>"
-
-
-def _bar(field: Field, value: float) -> str:
-    """A number with a mark where it is in its range."""
-    share = (value - field.low) / (field.high - field.low) if field.high > field.low else 0.5
-    at = 100 * min(1.0, max(0.0, share if math.isfinite(share) else 0.5))
-    colour = "#0072B2" if -1e-6 <= share <= 1 + 1e-6 else "#D55E00"
-    mark = f"<div style='position:absolute;left:calc({at:.0f}% - 2px);width:4px;height:0.7em;background:{colour}'></div>"
-    tip = html.escape(f"{field.text(field.low)} .. {field.text(field.high)}", quote=True)
-    rail = f"<div title='{tip}' style='position:relative;margin-left:0.6em;height:0.7em;background:rgba(128,128,128,0.25)'>{mark}</div>"
-    return _row(field.name, field.text(value), rail)
 
 
 def _enlarged(image: Image) -> Image:

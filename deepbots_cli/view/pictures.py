@@ -299,16 +299,13 @@ def write_gif(path: Path, pictures: Iterator[Any], rate: float) -> None:
 def _write_page(player: Player, path: Path, shown: Iterator[WorldFrame], speed: float) -> None:
     """A page that turns and scrubs without a server: viser's recording of its scene."""
     from deepbots_cli.view import server
-    from deepbots_cli.view.scene import WorldScene
+    from deepbots_cli.view.scene import WorldScene, look
 
     page, _ = server.serve(server.LOOPBACK, 0, "deepbots", lambda keys, axes: None)
     try:
-        program, view = player.program, overview(player.program)
-        page.initial_camera.position, page.initial_camera.look_at, page.initial_camera.fov = view.eye, view.target, view.fov
-        page.scene.set_up_direction("+z")
-        page.scene.configure_default_lights(cast_shadow=False)
-        first = next(shown)
-        world = WorldScene(page.scene, player.env.world, player.reader.layout, size=math.dist(view.eye, view.target))
+        program, first = player.program, next(shown)
+        size = look(page, overview(program))
+        world = WorldScene(page.scene, player.env.world, player.reader.layout, size=size)
         world.take(first, anew=True)
         world.draw(1.0)
         recording = page.get_scene_serializer()

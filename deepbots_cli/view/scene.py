@@ -23,7 +23,7 @@ from deepbots_cli.engines import objects
 from deepbots_cli.errors import EngineError
 from deepbots_cli.footprint import bounds
 from deepbots_cli.frames import Triple
-from deepbots_cli.port import STILL
+from deepbots_cli.port import STILL, View
 from deepbots_cli.program.world import Colour, Line, WorldModel
 from deepbots_cli.robots.meshes import checked_bytes
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Geometry, Mesh, Pose, RobotModel, Sphere
@@ -108,6 +108,16 @@ def wxyz(turn: frames.Quaternion) -> tuple[float, float, float, float]:
 
 def _rgb(colour: Colour) -> tuple[int, int, int]:
     return int(255 * colour[0]), int(255 * colour[1]), int(255 * colour[2])
+
+
+def look(server: viser.ViserServer, view: View) -> float:
+    """Light the scene, and look at it from a view until a person moves the camera; how far away (m) that is."""
+    camera, size = server.initial_camera, math.dist(view.eye, view.target)
+    camera.position, camera.look_at, camera.fov = view.eye, view.target, view.fov
+    camera.near, camera.far = max(0.002, size / 200), 60 * size
+    server.scene.set_up_direction("+z")
+    server.scene.configure_default_lights(cast_shadow=False)
+    return size
 
 
 class WorldScene:

@@ -1,0 +1,74 @@
+"""What the panel of the page says, as HTML. Names come from scenarios, and are escaped."""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Iterable, Iterator
+
+from deepbots_cli.view.frames import AgentFrame, Field, Layout, WorldFrame
+
+_MAX_ROWS = 40
+
+
+def table(rows: Iterable[str]) -> str:
+    return f"<div style='padding:0 0.8em;font-size:0.8em'><table style='width:100%;border-spacing:0 1px'>{''.join(rows)}</table></div>"
+
+
+def of_agent(layout: Layout, agent: AgentFrame) -> Iterator[str]:
+    """Reward terms, action and observation."""
+    yield _head("reward terms of this step")
+    yield from (_row(name, f"{value:+.4f}") for name, value in [*agent.terms.items(), ("sum", agent.reward)])
+    if agent.action is not None:
+        yield _head("action")
+        yield from (_bar(field, value) for field, value in list(zip(layout.action, agent.action, strict=True))[:_MAX_ROWS])
+    if agent.allowed:
+        options = [f"{entry.name}: {option}" for entry in layout.action for option in entry.options]
+        forbidden = [option for option, may in zip(options, agent.allowed, strict=False) if not may]
+        yield _row(f"forbidden next: {', '.join(forbidden)}", "")
+    yield _head("observation")
+    yield from (_bar(field, value) for field, value in list(zip(layout.observation, agent.observation, strict=True))[:_MAX_ROWS])
+    left = len(layout.observation) - _MAX_ROWS
+    if left > 0:
+        yield _row(f"and {left} more, see Plots", "")
+
+
+def of_messages(layout: Layout, frame: WorldFrame) -> Iterator[str]:
+    """The message that each receiver goes by, with its age."""
+    for key, message in frame.messages.items():
+        robot, _, direction = key.partition("/")
+        age = f"{1000 * message.age:.0f} ms old{'' if message.received else ', none came in this step'}"
+        yield _head(f"message {'to' if direction == 'to_robot' else 'from'} {robot}: {age}")
+        for entry, value in list(zip(layout.messages[key], message.values, strict=True))[:_MAX_ROWS]:
+            yield _row(entry.name, "" if value is None else entry.text(value))
+
+
+def framed(title: str, text: str, colour: str) -> str:
+    return (
+        f"<div style='margin:0.4em 0.8em;padding:0.4em 0.7em;border-left:0.35em solid {colour};background:rgba(128,128,128,0.12)'>"
+        f"<b>{html.escape(title)}</b><div style='font-size:0.85em'>{text}</div></div>"
+    )
+
+
+def heading(text: str) -> str:
+    return f"<div style='padding:0.2em 1em 0;font-size:0.8em;font-weight:600'>{html.escape(text)}</div>"
+
+
+def _head(text: str) -> str:
+    return f"<tr><td colspan='3' style='padding-top:0.5em;font-weight:600'>{html.escape(text)}</td></tr>"
+
+
+def _row(name: str, value: str, bar: str = "") -> str:
+    cells = f"<td>{html.escape(name)}</td><td style='text-align:right;white-space:nowrap'>{html.escape(value)}</td>"
+    return f"<tr>{cells}<td style='width:35%'>{bar}</td></tr>"
+
+
+def _bar(field: Field, value: float) -> str:
+    """A number with a mark where it is in its range."""
+    share = (value - field.low) / (field.high - field.low) if field.high > field.low else 0.5
+    at = 100 * min(1.0, max(0.0, share if math.isfinite(share) else 0.5))
+    colour = "#0072B2" if -1e-6 <= share <= 1 + 1e-6 else "#D55E00"
+    mark = f"<div style='position:absolute;left:calc({at:.0f}% - 2px);width:4px;height:0.7em;background:{colour}'></div>"
+    tip = html.escape(f"{field.text(field.low)} .. {field.text(field.high)}", quote=True)
+    rail = f"<div title='{tip}' style='position:relative;margin-left:0.6em;height:0.7em;background:rgba(128,128,128,0.25)'>{mark}</div>"
+    return _row(field.name, field.text(value), rail)
