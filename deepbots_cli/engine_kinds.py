@@ -105,7 +105,7 @@ ENGINES = Engines(
             "deepbots_cli.engines.mujoco.engine:MuJoCoEngine",
             library="mujoco",
             mesh_terrain=Lack(
-                "a mesh as the ground, where MuJoCo holds only its convex hull",
+                "a mesh cannot be the ground in MuJoCo, which uses the convex hull of a mesh",
                 "use a terrain of heights (heightfield, formula or pit), or the engine `pybullet`",
             ),
         ),

@@ -465,7 +465,7 @@ class ParameterScope(_Scope):
         origin = self.namespace.origin(name)
         if origin in (None, Origin.PARAMETER, Origin.ROBOT, Origin.OBJECT, Origin.WALL, Origin.LINE):
             return self.namespace.symbol(name)
-        return Symbol(name, None, refused=f"{origin.value} has a value only while an episode runs; use a parameter")
+        return Symbol(name, None, refused=f"only parameters can be used here; {origin.value} changes in every step")
 
     def names(self) -> Iterable[str]:
         return [*self.own, *self.namespace.names_of(Origin.PARAMETER)]

@@ -183,8 +183,10 @@ class Actions:
         number = partial(self._namespace.fixed, part, "choices", option, dimension=NUMBER)
         if not isinstance(given, dict):
             if named:
-                help = f"write the variables that it sets, as in `{{{variables[0]}: 1}}`"
-                self._values.findings.add("DB103", self._values.span(place), "a number, but other choices set variables", help=help)
+                help = f"assign the variables, as in `{{{variables[0]}: 1}}`"
+                self._values.findings.add(
+                    "DB103", self._values.span(place), "this option is a number, but other options assign variables", help=help
+                )
                 self._values.mark_invalid(str(place[1]))
                 return (0.0,) * len(variables)
             return (number() or 0.0,)
@@ -311,7 +313,7 @@ class Observations:
         pixels = stack * sum(math.prod(entry.value.typed.type.picture or (0,)) * entry.history for entry in entries)
         for found, limit, what in ((seen, MAX_OBSERVED_NUMBERS, "numbers"), (pixels, MAX_OBSERVED_BYTES, "bytes of pictures")):
             if found > limit:
-                headline = f"an observation of {found} {what}, which is more than {limit}"
+                headline = f"the observation has {found:,} {what}; the limit is {limit:,}"
                 help = "shorten its histories, or the stack of the agent"
                 self._values.findings.add("DB105", self._values.key_span(("observation",)), headline, help=help)
 

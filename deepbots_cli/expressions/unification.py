@@ -273,11 +273,11 @@ def _require_size(value: Typed, stage: Stage, what: str, report: Report) -> None
     limit = _LARGEST if plausible == math.inf else _BEYOND * plausible
     if largest > limit and stage is not Stage.STEP:
         unit = "" if dimension == NUMBER else f" {dimension}"
-        raise fault(report, "DB105", value, f"{what} of {largest:g}{unit}", f"give at most {limit:g}{unit}")
+        raise fault(report, "DB105", value, f"{what} is {largest:g}{unit}", f"give at most {limit:g}{unit}")
     if dimension == ANGLE:
         warn_of_degrees(value, report)
     if largest > plausible:
-        fault(report, "DB505", value, f"{what} of {largest:g} {dimension}", "check the unit")
+        fault(report, "DB505", value, f"{what} is {largest:g} {dimension}", "check the unit")
 
 
 def negated(value: Typed) -> Callable[[str], str]:

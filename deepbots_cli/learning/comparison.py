@@ -103,7 +103,9 @@ class Compared:
             return (
                 f"{self.group}: no significant difference from {self.first}; the mean return is {size} {sign}, and 0 is possible {interval}"
             )
-        return f"{self.group} is {'better' if difference.mean > 0 else 'worse'} than {self.first}: the mean return is {size} {sign} {interval}"
+        return (
+            f"{self.group} is {'better' if difference.mean > 0 else 'worse'} than {self.first}: the mean return is {size} {sign} {interval}"
+        )
 
 
 @dataclass(frozen=True)

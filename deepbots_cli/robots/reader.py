@@ -273,7 +273,7 @@ def _pose(element: Element) -> Pose:
     largest = max(rpy, key=abs)
     if abs(largest) > _FULL_TURN:
         in_rad = " ".join(f"{round(math.radians(angle), 4):g}" for angle in rpy)
-        help = f'angles are in rad; if degrees are meant, write rpy="{in_rad}"'
+        help = f'URDF angles are in radians; {largest:g} degrees are {math.radians(largest):.4g} rad: write rpy="{in_rad}"'
         origin.warn(f"{largest:g} rad is more than a full turn", attribute="rpy", help=help, code="DB504")
     return Pose(origin.vector("xyz", (0.0, 0.0, 0.0)), rpy)
 

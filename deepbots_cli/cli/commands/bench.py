@@ -39,7 +39,13 @@ def command(
         int | None, typer.Option("--steps", metavar="N", parser=whole(100), help="Steps of the agent per measurement; 2000 by default.")
     ] = None,
     pairs: Annotated[
-        int | None, typer.Option("--pairs", metavar="N", parser=whole(), help="Number of pairs of measurements, one with and one without the environment; 9 by default.")
+        int | None,
+        typer.Option(
+            "--pairs",
+            metavar="N",
+            parser=whole(),
+            help="Number of pairs of measurements, one with and one without the environment; 9 by default.",
+        ),
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Measure 3 pairs of 600 steps, which takes a tenth of the time.")] = False,
     seed: Seed = 0,

@@ -81,7 +81,10 @@ def command(
         typer.Option("--robustness", help="Evaluate with latency, message loss, noise, other masses and friction, and weaker motors."),
     ] = False,
     details: Annotated[
-        bool, typer.Option("--details", help="Also show the results by the random values of the episodes, and the results of each curriculum stage.")
+        bool,
+        typer.Option(
+            "--details", help="Also show the results by the random values of the episodes, and the results of each curriculum stage."
+        ),
     ] = False,
     engine: Annotated[
         list[str] | None,

@@ -13,9 +13,7 @@ from deepbots_cli.files import atomic
 
 
 def command(
-    runs: Annotated[
-        list[Path], typer.Argument(metavar="RUN", help="Run directories, folders of runs, or folders of TensorBoard files.")
-    ],
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN", help="Run directories, folders of runs, or folders of TensorBoard files.")],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="File to write, .png or .svg.")] = Path("plot.png"),
     window: Annotated[
         int, typer.Option("--window", metavar="N", parser=whole(1, 100_000), help="Episodes that returns and successes are averaged over.")

@@ -42,7 +42,11 @@ def command(
     case: Case = None,
     stage: Stage = None,
     policy: Annotated[
-        Policy | None, typer.Option("--policy", help="`random` (default) samples actions; `zero` takes the middle of each range and the first option of each choice.")
+        Policy | None,
+        typer.Option(
+            "--policy",
+            help="`random` (default) samples actions; `zero` takes the middle of each range and the first option of each choice.",
+        ),
     ] = None,
     actions: Annotated[
         str | None, typer.Option("--actions", metavar="A,B,...", help="Repeat these actions: names of options, or numbers.")

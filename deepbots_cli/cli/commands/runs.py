@@ -37,7 +37,10 @@ def command(
     solved: Annotated[bool, typer.Option("--solved", help="Only runs that solve their task.")] = False,
     live: Annotated[bool, typer.Option("--live", help="Only runs that are training now.")] = False,
     sort: Annotated[
-        Sort, typer.Option("--sort", help="Sort order: `date` and `name` ascend; `steps`, `cpu`, `return` and `success` begin with the largest value.")
+        Sort,
+        typer.Option(
+            "--sort", help="Sort order: `date` and `name` ascend; `steps`, `cpu`, `return` and `success` begin with the largest value."
+        ),
     ] = Sort.date,
     as_json: Json = False,
 ) -> None:
