@@ -135,7 +135,7 @@ def _default() -> str:
     if other is None:
         return DEFAULT  # which says how to install it
     logging.getLogger("deepbots").warning(
-        "note: %s; this runs on %s, whose numbers differ from those of %s (--engine or world.engine names an engine)",
+        "note: %s; this runs on %s, which gives different returns than %s (choose an engine with --engine or world.engine)",
         usual.missing,
         ENGINES.own[other].title,
         usual.title,

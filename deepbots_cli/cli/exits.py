@@ -75,7 +75,7 @@ def _fault(error: Exception) -> int:
     ) as file:
         file.write("".join(traceback.format_exception(error)))
     terminal.complain(
-        f"deepbots has failed, which is a fault of its own and not yours\n"
+        f"deepbots failed because of an error in deepbots, not in your input\n"
         f"  {type(error).__name__}: {error}\n"
         f"  the traceback is in {file.name}; DEEPBOTS_DEBUG=1 shows it here"
     )

@@ -72,7 +72,7 @@ def group_training_text(result: GroupTraining) -> str:
     lines += [f"seed {seed} failed: {reason}" for seed, reason in result.failed.items()]
     if result.waiting:
         lines.append(f"unfinished: seed {', '.join(map(str, result.waiting))}")
-        lines.append(f"what was learned is kept; go on with: deepbots train --resume {quote(str(result.group))}")
+        lines.append(f"continue the training with: deepbots train --resume {quote(str(result.group))}")
     return "\n".join(lines)
 
 

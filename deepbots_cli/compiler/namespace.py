@@ -154,7 +154,7 @@ class Namespace:
         called = f"`{text.path[-1]}`"
         typed = self.values.quantity(text, called, scope, dimension, components, stage)
         if typed is not None and typed.type.stage is not Stage.FIXED:
-            self.values.findings.add("DB108", text.span, f"{called} that is drawn anew is not supported yet", help="give a fixed figure")
+            self.values.findings.add("DB108", text.span, f"{called} that is drawn anew is not supported yet", help="give a fixed number")
             return None
         return self._si_values(typed, text, len(components or ("",))) if typed else None
 

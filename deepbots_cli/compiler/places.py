@@ -385,8 +385,8 @@ class Places:
             return
         for key, given in (("at_most", place.at_most is not None), ("spacing", any(place.spacing))):
             if given and not self._values.is_invalid(place.body):
-                headline = f"`{key}` of `{place.body}`, which is a single body"
-                help = "it is for groups: bodies with a `count`"
+                headline = f"`{key}` applies to groups only, and `{place.body}` is a single body"
+                help = "groups are bodies with a `count`"
                 self._values.findings.add("DB203", self._values.key_span((*path, key)), headline, help=help)
 
     def _check_spread(self, place: Placement, copies: int, path: Path) -> None:
@@ -454,7 +454,7 @@ class Layouts:
         read = {name: self._namespace.fixed(self._spec.reset, "layout", name) for name in given}
         shares = {name: share for name, share in read.items() if share is not None}
         if len(shares) == len(read) and abs(sum(shares.values()) - 1.0) > 1e-6:
-            headline = f"shares of {100 * sum(shares.values()):g} % together"
+            headline = f"the shares add up to {100 * sum(shares.values()):g} %"
             self._values.findings.add("DB105", self._values.key_span(("reset", "layout")), headline, help="make the shares add up to 100 %")
         return shares
 

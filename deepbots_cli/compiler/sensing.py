@@ -212,7 +212,7 @@ def _rays(namespace: Namespace, spec: RayScan) -> dict[str, Pose] | None:
     count = spec.rays or 1
     if spec.angle_range is None:
         if count > 1:
-            headline = f"{count} rays without their directions"
+            headline = f"{count} rays have no directions"
             help = "add `angle_range: 90 .. -90 deg`, or give them by name"
             values.findings.add("DB102", values.span((*spec.path, "rays")), headline, help=help)
             return None

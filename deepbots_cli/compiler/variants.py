@@ -114,7 +114,7 @@ def _check_algorithm(algorithm: str, action: Action, namespace: Namespace) -> No
     elif algorithm != "MaskablePPO" and any(
         isinstance(part, DiscreteAction) and part.forbid for part in namespace.scenario.action.values()
     ):
-        headline, help = f"{algorithm} ignores `forbid`", "use MaskablePPO, or take `forbid` out"
+        headline, help = f"{algorithm} ignores `forbid`", "use MaskablePPO, or remove `forbid`"
     else:
         return
     namespace.values.findings.add("DB612", namespace.values.span(("train", "algorithm")), headline, help=help)

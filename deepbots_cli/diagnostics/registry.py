@@ -157,7 +157,7 @@ def _read(_name: str, found: Any) -> Iterator[tuple[str, Rule]]:
     """
     for rule in [found] if isinstance(found, Rule) else list(found):
         if not isinstance(rule, Rule) or rule.check is None or not rule.check.__doc__:
-            raise ValueError(f"{rule!r} is no Rule with a check that has a docstring")
+            raise ValueError(f"{rule!r} is not a Rule with a check that has a docstring")
         if not re.fullmatch(r"[A-Z]{2,8}[0-9]{1,4}", rule.code) or rule.code.startswith("DB"):
             raise ValueError(f"the code {rule.code!r} is no capital letters and digits, or begins with DB")
         if rule.name in {entry.name for entry in _CATALOGUE}:

@@ -187,7 +187,7 @@ def _saturated_at_start(context: Context) -> Iterator[Finding]:
             is_beyond = drawn.high > number.high + number.slack or drawn.low < number.low - number.slack
         if is_beyond:
             headline = f"`{number.name}` can start outside its range: its initial value is {between(first, number.dimension)}"
-            yield Finding("DB611", context.range_span(number.entry), headline, help="widen the range, or start the episode within it")
+            yield Finding("DB611", context.range_span(number.entry), headline, help="widen the range, or start inside the range")
 
 
 def _goal_out_of_range(context: Context) -> Iterator[Finding]:

@@ -273,7 +273,7 @@ def _stl(data: bytes) -> str | None:
         return "the STL file is shorter than its header"
     triangles = int.from_bytes(data[80:84], "little")
     if len(data) != 84 + 50 * triangles:
-        return f"the STL file declares {triangles} triangles, but its size fits {(len(data) - 84) / 50:g}"
+        return f"the STL file declares {triangles:,} triangles, but its size fits {(len(data) - 84) / 50:,g}"
     if not triangles:
         return "the STL file holds no triangle"
     # A sum is finite only if every summand is, and finite 32-bit floats cannot overflow it.

@@ -359,7 +359,7 @@ def _mesh(element: Element, meshes: Meshes) -> Mesh | None:
         element.error(loaded.why, attribute="filename", help=loaded.help)
         return None
     if loaded.reference:
-        headline = "the mesh is not beside the robot file; one in a folder above is read, as in PyBullet"
+        headline = "the mesh is not in the folder of the robot file; the one in a parent folder is read, as in PyBullet"
         element.warn(headline, attribute="filename", help=f'write filename="{loaded.reference}"')
     return Mesh(str(loaded.path), loaded.digest, scale)
 

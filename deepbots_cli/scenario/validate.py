@@ -49,9 +49,7 @@ _SHOWN = 40
 _EXEMPLARY = 120
 _RESERVED = {"agents": "competing agents are kept for a later version of the language"}
 
-_OWN_SECTION = (
-    "it is a section of its own, which begins at the left edge: remove the indentation of its key and of the lines that belong to it"
-)
+_OWN_SECTION = "it is a top-level section, which begins at the left edge: remove the indentation of the key and of the lines below it"
 # Stand-ins for required sections that had findings, so that the other sections are still looked at.
 _STAND_INS: dict[str, object] = {
     "deepbots": VERSION,

@@ -151,7 +151,7 @@ def command(
         if path is not None and not path.absolute().parent.is_dir():
             raise UsageError(f"{path} cannot be written: there is no directory {path.parent}")
     if junit is not None and min_success is None and min_return is None and not require_solved:
-        raise UsageError("--junit writes requirements, and there is none; add --min-success, --min-return or --require-solved")
+        raise UsageError("--junit writes requirements; add --min-success, --min-return or --require-solved")
     chosen: dict[str, Any] = {
         "episodes": episodes,
         "model": "last" if last else "best",
