@@ -74,9 +74,10 @@ def locate(source: str | Path) -> tuple[Path, str]:
         return path, str(source)
     if found is not None:
         return found, found.name
-    near = nearest(Path(source).stem, shipped.scenario_names())
-    hint = f" (did you mean {near}?)" if near else ""
-    raise UsageError(f"no file or shipped scenario is called '{source}'{hint}; `deepbots list` shows the shipped scenarios")
+    names = shipped.scenario_names()
+    near = nearest(Path(source).stem, names)
+    hint = f"did you mean {near}? (`deepbots list` shows all)" if near else f"the shipped scenarios are: {', '.join(names)}"
+    raise UsageError(f"no file or shipped scenario is called '{source}'; {hint}")
 
 
 def load(

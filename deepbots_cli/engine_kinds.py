@@ -105,7 +105,7 @@ ENGINES = Engines(
             "deepbots_cli.engines.mujoco.engine:MuJoCoEngine",
             library="mujoco",
             mesh_terrain=Lack(
-                "a mesh as the ground, where MuJoCo holds only its convex hull",
+                "a mesh cannot be the ground in MuJoCo, which uses the convex hull of a mesh",
                 "use a terrain of heights (heightfield, formula or pit), or the engine `pybullet`",
             ),
         ),
@@ -135,7 +135,7 @@ def _default() -> str:
     if other is None:
         return DEFAULT  # which says how to install it
     logging.getLogger("deepbots").warning(
-        "note: %s; this runs on %s, whose numbers differ from those of %s (--engine or world.engine names an engine)",
+        "note: %s; this runs on %s, which gives different returns than %s (choose an engine with --engine or world.engine)",
         usual.missing,
         ENGINES.own[other].title,
         usual.title,

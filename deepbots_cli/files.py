@@ -109,7 +109,7 @@ def picture_fault(data: bytes) -> str | None:
     if len(data) > MAX_PICTURE_BYTES:
         return f"the picture is larger than {MAX_PICTURE_BYTES >> 20} MiB"
     if not data.startswith(_PNG) or data[12:16] != b"IHDR" or len(data) < 33:
-        return "the picture is no PNG file"
+        return "the picture is not a PNG file"
     width, height, bits, colours, packing, filtering, interlaced = struct.unpack(">IIBBBBB", data[16:29])
     if not (2 <= width <= MAX_PICTURE_SIDE and 2 <= height <= MAX_PICTURE_SIDE):
         return f"the picture has {width} x {height} pixels, and each side may have 2 to {MAX_PICTURE_SIDE}"

@@ -24,7 +24,7 @@ class MessageFormat(NamedTuple):
 
 def _read(name: str, found: Any) -> Iterator[tuple[str, MessageFormat]]:
     if not isinstance(found, MessageFormat) or not found.summary or not found.codec.partition(":")[2]:
-        raise ValueError(f"{found!r} is no MessageFormat with a summary and the `module:attribute` of its codec")
+        raise ValueError(f"{found!r} is not a MessageFormat with a summary and the `module:attribute` of its codec")
     yield name, found
 
 

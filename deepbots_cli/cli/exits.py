@@ -79,7 +79,7 @@ def _fault(error: Exception) -> int:
     except OSError:  # the disk is full
         place = ""
     terminal.complain(
-        f"deepbots has failed, which is a fault of its own and not yours\n"
+        f"deepbots failed because of an error in deepbots, not in your input\n"
         f"  {type(error).__name__}: {error}\n"
         f"  {place}DEEPBOTS_DEBUG=1 shows the traceback here"
     )

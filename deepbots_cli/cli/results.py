@@ -76,7 +76,7 @@ def group_training_text(result: GroupTraining) -> str:
     if result.waiting:
         lines.append(f"unfinished: seed {', '.join(map(str, result.waiting))}")
     if result.waiting or result.failed:
-        lines.append(f"the policy is kept; continue the training with: deepbots train --resume {quote(str(result.group))}")
+        lines.append(f"continue the training with: deepbots train --resume {quote(str(result.group))}")
     return "\n".join(lines)
 
 

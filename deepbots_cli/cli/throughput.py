@@ -62,7 +62,7 @@ def counts(text: str) -> list[int]:
     """
     parts = text.split(",")
     if not all(part.isascii() and part.isdigit() and int(part) for part in parts):
-        raise UsageError(f"--worlds {text} is no list of whole numbers from 1, such as 16,256")
+        raise UsageError(f"--worlds {text} is not a list of whole numbers from 1, such as 16,256")
     return [int(part) for part in parts]
 
 

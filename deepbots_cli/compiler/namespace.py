@@ -154,7 +154,7 @@ class Namespace:
         called = f"`{text.path[-1]}`"
         typed = self.values.quantity(text, called, scope, dimension, components, stage)
         if typed is not None and typed.type.stage is not Stage.FIXED:
-            self.values.findings.add("DB108", text.span, f"{called} that is drawn anew is not supported yet", help="give a fixed figure")
+            self.values.findings.add("DB108", text.span, f"{called} that is drawn anew is not supported yet", help="give a fixed number")
             return None
         return self._si_values(typed, text, len(components or ("",))) if typed else None
 
@@ -467,7 +467,7 @@ class ParameterScope(_Scope):
         origin = self.namespace.origin(name)
         if origin in (None, Origin.PARAMETER, Origin.ROBOT, Origin.OBJECT, Origin.WALL, Origin.LINE):
             return self.namespace.symbol(name)
-        return Symbol(name, None, refused=f"{origin.value} has a value only while an episode runs; use a parameter")
+        return Symbol(name, None, refused=f"only parameters can be used here; {origin.value} changes in every step")
 
     def names(self) -> Iterable[str]:
         return [*self.own, *self.namespace.names_of(Origin.PARAMETER)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from math import atan2, hypot, pi
+from math import atan2, degrees, hypot, pi
 
 from deepbots_cli import footprint
 from deepbots_cli.compiler.namespace import Namespace, Origin
@@ -65,7 +65,7 @@ class Room:
             headline = f"no position in the region is far enough from the walls of the arena for `{place.body}`"
             self._values.findings.add("DB105", span, headline, help="move the region into the arena, whose centre is the origin")
         elif region.mesh and (cells := int(width / region.mesh + 1e-9) * int(depth / region.mesh + 1e-9)) < copies:
-            headline = f"a grid of {cells} cells for {'one body' if copies == 1 else f'up to {copies} copies'}"
+            headline = f"the grid has {cells} cells for {'one body' if copies == 1 else f'up to {copies} copies'}"
             self._values.findings.add(
                 "DB105", self._values.key_span((*path, "grid")), headline, help="give a larger region, or a smaller `grid`"
             )
@@ -108,8 +108,9 @@ class Room:
         turns = None if _is_tilted(place) else _turn_between(place, support)
         copies = self.copies(place)
         if kinds and not any(_fits(top, kind, turns, margin) for kind in kinds) and not _is_tilted(place):
-            edge = f" and keeps {margin:.3g} m from its edge" if margin else ""
-            covers = f"`{place.body}`, which covers {_size(min(kinds, key=lambda kind: kind.area))}{edge}"
+            edge = f", with a clearance of {margin:.3g} m" if margin else ""
+            turned = f" when turned by {degrees(turns):.3g} deg" if turns else ""
+            covers = f"`{place.body}` ({_size(min(kinds, key=lambda kind: kind.area))}{edge})"
             ways = [
                 *(["less clearance"] if margin else []),
                 *(["another `yaw`"] if any(_fits(top, kind, None, margin) for kind in kinds) else []),
@@ -117,7 +118,7 @@ class Room:
             help = " or ".join(["give a larger top", *ways])
             if min(kind.area for kind in kinds) > _DWARFS * top.area:
                 help = f"check the size of `{place.body}`: a length without a unit is in metres"
-            add("DB105", span, f"the top of `{spot.of}`, {_size(top)}, is too small for {covers}", help=help)
+            add("DB105", span, f"{covers} does not fit on the top of `{spot.of}` ({_size(top)}){turned}", help=help)
         elif kinds and not _is_tilted(place) and copies * (area := min(kind.area for kind in kinds)) > top.area:
             headline = f"{copies} copies of {area:.3g} m^2 cannot stand on the {top.area:.3g} m^2 of `{spot.of}`"
             add("DB105", span, headline, help="give a larger top, or fewer copies")
@@ -372,7 +373,7 @@ class Places:
             reach = next(footprint.of_shape(thing.shape).radius for thing in self._world.objects if thing.name == spot.of)
             spot = Region((-reach, -reach), (reach, reach), spot.mesh)
         if isinstance(spot, Region) and spot.spots > MAX_SPOTS:
-            headline = f"a region of {spot.spots:.0f} cells, more than {MAX_SPOTS:_}"
+            headline = f"the region has {spot.spots:,.0f} cells; the limit is {MAX_SPOTS:,}"
             self._values.findings.add("DB005", self._values.span((*path, "grid")), headline, help="give a coarser grid")
 
     def _check_copies(self, place: Placement, path: Path, *, used: bool) -> None:
@@ -384,8 +385,8 @@ class Places:
             return
         for key, given in (("at_most", place.at_most is not None), ("spacing", any(place.spacing))):
             if given and not self._values.is_invalid(place.body):
-                headline = f"`{key}` of `{place.body}`, which is a single body"
-                help = "it is for groups: bodies with a `count`"
+                headline = f"`{key}` applies to groups only, and `{place.body}` is a single body"
+                help = "groups are bodies with a `count`"
                 self._values.findings.add("DB203", self._values.key_span((*path, key)), headline, help=help)
 
     def _check_spread(self, place: Placement, copies: int, path: Path) -> None:
@@ -453,7 +454,7 @@ class Layouts:
         read = {name: self._namespace.fixed(self._spec.reset, "layout", name) for name in given}
         shares = {name: share for name, share in read.items() if share is not None}
         if len(shares) == len(read) and abs(sum(shares.values()) - 1.0) > 1e-6:
-            headline = f"shares of {100 * sum(shares.values()):g} % together"
+            headline = f"the shares add up to {100 * sum(shares.values()):g} %"
             self._values.findings.add("DB105", self._values.key_span(("reset", "layout")), headline, help="make the shares add up to 100 %")
         return shares
 
@@ -493,13 +494,13 @@ class Layouts:
     def _is_small(self, text: Text) -> bool:
         if len(text.text.split()) <= _MAX_CELLS:
             return True
-        self._values.findings.add("DB005", text.span, f"a map of more than {_MAX_CELLS:_} cells", help="use larger cells")
+        self._values.findings.add("DB005", text.span, f"the map has more than {_MAX_CELLS:,} cells", help="use larger cells")
         return False
 
     def _is_even(self, rows: list[list[tuple[str, Span]]]) -> bool:
         for row in rows[1:]:
             if len(row) != len(rows[0]):
-                headline = f"a row of {len(row)} cells below a row of {len(rows[0])}"
+                headline = f"this row has {len(row)} cells, and the first row has {len(rows[0])}"
                 self._values.findings.add("DB106", row[0][1], headline, help="write a dot for each empty cell, and blanks between cells")
                 return False
         return True
@@ -507,7 +508,7 @@ class Layouts:
     def _check_size(self, width: float, depth: float, path: Path) -> None:
         arena = self._world.arena
         if arena is not None and (width > arena.size[0] + 1e-9 or depth > arena.size[1] + 1e-9):
-            headline = f"a map of {width:g} by {depth:g} m in an arena of {arena.size[0]:g} by {arena.size[1]:g} m"
+            headline = f"the map is {width:g} by {depth:g} m, and the arena is {arena.size[0]:g} by {arena.size[1]:g} m"
             self._values.findings.add("DB105", self._values.key_span(path), headline, help="give smaller cells, or a larger arena")
 
     def _standing(
@@ -530,7 +531,7 @@ class Layouts:
         span = self._values.key_span(("reset", "layouts"))
         bodies = len(self._world.robots) + sum(thing.bodies for thing in self._world.objects) + len(self.walls) + count
         if bodies > MAX_BODIES:
-            headline = f"the world has {bodies:_} bodies, with the walls of maps, more than {MAX_BODIES}"
+            headline = f"the world has {bodies:,} bodies, including the walls of maps; the limit is {MAX_BODIES}"
             self._values.findings.add("DB005", span, headline, help="write long walls under `world.walls`, or use larger cells")
             return
         group = Group(name, count, Expression("count", span, "", number, name))

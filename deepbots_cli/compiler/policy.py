@@ -95,7 +95,9 @@ def _refuse_others(name: str, namespace: Namespace) -> None:
     paths += [(("reset", "place", name, key), f"`{key}`") for key in ("region", "line", "grid")]
     for path, what in paths:
         if values.stands(path):
-            values.findings.add("DB108", values.key_span(path), f"{what} beside copies of `{name}` is not supported yet", help=_NOT_YET)
+            values.findings.add(
+                "DB108", values.key_span(path), f"{what} together with copies of `{name}` is not supported yet", help=_NOT_YET
+            )
 
 
 class Actions:
@@ -183,15 +185,17 @@ class Actions:
         number = partial(self._namespace.fixed, part, "choices", option, dimension=NUMBER)
         if not isinstance(given, dict):
             if named:
-                help = f"write the variables that it sets, as in `{{{variables[0]}: 1}}`"
-                self._values.findings.add("DB103", self._values.span(place), "a number, but other choices set variables", help=help)
+                help = f"assign the variables, as in `{{{variables[0]}: 1}}`"
+                self._values.findings.add(
+                    "DB103", self._values.span(place), "this option is a number, but other options assign variables", help=help
+                )
                 self._values.mark_invalid(str(place[1]))
                 return (0.0,) * len(variables)
             return (number() or 0.0,)
         missing = [variable for variable in variables if variable not in given]
         if missing:
-            headline = f"the choice `{place[-1]}` leaves `{missing[0]}` open, which other choices set"
-            self._values.findings.add("DB102", self._values.key_span(place), headline, help=f"add `{missing[0]}: 0`, or what it shall be")
+            headline = f"the option `{place[-1]}` does not assign `{missing[0]}`, and other options do"
+            self._values.findings.add("DB102", self._values.key_span(place), headline, help=f"add `{missing[0]}: 0`, or another value")
         found = {variable: number(variable) for variable in given}
         return tuple(found.get(variable) or 0.0 for variable in variables)
 
@@ -311,7 +315,7 @@ class Observations:
         pixels = stack * sum(math.prod(entry.value.typed.type.picture or (0,)) * entry.history for entry in entries)
         for found, limit, what in ((seen, MAX_OBSERVED_NUMBERS, "numbers"), (pixels, MAX_OBSERVED_BYTES, "bytes of pictures")):
             if found > limit:
-                headline = f"an observation of {found} {what}, which is more than {limit}"
+                headline = f"the observation has {found:,} {what}; the limit is {limit:,}"
                 help = "shorten its histories, or the stack of the agent"
                 self._values.findings.add("DB105", self._values.key_span(("observation",)), headline, help=help)
 
@@ -528,7 +532,7 @@ class Decisions:
         """The same option always."""
         span, options = self._values.span(place), [option.name for option in part.options]
         if not _WORD.fullmatch(word):
-            help = f"name one, or say when each is taken: `{{{options[0]}: x > 0 m, {options[-1]}: true}}`"
+            help = f"name one option, or write a condition for each: `{{{options[0]}: x > 0 m, {options[-1]}: true}}`"
             self._values.findings.add("DB103", span, f"an expression where an option of `{part.name}` is needed", help=help)
         elif word not in options:
             self._values.report_unknown(span, "choice", word, options)
@@ -553,7 +557,7 @@ class Decisions:
             return None
         always = next((index for index, (_, holds) in enumerate(branches) if constant(holds.typed) == (True,)), None)
         if always is None:
-            headline = f"`{part.name}` may be left undecided: none of the conditions always holds"
+            headline = f"the script may choose no option of `{part.name}`: no condition is always true"
             help = f"make the last condition true: `{branches[-1][0]}: true`"
             self._values.findings.add("DB102", self._values.key_span(place), headline, help=help)
             return None

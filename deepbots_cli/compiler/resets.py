@@ -117,8 +117,8 @@ def _require_places(namespace: Namespace) -> None:
     }
     for name, group in namespace.groups.items():
         if name not in mentioned and namespace.origin(name) is Origin.OBJECT and not namespace.values.is_invalid(name):
-            help = f"place them under `reset.place`, as in `{name}: {{region: arena}}`"
-            namespace.values.findings.add("DB102", group.count.span, f"no place for the copies of `{name}`", help=help)
+            help = f"write where they start, as in `{name}: {{region: arena}}`"
+            namespace.values.findings.add("DB102", group.count.span, f"`reset.place` has no entry for the copies of `{name}`", help=help)
 
 
 def _requirement(namespace: Namespace) -> Expression | None:
@@ -145,9 +145,9 @@ def settling_time(namespace: Namespace, tick: float) -> float:
     values, settle = namespace.values, namespace.fixed(namespace.scenario.reset, "settle") or 0.0
     span = values.field(namespace.scenario.reset, "settle").span
     if abs(settle - round(settle / tick) * tick) > 1e-9 * settle and not values.is_invalid("world.timestep"):
-        headline = f"a settling time of {settle:g} s, which is not a multiple of the timestep of {tick:g} s"
+        headline = f"the settling time of {settle:g} s is not a multiple of the timestep of {tick:g} s"
         values.findings.add("DB308", span, headline, help="write a multiple of the timestep")
     if settle / tick * namespace.scenario.world.substeps > MAX_SETTLING_STEPS:
-        headline = f"a settling time of {settle:g} s, which is more than {MAX_SETTLING_STEPS:_} physics steps in every reset"
+        headline = f"the settling time of {settle:g} s takes more than {MAX_SETTLING_STEPS:,} physics steps in every reset"
         values.findings.add("DB105", span, headline, help="a few seconds are usual")
     return settle

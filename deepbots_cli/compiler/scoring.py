@@ -26,7 +26,7 @@ def foreign(name: str, given: PythonTerm, namespace: Namespace, *, boolean: bool
     values, text = namespace.values, namespace.values.field(given, "python")
     if namespace.document.allow_code:
         headline = f"`{name}` runs Python code: {given.python}"
-        values.findings.add("DB410", text.span, headline, help="say what it computes as an expression, if the language can")
+        values.findings.add("DB410", text.span, headline, help="write it as an expression, if the language has its functions")
     else:
         help = "write an expression, or allow it with --allow-code if you trust the package"
         values.findings.add("DB409", text.span, f"`{name}` would run Python code: {given.python}", help=help)

@@ -56,7 +56,7 @@ class Sensing:
         for count, limit, what in ((rays, MAX_SENSED_RAYS, "rays"), (values, MAX_OBSERVED_BYTES, "bytes of pictures")):
             if count > limit:
                 span = self._values.key_span((*self._scene.spec.path, "sensors"))
-                headline = f"`{self._scene.name}` senses {count:_} {what}, more than {limit:_}"
+                headline = f"the sensors of `{self._scene.name}` have {count:,} {what}; the limit is {limit:,}"
                 self._values.findings.add("DB005", span, headline, help="use fewer: the robot reads all of them in every timestep")
 
     def _add(self, name: str, spec: SensorSpec) -> None:
@@ -167,14 +167,14 @@ def _intrinsics(namespace: Namespace, spec: Camera) -> CameraIntrinsics | None:
     near, far = 0.0, 10.0
     if spec.range is not None:
         if spec.channels != "depth":
-            span, help = values.key_span((*spec.path, "range")), "only pictures of depths have one: `channels: depth`"
-            values.findings.add("DB203", span, "the range of a camera that measures no distances", help=help)
+            span, help = values.key_span((*spec.path, "range")), "write `channels: depth`, or remove `range`"
+            values.findings.add("DB203", span, "`range` applies to depth cameras only", help=help)
         ends = namespace.ends(spec, "range", what="the range of a camera", dimension=LENGTH)
         if ends is None:
             return None
         (near,), (far,) = ends.low, ends.high
     if fov is not None and fov >= math.pi:
-        span, headline = values.span((*spec.path, "fov")), f"an angle of view of {math.degrees(fov):g} deg"
+        span, headline = values.span((*spec.path, "fov")), f"the angle of view is {math.degrees(fov):g} deg"
         values.findings.add("DB105", span, headline, help="give less than 180 deg")
         return None
     return CameraIntrinsics(int(size[0]), int(size[1]), fov, spec.channels, near, far) if size and fov else None
@@ -212,7 +212,7 @@ def _rays(namespace: Namespace, spec: RayScan) -> dict[str, Pose] | None:
     count = spec.rays or 1
     if spec.angle_range is None:
         if count > 1:
-            headline = f"{count} rays without their directions"
+            headline = f"{count} rays have no directions"
             help = "add `angle_range: 90 .. -90 deg`, or give them by name"
             values.findings.add("DB102", values.span((*spec.path, "rays")), headline, help=help)
             return None
@@ -252,10 +252,11 @@ def _lookup(namespace: Namespace, spec: TableSpec) -> tuple[CalibrationTable, Di
             "DB105", distances, f"the distances do not increase at {falling[0]:g} m", help="give the smallest distance first"
         )
     elif distance[0] < 0.0 or distance[-1] <= 0.0:
-        headline, help = f"a distance of {min(distance[0], distance[-1]):g} m", "distances are 0 or more, the last more than 0"
+        headline = f"the distance {min(distance[0], distance[-1]):g} m is not allowed"
+        help = "give distances of at least 0; the last one must be greater than 0"
         values.findings.add("DB105", distances, headline, help=help)
     elif noises and min(noises) < 0.0:
-        values.findings.add("DB105", values.span((*spec.path, "noise")), f"a noise of {min(noises):g}", help="give 0 or more")
+        values.findings.add("DB105", values.span((*spec.path, "noise")), f"the noise is {min(noises):g}", help="give 0 or more")
     return (CalibrationTable(distance, columns["value"], noises), dimension) if len(values.findings) == found else None
 
 
@@ -318,7 +319,7 @@ def _resolution(namespace: Namespace, spec: SensorSpec, known: Type) -> tuple[fl
         return ()
     steps = namespace.numbers(spec, "resolution", dimension=known.dimension, components=known.components)
     if steps and any(0.0 < step < MIN_RESOLUTION for step in steps):
-        values, headline = namespace.values, f"a step of {min(steps):g} between two readings"
+        values, headline = namespace.values, f"`resolution` is {min(step for step in steps if step > 0.0):g}"
         help = f"give at least {MIN_RESOLUTION:g}, or remove it"
         values.findings.add("DB105", values.span((*spec.path, "resolution")), headline, help=help)
     return steps if steps and all(steps) else ()
@@ -342,8 +343,8 @@ def _with_period(faults: NoiseModel | None, namespace: Namespace, spec: SensorSp
         return faults
     ticks, span = round(seconds / tick), values.span((*spec.path, "period"))
     if ticks < 1 or abs(seconds - ticks * tick) > 1e-9 * seconds:
-        headline = f"a period of {seconds:g} s, which is not a multiple of the timestep of {tick:g} s"
+        headline = f"the period of {seconds:g} s is not a multiple of the timestep of {tick:g} s"
         values.findings.add("DB308", span, headline, help="write a multiple of the timestep")
     elif ticks > MAX_TICKS:
-        values.findings.add("DB105", span, f"a period of {ticks:_} timesteps", help="give a shorter one")
+        values.findings.add("DB105", span, f"the period is {ticks:,} timesteps", help=f"give at most {MAX_TICKS:,} timesteps")
     return replace(faults or NoiseModel(), period=ticks) if ticks > 1 else faults

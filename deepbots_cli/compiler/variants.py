@@ -67,7 +67,7 @@ def training(namespace: Namespace, action: Action, copies: RobotCopies | None, l
         longest = longest_episode * spec.train.environments * (copies.count if copies else 1)
         if starts < longest:
             headline = (
-                f"learning begins after {starts:_} steps, and possibly no episode is complete by then:"
+                f"learning begins after {starts:,} steps, and possibly no episode is complete by then:"
                 " hindsight samples goals from complete episodes"
             )
             values.findings.add("DB105", values.span(("train", "learning_starts")), headline, help=f"give at least {longest:_}")
@@ -114,7 +114,7 @@ def _check_algorithm(algorithm: str, action: Action, namespace: Namespace) -> No
     elif algorithm != "MaskablePPO" and any(
         isinstance(part, DiscreteAction) and part.forbid for part in namespace.scenario.action.values()
     ):
-        headline, help = f"{algorithm} ignores `forbid`", "use MaskablePPO, or take `forbid` out"
+        headline, help = f"{algorithm} ignores `forbid`", "use MaskablePPO, or remove `forbid`"
     else:
         return
     namespace.values.findings.add("DB612", namespace.values.span(("train", "algorithm")), headline, help=help)
@@ -143,7 +143,7 @@ def with_cases(
     if count > MAX_VARIANTS or count * size > MAX_VALUES:
         many = f"more than {MAX_VARIANTS} cases and stages"
         if count <= MAX_VARIANTS:
-            many = f"{count} cases and stages of a scenario with {size:_} values"
+            many = f"{count} cases and stages of a scenario with {size:,} values"
         maker.report("DB005", ("curriculum",) if spec.curriculum else ("evaluation", "cases"), many)
         return (), program
     maker.check_order(spec)

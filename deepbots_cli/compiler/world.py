@@ -87,7 +87,7 @@ def _group(name: str, thing: world_spec.Placed, namespace: Namespace) -> Group |
         return None
     if highest > MAX_BODIES:
         help = "use fewer: an engine would take minutes to build this world"
-        findings.add("DB005", count.span, f"{highest:_.0f} copies, more than {MAX_BODIES}", help=help)
+        findings.add("DB005", count.span, f"the count can be {highest:,.0f}; the limit is {MAX_BODIES}", help=help)
         return None
     return Group(name, max(1, int(highest)), count)
 
@@ -124,7 +124,7 @@ def _is_sensible(namespace: Namespace, place: Path, file: FilePath, mesh: Mesh) 
     if measured is None:
         return True
     if measured.triangles > MAX_TRIANGLES:
-        headline = f"the mesh has {measured.triangles:_} triangles, more than {MAX_TRIANGLES:_}"
+        headline = f"the mesh has {measured.triangles:,} triangles; the limit is {MAX_TRIANGLES:,}"
         findings.add("DB005", span, headline, help="simplify it")
         return False
     size = [abs(factor) * (high - low) for factor, low, high in zip(mesh.scale, measured.lower, measured.upper, strict=True)]
@@ -156,7 +156,7 @@ def lines(namespace: Namespace) -> tuple[Line, ...]:
     found = [_line(name, line, namespace) for name, line in namespace.scenario.world.lines.items()]
     known = tuple(line for line in found if line is not None)
     if sum(len(line.points) for line in known) > MAX_POINTS:
-        headline = f"the lines have more than {MAX_POINTS:_} points together"
+        headline = f"the lines together have more than {MAX_POINTS:,} points"
         namespace.values.findings.add("DB005", namespace.values.key_span(("world", "lines")), headline, help="leave out points")
     namespace.lengths |= {line.name: line.length for line in known}
     return known
@@ -430,7 +430,7 @@ def _check_timestep(timestep: float, spec: world_spec.World, namespace: Namespac
     code = None if _SHORT <= timestep <= _LONG else "DB505" if _SHORTEST <= timestep <= _LONGEST else "DB105"
     if code:
         span = namespace.values.field(spec, "timestep").span
-        namespace.values.findings.add(code, span, f"a timestep of {timestep:g} s", help="10 to 100 ms are usual")
+        namespace.values.findings.add(code, span, f"the timestep is {timestep:g} s", help="10 to 100 ms are usual")
 
 
 def _check_bodies(robots: int, objects: int, pieces: int, namespace: Namespace) -> None:
@@ -438,7 +438,7 @@ def _check_bodies(robots: int, objects: int, pieces: int, namespace: Namespace) 
     counts: dict[Path, int] = {("robots",): robots, ("objects",): objects, ("world", "walls"): pieces}
     if sum(counts.values()) > MAX_BODIES:
         span = namespace.values.key_span(max(counts, key=lambda section: counts[section]))
-        headline = f"the world has {sum(counts.values()):_} robots, objects and pieces of walls, more than {MAX_BODIES}"
+        headline = f"the world has {sum(counts.values()):,} robots, objects and pieces of walls; the limit is {MAX_BODIES}"
         namespace.values.findings.add("DB005", span, headline, help="use fewer: an engine would take minutes to build this world")
 
 

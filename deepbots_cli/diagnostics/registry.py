@@ -58,7 +58,7 @@ _CATALOGUE = (
     Rule("DB002", "duplicate-key", "error", "a mapping holds the same key twice"),
     Rule("DB003", "yaml11-boolean", "warning", "a word that YAML 1.1 reads as true or false is text here"),
     Rule("DB004", "odd-number", "warning", "a value that looks like a number is text, or is another number in YAML 1.1"),
-    Rule("DB005", "resource-limit", "error", "a file that is deeper, larger or expands further than allowed"),
+    Rule("DB005", "resource-limit", "error", "a file or a world that exceeds a size limit"),
     Rule("DB101", "unknown-key", "error", "a key that the language does not know"),
     Rule("DB102", "missing-key", "error", "a required key is missing"),
     Rule("DB103", "wrong-type", "error", "a value of the wrong type"),
@@ -90,7 +90,7 @@ _CATALOGUE = (
     Rule("DB313", "joint-driven-twice", "warning", "a joint that two actuators hold", preview=True),
     Rule("DB314", "limp-at-start", "warning", "an arm that sinks before the first command reaches its motors", preview=True),
     Rule("DB315", "pose-out-of-reach", "warning", "an arm that receives a command out of its reach", deep="only"),
-    Rule("DB316", "beyond-engine", "error", "an engine that is not installed, or cannot hold the world"),
+    Rule("DB316", "beyond-engine", "error", "an engine that is not installed, or does not support a part of the world"),
     Rule("DB401", "expression-syntax", "error", "an expression that cannot be read"),
     Rule("DB402", "unknown-name", "error", "an expression names something that does not exist"),
     Rule("DB403", "boolean-number-mix", "error", "a truth value where a number belongs, or the reverse"),
@@ -113,7 +113,7 @@ _CATALOGUE = (
     Rule("DB603", "saturates-before-termination", "warning", "an observation that saturates long before its value ends the episode"),
     Rule("DB607", "observation-outside-space", "error", "an observation without a value, or outside its space", deep="only"),
     Rule("DB608", "constant-observation", "warning", "an observation that never changes", deep="only"),
-    Rule("DB609", "privileged-observation", "warning", "an observation that no robot measures and `augment` does not grant"),
+    Rule("DB609", "privileged-observation", "warning", "an observation that no robot measures and that is not listed under `augment`"),
     Rule("DB611", "observation-saturates", "warning", "an observation often at the end of its range", deep="too", deep_preview=True),
     Rule("DB612", "algorithm-space-mismatch", "error", "an algorithm or a network that does not suit the spaces of the agent"),
     Rule("DB613", "case-changes-interface", "error", "a case or stage that changes observations, actions or messages"),
@@ -158,7 +158,7 @@ def _read(_name: str, found: Any) -> Iterator[tuple[str, Rule]]:
     """
     for rule in [found] if isinstance(found, Rule) else list(found):
         if not isinstance(rule, Rule) or rule.check is None or not rule.check.__doc__:
-            raise ValueError(f"{rule!r} is no Rule with a check that has a docstring")
+            raise ValueError(f"{rule!r} is not a Rule with a check that has a docstring")
         if not re.fullmatch(r"[A-Z]{2,8}[0-9]{1,4}", rule.code) or rule.code.startswith("DB"):
             raise ValueError(f"the code {rule.code!r} is no capital letters and digits, or begins with DB")
         if rule.name in {entry.name for entry in _CATALOGUE}:

@@ -206,7 +206,7 @@ class _Reader:
         size, height = measure(included)
         self.budget.expanded -= size
         if self.budget.expanded < 0:
-            headline = f"included files expand to more than {MAX_EXPANDED:_} values"
+            headline = f"included files expand to more than {MAX_EXPANDED:,} values"
         elif depth - 1 + height > MAX_DEPTH:
             headline = f"included values are nested more than {MAX_DEPTH} deep"
         else:

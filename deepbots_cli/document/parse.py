@@ -151,7 +151,7 @@ class _Builder:
         size, height = measure(node) if node is not None else (1, 0)
         self.budget.expanded -= size
         if self.budget.expanded < 0:
-            self.stop(event, f"aliases expand to more than {MAX_EXPANDED:_} values")
+            self.stop(event, f"aliases expand to more than {MAX_EXPANDED:,} values")
         if depth + height > MAX_DEPTH:
             self.stop(event, f"values are nested more than {MAX_DEPTH} deep")
         return node
@@ -263,7 +263,7 @@ class _Builder:
     def count(self, event: Event) -> None:
         self.budget.nodes -= 1
         if self.budget.nodes < 0:
-            self.stop(event, f"the scenario has more than {MAX_NODES:_} values")
+            self.stop(event, f"the scenario has more than {MAX_NODES:,} values")
 
     def stop(self, event: Event, headline: str) -> NoReturn:
         self.findings.add("DB005", self.span(event), headline, help="simplify the file; ordinary scenarios are far below this limit")

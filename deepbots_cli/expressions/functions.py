@@ -515,7 +515,7 @@ def _require_usable(function: object) -> None:
         ValueError: Says what is wrong with the entry.
     """
     if not isinstance(function, Function):
-        raise ValueError(f"{str(function)[:60]!r} is no Function")
+        raise ValueError(f"{str(function)[:60]!r} is not a Function")
     name = function.name
     if not name.isidentifier() or name in OPERATORS or name in UNITS or hasattr(math, name):
         raise ValueError(f"the name {name!r} is taken or no identifier")

@@ -178,7 +178,7 @@ def warn_of_degrees(value: Typed, report: Report) -> None:
     if isinstance(value, Constant) and value.unit is not None and value.unit.text == "rad":
         largest = max(abs(number) for number in value.values)
         if 2 * math.pi < largest <= 180.0 or 270.0 <= largest <= 360.0:
-            headline, help = f"{largest:g} rad is more than a full turn", f"if degrees are meant, write `{largest:g} deg`"
+            headline, help = f"{largest:g} rad is more than a full turn", f"write `{largest:g} deg` if you mean degrees"
             meant = Meant(f"{value.values[0]:g} deg", safe=False) if len(value.values) == 1 else None
             fault(report, "DB504", value, headline, help, meant)
 
@@ -273,11 +273,11 @@ def _require_size(value: Typed, stage: Stage, what: str, report: Report) -> None
     limit = _LARGEST if plausible == math.inf else _BEYOND * plausible
     if largest > limit and stage is not Stage.STEP:
         unit = "" if dimension == NUMBER else f" {dimension}"
-        raise fault(report, "DB105", value, f"{what} of {largest:g}{unit}", f"give at most {limit:g}{unit}")
+        raise fault(report, "DB105", value, f"{what} is {largest:g}{unit}", f"give at most {limit:g}{unit}")
     if dimension == ANGLE:
         warn_of_degrees(value, report)
     if largest > plausible:
-        fault(report, "DB505", value, f"{what} of {largest:g} {dimension}", "check the unit")
+        fault(report, "DB505", value, f"{what} is {largest:g} {dimension}", "check the unit")
 
 
 def negated(value: Typed) -> Callable[[str], str]:

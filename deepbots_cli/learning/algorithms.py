@@ -159,7 +159,7 @@ def check(training: Training) -> None:
     if len(hidden) > _MOST_LAYERS or not all(1 <= width <= _WIDEST_LAYER for width in hidden):
         raise UsageError(f"a policy has at most {_MOST_LAYERS} hidden layers of 1 to {_WIDEST_LAYER} units")
     if sum(one * other for one, other in pairwise(hidden)) > _MOST_WEIGHTS:
-        raise UsageError(f"a policy with hidden layers of {', '.join(map(str, hidden))} units has more than {_MOST_WEIGHTS:_} weights")
+        raise UsageError(f"a policy with hidden layers of {', '.join(map(str, hidden))} units has more than {_MOST_WEIGHTS:,} weights")
     memory = [h.value for h in training.hyperparameters if h.name == "lstm"]
     if not all(type(units) is int and 1 <= units <= _WIDEST_MEMORY for units in memory):
         raise UsageError(f"a policy has a memory of 1 to {_WIDEST_MEMORY} units")
@@ -191,7 +191,7 @@ def check_replay(settings: Settings, space: gym.Space[Any], memory: int | None =
     needed = 2 * steps * sum(math.prod(part.shape or ()) * (part.dtype or np.dtype(np.float32)).itemsize for part in parts)
     if memory is not None and needed > memory:
         raise UsageError(
-            f"{steps:_} remembered steps need {needed / 1e9:.1f} GB of memory, and this machine has {memory / 1e9:.1f} GB; "
+            f"{steps:,} remembered steps need {needed / 1e9:.1f} GB of memory, and this machine has {memory / 1e9:.1f} GB; "
             f"give 'buffer_size' under 'train'"
         )
 

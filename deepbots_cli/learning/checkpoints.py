@@ -373,7 +373,7 @@ class Checkpoints:
         histories = [Running(start, list(arrays[f"actions/{index}"])) for index, start in enumerate(state.starts)]
         if fingerprint(env.repeat(histories)) == state.observed:
             return True
-        self._note(f"the episodes that ran at {model.num_timesteps:,} steps came out otherwise when repeated, and were begun anew")
+        self._note(f"the episodes that ran at {model.num_timesteps:,} steps gave different results when repeated, so they were restarted")
         env.starts = [derive(self.run.record.seed, "environment", i, "resumed", model.num_timesteps) for i in range(len(env.worlds))]
         model._last_obs = model.env.reset()  # type: ignore[union-attr, assignment]
         if (normalizer := model.get_vec_normalize_env()) is not None:

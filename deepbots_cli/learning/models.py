@@ -234,7 +234,7 @@ def _check_optimizer(path: Path, where: str, optimizer: torch.optim.Optimizer, t
 
 def _check_tensor(path: Path, name: str, dtype: torch.dtype, shape: tuple[int, ...], found: Any) -> None:
     if not isinstance(found, torch.Tensor):
-        raise RunError(f"{path}: '{name}' is no tensor")
+        raise RunError(f"{path}: '{name}' is not a tensor")
     if found.dtype != dtype or tuple(found.shape) != shape or found.layout != torch.strided:
         theirs = f"{str(found.dtype).removeprefix('torch.')} of shape {tuple(found.shape)}"
         raise RunError(f"{path}: '{name}' is {theirs}, the scenario's policy needs {str(dtype).removeprefix('torch.')} of shape {shape}")

@@ -140,7 +140,7 @@ class Record(BaseModel):
         """The record of a run.
 
         Raises:
-            RunError: The folder is no run, its record is damaged, or was written in a format that this deepbots does not know.
+            RunError: The folder is not a run, its record is damaged, or was written in a format that this deepbots does not know.
         """
         if not folder.is_dir():
             inside = Path("runs") / folder

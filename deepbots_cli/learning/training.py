@@ -178,7 +178,7 @@ def resume(
         record = known.record
         training = _training_of(known.program, record.total_timesteps if total_timesteps is None else total_timesteps)
         if latest(known) is None and (record.status == "finished" or _has_learned(known)):
-            raise RunError(f"{known.checkpoints} holds no checkpoint to go on from")
+            raise RunError(f"{known.checkpoints} contains no checkpoint to continue from")
         checkpoints = Checkpoints(known)
         steps = checkpoints.state.statistics.steps if checkpoints.state else 0
         if steps >= training.total_timesteps and record.status == "finished":  # else it was killed before it said so

@@ -116,7 +116,7 @@ def _limited(found: list[Finding]) -> list[Finding]:
     if len(found) > limit:
         by_weight = sorted(found, key=lambda finding: (finding.severity != "error", finding.code != "DB005", finding.sort_key))
         *kept, last = by_weight[:limit]
-        found = [*kept, replace(last, notes=(*last.notes, f"{len(by_weight) - limit:_} more findings are not shown"))]
+        found = [*kept, replace(last, notes=(*last.notes, f"{len(by_weight) - limit:,} more findings are not shown"))]
     return sorted(found, key=lambda finding: finding.sort_key)
 
 

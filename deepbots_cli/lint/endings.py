@@ -106,8 +106,8 @@ def shadowed_limit(context: Context) -> Iterator[Finding]:
     """DB804: one of two limits always comes first, so the other has no effect.
 
     For example, `max_time` comes after `max_steps`, an ending can hold only after the truncation or after another ending, or an ending
-    always holds before the truncation. The CartPole of the original collection ends an episode once its score exceeds 195: its best
-    episode lasts 197 of 200 allowed steps.
+    always holds before the truncation. An ending at a return above 195, with a reward of 1 per step, ends the best episode in step 196 of
+    200.
 
     Example::
 
@@ -125,7 +125,7 @@ def shadowed_limit(context: Context) -> Iterator[Finding]:
         if _truth_over_episode(analysis, ending).single or ending.foreign:
             continue  # DB801, DB802
         (node,) = analysis.scalars(ending.value)
-        limit = f"the truncation after {last} steps"
+        limit = f"the truncation at step {last}"
         if _with_return(analysis, 0, last).of(node) == NEVER:
             headline = f"`{ending.value.name}` cannot hold before {limit}"
             help = "raise the limit under `truncation`, or remove the ending"
@@ -133,7 +133,7 @@ def shadowed_limit(context: Context) -> Iterator[Finding]:
                 "DB804", ending.value.span, headline, help=help, also=(Label(context.values.key_span(("truncation",)), "the truncation"),)
             )
         elif not _leaves(analysis, node) <= _CLOCK and last > 1 and _with_return(analysis, last - 1, last - 1).of(node) == ALWAYS:
-            headline = f"`{ending.value.name}` always holds before {limit}"
+            headline = f"`{ending.value.name}` ends every episode before {limit}"
             help = "remove this ending: `truncation` ends the episode, and the section `solved` defines a good result"
             yield Finding(
                 "DB804", ending.value.span, headline, help=help, also=(Label(context.values.key_span(("truncation",)), "never reached"),)
@@ -258,14 +258,16 @@ def undefined_value(simulation: Simulation) -> Iterator[Finding]:
         yield Finding("DB808", failed.span, f"`{failed.name}` has no value", help=help, notes=failed.notes)
     elif failed is None and stop.get("kind") == "value":
         span = simulation.values.key_span(("reset",) if simulation.report.where.doing == "reset" else ("robots",))
-        yield Finding("DB808", span, "an episode cannot continue", notes=(simulation.when(), str(stop.get("text", ""))))
+        headline = "an episode cannot begin" if simulation.report.where.doing == "reset" else "an episode cannot continue"
+        yield Finding("DB808", span, headline, notes=(simulation.when(), str(stop.get("text", ""))))
 
 
 def after_the_end(context: Context) -> Iterator[Finding]:
     """DB811: a push, a reading or a message would come only after the end of every episode.
 
-    The rule checks the first push of a disturbance, the second reading of a sensor, and the first message after the one that is sent at
-    the reset, against `max_steps` and `max_time`, in the scenario and in each of its cases and stages. The usual cause is a wrong unit.
+    The rule compares three times with the length of an episode (`max_steps`, `max_time`): the first push of a disturbance, the second
+    reading of a sensor, and the first message after the reset. It reports a time that no episode of the scenario, its cases and its stages
+    reaches. The usual cause is a wrong unit.
 
     Example::
 

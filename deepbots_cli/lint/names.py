@@ -24,9 +24,10 @@ _COUNTED = (Origin.PARAMETER, Origin.ACTION, Origin.FIELD, Origin.AUGMENT, Origi
 def unused_definition(context: Context) -> Iterator[Finding]:
     """DB205: a parameter, action variable, field, signal, sensor, actuator or message value is defined and never used.
 
-    Most often the name is misspelt elsewhere, or the definition is left over from an earlier version. A sensor is used if it is sent or
-    used on board. An actuator without a command has no effect: the joint moves freely. Unused parts of an included robot file are not
-    reported, since it describes the robot and not the task; nor are definitions that a file removes again.
+    Most often the name is misspelt elsewhere, or the definition is left over from an earlier version. A sensor is used if `emit`, `apply`
+    or an expression of the task uses it. An actuator without a command has no effect: the joint moves freely. Unused parts of an included
+    robot file are not reported, because they describe the robot and not the task. Definitions of an extended file that the scenario
+    removes are not reported either.
 
     Example::
 
@@ -80,7 +81,7 @@ def _unused_parts(context: Context) -> Iterator[Finding]:
             if value.name not in used
         ]
         unused += [
-            (("actuators", actuator.name), "an actuator that nothing drives", "give it a command under `apply`, or remove it")
+            (("actuators", actuator.name), "an actuator without a command", "give it a command under `apply`, or remove it")
             for actuator in robot.actuators
             if actuator.name not in driven
         ]

@@ -86,8 +86,8 @@ def replace_range(context: Context, number: RangedNumber, wide: Interval, dimens
 def privileged_observation(context: Context) -> Iterator[Finding]:
     """DB609: the policy sees a signal or a parameter that is not listed under `augment`.
 
-    Only the supervisor knows the world and the drawn parameters; a real robot could not measure them. A grant
-    declares that this is intended. Values that robots send, their age, the actions of the agent and the time need no grant.
+    Only the supervisor knows the world and the drawn parameters; a real robot could not measure them. List the value under `augment` to
+    state that this is intended. Values that robots send, their age, the actions of the agent and the time need no entry there.
 
     Example::
 
@@ -104,14 +104,16 @@ def privileged_observation(context: Context) -> Iterator[Finding]:
         head = observed.value.name.partition(".")[0]
         if head in privileged:
             origin = context.namespace.origin(head)
-            helps = "move it to `augment`" if origin is Origin.SIGNAL else f"grant it: `augment: [{head}]`"
+            helps = (
+                "move it to `augment`" if origin is Origin.SIGNAL else f"list it under `augment`, if this is intended: `augment: [{head}]`"
+            )
             what = Origin.SIGNAL.value if origin is Origin.SIGNAL else Origin.PARAMETER.value
             headline = f"the observation holds `{observed.value.name}`, {what} that is not listed under `augment`"
             yield Finding("DB609", observed.value.span, headline, help=helps)
 
 
 def _privileged(program: Program) -> set[str]:
-    """Drawn parameters, and signals that depend on them or on the world, except those that `augment` grants."""
+    """Drawn parameters, and signals that depend on them or on the world, except those listed under `augment`."""
     found = {value.name for value in program.parameters} - program.augmented
     for value in program.signals:
         if value.name not in program.augmented and any(_is_privileged(node, found) for node in walk(value.typed)):

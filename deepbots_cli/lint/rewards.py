@@ -153,7 +153,7 @@ def term_dominates(context: Context) -> Iterator[Finding]:
             continue
         low = _smallest_sum(reward, node)
         if low > _DOMINATES * prize:
-            headline = f"`{term.name}` adds up to at least {low:.4g} over an episode, and an ending pays at most {prize:.4g}"
+            headline = f"the absolute sum of `{term.name}` over an episode is at least {low:.4g}, and an ending pays at most {prize:.4g}"
             also = tuple(Label(paid.span, "paid at the end") for paid, _ in final)
             yield Finding("DB702", term.span, headline, help=f"scale `{term.name}` down, or increase the rewards of the endings", also=also)
 
@@ -350,8 +350,8 @@ class Staying(Ranges):
 def hovering_pays(context: Context) -> Iterator[Finding]:
     """DB708: staying just outside of the goal pays more than reaching the goal, which ends the episode.
 
-    The agent learns to stay there. The arm of the original collection earned more at 5 to 10 mm from its target than by touching it.
-    Pay for progress (`-10 * delta(distance) / m`), or pay more for the success than the rest of an episode can pay.
+    The agent learns to stay there, for example 5 mm from its target. Pay for progress (`-10 * delta(distance) / m`), or pay more for the
+    success than the rest of an episode can pay.
 
     Example::
 
@@ -419,8 +419,8 @@ def other_policy_pays_more(simulation: Simulation) -> Iterator[Finding]:
         best, success = found
         also = (Label(successes[0].value.span, "ends these payments"),)
         headline = (
-            f"the return of {best.by} until the time limit is {best.worth:.3g}, "
-            f"and the return of {success.by} until success is {success.worth:.3g}"
+            f"the return of {best.by}, which runs to the time limit, is {best.worth:.3g}; "
+            f"the return of {success.by}, which succeeds, is {success.worth:.3g}"
         )
         notes = (f"both are discounted returns of the episode with seed {best.seed}",)
         yield Finding("DB708", _most_paid(simulation, best.by).span, headline, help=_PAY_FOR_PROGRESS, notes=notes, also=also)
@@ -522,10 +522,12 @@ def return_out_of_reach(context: Context) -> Iterator[Finding]:
     for analysis, wanted, path in _wanted_returns(context):
         known = _worth(analysis)
         if wanted > known.high + _ROUNDING * abs(known.high):
-            headline, help = f"no episode reaches the return {wanted:g}: the maximum is {known.high:.4g}", "require a smaller return"
+            headline = f"no episode reaches the required return of {wanted:g}: the highest possible return is {known.high:.4g}"
+            help = "require a smaller return"
             yield Finding("DB810", context.values.span(path), headline, help=help)
         elif wanted <= known.low:
-            headline, help = f"every episode reaches the return {wanted:g}: the minimum is {known.low:.4g}", "require a larger return"
+            headline = f"every episode reaches the required return of {wanted:g}: the lowest possible return is {known.low:.4g}"
+            help = "require a larger return"
             yield Finding("DB810", context.values.span(path), headline, help=help)
 
 

@@ -306,13 +306,13 @@ def _missed(simulation: Simulation, miss: Miss) -> Finding:
 
 
 def _turned_in_place(simulation: Simulation, miss: Miss) -> Finding:
-    """The arm reaches a command only by contorting itself, since its link starts in another attitude."""
+    """The first command turns a link far in place, because the link starts in another attitude."""
     span = simulation.values.span(("robots", miss.robot, "actuators", miss.actuator, "rpy"))
     angles = [round(degrees(angle)) for angle in miss.start]
     start = " ".join(str(180 if angle == -180 else angle) for angle in angles)
     headline = f"the first command turns `{miss.actuator}` by {degrees(miss.turn):.3g} deg in place"
     help = f"write `rpy: {start} deg`, which is near the initial attitude, or start the arm in another pose"
-    notes = (simulation.when(Where(miss.by, miss.seed, miss.step)), "the arm contorts itself, and may swing far on its way")
+    notes = (simulation.when(Where(miss.by, miss.seed, miss.step)), "the joints may move far before the link reaches the pose")
     return Finding("DB315", span, headline, help=help, notes=notes)
 
 

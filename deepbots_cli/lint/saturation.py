@@ -29,9 +29,9 @@ _HALVINGS = 40
 def saturates_before_termination(context: Context) -> Iterator[Finding]:
     """DB603: a value leaves its range in the observation before it ends the episode: the agent cannot see the failure coming.
 
-    Between the end of the range and the limit the policy sees a constant, exactly where it has to act. The CartPole of the original
-    collection clips the angle of the pole at 0.23 rad and ends at 0.2618 rad. The rule also checks values that depend on the quantity,
-    such as a clamped fraction of it. The rule reports nothing if at least one entry of the observation still changes up to the limit.
+    Between the end of the range and the limit the policy sees a constant, exactly where it has to act. The rule also checks values that
+    depend on the quantity, such as a clamped fraction of it. It reports nothing if at least one entry of the observation still changes up
+    to the limit.
 
     Example::
 
@@ -186,8 +186,8 @@ def _saturated_at_start(context: Context) -> Iterator[Finding]:
         if drawn is not None and drawn.finite:  # exactly what is drawn, not a wider range around it
             is_beyond = drawn.high > number.high + number.slack or drawn.low < number.low - number.slack
         if is_beyond:
-            headline = f"`{number.name}` begins beyond its range: it is {between(first, number.dimension)}"
-            yield Finding("DB611", context.range_span(number.entry), headline, help="widen the range, or start the episode within it")
+            headline = f"`{number.name}` can start outside its range: its initial value is {between(first, number.dimension)}"
+            yield Finding("DB611", context.range_span(number.entry), headline, help="widen the range, or start inside the range")
 
 
 def _goal_out_of_range(context: Context) -> Iterator[Finding]:

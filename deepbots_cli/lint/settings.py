@@ -128,7 +128,7 @@ def _word(value: object, key: str, name: str) -> str:
 
 def _list(value: object, key: str, name: str) -> tuple[str, ...]:
     if isinstance(value, list) and len(value) > _MAX_WORDS:
-        raise UsageError(f"{name}: '{key}' has {len(value):_} entries, more than {_MAX_WORDS:_}")
+        raise UsageError(f"{name}: '{key}' has {len(value):,} entries; the limit is {_MAX_WORDS:,}")
     if isinstance(value, list) and all(isinstance(item, str) for item in value):
         return tuple(value)
     raise UsageError(f"{name}: '{key}' must be a list of {'patterns' if key == 'exclude' else 'codes'} in quotes")

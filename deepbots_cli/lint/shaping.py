@@ -215,9 +215,9 @@ def pays_towards_failure(context: Context) -> Iterator[Finding]:
     """DB710: a term pays more as the episode approaches a failure.
 
     The agent learns to stay close to the failure, or to cause it. The usual cause is a missing sign. The rule checks lengths and angles
-    that are deviations from zero (`abs(x)`, `tilt(robot)`, a distance) and cause a failure above a limit, if the term always pays more
-    just below this limit than at zero, and no other term and no success uses the same quantity. Tasks that reward the highest allowed
-    speed, or an approach without contact, are not reported.
+    that are deviations from zero (`abs(x)`, `tilt(robot)`, a distance) and whose large values end in a failure. It reports a term that
+    always pays more just below the limit than at zero. It reports nothing if another term or a success uses the same quantity, so tasks
+    that reward an approach without contact are not reported. Speeds are not checked.
 
     Example::
 

@@ -36,9 +36,9 @@ from deepbots_cli.program.world import ARENA_WALLS, GROUND
 
 # What is simulated
 
-RANDOM, HELD, IDLE = "random actions", "random actions, each held for several steps", "doing nothing"
 HOLD = 8
 """Steps for which a random action is held. Actions that are new in every step cancel each other, and move little."""
+RANDOM, HELD, IDLE = "random actions", f"random actions that each last {HOLD} steps", "doing nothing"
 
 _RESETS = 24
 _RANDOM_EPISODES, _RANDOM_STEPS, _ENOUGH = 24, 250, 1500
@@ -495,7 +495,7 @@ class Simulation(Context):
     def summary(self) -> str:
         """How much was simulated, for a note."""
         parts = [f"{found.steps} steps of {by}" for by, found in self.measured.items()]
-        return f"simulated: {', '.join(parts)}"
+        return f"simulated: {' and '.join(filter(None, (', '.join(parts[:-1]), parts[-1])))}" if parts else "nothing was simulated"
 
     # Expressions without a value
 

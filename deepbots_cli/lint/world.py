@@ -54,10 +54,10 @@ A cart or a crate was pushed out of the ground at 0.01 to 0.04 m/s from 4 mm, at
 
 
 def beyond_engine(context: Context) -> Iterator[Finding]:
-    """DB316: the physics engine that `world.engine` or `--engine` names is not installed, or cannot hold the world.
+    """DB316: the physics engine is not installed, or does not support a part of the world.
 
-    PyBullet has builds up to Python 3.11; later versions of Python run on MuJoCo. MuJoCo holds a mesh only as its convex hull, so a mesh
-    cannot be the ground. The rule looks at scenarios that name their engine.
+    The rule applies if `world.engine` or `--engine` names the engine. PyBullet has builds up to Python 3.11; later versions of Python use
+    MuJoCo. MuJoCo uses the convex hull of a mesh, so a mesh cannot be the ground.
     """
     terrain, kind = context.program.world.terrain, ENGINES.get(context.program.engine or "")
     if kind is None:
@@ -162,7 +162,7 @@ def _odd_mass(thing: ObjectBody, kind: Variant, robots: _Robots, path: Path, val
         beyond = "more than any metal" if density > _HEAVIEST else "less than a tenth of air"
         shown = f"{density:.0f}" if density > 1000.0 else f"{density:.2g}"
         headline = f"`{path[-1]}` has a density of {shown} kg/m^3, {beyond}: {weight} in {size:.3g} m^3"
-        help = f"check the units of its mass and size: {water}" + ("; or write `fixed: true`" if density > _HEAVIEST else "")
+        help = f"check the units of its mass and size ({water})" + (", or write `fixed: true`" if density > _HEAVIEST else "")
         return Finding("DB507", _span(path, ("mass",), values), headline, help=help)
     carried = sum(link.inertial.mass for robot, _ in robots for link in robot.model.links if link.inertial is not None)
     if carried <= 0.0 or kind.mass < _OUTWEIGHS * carried:

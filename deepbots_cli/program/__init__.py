@@ -142,7 +142,7 @@ class Program:
             hint = f" (did you mean {near}?)" if near else ""
             if not names:
                 raise UsageError(f"{self.name} has no {what}s, so there is no '{name}'")
-            raise UsageError(f"{self.name} has no {what} '{name}'{hint}; it has: {', '.join(names)}")
+            raise UsageError(f"{self.name} has no {what} '{name}'{hint}; there are: {', '.join(names)}")
         return found
 
 

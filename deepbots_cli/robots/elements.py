@@ -132,7 +132,7 @@ class Element:
         """A number of at least 0."""
         value = self.number(name, default)
         if value < 0:
-            self.error(f"'{name}' must not be negative", attribute=name)
+            self.error(f"the attribute '{name}' of <{self.tag}> is negative", attribute=name)
             return default or 0.0
         return value
 

@@ -273,7 +273,7 @@ def _stl(data: bytes) -> str | None:
         return "the STL file is shorter than its header"
     triangles = int.from_bytes(data[80:84], "little")
     if len(data) != 84 + 50 * triangles:
-        return f"the STL file declares {triangles} triangles, but its size fits {(len(data) - 84) / 50:g}"
+        return f"the STL file declares {triangles:,} triangles, but its size fits {(len(data) - 84) / 50:,g}"
     if not triangles:
         return "the STL file holds no triangle"
     # A sum is finite only if every summand is, and finite 32-bit floats cannot overflow it.
@@ -292,7 +292,7 @@ def _obj(data: bytes) -> str | None:
     if b"\0" in data:
         return "the OBJ file is not text"
     if sum(1 for _ in islice(_LINES.finditer(data), _MAX_LINES + 1)) > _MAX_LINES:
-        return f"the OBJ file holds more than {_MAX_LINES:_} vertices and faces"
+        return f"the OBJ file contains more than {_MAX_LINES:,} vertices and faces"
     vertices = len(_VERTEX.findall(data))
     if not vertices:
         return "the OBJ file holds no vertex"
@@ -306,7 +306,7 @@ def _obj(data: bytes) -> str | None:
         indices.update(named)
         corners += len(named)
         if corners > _MAX_CORNERS:
-            return f"the OBJ file has faces of more than {_MAX_CORNERS:_} corners together"
+            return f"the faces of the OBJ file together have more than {_MAX_CORNERS:,} corners"
     if not indices:
         return "the OBJ file holds no face"
     last = max(indices, key=lambda digits: (len(digits), digits))

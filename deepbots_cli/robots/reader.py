@@ -273,7 +273,7 @@ def _pose(element: Element) -> Pose:
     largest = max(rpy, key=abs)
     if abs(largest) > _FULL_TURN:
         in_rad = " ".join(f"{round(math.radians(angle), 4):g}" for angle in rpy)
-        help = f'angles are in rad; if degrees are meant, write rpy="{in_rad}"'
+        help = f'URDF angles are in radians; {largest:g} degrees are {math.radians(largest):.4g} rad: write rpy="{in_rad}"'
         origin.warn(f"{largest:g} rad is more than a full turn", attribute="rpy", help=help, code="DB504")
     return Pose(origin.vector("xyz", (0.0, 0.0, 0.0)), rpy)
 
@@ -359,7 +359,7 @@ def _mesh(element: Element, meshes: Meshes) -> Mesh | None:
         element.error(loaded.why, attribute="filename", help=loaded.help)
         return None
     if loaded.reference:
-        headline = "the mesh is not beside the robot file; one in a folder above is read, as in PyBullet"
+        headline = "the mesh is not in the folder of the robot file; the one in a parent folder is read, as in PyBullet"
         element.warn(headline, attribute="filename", help=f'write filename="{loaded.reference}"')
     return Mesh(str(loaded.path), loaded.digest, scale)
 

@@ -388,7 +388,7 @@ def foreign(what: str, name: str, module: str, function: str, truth: bool) -> Ca
     except Exception as error:  # whatever the module does while it is imported
         raise UsageError(f"{called} cannot be imported: {type(error).__name__}: {error}") from error
     if not callable(found):
-        raise UsageError(f"{called} is no function")
+        raise UsageError(f"{called} is not a function")
 
     def call(supervisor: Supervisor) -> Any:
         try:

@@ -218,7 +218,7 @@ def _csv_parts(message: str) -> list[object]:
 
 def _csv_truth(cell: str) -> bool:
     if cell not in ("True", "False"):
-        raise ValueError(f"{cell!r} is no truth value")
+        raise ValueError(f"{cell!r} is not a truth value")
     return cell == "True"
 
 

@@ -179,7 +179,7 @@ def _read(name: str, kind: Any) -> Iterator[tuple[str, type[Actuator]]]:
         ValueError: It is no class of an actuator kind, or lacks something.
     """
     if not (isinstance(kind, type) and issubclass(kind, JointActuator)):
-        raise ValueError(f"{kind!r} is no subclass of JointActuator")
+        raise ValueError(f"{kind!r} is not a subclass of JointActuator")
     require_kind(name, kind, kind.drive)
     list(parameters(kind, JointActuator))
     yield name, kind

@@ -254,13 +254,13 @@ def parameters(model: type[Section], *bases: type[Section]) -> Iterator[tuple[st
     """The fields that the model of a kind has beyond those of its `bases`.
 
     Raises:
-        ValueError: One of them is no single value.
+        ValueError: One of them is not a single value.
     """
     known = {name for base in bases if issubclass(model, base) for name in base.model_fields}
     for name, shape in fields(model).items():
         if name not in known:
             if not isinstance(shape, FieldType):
-                raise ValueError(f"{model.__name__}.{name} is no single value")
+                raise ValueError(f"{model.__name__}.{name} is not a single value")
             yield name, shape
 
 

@@ -148,7 +148,7 @@ def check_bounds(
     """Raise DB105 unless `value` is finite and inside; with `exclusive` the minimum itself is outside."""
     if not -LARGEST <= value <= LARGEST:
         is_nan = isinstance(value, float) and math.isnan(value)
-        raise error("DB105", "a value that is no number" if is_nan else "a number too large to be meant")
+        raise error("DB105", "a value that is not a number" if is_nan else "a number too large to be meant")
     if minimum is not None and (value < minimum or (exclusive and value == minimum)):
         help = f"give {'more than' if exclusive else 'at least'} {minimum:g}"
         raise error("DB105", f"`{value}` is below the smallest allowed value", help)
@@ -374,7 +374,7 @@ MEASURES: Mapping[str, tuple[str, str, str]] = {
     "damping": ("a damping", "0.1 N*m*s/rad", "N*m*s/rad or N*s/m"),
     "angle or length": ("an angle or a length", "15 deg", "rad or m"),
     "angular speed or speed": ("an angular speed or a speed", "5 rad/s", "rad/s or m/s"),
-    "reading": ("a figure in the unit of the sensor", "0.01 rad", "of the sensor"),
+    "reading": ("a number in the unit of the sensor", "0.01 rad", "of the sensor"),
     "any": ("a quantity", "0.5 m", "of the value"),
 }
 """Noun, example and SI unit of each measure."""
@@ -486,7 +486,7 @@ class Quantity(Parsed):
         tree = self.tree(text)
         unit, known = getattr(tree, "unit", None), MEASURES[self.dimension][2].split(" or ")
         if unit is not None and not known[0].startswith("of ") and unit.text != "%" and unit.dimension not in map(_dimension, known):
-            raise error("DB503", f"`{text[:60]}` is no {self.noun.split(' ', 1)[1]}", self.help_for(None))
+            raise error("DB503", f"`{text[:60]}` is not {self.noun}", self.help_for(None))
         match tree:
             case syntax.Vector(items=(syntax.Number(), syntax.Name(parts=(word,)))) if not self.components:
                 raise error("DB501", f"unknown unit `{word}`", choose_from(word, tuple(UNITS)))

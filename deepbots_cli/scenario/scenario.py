@@ -78,7 +78,7 @@ class Scenario(Section):
     observation: Annotated[Observation, Size(1, "entry")]
     """Observation of the policy, in this order: the name of a value, and the range that is mapped to [-1, 1]."""
     reward: Annotated[Reward, Size(1, "term")]
-    """The summands of the reward, by names of your choice; plain numbers."""
+    """Terms of the reward, by names of your choice. Each term is a plain number; the reward is their sum."""
     termination: Termination = Field(default_factory=Termination)
     """Endings of the task: success and failure."""
     truncation: Truncation | None = None

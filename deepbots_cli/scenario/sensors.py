@@ -373,7 +373,7 @@ def _read(name: str, kind: Any) -> Iterator[tuple[str, type[Sensor]]]:
         ValueError: It is no class of a sensor kind, or lacks something.
     """
     if not (isinstance(kind, type) and issubclass(kind, (JointSensor, LinkSensor, ContactSensor))):
-        raise ValueError(f"{kind!r} is no subclass of JointSensor, LinkSensor or ContactSensor")
+        raise ValueError(f"{kind!r} is not a subclass of JointSensor, LinkSensor or ContactSensor")
     require_kind(name, kind, kind.reader)
     list(parameters(kind, *BASES))
     yield name, kind

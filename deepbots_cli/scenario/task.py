@@ -112,7 +112,7 @@ class Termination(Section):
     success: dict[SharedName, Condition] = {}
     """Conditions under which the agent has succeeded, by names of your choice."""
     failure: dict[SharedName, Condition] = {}
-    """Conditions under which the agent has failed, by names of your choice; failure beats success."""
+    """Conditions under which the agent has failed, by names of your choice. Failure has precedence over success."""
 
 
 class Truncation(Section):

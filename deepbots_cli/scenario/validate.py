@@ -49,9 +49,7 @@ _SHOWN = 40
 _EXEMPLARY = 120
 _RESERVED = {"agents": "competing agents are kept for a later version of the language"}
 
-_OWN_SECTION = (
-    "it is a section of its own, which begins at the left edge: remove the indentation of its key and of the lines that belong to it"
-)
+_OWN_SECTION = "it is a top-level section, which begins at the left edge: remove the indentation of the key and of the lines below it"
 # Stand-ins for required sections that had findings, so that the other sections are still looked at.
 _STAND_INS: dict[str, object] = {
     "deepbots": VERSION,
@@ -228,7 +226,7 @@ def _typing_hint(node: Node, data: object, path: Path) -> tuple[str, Meant | Non
         case Scalar(style="plain", text=text) if text.endswith(",") and (bare := text.rstrip(", ")):
             return f"a line ends without a comma: `{bare[:60]}`", Meant(bare, safe=True)
         case nodes.Sequence(items=items) if items and all(isinstance(item, nodes.Mapping) for item in items):
-            return "; ".join(filter(None, ("leave out the dashes, if keys are meant", about_key(data, path)))), None
+            return "; ".join(filter(None, ("remove the dashes to write keys", about_key(data, path)))), None
     return None
 
 
@@ -360,7 +358,7 @@ def about_key(data: object, path: Path) -> str | None:
         return None
     text = description(section, key).rstrip(".")
     example = None if re.search("such as `|`{", text) else example_of(section, key)
-    shown = f", as in `{key}: {example.text}`" if example and "\n" not in example.text and len(example.text) <= _EXEMPLARY else ""
+    shown = f". Example: `{key}: {example.text}`" if example and "\n" not in example.text and len(example.text) <= _EXEMPLARY else ""
     return f"`{key}`: {text[:1].lower()}{text[1:]}{shown}"
 
 

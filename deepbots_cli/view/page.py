@@ -286,7 +286,7 @@ class Page:
     def _add_time(self, player: Player) -> None:
         gui = self.server.gui
         acts = {"pause": lambda: self.play(self.paused), "step": self.step_once, "reset": self._begin, "next": lambda: self._begin(1)}
-        self._buttons = gui.add_button_group("time", tuple(acts), hint="pause or go on; one step; this episode anew; the next episode")
+        self._buttons = gui.add_button_group("time", tuple(acts), hint="pause or continue; one step; restart this episode; next episode")
         self._buttons.on_click(lambda event: self._todo.put(acts[event.target.value]))
         for name, key in {"pause": "space", "step": "N", "reset": "R"}.items():
             if name != "reset" or not self._playing:  # R drives

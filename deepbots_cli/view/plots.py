@@ -106,7 +106,7 @@ def _read_tensorboard(path: Path) -> Log:
     scalars = scalars_of(path)
     names = {"returns": "rollout/ep_rew_mean", "successes": "rollout/success_rate", "evaluations": "eval/mean_reward"}
     if not scalars.keys() & names.values():
-        raise RunError(f"{path} is no run, and its TensorBoard files hold none of {', '.join(names.values())}")
+        raise RunError(f"{path} is not a run, and its TensorBoard files hold none of {', '.join(names.values())}")
     log = Log(path, f"{path.name} ")
     log.returns, log.successes, log.evaluations = (scalars.get(tag) for tag in names.values())
     return log
@@ -114,7 +114,7 @@ def _read_tensorboard(path: Path) -> Log:
 
 def _text(path: Path) -> str:
     if path.is_symlink() or (path.exists() and not path.is_file()):  # opening a pipe waits for ever
-        raise RunError(f"{path} is no regular file, which every log of ours is")
+        raise RunError(f"{path} is not a regular file")
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise RunError(f"{path} is larger than {_MAX_BYTES >> 20} MiB")
@@ -135,7 +135,7 @@ def scalars_of(path: Path) -> dict[str, Curve]:
         return {}
     for file in files:
         if not file.is_file():  # opening a pipe waits for ever
-            raise RunError(f"{file} is no regular file, which every log of ours is")
+            raise RunError(f"{file} is not a regular file")
     try:
         from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
     except ModuleNotFoundError as error:

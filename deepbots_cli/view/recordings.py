@@ -361,7 +361,7 @@ class Recording:
         if len(data) > _MAX_FILE:
             raise RecordingError(f"{path} is larger than {_MAX_FILE >> 20} MiB, which is the largest recording that can be shown")
         if not data.startswith(b"\x89MCAP"):
-            raise RecordingError(f"{path} is no recording: it is no MCAP file")
+            raise RecordingError(f"{path} is not a recording: it is not an MCAP file")
         metadata, files, steps = _content(path, data)
         if metadata is None:
             raise RecordingError(f"{path} is an MCAP file that deepbots did not record; open it in Foxglove")

@@ -119,7 +119,7 @@ def _free_port(host: str, port: int | None) -> int:
         except socket.gaierror:
             raise UsageError(f"there is no host '{host}'; 127.0.0.1 is this machine alone, 0.0.0.0 all of its networks") from None
         except OverflowError:
-            raise UsageError(f"{number} is no port; ports are 1 to 65535") from None
+            raise UsageError(f"{number} is not a port; ports are 1 to 65535") from None
         except OSError as error:
             if port is not None or error.errno != errno.EADDRINUSE:
                 reason = "is in use" if error.errno == errno.EADDRINUSE else f"cannot be used ({(error.strerror or '').lower()})"

@@ -107,7 +107,7 @@ def test_a_function_of_another_package_is_known_everywhere(tmp_path):
 BROKEN = [
     ("no_such_module:FUNCTIONS", MODULE, "ModuleNotFoundError: No module named 'no_such_module'"),
     ("raising:FUNCTIONS", "raise RuntimeError('broken\\nin two lines')", "RuntimeError: broken in two lines"),
-    ("text:FUNCTIONS", "FUNCTIONS = ['double']", "'double' is no Function"),
+    ("text:FUNCTIONS", "FUNCTIONS = ['double']", "'double' is not a Function"),
     ("twice:FUNCTIONS", MODULE.replace('"2*x"', '"x + x"'), "must hold each of x once"),
     ("opening:FUNCTIONS", MODULE.replace('"2*x"', '"open(x)"'), "holds open"),
     ("power:FUNCTIONS", MODULE.replace('"2*x"', '"x ** 2"'), "'x ** 2' is not part of the Python of functions"),

@@ -237,12 +237,12 @@ print([entry.value for entry in defaults.effective(program, 1000) if entry.name 
 
 BROKEN = [
     ("deepbots.sensors", "pulse = no_such_module:Pulse", "No module named 'no_such_module'"),
-    ("deepbots.sensors", "pulse = json:loads", "is no subclass of JointSensor, LinkSensor or ContactSensor"),
+    ("deepbots.sensors", "pulse = json:loads", "is not a subclass of JointSensor, LinkSensor or ContactSensor"),
     ("deepbots.sensors", "pulse = acme.sensors:Tachometer", 'needs the field `type: Literal["pulse"]`'),
     ("deepbots.sensors", "gyro = deepbots_cli.scenario.sensors:Gyro", "the name 'gyro' is taken"),
-    ("deepbots.actuators", "jet = json:loads", "is no subclass of JointActuator"),
+    ("deepbots.actuators", "jet = json:loads", "is not a subclass of JointActuator"),
     ("deepbots.actuators", "jet = deepbots_cli.scenario.actuators:TorqueMotor", 'needs the field `type: Literal["jet"]`'),
-    ("deepbots.formats", "pipe = json:loads", "is no MessageFormat"),
+    ("deepbots.formats", "pipe = json:loads", "is not a MessageFormat"),
     ("deepbots.rules", "pipe = json:loads", "TypeError"),
     ("deepbots.algorithms", "Mine = json:loads", "is derived from none of PPO"),
     ("deepbots.scenarios", "pipe = no_such_module", "there is no package no_such_module"),

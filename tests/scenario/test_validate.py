@@ -23,7 +23,7 @@ FAULTS = [
     ("x:               -0.4 .. 0.4 m", "x: {range: 0 .. 1 m, histori: 2}", "DB101", "histori", "unknown key `histori` in `x`", "`history`"),
     # missing keys
     ("deepbots: 1\n", "", "DB102", "name: CartPole", "missing key `deepbots` at the top level", "version"),
-    ("reward:\n  alive: 1\n", "", "DB102", "deepbots: 1", "missing key `reward` at the top level", "summands"),
+    ("reward:\n  alive: 1\n", "", "DB102", "deepbots: 1", "missing key `reward` at the top level", "terms of the reward"),
     ("  timestep: 32 ms\n", "", "DB102", "world", "missing key `timestep` in `world`", "time of one control step"),
     ("type: joint_position, ", "", "DB102", "pole_angle", "missing key `type` in `pole_angle`", "`gyro`"),
     ("joints: [wheel_*], ", "", "DB102", "wheels", "missing key `joint` or `joints` in `wheels`", "give one"),

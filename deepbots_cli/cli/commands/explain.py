@@ -109,7 +109,12 @@ def _suppression(rule: Rule) -> Iterator[str]:
     if rule.deep == "only":
         yield "The rule needs a simulation, and runs only with --deep."
     if rule.severity == "error":
-        yield "The finding cannot be suppressed." if rule.deep == "only" else "A scenario with this error cannot be compiled."
+        if rule.deep != "only":
+            yield "A scenario with this error cannot be compiled."
+        if rule.deep == "too":
+            yield "If only --deep finds the error, the scenario can be compiled."
+        if rule.deep:
+            yield "The finding cannot be suppressed."
     else:
         yield f"A comment on the line of the finding, or on the line above, suppresses it: # deepbots: ignore[{rule.code}]"
 

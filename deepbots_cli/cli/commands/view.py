@@ -24,7 +24,7 @@ def size(text: str) -> tuple[int, int]:
     """A parser of `640x480`, the width and height of a picture in pixels."""
     wide, _, tall = text.lower().partition("x")
     if not (wide.isdecimal() and tall.isdecimal() and 16 <= int(wide) <= MAX_SIDE and 16 <= int(tall) <= MAX_SIDE):
-        raise typer.BadParameter(f"'{text}' is no size; write width x height in pixels, such as 640x480, from 16 to {MAX_SIDE}")
+        raise typer.BadParameter(f"'{text}' is not a size; write width x height in pixels, such as 640x480, from 16 to {MAX_SIDE}")
     return int(wide), int(tall)
 
 
@@ -33,7 +33,7 @@ def point(text: str) -> tuple[float, float, float]:
     try:
         x, y, z = (float(part) for part in text.split(","))
     except ValueError:
-        raise typer.BadParameter(f"'{text}' is no point; write x,y,z in m, such as 1,-0.5,0.8") from None
+        raise typer.BadParameter(f"'{text}' is not a point; write x,y,z in m, such as 1,-0.5,0.8") from None
     if not all(abs(part) < 1e6 for part in (x, y, z)):
         raise typer.BadParameter(f"'{text}' is farther than 1000 km away, or no number")
     return x, y, z

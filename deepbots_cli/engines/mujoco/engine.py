@@ -110,7 +110,7 @@ class MuJoCoEngine:
 
     def restore(self, snapshot: object) -> None:
         if not isinstance(snapshot, Kept):
-            raise EngineError("this is no snapshot of a world in MuJoCo")
+            raise EngineError("this is not a snapshot of a world in MuJoCo")
         self._world.restore(snapshot)
 
     def close(self) -> None:
