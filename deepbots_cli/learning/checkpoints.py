@@ -3,10 +3,11 @@
     checkpoints/000012288/      state.json, arrays.npz, model.zip: a checkpoint after 12 288 steps; only the last one is kept
     checkpoints/replay/         the rows of a replay buffer, in segments that are written once
 
-A checkpoint is taken between two roll-outs, before anything of the next one happened: there the roll-out buffer is empty and every
-local variable of Stable-Baselines3's loops has its initial value, but for a count of roll-outs (`Resumable.dump_logs`). A resumed training calls the same `learn`; once that has set everything
-up, `_setup_learn` puts the state of the checkpoint in its place. The running episodes are repeated (`VectorEnvironment.repeat`), and random
-generators are restored last. What was logged after the checkpoint is cut off, and logged again.
+A checkpoint is taken between two roll-outs, before anything of the next one happened: there the roll-out buffer is empty and every local
+variable of Stable-Baselines3's loops has its initial value, but for a count of roll-outs (`Resumable.dump_logs`). A resumed training calls
+the same `learn`; once that has set everything up, `_setup_learn` puts the state of the checkpoint in its place. The running episodes are
+repeated (`VectorEnvironment.repeat`), and random generators are restored last. What was logged after the checkpoint is cut off, and logged
+again.
 
 Nothing is unpickled, and no array takes more memory than its file.
 """
