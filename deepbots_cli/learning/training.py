@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import platform
 import shutil
+import threading
 import time
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack, closing, nullcontext, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager, nullcontext, suppress
 from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
@@ -272,6 +273,7 @@ def _learn(run: Run, training: Training, checkpoints: Checkpoints, build: BuildW
             if run.record.initialized_from is not None:
                 models.initialize(_initial(run), model)
             stack.enter_context(signals_handled(callback.interruption))
+            stack.enter_context(_quiet_writers())
             if words := batch.described(run.program, training.environments, run.record.engine, build):
                 reporter.note(words)
             reporter.start(callback.progress())
@@ -308,6 +310,22 @@ def _learn(run: Run, training: Training, checkpoints: Checkpoints, build: BuildW
         with suppress(RunError) if status == "failed" else nullcontext():  # a full disk was told already
             run.update(status=status, result=result)
     return TrainingResult(run=run.path, initialized_from=run.record.initialized_from, **vars(result))
+
+
+@contextmanager
+def _quiet_writers() -> Iterator[None]:
+    """Within, a thread that cannot write a file prints no traceback: TensorBoard's writer raises the error again, at its next call."""
+    before = threading.excepthook
+
+    def ignore(failed: threading.ExceptHookArgs) -> None:
+        if not isinstance(failed.exc_value, OSError):
+            before(failed)
+
+    threading.excepthook = ignore
+    try:
+        yield
+    finally:
+        threading.excepthook = before
 
 
 def _explained(error: DeepbotsError | OSError, run: Run, checkpoints: Checkpoints) -> DeepbotsError:

@@ -15,7 +15,7 @@ pytest.importorskip("stable_baselines3")
 from deepbots_cli import api, learning
 from deepbots_cli.errors import EvaluationError
 from deepbots_cli.learning import algorithms
-from deepbots_cli.learning.batch import BatchedWorlds, why_single_worlds
+from deepbots_cli.learning.batch import BatchedWorlds, described
 from deepbots_cli.learning.environments import VectorEnvironment, default_build, fingerprint
 from deepbots_cli.learning.episodes import Episode
 from deepbots_cli.learning.evaluation import batch_rollout, rollout
@@ -147,9 +147,9 @@ def test_an_evaluation_in_which_a_world_fails_is_left_to_single_worlds() -> None
 
 def test_why_worlds_are_stepped_one_by_one_is_told() -> None:
     camera, cart = api.compile("see_ball").program, api.compile("cartpole").program
-    assert why_single_worlds(camera, 8, "mujoco", default_build("mujoco")) == "SeeBall steps its 8 worlds one by one: it has cameras"
-    assert why_single_worlds(cart, 8, "mujoco", default_build("mujoco")) == ""
-    assert why_single_worlds(camera, 8, "pybullet", default_build("pybullet")) == ""
+    assert described(camera, 8, "mujoco", default_build("mujoco")) == "SeeBall steps its 8 worlds one by one: it has cameras"
+    assert described(cart, 8, "mujoco", default_build("mujoco")) == "CartPole steps its 8 worlds together, as a batch"
+    assert described(camera, 8, "pybullet", default_build("pybullet")) == ""
 
 
 @pytest.mark.slow

@@ -390,20 +390,28 @@ def files_of_at_most(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-@pytest.mark.parametrize("size", [0, 8_000, 30_000])
-def test_a_training_on_a_full_disk_names_the_file_and_goes_on_when_there_is_room(tmp_path: Path, size: int) -> None:
-    """No byte fits, then the inputs but no model, then a checkpoint but not the longer logs."""
-    whole, cut = tmp_path / "whole", tmp_path / "cut"
-    train(compiled_of("PPO"), run=whole, total_timesteps=3_000, build=stand_in.build)
-    with files_of_at_most(size), pytest.raises(UsageError, match=r"cannot be written: file too large") as caught:
-        train(compiled_of("PPO"), run=cut, total_timesteps=3_000, build=stand_in.build)
-    if size < 8_000:
-        assert not cut.exists()
-        return
-    assert ("train --resume" in caught.value.full) == (checkpoints.latest(Run.open(cut)) is not None)
-    resume(cut, build=stand_in.build)
-    assert outcome(cut)["models"] == outcome(whole)["models"]
-    assert outcome(cut)["monitor"] == outcome(whole)["monitor"]
+@pytest.mark.parametrize("size", [0, 8_000])
+def test_a_training_without_room_for_its_first_files_names_one_and_can_begin_again(tmp_path: Path, size: int) -> None:
+    """No byte fits, or the inputs and no model."""
+    run = tmp_path / "run"
+    with files_of_at_most(size), pytest.raises(UsageError, match=r"cannot be written: file too large"):
+        train(compiled_of("PPO"), run=run, total_timesteps=500, build=stand_in.build)
+    if size:
+        assert resume(run, build=stand_in.build).status == "finished"
+    else:
+        assert not run.exists()
+
+
+def test_a_training_without_room_for_a_checkpoint_keeps_the_last_one_and_becomes_the_same(tmp_path: Path) -> None:
+    whole = train(compiled_of("PPO"), run=tmp_path / "whole", total_timesteps=500, build=stand_in.build).run
+    cut = shutil.copytree(whole, tmp_path / "cut")
+    with files_of_at_most(8_000), pytest.raises(UsageError, match=r"cannot be written: file too large") as caught:
+        resume(cut, total_timesteps=2_000, build=stand_in.build)
+    assert f"is kept; go on from there with: deepbots train --resume {cut}" in caught.value.full
+    for run in (whole, cut):
+        resume(run, total_timesteps=2_000, build=stand_in.build)
+    for part in ("models", "monitor", "scalars"):
+        assert outcome(cut)[part] == outcome(whole)[part]
 
 
 def test_the_threads_of_torch_are_those_of_the_caller_afterwards(tmp_path: Path) -> None:
