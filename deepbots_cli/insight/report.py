@@ -145,7 +145,9 @@ class Report:
         if all(each.success_defined for each in found):
             text += f", success rate {_over([each.success_rate for each in found], mean_interval, '{:.1%}', top=1.0)}"
         solved = f"; {sum(bool(each.solved) for each in found)} solved" if None not in [each.solved for each in found] else ""
-        return f"{text}, over {len(found)} seed{'s' * (len(found) > 1)} with {found[0].episodes:,} held-out episodes each{solved}"
+        fewest, most = min(each.episodes for each in found), max(each.episodes for each in found)
+        counts = f"{most:,}" if fewest == most else f"{fewest:,} to {most:,}"
+        return f"{text}, over {len(found)} seed{'s' * (len(found) > 1)} with {counts} held-out episodes each{solved}"
 
     def chosen(self, count: int = _TRACED) -> list[Shown]:
         """Episodes at equal distances in the order of their returns, of which the first, the middle and the last have a label."""
