@@ -42,6 +42,7 @@ from deepbots_cli.view.plots import Log
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+LABELS = ("best", "median", "worst")
 _EVALUATION_LIMIT = 200_000_000
 _TRACED = 12
 _CLIP_SECONDS, _CLIP_RATE = 10.0, 10.0
@@ -154,7 +155,7 @@ class Report:
         every = [Shown(member, number) for member in self.members for number in range(len(member.evaluation.outcomes))]
         every.sort(key=lambda shown: -shown.outcome.total_return)
         places = {round(place) for place in np.linspace(0, len(every) - 1, count)} | {len(every) // 2}
-        labels = {len(every) - 1: "worst", len(every) // 2: "median", 0: "best"}
+        labels = dict(zip((len(every) - 1, len(every) // 2, 0), reversed(LABELS), strict=True))
         return [Shown(every[place].member, every[place].number, labels.get(place, "")) for place in sorted(places)]
 
     def run_again(self, shown: Sequence[Shown], on_episode: OnEpisode, *, clips: bool = True, allow_code: bool = False) -> None:
@@ -259,9 +260,11 @@ class Report:
         lines = (run.path / RESOLVED).read_text("utf-8").splitlines()
         found = _findings(run)
         here = {finding.span.begin.line for finding in found if finding.span.source.name.endswith(RESOLVED)}
+        ordered = ((label, self.clips[label]) for label in LABELS if label in self.clips)
+        clips = {label: (caption, _uri("video/mp4", data)) for label, (caption, data) in ordered}
         return environment.get_template("report.html.j2").render(
             report=self, program=run.program, record=run.record, figures=drawn, lines=lines, marked=here,
-            findings=found, clips={label: (caption, _uri("video/mp4", data)) for label, (caption, data) in self.clips.items()},
+            findings=found, clips=clips,
             rows=[(member.run.path.name, member.run.record, result_text(member.evaluation)) for member in self.members],
             command=join(run.record.command) or "(from Python)", version=deepbots_cli.__version__, python=platform.python_version(),
             matplotlib=version("matplotlib"), notes=dict.fromkeys([*self.notes, *(note for m in self.members for note in m.run.notes())]),
