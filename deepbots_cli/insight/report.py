@@ -186,9 +186,8 @@ class Report:
                         self._film(player, each)
                     done += 1
                     on_episode(done, total)
-                self.fixed = self.fixed or _standing(player, traces)
-        first = next(iter(traces.values()))
-        self.link = _traced_link(player, first)
+        self.fixed = _standing(player, traces)
+        self.link = _traced_link(player, next(iter(traces.values())))
         body, _, link = self.link.partition("/")
         self.paths = [
             figures.Path(each.title, [links[body, link][0] for links in traces[each]], each.outcome.is_success, bool(each.label))
@@ -320,13 +319,13 @@ def _traced_link(player: Player, trace: Trace) -> str:
 
 
 def _standing(player: Player, traces: dict[Shown, Trace]) -> dict[str, list[Any]]:
-    """The outlines of objects that have one place in all these episodes."""
+    """The outlines of objects that have one form, and one place in all these episodes."""
     moments = [links for trace in traces.values() for links in (trace[0], trace[-1])]
     found = {}
     for thing in player.env.world.objects:
         poses = {links.get((thing.name, thing.name)) for links in moments}
         pose = poses.pop() if len(poses) == 1 else None
-        if pose is not None:
+        if pose is not None and not thing.variants:
             found[thing.name] = figures.outline(thing.shape, pose)
     return found
 
