@@ -5,14 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from deepbots_cli import frames
 from deepbots_cli.footprint import bounds_of_shape
-from deepbots_cli.frames import Triple
+from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.learning.episodes import Episode, by_drawn_value
 from deepbots_cli.program.world import WorldModel
+from deepbots_cli.robots.model import Cylinder, Sphere
 from deepbots_cli.view.page import COLOURS
 from deepbots_cli.view.plots import THEMES, Curve, Log, band, endings_over_time, finish
 
@@ -120,7 +123,9 @@ def starts(episodes: Sequence[Episode], theme: str, *, success_defined: bool) ->
         words = sorted({str(episode.drawn[name]) for episode in drawn}) if isinstance(drawn[0].drawn[name], str) else []
         at = [words.index(str(episode.drawn[name])) if words else float(episode.drawn[name]) for episode in drawn]
         colours = [(SUCCESS if episode.is_success else FAILURE) if success_defined else COLOURS[0] for episode in drawn]
-        panel.scatter(at, [episode.total_return for episode in drawn], s=9, c=colours, alpha=0.6, linewidths=0, rasterized=len(drawn) > 300)
+        panel.scatter(
+            at, [episode.total_return for episode in drawn], s=12, c=colours, alpha=0.8, linewidths=0, rasterized=len(drawn) > 300
+        )
         for part in bins[name]:
             low, high = (words.index(str(end)) if words else float(end) for end in (part.low, part.high))
             middle, wide = (low + high) / 2, high > low
@@ -186,7 +191,14 @@ def _limits(paths: Sequence[Path], world: WorldModel) -> tuple[Any, Any]:
     return low - margin, high + margin
 
 
-def outline(shape: Any, pose: tuple[Triple, Sequence[float]]) -> list[Triple]:
-    """The corners of the box around an object, seen from above."""
-    low, high = bounds_of_shape(shape, (pose[0], (pose[1][0], pose[1][1], pose[1][2], pose[1][3])))
-    return [(low[0], low[1], 0.0), (high[0], low[1], 0.0), (high[0], high[1], 0.0), (low[0], high[1], 0.0)]
+def outline(shape: Any, pose: Frame) -> list[Triple]:
+    """The outline of an object from above: the hull of its box, and a circle for what is round."""
+    from scipy.spatial import ConvexHull
+
+    low, high = bounds_of_shape(shape)
+    corners: list[Triple] = list(product(*zip(low, high, strict=True)))  # type: ignore[arg-type]
+    if isinstance(shape, Sphere | Cylinder):
+        turns = [math.tau * number / 24 for number in range(24)]
+        corners = [(high[0] * math.cos(turn), high[1] * math.sin(turn), z) for turn in turns for z in (low[2], high[2])]
+    points = [frames.add(pose[0], frames.rotate(pose[1], corner)) for corner in corners]
+    return [points[number] for number in ConvexHull([point[:2] for point in points]).vertices]

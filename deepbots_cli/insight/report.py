@@ -42,6 +42,7 @@ from deepbots_cli.view.plots import Log
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+LABELS = ("best", "median", "worst")
 _EVALUATION_LIMIT = 200_000_000
 _TRACED = 12
 _CLIP_SECONDS, _CLIP_RATE = 10.0, 10.0
@@ -145,14 +146,16 @@ class Report:
         if all(each.success_defined for each in found):
             text += f", success rate {_over([each.success_rate for each in found], mean_interval, '{:.1%}', top=1.0)}"
         solved = f"; {sum(bool(each.solved) for each in found)} solved" if None not in [each.solved for each in found] else ""
-        return f"{text}, over {len(found)} seed{'s' * (len(found) > 1)} with {found[0].episodes:,} held-out episodes each{solved}"
+        fewest, most = min(each.episodes for each in found), max(each.episodes for each in found)
+        counts = f"{most:,}" if fewest == most else f"{fewest:,} to {most:,}"
+        return f"{text}, over {len(found)} seed{'s' * (len(found) > 1)} with {counts} held-out episodes each{solved}"
 
     def chosen(self, count: int = _TRACED) -> list[Shown]:
         """Episodes at equal distances in the order of their returns, of which the first, the middle and the last have a label."""
         every = [Shown(member, number) for member in self.members for number in range(len(member.evaluation.outcomes))]
         every.sort(key=lambda shown: -shown.outcome.total_return)
         places = {round(place) for place in np.linspace(0, len(every) - 1, count)} | {len(every) // 2}
-        labels = {len(every) - 1: "worst", len(every) // 2: "median", 0: "best"}
+        labels = dict(zip((len(every) - 1, len(every) // 2, 0), reversed(LABELS), strict=True))
         return [Shown(every[place].member, every[place].number, labels.get(place, "")) for place in sorted(places)]
 
     def run_again(self, shown: Sequence[Shown], on_episode: OnEpisode, *, clips: bool = True, allow_code: bool = False) -> None:
@@ -183,9 +186,8 @@ class Report:
                         self._film(player, each)
                     done += 1
                     on_episode(done, total)
-                self.fixed = self.fixed or _standing(player, traces)
-        first = next(iter(traces.values()))
-        self.link = _traced_link(player, first)
+        self.fixed = _standing(player, traces)
+        self.link = _traced_link(player, next(iter(traces.values())))
         body, _, link = self.link.partition("/")
         self.paths = [
             figures.Path(each.title, [links[body, link][0] for links in traces[each]], each.outcome.is_success, bool(each.label))
@@ -257,9 +259,11 @@ class Report:
         lines = (run.path / RESOLVED).read_text("utf-8").splitlines()
         found = _findings(run)
         here = {finding.span.begin.line for finding in found if finding.span.source.name.endswith(RESOLVED)}
+        ordered = ((label, self.clips[label]) for label in LABELS if label in self.clips)
+        clips = {label: (caption, _uri("video/mp4", data)) for label, (caption, data) in ordered}
         return environment.get_template("report.html.j2").render(
             report=self, program=run.program, record=run.record, figures=drawn, lines=lines, marked=here,
-            findings=found, clips={label: (caption, _uri("video/mp4", data)) for label, (caption, data) in self.clips.items()},
+            findings=found, clips=clips,
             rows=[(member.run.path.name, member.run.record, result_text(member.evaluation)) for member in self.members],
             command=join(run.record.command) or "(from Python)", version=deepbots_cli.__version__, python=platform.python_version(),
             matplotlib=version("matplotlib"), notes=dict.fromkeys([*self.notes, *(note for m in self.members for note in m.run.notes())]),
@@ -315,13 +319,13 @@ def _traced_link(player: Player, trace: Trace) -> str:
 
 
 def _standing(player: Player, traces: dict[Shown, Trace]) -> dict[str, list[Any]]:
-    """The outlines of objects that have one place in all these episodes."""
+    """The outlines of objects that have one form, and one place in all these episodes."""
     moments = [links for trace in traces.values() for links in (trace[0], trace[-1])]
     found = {}
     for thing in player.env.world.objects:
         poses = {links.get((thing.name, thing.name)) for links in moments}
         pose = poses.pop() if len(poses) == 1 else None
-        if pose is not None:
+        if pose is not None and not thing.variants:
             found[thing.name] = figures.outline(thing.shape, pose)
     return found
 

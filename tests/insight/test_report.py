@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import shutil
 from dataclasses import fields
@@ -13,10 +14,12 @@ import pytest
 pytest.importorskip("matplotlib")
 pytest.importorskip("tensorboard")
 from deepbots_cli.cli import main
+from deepbots_cli.insight.figures import outline
 from deepbots_cli.insight.report import Report
 from deepbots_cli.learning.episodes import Episode
 from deepbots_cli.learning.group import GroupRecord
 from deepbots_cli.learning.statistics import mean_interval
+from deepbots_cli.robots.model import Box, Sphere
 from tests.view.browser import CHROMIUM, browser
 
 
@@ -138,6 +141,16 @@ def test_only_a_named_file_is_replaced(run, tmp_path, monkeypatch, capsys):
     assert main(["report", str(run), "-o", "report.pdf"]) == 2
     assert "must end in .html" in capsys.readouterr().err
     assert (tmp_path / "cartpole.html").read_text() == "mine"
+
+
+def test_the_outline_of_an_object_is_as_it_stands():
+    half = math.sqrt(0.5)
+    turned = (0.0, 0.0, math.sin(math.pi / 8), math.cos(math.pi / 8))  # 45 degrees about z
+    corners = outline(Box((0.2, 0.6, 0.3)), ((1.0, 2.0, 0.15), turned))
+    assert sorted((round(x, 6), round(y, 6)) for x, y, _ in corners) == sorted(
+        (round(1.0 + half * (a - b), 6), round(2.0 + half * (a + b), 6)) for a in (-0.1, 0.1) for b in (-0.3, 0.3)
+    )
+    assert all(math.dist(point[:2], (1.0, 2.0)) == pytest.approx(0.3) for point in outline(Sphere(0.3), ((1.0, 2.0, 0.0), turned)))
 
 
 @pytest.mark.browser

@@ -16,7 +16,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "runs": ("runs.command", "List your runs and groups, with their results."),
     "plot": ("plot.command", "Plot the training of runs over the timesteps."),
     "report": ("report.command", "Write a report about a run or a group: one HTML file."),
-    "export": ("export.command", "Export the policy of a run as ONNX, or check that a bundle fits a scenario."),
+    "export": ("export.command", "Export the policy of a run as ONNX."),
     "lint": ("lint.lint", "Check scenarios and report every problem."),
     "test": ("test.command", "Run the tests of scenarios."),
     "explain": ("explain.command", "Explain a finding, a word of the language, or a glossary term."),

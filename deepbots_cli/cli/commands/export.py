@@ -37,7 +37,7 @@ def command(
     as_json: Json = False,
     allow_paths: AllowPaths = None,
 ) -> None:
-    """Export the policy of a run as ONNX, or check that a bundle fits a scenario.
+    """Export the policy of a run as ONNX.
 
     The bundle is a folder that runs with onnxruntime alone. policy.onnx takes the observation of the environment and returns its action;
     policy_si.onnx takes and returns the same values in SI units. card.json and README.md hold names, units, ranges, the control rate, the
