@@ -58,7 +58,7 @@ def command(
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
 ) -> None:
-    """Compare the time of a step with the time of the physics alone.
+    """Compare the time of a step with that of the physics.
 
     Both sides run the same episodes in the same engine with the same substeps; resets are not timed. The ratio is the cost of messages,
     observation, reward and endings on top of the physics.
