@@ -7,6 +7,7 @@ the added signals read what the endings read, and share their memories.
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -26,6 +27,8 @@ _GOAL = f"{_PROBE}goal"
 _NEGATED = {"less": "greater_equal", "less_equal": "greater", "greater": "less_equal", "greater_equal": "less"}
 _NEGATED |= {"equal": "not_equal", "not_equal": "equal"}
 SIGNS = {"less": "<", "less_equal": "<=", "greater": ">", "greater_equal": ">=", "equal": "==", "not_equal": "!="}
+HOLDS: Mapping[str, Callable[[Any, Any], bool]] = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
+HOLDS = {**HOLDS, "==": operator.eq, "!=": operator.ne}
 
 
 @dataclass(frozen=True)
@@ -124,20 +127,19 @@ class _Builder:
             return None
 
     def goal(self, goal: Goal, *, negated: bool) -> Comparison:
-        operator = "greater" if negated else "less_equal"
         sides = ("the distance from achieved to desired", "goal.tolerance")
-        return Comparison("goal_reached", operator, _GOAL, f"{_GOAL}_bound", goal.unit, sides)
+        return Comparison("goal_reached", "greater" if negated else "less_equal", _GOAL, f"{_GOAL}_bound", goal.unit, sides)
 
     def _condition(self, node: Typed, home: Expression, *, negated: bool, joined: Literal["any", "all"] = "any") -> Condition:
         """The condition of a truth value in the text of `home`, with `not` pushed down to the comparisons."""
         match node:
             case Operation(operator="not", args=(inner,)):
                 return self._condition(inner, home, negated=not negated, joined=joined)
-            case Operation(operator="and" | "or" as operator, args=args) if node.type.components is None:
-                both: Literal["and", "or"] = "or" if (operator == "or") != negated else "and"
+            case Operation(operator="and" | "or" as joining, args=args) if node.type.components is None:
+                both: Literal["and", "or"] = "or" if (joining == "or") != negated else "and"
                 return Junction(both, tuple(self._condition(arg, home, negated=negated) for arg in args))
-            case Operation(operator=operator, args=(left, right)) if operator in SIGNS and not left.type.boolean:
-                used = _NEGATED[operator] if negated else operator
+            case Operation(operator=written, args=(left, right)) if written in SIGNS and not left.type.boolean:
+                used = _NEGATED[written] if negated else written
                 value, bound = self._probe(left, home), self._probe(right, home)
                 sides = (home.text[left.start : left.end], home.text[right.start : right.end])
                 return Comparison(home.text[node.start : node.end], used, value, bound, str(left.type.dimension), sides, joined)
@@ -172,22 +174,10 @@ def _distance(goal: Goal, agent: Supervisor) -> float:
     return math.hypot(*((one - other) * half for one, other, half in zip(seen[:size], seen[size:], halves, strict=True)))
 
 
-_MARGIN: Mapping[str, Callable[[float, float], float]] = {
-    "less": lambda value, bound: bound - value,
-    "less_equal": lambda value, bound: bound - value,
-    "greater": lambda value, bound: value - bound,
-    "greater_equal": lambda value, bound: value - bound,
-    "equal": lambda value, bound: -abs(value - bound),
-    "not_equal": lambda value, bound: abs(value - bound),
-}
-_HOLDS: Mapping[str, Callable[[float, float], bool]] = {
-    "less": lambda value, bound: value < bound,
-    "less_equal": lambda value, bound: value <= bound,
-    "greater": lambda value, bound: value > bound,
-    "greater_equal": lambda value, bound: value >= bound,
-    "equal": lambda value, bound: value == bound,
-    "not_equal": lambda value, bound: value != bound,
-}
+def _margin(comparison: str, value: float, bound: float) -> float:
+    if comparison in ("equal", "not_equal"):
+        return abs(value - bound) * (-1 if comparison == "equal" else 1)
+    return bound - value if comparison in ("less", "less_equal") else value - bound
 
 
 def leaves(condition: Condition) -> list[Comparison | Fact]:
@@ -205,9 +195,9 @@ def measure(condition: Comparison | Fact, values: Values) -> Measured:
     count = max(len(sides), len(bounds))
     pairs = [(sides[index % len(sides)], bounds[index % len(bounds)]) for index in range(count)]
     chosen = max if condition.joined == "any" else min
-    value, bound = chosen(pairs, key=lambda pair: _MARGIN[condition.operator](*pair))
-    holds = _HOLDS[condition.operator](value, bound)
-    return Measured(condition, holds, float(value), float(bound), _MARGIN[condition.operator](value, bound))
+    value, bound = chosen(pairs, key=lambda pair: _margin(condition.operator, *pair))
+    holds = HOLDS[SIGNS[condition.operator]](value, bound)
+    return Measured(condition, holds, float(value), float(bound), _margin(condition.operator, value, bound))
 
 
 def holds(condition: Condition, values: Values) -> bool:

@@ -196,7 +196,7 @@ def term_dominates(t: Training) -> Numbers | None:
     name = max(sums, key=lambda each: abs(sums[each]))
     share, rest = abs(sums[name]) / whole, sum(value for key, value in sums.items() if key != name)
     varies = any(np.ptp(trace.terms[name]) > 1e-9 for trace in t.random if trace.steps)
-    if share < 0.55 or not varies or sums[name] * rest > 0 or rest < 0:
+    if share < 0.55 or not varies or not sums[name] < 0 < rest:
         return None
     steps = sum(trace.steps for trace in t.random)
     return {"likelihood": 0.94, "term": name, "share": Share(share), "mean": sums[name] / steps, "others": rest / steps, "steps": steps}

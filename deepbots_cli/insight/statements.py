@@ -82,7 +82,7 @@ def _shown(value: Any) -> str:
         case bool() | str():
             return str(value)
         case float() | np.floating():
-            return f"{value:.3g}" if abs(value) < 1000 else f"{value:,.0f}"
+            return f"{value:.3g}" if abs(float(value)) < 1000 else f"{value:,.0f}"
         case int() | np.integer():
             return f"{value:,}"
         case _:

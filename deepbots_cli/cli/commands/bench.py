@@ -64,7 +64,7 @@ def command(
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
 ) -> None:
-    """Compare the time of a step with the time of the physics alone.
+    """Compare the time of a step with that of the physics.
 
     The command runs the same episodes twice in the same engine: with full environment steps, and with the physics alone. Resets are not
     timed. The ratio is the time of an environment step divided by the time of its physics. The difference is the cost of messages,

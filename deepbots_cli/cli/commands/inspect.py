@@ -59,7 +59,7 @@ def command(
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
 ) -> None:
-    """Show the values of a scenario, a run or a robot file as tables.
+    """Show a scenario, a run or a robot file as tables.
 
     The tables of a scenario show spaces, messages, reward, timing and hyperparameters in SI units. The table of timing shows the physics
     step in which an action takes effect, and the age of each observation. The table of poses needs the simulator. A run shows its

@@ -386,7 +386,7 @@ def lsp(
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
 ) -> None:
-    """Run the language server: findings, completion, hover, fixes.
+    """Run the language server: findings, completion, hover.
 
     An editor that supports the language server protocol starts this command itself. The server completes keys, names and functions, shows
     types, units and ranges, and finds definitions. docs/editors.md has the settings of Neovim, Helix and VS Code.

@@ -103,7 +103,7 @@ def upgrade(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A scenario file.")],
     diff: Annotated[bool, typer.Option("--diff", help="Show the changes and write nothing; exit with 1 if the file would change.")] = False,
 ) -> None:
-    """Upgrade a scenario file to the current version of the language.
+    """Upgrade a scenario file to the present language.
 
     The command adds a missing line `deepbots: 1`, and replaces old names of keys, functions and values, such as the type of a sensor.
     It also upgrades the files of the project that the scenario includes. Comments and layout stay. A file of a newer version is an error.

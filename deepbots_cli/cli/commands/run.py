@@ -65,7 +65,7 @@ def command(
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
 ) -> None:
-    """Run episodes without a trained policy, and show the reward terms.
+    """Run episodes without a policy, and show the reward terms.
 
     The result shows the returns, the reward terms and the endings of a scenario before any training.
 
