@@ -108,7 +108,9 @@ def number(value: float | bool) -> Code:
 def applied(name: str, args: Sequence[Code], scalars: Sequence[Scalar], target: Target = SCALAR) -> Code:
     """The code of an operation on arguments with this code; `scalars` are the trees of the arguments."""
     function = operation(name)
-    if name == "pow" and isinstance(scalars[1], Const) and (whole := whole_exponent(scalars[1].value)) is not None:
+    whole = whole_exponent(scalars[1].value) if name == "pow" and isinstance(scalars[1], Const) else None
+    # Over columns, `a**2` would be a product, which rounds otherwise than the power of a single world.
+    if whole is not None and (target is SCALAR or _is_product(whole, scalars[0])):
         return _power(args[0], whole, scalars[0])
     names = function.arguments
     text = target.written(function)
@@ -147,9 +149,13 @@ def _code(scalar: Scalar, leaf: Leaf, target: Target) -> Code:
             return Code(leaf(scalar))
 
 
+def _is_product(exponent: int, scalar: Scalar) -> bool:
+    """Whether a power is written as a product; the C library's pow may round a square otherwise than a product does."""
+    return exponent == 2 and isinstance(scalar, (Name, State, Const))
+
+
 def _power(base: Code, exponent: int, scalar: Scalar) -> Code:
-    # The C library's pow may round a square otherwise than a product does.
-    if exponent == 2 and isinstance(scalar, (Name, State, Const)):
+    if _is_product(exponent, scalar):
         text = base.within(Bind.SIGN)
         return Code(f"{text} * {text}", Bind.PRODUCT)
     text = base.within(Bind.ATOM)

@@ -84,7 +84,7 @@ def test_worlds_of_a_batch_enter_another_stage_one_by_one(program: Program) -> N
         of_stages = []
         with closing(env):
             generator = np.random.default_rng(0)
-            for _ in range(70):
+            for _ in range(120):
                 observations, rewards, dones, infos = env.step(generator.integers(0, 2, 3))
                 seen.append((observations.tolist(), rewards.tolist(), dones.tolist(), [info.get("episode") for info in infos]))
                 of_stages.append(sum(stages))
@@ -96,7 +96,7 @@ def test_worlds_of_a_batch_enter_another_stage_one_by_one(program: Program) -> N
         kinds.append(of_stages)
     assert steps[0] == steps[1]
     assert kinds[0] == kinds[1]
-    assert {0, 3} < set(kinds[0])
+    assert {0, 1, 2, 3} == set(kinds[0])
 
 
 def test_a_running_batch_is_restored_exactly(program: Program) -> None:
@@ -154,7 +154,7 @@ def test_why_worlds_are_stepped_one_by_one_is_told() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "stages", ["", "curriculum=[{name: easy, set: {fall_angle: 20 deg}, until: steps >= 480}, {name: hard}]"], ids=["alone", "curriculum"]
+    "stages", ["", "curriculum=[{name: easy, set: {fall_angle: 20 deg}, until: 480 steps}, {name: hard}]"], ids=["alone", "curriculum"]
 )
 def test_a_training_over_a_batch_resumes_to_the_bit(tmp_path: Path, stages: str) -> None:
     sets = ["train.n_steps=32", "train.n_epochs=1", *([stages] if stages else [])]
