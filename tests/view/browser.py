@@ -99,8 +99,10 @@ class Tab:
 
     def slide(self, label: str, share: float) -> None:
         """Press the slider of a label at a share of its length."""
-        script = """(() => { const x = [...document.querySelectorAll('label')].find(x => x.innerText.trim() == %s && x.offsetParent);
-            const y = x?.parentElement?.parentElement?.querySelector('.mantine-Slider-root'); if (!y) return null;
+        script = """(() => { let x = [...document.querySelectorAll('label, span, div')].findLast(
+            x => x.offsetParent && x.innerText?.trim() == %s);
+            while (x && !x.querySelector('.mantine-Slider-root')) x = x.parentElement;
+            const y = x?.querySelector('.mantine-Slider-root'); if (!y) return null;
             y.scrollIntoView({block: 'nearest', behavior: 'instant'}); const r = y.getBoundingClientRect();
             return [r.x, r.width, r.y + r.height / 2]; })()"""
         left, width, y = self.wait(script % json.dumps(label))
