@@ -112,7 +112,11 @@ def _robots(scenario: Program, places: dict[str, Placement]) -> Iterator[Bounds]
     copies = scenario.policy.copies
     shifts = [offset(copies, number) for number in (1, copies.count)] if copies else [STILL]
     for robot in scenario.world.robots:
-        low, high = _placed(_all_round(bounds(robot.model)), robot.pose.xyz, places.get(robot.name), scenario.world, places)
+        states = [state for start in scenario.reset.joint_starts if start.robot == robot.name for state in start.states]
+        joints = {joint: sum(_ends(position)) / 2 for joint, position, _ in states}
+        box = bounds(robot.model, joints)
+        turns = robot.name in places or robot.pose.rpy[2] != 0.0
+        low, high = _placed(_all_round(box) if turns else box, robot.pose.xyz, places.get(robot.name), scenario.world, places)
         yield from ((add(low, shift), add(high, shift)) for shift in shifts)
 
 

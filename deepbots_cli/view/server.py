@@ -59,8 +59,8 @@ setInterval(() => {
   if (!wire || wire.readyState > 1) wire = new WebSocket("/drive");
   else if (wire.readyState == 1) { wire.send(now); last = now; } }, 50); }</script></head>"""
 
-# In a window that is narrower than viser's limit (36em), its panel lies over the world; here it stands below.
-_STYLE = """<style>@media (max-width: 36em) {
+# All tabs fit in a row. In a window that is narrower than viser's limit (36em), its panel lies over the world; here it stands below.
+_STYLE = """<style>[role=tab] { padding-inline: 0.5em !important; } @media (max-width: 36em) {
   div:has(> .mantine-Paper-root[style*="fixed"]) { flex-direction: column !important; }
   .mantine-Paper-root[style*="fixed"] { position: relative !important; flex-shrink: 0; width: 100% !important; max-height: 50% !important; }
   .mantine-Paper-root[style*="fixed"] [style*="width: 20em"] { width: 100% !important; } }</style>"""

@@ -97,16 +97,6 @@ class Tab:
         for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
-    def slide(self, label: str, share: float) -> None:
-        """Press the slider of a label at a share of its length."""
-        script = """(() => { const x = [...document.querySelectorAll('label')].find(x => x.innerText.trim() == %s && x.offsetParent);
-            const y = x?.parentElement?.parentElement?.querySelector('.mantine-Slider-root'); if (!y) return null;
-            y.scrollIntoView({block: 'nearest', behavior: 'instant'}); const r = y.getBoundingClientRect();
-            return [r.x, r.width, r.y + r.height / 2]; })()"""
-        left, width, y = self.wait(script % json.dumps(label))
-        for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
-            self.call("Input.dispatchMouseEvent", type=kind, x=left + share * width, y=y, button="left", clickCount=1)
-
     @property
     def text(self) -> str:
         return str(self.run("document.body.innerText"))
