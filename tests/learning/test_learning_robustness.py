@@ -83,8 +83,13 @@ def test_a_policy_is_measured_against_a_bar_at_every_level(trained: TrainingResu
     starts = {tuple(episode.seed for episode in entry.evaluation.outcomes) for entry in levels}
     assert starts == {tuple(episode.seed for episode in found.nominal.outcomes)}
     strict = evaluate_robustness(trained.run, episodes=1, min_return=1e6, build=stand_in.build)
-    assert {condition.threshold for condition in strict.conditions} == {"below the bar at all levels"}
+    words = [
+        f"below the bar at all levels ({len(condition.levels)} of {len(condition.levels)} uncertain)" for condition in strict.conditions
+    ]
+    assert [condition.threshold for condition in strict.conditions] == words  # a single episode has no interval
     assert (found.nominal_holds, strict.nominal_holds) == (True, False)
-    assert "without any change; name another bar with --min-return" in robustness_text(strict)
-    assert "name another bar" not in robustness_text(found)
+    assert (found.nominal_certain, strict.nominal_certain) == (True, False)
+    assert "below, uncertain" in robustness_text(strict).splitlines()[4]  # the row without any change
+    assert "without any change; set another bar with --min-return" in robustness_text(strict)
+    assert "set another bar" not in robustness_text(found)
     assert evaluate_robustness(trained.run, episodes=1, build=stand_in.build).bar == 195.0
