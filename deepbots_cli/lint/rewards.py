@@ -187,7 +187,9 @@ def dominating_term(simulation: Simulation) -> Iterator[Finding]:
             others = sum(other[by].size for name, other in simulation.terms() if name is not term) / episodes
             size, rival = row.size / episodes, max(others, prize)
             ratios.append(size / rival if rival > 0.0 and row.low < row.high else 0.0)
-            notes.append(f"{by}: {size:.3g} in an episode, all others {others:.3g}" + (f", an ending {prize:.3g}" if prize else ""))
+            notes.append(
+                f"{by}: {size:.3g} per episode, and {others:.3g} for all other terms" + (f", {prize:.3g} for an ending" if prize else "")
+            )
         if min(ratios) > _DOMINATES:
             headline = f"`{term.name}` adds up to at least {min(ratios):.3g} times all other terms together"
             yield Finding("DB702", term.span, headline, help=f"scale `{term.name}` down, or the other terms up", notes=tuple(notes))

@@ -170,7 +170,7 @@ def test_settings_may_be_written_as_values_of_the_table_of_tools(deepbots, files
         ("[lint\n", "deepbots.toml cannot be read"),
         ("select = " + "[" * 10_000, "its values are nested too deep"),
         ("# " + "x" * 300_000, "deepbots.toml is larger than the limit of 256 KiB"),
-        ("[lint]\nexclude = [" + "'*', " * 2000 + "]\n", "'exclude' has 2_000 entries, more than 1_000"),
+        ("[lint]\nexclude = [" + "'*', " * 2000 + "]\n", "'exclude' has 2,000 entries; the limit is 1,000"),
     ],
 )
 def test_settings_that_mean_nothing_are_wrong_usage_in_one_line(deepbots, files, text, said):

@@ -58,7 +58,7 @@ def without_pybullet(script: str) -> subprocess.CompletedProcess[str]:
 def test_without_pybullet_worlds_run_on_mujoco_and_one_sentence_says_so():
     done = without_pybullet("import deepbots_cli\nfor _ in range(2):\n    print(deepbots_cli.make('cartpole').engine.name)")
     assert done.stdout == "mujoco\nmujoco\n"
-    assert done.stderr.count("this runs on MuJoCo, whose numbers differ from those of PyBullet") == 1
+    assert done.stderr.count("this runs on MuJoCo, which gives different returns than PyBullet") == 1
 
 
 def test_a_scenario_that_names_an_engine_never_runs_on_another():

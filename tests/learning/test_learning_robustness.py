@@ -101,6 +101,8 @@ def test_a_policy_is_measured_against_a_bar_at_every_level(trained: TrainingResu
     # A single episode has no interval.
     assert {condition.threshold for condition in strict.conditions} == {"below the bar at all levels; uncertain at all levels"}
     assert (found.nominal_holds, strict.nominal_holds) == (True, False)
-    assert "without any change; name another bar with --min-return" in robustness_text(strict)
-    assert "name another bar" not in robustness_text(found)
+    assert (found.nominal_certain, strict.nominal_certain) == (True, False)
+    assert "below, uncertain" in robustness_text(strict).splitlines()[4]  # the row without any change
+    assert "without any change; set another bar with --min-return" in robustness_text(strict)
+    assert "set another bar" not in robustness_text(found)
     assert evaluate_robustness(trained.run, episodes=1, build=stand_in.build).bar == 195.0

@@ -220,9 +220,9 @@ def test_numbers_that_no_machine_can_hold_are_out_of_range(check: Check, cartpol
 
 UNFINISHED = [
     # what is typed so far, the key without a value, what its help says
-    ("reward:\n", "reward", "as in `reward: {alive: 1}`"),
+    ("reward:\n", "reward", "Example: `reward: {alive: 1}`"),
     ("reward:\n  near:\n", "near", "write it like `2 * speed`"),
-    ("robots:\n  bot:\n    urdf: rover\n    emit:\n", "emit", "as in `emit: [pole_angle]`"),
+    ("robots:\n  bot:\n    urdf: rover\n    emit:\n", "emit", "Example: `emit: [pole_angle]`"),
     ("robots:\n  bot:\n    urdf: rover\n    sensors: {eye: }\n", "eye", "write it like `{type: joint_position}`"),
     ("world:\n  lines: {track: }\n", "track", "its keys are `points`, `closed`, `width`"),
     ("robots:\n  bot:\n    urdf: rover\n    sensors:\n      eye:\n        type:\n", "type", "one of `joint_position`, `joint_velocity`"),
@@ -247,7 +247,7 @@ def test_the_sections_that_a_new_file_lacks_are_one_finding_that_says_how_to_beg
 def test_digits_grouped_the_german_way_are_shown_what_a_whole_number_is(check: Check, cartpole: str) -> None:
     (finding,) = check(cartpole.replace("total_timesteps: 100_000", "total_timesteps: 100.000"))[1]
     assert finding.code == "DB103"
-    assert "as in `total_timesteps: 100_000`" in (finding.help or "")
+    assert "Example: `total_timesteps: 100_000`" in (finding.help or "")
 
 
 def test_every_section_knows_its_path_and_that_of_its_defaults(check: Check, cartpole: str) -> None:
