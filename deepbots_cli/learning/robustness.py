@@ -74,15 +74,12 @@ class Condition:
         failed = [entry.level for entry in self.levels if not entry.holds]
         held = [entry.level for entry in self.levels if entry.holds]
         if not failed:
-            found = "holds at all levels"
-        elif not held:
-            found = "below the bar at all levels"
-        elif failed == [entry.level for entry in self.levels[len(held) :]]:
-            found = f"holds up to {held[-1]}, below the bar from {failed[0]} on"
-        else:
-            found = f"holds at {', '.join(held)}; below the bar at {', '.join(failed)}"
-        uncertain = sum(not entry.certain for entry in self.levels)
-        return f"{found} ({uncertain} of {len(self.levels)} uncertain)" if uncertain else found
+            return "holds at all levels"
+        if not held:
+            return "below the bar at all levels"
+        if failed == [entry.level for entry in self.levels[len(held) :]]:
+            return f"holds up to {held[-1]}, below the bar from {failed[0]} on"
+        return f"holds at {', '.join(held)}; below the bar at {', '.join(failed)}"
 
 
 @dataclass(frozen=True)
