@@ -8,6 +8,7 @@ from typing import NamedTuple
 from deepbots_cli.compiler import Checked
 from deepbots_cli.compiler.namespace import Namespace, Origin, SupervisorScope
 from deepbots_cli.compiler.robots import RobotScene
+from deepbots_cli.compiler.tests import PLAIN_POLICIES
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.document.nodes import Mapping as MappingNode
 from deepbots_cli.document.nodes import Path, descend
@@ -82,7 +83,8 @@ def _keys(namespace: Namespace, kind: str, path: Path) -> list[Named]:
         return [_keyed(namespace, ("reset", "layouts", name), "a layout") for name in namespace.scenario.reset.layouts]
     if kind in _OF_TESTS:
         return _of_tests(namespace, kind)
-    name = action_at(path)
+    only = [*namespace.scenario.action] if len(namespace.scenario.action) == 1 else [""]
+    name = action_at(path) or only[0]  # an action of one part needs no name
     part = namespace.scenario.action.get(name)
     if isinstance(part, DiscreteAction):
         return [_keyed(namespace, ("action", name, "choices", option), "an option") for option in part.choices]
@@ -105,19 +107,16 @@ _OF_TESTS = ("policy", "case", "stage", "ending")
 def _of_tests(namespace: Namespace, kind: str) -> list[Named]:
     """What a test may name."""
     spec = namespace.scenario
-    match kind:
-        case "policy":
-            found = [_keyed(namespace, ("scripts", name), "a script") for name in spec.scripts]
-            return [*found, Named("random", "random actions"), Named("zero", "the middle of each range, the first option of each choice")]
-        case "case":
-            return [_keyed(namespace, ("evaluation", "cases", name), "a case of the evaluation") for name in spec.evaluation.cases]
-        case "stage":
-            places = enumerate(spec.curriculum)
-            return [_keyed(namespace, ("curriculum", index, "name"), "a stage of the curriculum", each.name) for index, each in places]
-        case _:
-            found = _defined(namespace, namespace.names_of(Origin.ENDING))
-            limits = spec.truncation.model_fields_set if spec.truncation else ()
-            return [*found, *(_keyed(namespace, ("truncation", name), "a limit") for name in ("max_steps", "max_time") if name in limits)]
+    limits = spec.truncation.model_fields_set if spec.truncation else ()
+    found: dict[str, list[tuple[Path, str, str]]] = {
+        "policy": [(("scripts", name), "a script", name) for name in spec.scripts],
+        "case": [(("evaluation", "cases", name), "a case of the evaluation", name) for name in spec.evaluation.cases],
+        "stage": [(("curriculum", index, "name"), "a stage of the curriculum", stage.name) for index, stage in enumerate(spec.curriculum)],
+        "ending": [(("truncation", name), "a limit", name) for name in limits],
+    }
+    free = {"policy": [Named(name, "actions without a script") for name in PLAIN_POLICIES]}
+    endings = _defined(namespace, namespace.names_of(Origin.ENDING)) if kind == "ending" else []
+    return [*endings, *(_keyed(namespace, *place) for place in found[kind]), *free.get(kind, ())]
 
 
 def _of_namespace(namespace: Namespace, kind: str, path: Path) -> list[Named]:

@@ -101,21 +101,26 @@ class _Reader:
     def _fixed(self, place: Path, decided: tuple[ScriptedChoice | ScriptedRange, ...] | None) -> FixedAction | None:
         choices: list[int] = []
         ranges: list[float] = []
+        words: list[str] = []
         for part, decision in zip(self._program.policy.action, decided or (), strict=False):
             if isinstance(part, Choices) and isinstance(decision, ScriptedChoice):
                 choices.append([option.name for option in part.options].index(decision.otherwise))
+                words.append(decision.otherwise)
             elif isinstance(part, ActionRange) and isinstance(decision, ScriptedRange):
                 numbers = [number for value in decision.values for number in constant(value.typed) or (math.nan,)]
                 if not all(map(math.isfinite, numbers)):
-                    help = "give fixed values, or write a script under `scripts`"
-                    self._values.findings.add(
-                        "DB407", self._values.span(place), f"`{part.name}` is not the same in every episode", help=help
+                    headline, help = (
+                        f"`{part.name}` is not the same in every episode",
+                        "give fixed values, or write a script under `scripts`",
                     )
+                    self._values.findings.add("DB407", self._values.span(place), headline, help=help)
                     return None
                 middle, half = (part.high + part.low) / 2, (part.high - part.low) / 2
                 shares = [min(max((number - middle) / half, -1.0), 1.0) for number in numbers]
-                ranges += shares * (decision.size if len(shares) == 1 else 1)
-        return None if decided is None else FixedAction(tuple(choices), tuple(ranges))
+                shares *= decision.size if len(shares) == 1 else 1
+                ranges += shares
+                words += [f"{share:g}" for share in shares]
+        return None if decided is None else FixedAction(tuple(choices), tuple(ranges), ":".join(words))
 
     def _steps(self, spec: TestSpec, policy: str | tuple[FixedAction, ...] | None) -> int:
         """The largest number of steps of an episode; a finding if all episodes of the test may take too many."""

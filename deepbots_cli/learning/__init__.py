@@ -11,6 +11,7 @@ defaults.py      the hyperparameters that a training takes: the scenario's, our 
 environments.py  a vector environment over several worlds
 batch.py         the same over a batch of worlds
 curriculum.py    the stages of a training
+scenario_tests.py  the tests of a scenario
 episodes.py      what episodes leave behind: log, statistics, solved, summaries with intervals
 group.py         groups: a folder with a run per seed, trained one after the other
 listing.py       what is known of runs and groups from their files, also while they train

@@ -32,14 +32,14 @@ OnEpisode = Callable[[int, int], None]
 class Miss:
     """An expectation that is not met.
 
-    `expected` is the key and its text, `where` its `file:line:column`, `measured` the result in words. `episode` counts from 0; it and
-    the number of the `step` are None if the miss is of no single episode or step.
+    `expected` is the key and its text, `where` its `file:line:column`, `measured` the result in words. `episode`, which counts from 0, is
+    the first at fault; the number of the `step` is None if the miss is of no single step.
     """
 
     expected: str
     where: str
     measured: str
-    episode: int | None = None
+    episode: int
     step: int | None = None
 
 
@@ -100,14 +100,16 @@ def _run(environment: Supervisor, test: ScenarioTest, on_episode: OnEpisode | No
     else:
         misses += _over_episodes(environment.scenario, test, done)
     steps = cut + sum(episode.length for episode in done)
-    return TestResult(test, len(done), steps, time.perf_counter() - began, tuple(_first_of_each(misses, test)))
+    return TestResult(test, len(done), steps, time.perf_counter() - began, tuple(_first_of_each(misses, test, environment.scenario.period)))
 
 
-def _first_of_each(misses: Sequence[Miss], test: ScenarioTest) -> Iterator[Miss]:
-    """The first miss of each expectation, with the number of episodes that miss it."""
+def _first_of_each(misses: Sequence[Miss], test: ScenarioTest, period: float) -> Iterator[Miss]:
+    """The first miss of each expectation, with the number of episodes that miss it, and where it was measured."""
     for first in {miss.where: miss for miss in reversed(misses)}.values():
         episodes = {miss.episode for miss in misses if miss.where == first.where}
-        yield first if len(episodes) < 2 else replace(first, measured=f"{first.measured}; in {len(episodes)} of {test.episodes} episodes")
+        many = f"; in {len(episodes)} of {test.episodes} episodes" if len(episodes) > 1 else ""
+        step = f", step {first.step:,} ({first.step * period:.4g} s)" if first.step is not None else ""
+        yield replace(first, measured=f"{first.measured}{many}; seed {test.seed}, episode {first.episode}{step}")
 
 
 def _episode(environment: Supervisor, test: ScenarioTest, number: int, misses: list[Miss]) -> Episode:
@@ -145,7 +147,7 @@ def _policy(environment: Supervisor, test: ScenarioTest) -> Callable[[int], Any]
     return lambda _: acting()
 
 
-def _miss(expected: Expected, measured: str, episode: int | None = None, step: int | None = None) -> Miss:
+def _miss(expected: Expected, measured: str, episode: int, step: int | None = None) -> Miss:
     return Miss(f"{expected.key}: {expected.text}", expected.span.where, measured, episode, step)
 
 

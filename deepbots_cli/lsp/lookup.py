@@ -43,8 +43,8 @@ def shapes_at(path: KeyPath, data: Any) -> list[Shape]:
     """Every shape that the schema allows at `path`; several while the data does not decide between the forms of a value."""
     found = list(dict.fromkeys(_shapes(Scenario, data, path)))
     # A rule of a script, or an action of a test, gives an expression or an option of the action; the schema cannot tell the two apart.
-    decides = (path[:1] == ("scripts",) and len(path) == 3) or (path[:1] == ("tests",) and path[2:3] == ("actions",) and len(path) == 5)
-    return [_OPTION, *found] if decides else found
+    of_test = path[:1] == ("tests",) and path[2:3] == ("actions",) and len(path) in (4, 5)
+    return [_OPTION, *found] if of_test or (path[:1] == ("scripts",) and len(path) == 3) else found
 
 
 def field_types_at(path: KeyPath, data: Any) -> list[FieldType]:

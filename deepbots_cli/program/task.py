@@ -310,10 +310,14 @@ class Script:
 
 @dataclass(frozen=True)
 class FixedAction:
-    """The same action always: the index of an option of each choice, and a number in [-1, 1] for each component of the ranges."""
+    """The same action always: the index of an option of each choice, and a number in [-1, 1] for each component of the ranges.
+
+    `words` are what `deepbots run --actions` takes.
+    """
 
     choices: tuple[int, ...]
     ranges: tuple[float, ...]
+    words: str
 
 
 ExpectedKey = Literal["success_rate", "failure_rate", "mean_return", "ends_by", "always", "eventually"]

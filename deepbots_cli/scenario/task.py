@@ -183,6 +183,7 @@ class Solved(Section):
 
 FixedAction = dict[Annotated[str, Reference("action")], Annotated[dict[Annotated[str, Reference("choice")], Choice] | Choice, FORMS]]
 Requirement = Annotated[str, Expression("test", boolean=True)]
+Requirements = Annotated[Annotated[Many[Requirement], Size(1, "condition")] | Requirement, FORMS]
 EndingName = Annotated[str, Reference("ending")]
 
 
@@ -199,11 +200,11 @@ class Expectation(Section):
     """Share of episodes that end by a failure: its minimum, or a range."""
     mean_return: Annotated[Scalar, Bounds()] | None = None
     """Mean return of the episodes: its minimum, or a range."""
-    ends_by: Annotated[Many[EndingName] | EndingName, FORMS] | None = None
+    ends_by: Annotated[Annotated[Many[EndingName], Size(1, "ending")] | EndingName, FORMS] | None = None
     """The ending or limit, or several, by one of which every episode ends."""
-    always: Annotated[Many[Requirement] | Requirement, FORMS] | None = None
+    always: Requirements | None = None
     """A condition, or several, that hold after every step."""
-    eventually: Annotated[Many[Requirement] | Requirement, FORMS] | None = None
+    eventually: Requirements | None = None
     """A condition, or several, each of which holds after at least one step of every episode."""
 
 

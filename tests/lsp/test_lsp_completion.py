@@ -64,6 +64,9 @@ def test_words_of_the_language_are_offered_where_one_is_due(typing, old, new, of
         ("forward_only: {roll: forward}", "forward_only: {roll: {¦", {"forward", "turn_left"}),
         ("forward_only: {roll: forward}", "forward_only: {roll: f¦", {"forward", "turn_left"}),
         ("reset: {place: {roller", "reset: {place: {¦", {"roller"}),
+        ("{policy: rocking, ", "{policy: ¦, ", {"rocking", "forward_only", "random", "zero"}),
+        ("{policy: rocking, ", "{actions: [¦], ", {"forward", "turn_left"}),
+        ("ends_by: escaped", "ends_by: ¦", {"escaped", "max_time"}),
     ],
 )
 def test_names_of_the_scenario_and_of_its_robot_file_are_offered_where_one_is_due(typing, old, new, offered):
@@ -88,6 +91,7 @@ def test_names_of_the_scenario_and_of_its_robot_file_are_offered_where_one_is_du
         ("reach > radius", "reach > (2 * radius).¦", set(), {"x", "radius"}),
         ("progress: delta(metric)", "progress: 10 wh¦", {"when", "m"}, {"metric"}),
         ("timestep: 32 ms", "timestep: 32 wh¦", {"ms"}, {"when"}),
+        ("always: reach < radius", "always: esc¦", {"escaped", "reach", "position("}, {"gyro", "delta("}),
     ],
 )
 def test_expressions_offer_what_has_a_value_there(typing, old, new, offered, not_offered):
