@@ -97,17 +97,6 @@ class Tab:
         for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
-    def slide_last(self, share: float) -> None:
-        """Press the last slider of the page at a share of its length, until it has moved: it does so in a later picture."""
-        slider = "[...document.querySelectorAll('.mantine-Slider-root')].at(-1)"
-        value = f"{slider}.querySelector('[role=slider]').getAttribute('aria-valuenow')"
-        left, width, y = self.run(f"(() => {{ const r = {slider}.getBoundingClientRect(); return [r.x, r.width, r.y + r.height / 2]; }})()")
-        before = self.run(value)
-        for kind in ("mouseMoved", "mousePressed"):
-            self.call("Input.dispatchMouseEvent", type=kind, x=left + share * width, y=y, button="left", clickCount=1)
-        self.wait(f"{value} != {json.dumps(before)}")
-        self.call("Input.dispatchMouseEvent", type="mouseReleased", x=left + share * width, y=y, button="left", clickCount=1)
-
     @property
     def text(self) -> str:
         return str(self.run("document.body.innerText"))

@@ -106,8 +106,6 @@ def test_keys_buttons_and_tabs_work(new_tab):
         _soon(lambda: _wheel(page) == pytest.approx(0.5))
         tab.run("navigator.getGamepads = () => []; 1")
         _soon(lambda: _wheel(page) == 0.0)
-        tab.slide_last(0.9)  # of the wheel
-        _soon(lambda: (_wheel(page) or 0.0) > 0.5)
         for name in ("Plots", "Show"):
             tab.click(name)
         tab.click("names")
