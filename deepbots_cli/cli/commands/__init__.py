@@ -29,7 +29,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "picture": ("view.picture", "Draw a picture of a scenario."),
     "clip": ("view.clip", "Make a video of an episode: MP4, GIF or an offline page."),
     "record": ("record.command", "Record episodes as an MCAP file."),
-    "replay": ("replay.command", "Show the contents of a recording, or run it again and compare."),
+    "replay": ("replay.command", "Show a recording, or run it again and compare."),
     "compile": ("code.compile_", "Print the Python module that a scenario compiles to."),
     "diff": ("diff.command", "Compare the meaning of two scenarios."),
     "new": ("new.new", "Write a first scenario from a template or for a robot file."),

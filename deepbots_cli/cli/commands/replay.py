@@ -40,7 +40,7 @@ def command(
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
 ) -> None:
-    """Show the contents of a recording, or run it again and compare.
+    """Show a recording, or run it again and compare.
 
     With --verify, the scenario in the recording is compiled, each episode starts from its seed and takes its recorded actions. The command
     names the first step and the first quantity that differ, with exit code 1. On the machine of the recording, with the same
