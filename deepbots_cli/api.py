@@ -153,7 +153,7 @@ def compile(
 
     checked = source if isinstance(source, Checked) else load(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code)
     findings = review(checked)
-    if checked.program is None or any(finding.severity == "error" and not finding.is_fault for finding in findings):
+    if checked.program is None or any(finding.severity == "error" and not finding.is_internal_error for finding in findings):
         raise ScenarioError(findings)
     program = checked.program
     inputs = checked.inputs
@@ -303,7 +303,7 @@ def build(
         from gymnasium.envs.registration import EnvSpec
 
         from deepbots_cli import engines
-        from deepbots_cli.runtime import assemble
+        from deepbots_cli.runtime import make_environment
     except ModuleNotFoundError as error:
         raise MissingExtraError("sim", "running a scenario") from error
     from deepbots_cli.codegen import emit, load_module
@@ -313,7 +313,7 @@ def build(
     engine = engine_kinds.chosen(engine or program.engine)
     name = class_name(program.name)
     module = load_module(code or emit(program), f"deepbots_generated_{name}", f"<deepbots {name} {digest(program)[:12]}>")
-    environment = assemble(vars(module)[f"{name}Supervisor"], program, partial(engines.create, engine), render_mode)
+    environment = make_environment(vars(module)[f"{name}Supervisor"], program, partial(engines.create, engine), render_mode)
     environment.fixed = fixed
     builder = Builder(program, allow_code, fixed)
     environment.rebuild = partial(builder, engine=engine, render_mode=render_mode)

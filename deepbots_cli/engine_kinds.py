@@ -55,7 +55,7 @@ class EngineKind(NamedTuple):
         return f"{self.title} is not installed"
 
     @property
-    def way_out(self) -> str:
+    def remedy(self) -> str:
         """How to get it, or what to use instead."""
         others = [name for name, kind in ENGINES.own.items() if kind is not self and kind.is_installed]
         instead = f", or the engine `{others[0]}`" if others else ""
@@ -113,7 +113,7 @@ ENGINES = Engines(
 )
 
 
-def on_engine(sets: Iterable[str] | None, engine: str | None) -> list[str]:
+def with_engine(sets: Iterable[str] | None, engine: str | None) -> list[str]:
     """Assignments of `--set`, and after them that of `--engine`: the scenario is then checked for this engine."""
     return [*(sets or ()), *([] if engine is None else [f"world.engine={engine}"])]
 

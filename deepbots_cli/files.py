@@ -100,7 +100,7 @@ def atomic(path: Path, refused: type[UsageError] = UsageError) -> Iterator[Path]
         draft.unlink(missing_ok=True)
 
 
-def picture_fault(data: bytes) -> str | None:
+def picture_problem(data: bytes) -> str | None:
     """The headline for the first problem of a PNG picture; None for a sound grey picture of 8 or 16 bits.
 
     The header limits the size before the data is unpacked, to no more bytes than the header promises. PIL decodes the picture

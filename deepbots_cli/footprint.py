@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from deepbots_cli import frames
 from deepbots_cli.frames import Frame, Triple, quaternion
-from deepbots_cli.robots.meshes import extent
+from deepbots_cli.robots.meshes import mesh_bounds
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Geometry, Joint, Link, Mesh, RobotModel, Shape, Sphere
 
 Spot = tuple[float, float]
@@ -40,7 +40,7 @@ class Footprint(NamedTuple):
         return 4.0 * self.half[0] * self.half[1] if self.half else 3.141592653589793 * self.radius**2
 
     @property
-    def narrowest(self) -> float:
+    def inradius(self) -> float:
         """Half its smaller width."""
         return min(self.half) if self.half else self.radius
 
@@ -62,7 +62,7 @@ class Patch(NamedTuple):
     sin: float
 
     @property
-    def extent(self) -> Spot:
+    def half_extents(self) -> Spot:
         """Half the size along x and y of the world."""
         if self.half is None:
             return self.radius, self.radius
@@ -79,7 +79,7 @@ class Patch(NamedTuple):
         across = abs(self.cos * dy - self.sin * dx) - self.half[1]
         return hypot(max(0.0, along), max(0.0, across))
 
-    def holds(self, other: Patch, margin: float) -> bool:
+    def contains(self, other: Patch, margin: float) -> bool:
         """Whether another patch lies within this one, at least `margin` m from its edge."""
         if self.half is not None:
             dx, dy = other.x - self.x, other.y - self.y
@@ -96,7 +96,7 @@ class Patch(NamedTuple):
             yield self.x + self.cos * i - self.sin * j, self.y + self.sin * i + self.cos * j
 
 
-def gap(a: Patch, b: Patch) -> float:
+def patch_distance(a: Patch, b: Patch) -> float:
     """The distance between two patches; negative where they overlap."""
     if a.half is None or b.half is None:
         disc, other = (a, b) if a.half is None else (b, a)
@@ -177,12 +177,12 @@ def _discs(shape: Shape, frame: Frame) -> Iterator[tuple[float, float, float]]:
             yield from ((px, py, 0.0) for px, py, _ in _corners(shape, frame))
 
 
-def feet(model: RobotModel, thickness: float) -> list[Spot]:
+def contact_points(model: RobotModel, thickness: float) -> list[Spot]:
     """The points where a robot with all joints at 0 touches level ground, in the frame of its root; meshes do not count.
 
     A point is the end of a shape within `thickness` (m) of the lowest.
     """
-    lowest = -resting(model)
+    lowest = -resting_height(model)
     touching = [(shape, frame) for shape, frame in _solids(model) if bounds_of_shape(shape, frame)[0][2] <= lowest + thickness]
     return [foot for shape, frame in touching for foot in _feet(shape, frame, thickness)]
 
@@ -213,12 +213,12 @@ def link_frames(model: RobotModel, positions: Mapping[str, float] | None = None)
     while waiting:
         parent = waiting.pop()
         for joint in below.get(parent, ()):
-            found[joint.child] = behind(joint, found[parent], positions.get(joint.name, 0.0) if positions else 0.0)
+            found[joint.child] = child_frame(joint, found[parent], positions.get(joint.name, 0.0) if positions else 0.0)
             waiting.append(joint.child)
     return found
 
 
-def behind(joint: Joint, parent: Frame, position: float) -> Frame:
+def child_frame(joint: Joint, parent: Frame, position: float) -> Frame:
     """The frame of a joint's child link, from the frame of its parent link."""
     frame = frames.compose(parent, frames.frame(joint.origin))
     if not joint.moves or position == 0.0:
@@ -271,7 +271,7 @@ def sides(box: Bounds) -> Triple:
     return frames.subtract(box[1], box[0])
 
 
-def resting(body: Shape | RobotModel, roll: float = 0.0, pitch: float = 0.0) -> float:
+def resting_height(body: Shape | RobotModel, roll: float = 0.0, pitch: float = 0.0) -> float:
     """The height of the origin of a body that rests on flat ground with this attitude; meshes of a robot do not count."""
     tilted = (frames.IDENTITY_FRAME[0], quaternion(roll, pitch, 0.0))
     if not isinstance(body, RobotModel):
@@ -305,7 +305,7 @@ def _corners(shape: Shape, frame: Frame) -> list[Triple]:
 def _own_bounds(shape: Shape) -> Bounds:
     match shape:
         case Mesh():
-            return extent(shape) or (frames.IDENTITY_FRAME[0], frames.IDENTITY_FRAME[0])
+            return mesh_bounds(shape) or (frames.IDENTITY_FRAME[0], frames.IDENTITY_FRAME[0])
         case Box(size):
             a, b, c = size[0] / 2, size[1] / 2, size[2] / 2
         case Cylinder(radius, length):

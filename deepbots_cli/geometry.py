@@ -23,7 +23,7 @@ import numpy as np
 from deepbots_cli.arrays import evaluate
 from deepbots_cli.errors import DeepbotsError, EngineError
 from deepbots_cli.expressions.scalar import Name
-from deepbots_cli.files import MAX_PICTURE_BYTES, picture_fault
+from deepbots_cli.files import MAX_PICTURE_BYTES, picture_problem
 from deepbots_cli.program.world import Formula, Picture, Pit, Terrain, TerrainShape
 from deepbots_cli.robots.edits import with_link
 from deepbots_cli.robots.meshes import checked_bytes
@@ -47,7 +47,7 @@ _HIGHEST = 1e4  # m; higher ground is a mistake, and engines lose their digits
 
 
 @dataclass(frozen=True, eq=False)
-class Grid:
+class HeightGrid:
     """Heights (m) over a rectangle around the origin: `heights[row, column]`, rows along y and columns along x, both upwards.
 
     Each cell is two triangles; they meet along the diagonal from its corner at the greater x to that at the greater y.
@@ -71,7 +71,7 @@ class Grid:
         upper = np.stack([first + 1, first + columns + 1, first + columns], axis=1)
         return np.stack([x.ravel(), y.ravel(), self.heights.ravel()], axis=1), np.concatenate([lower, upper])
 
-    def coarser(self, most: int) -> Grid:
+    def coarser(self, most: int) -> HeightGrid:
         """The same surface in at most so many cells along either side."""
         heights = self.heights
         for _ in range(2):  # along y, then along x
@@ -79,7 +79,7 @@ class Grid:
             first = np.minimum(at.astype(int), len(heights) - 2)
             part = (at - first)[:, None]
             heights = (heights[first] * (1 - part) + heights[first + 1] * part).T
-        return Grid(heights, self.size)
+        return HeightGrid(heights, self.size)
 
     def height(self) -> Height:
         """A function of plain floats, for use in a loop."""
@@ -101,19 +101,19 @@ class Grid:
         return at
 
 
-def grid(relief: TerrainShape) -> Grid | None:
+def grid(terrain_shape: TerrainShape) -> HeightGrid | None:
     """The heights of a relief; None for a mesh, which is not a grid.
 
     Raises:
         EngineError: A picture has gone or changed; a formula has no height somewhere.
     """
-    match relief:
+    match terrain_shape:
         case Pit():
-            found = _pit(relief)
+            found = _pit(terrain_shape)
         case Picture():
-            found = _picture(relief)
+            found = _picture(terrain_shape)
         case Formula():
-            found = _formula(relief)
+            found = _formula(terrain_shape)
         case _:
             return None
     if not np.all(np.abs(found.heights) < _HIGHEST):  # which NaN is not
@@ -132,7 +132,7 @@ def height(terrain: Terrain | None) -> Height:
     return _mesh_height(triangles(terrain.shape))
 
 
-def _pit(pit: Pit) -> Grid:
+def _pit(pit: Pit) -> HeightGrid:
     """Heights `height * g * (1 - g)` with a Gaussian g around the origin; 0 beyond three standard deviations.
 
     The rim is a quarter of `height` high. Noise takes a share of the height away where it is low; it is the same in
@@ -143,7 +143,7 @@ def _pit(pit: Pit) -> Grid:
     bell = np.exp(-squared / 2)
     heights = pit.height * bell * (1 - bell) * (1 - pit.noise + pit.noise * _value_noise())
     side = pit.radius / (RIM_RADIUS_PER_SIGMA * _PIT_WIDTH)
-    return Grid(np.where(squared < 9.0, heights, 0.0), (side, side))
+    return HeightGrid(np.where(squared < 9.0, heights, 0.0), (side, side))
 
 
 def _value_noise() -> NDArray[np.float64]:
@@ -157,7 +157,7 @@ def _value_noise() -> NDArray[np.float64]:
     return np.asarray(along[first] * (1 - part)[:, None] + along[first + 1] * part[:, None])
 
 
-def _picture(picture: Picture) -> Grid:
+def _picture(picture: Picture) -> HeightGrid:
     try:
         path = Path(picture.path)
         data = path.read_bytes() if path.is_file() and path.stat().st_size <= MAX_PICTURE_BYTES else b""
@@ -165,11 +165,11 @@ def _picture(picture: Picture) -> Grid:
         raise EngineError(f"picture {picture.path} cannot be read") from error
     if sha256(data).hexdigest() != picture.digest:
         raise EngineError(f"picture {picture.path} has changed since the scenario was compiled")
-    wrong = picture_fault(data)
+    wrong = picture_problem(data)
     if wrong is not None:
         raise EngineError(f"picture {picture.path} cannot be read: {wrong}")
     bits = data[24]  # of a pixel, by the header
-    return Grid(pixels(data)[::-1] * (picture.height / (2**bits - 1)), picture.size)
+    return HeightGrid(pixels(data)[::-1] * (picture.height / (2**bits - 1)), picture.size)
 
 
 def pixels(data: bytes) -> NDArray[np.integer]:
@@ -187,7 +187,7 @@ def pixels(data: bytes) -> NDArray[np.integer]:
         raise EngineError(f"the picture cannot be read: {error}") from error
 
 
-def _formula(formula: Formula) -> Grid:
+def _formula(formula: Formula) -> HeightGrid:
     """As fine as a pit along the longer side, and square cells as far as they go."""
     longer = max(formula.size)
     columns, rows = (max(2, round(_PIT_CELLS * side / longer)) + 1 for side in formula.size)
@@ -196,7 +196,7 @@ def _formula(formula: Formula) -> Grid:
         heights = evaluate(formula.heights, {Name("x"): x, Name("y"): y})
     except DeepbotsError as error:
         raise EngineError(f"the heights of the terrain cannot be computed: {error}") from error
-    return Grid(np.broadcast_to(np.asarray(heights, np.float64), x.shape).copy(), formula.size)
+    return HeightGrid(np.broadcast_to(np.asarray(heights, np.float64), x.shape).copy(), formula.size)
 
 
 def _mesh_height(corners: NDArray[np.float64]) -> Height:

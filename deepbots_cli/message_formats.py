@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from deepbots_cli.plugins import Table
+from deepbots_cli.plugins import PluginTable
 
 
 class MessageFormat(NamedTuple):
@@ -29,7 +29,7 @@ def _read(name: str, found: Any) -> Iterator[tuple[str, MessageFormat]]:
 
 
 _CODECS = "deepbots_cli.runtime.messages"
-FORMATS: Table[MessageFormat] = Table(
+FORMATS: PluginTable[MessageFormat] = PluginTable(
     "deepbots.formats",
     {
         "csv": MessageFormat("Numbers as text, parted by commas.", f"{_CODECS}:csv_codec"),

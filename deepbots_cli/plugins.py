@@ -41,12 +41,12 @@ def _every(_path: tuple[str, ...]) -> EntryPoints:
     return cast("EntryPoints", entry_points())
 
 
-def refuse(entry: EntryPoint, reason: object) -> None:
+def warn_unavailable(entry: EntryPoint, reason: object) -> None:
     """Warn that what an entry point names is left out."""
-    logging.getLogger("deepbots").warning("warning: %s", why_not(entry, reason))
+    logging.getLogger("deepbots").warning("warning: %s", unavailable_message(entry, reason))
 
 
-def why_not(entry: EntryPoint, reason: object) -> str:
+def unavailable_message(entry: EntryPoint, reason: object) -> str:
     """The sentence that says so."""
     message = f"{type(reason).__name__}: {reason}" if isinstance(reason, BaseException) else str(reason)
     what = entry.group.rpartition(".")[2]
@@ -63,7 +63,7 @@ def attribute(place: str) -> Any:
     return getattr(import_module(module), name)
 
 
-class Table(Mapping[str, T], Generic[T]):
+class PluginTable(Mapping[str, T], Generic[T]):
     """Entries by name: our own first, then those of plug-ins.
 
     `read` gets the name and the object of an entry point, yields named entries, and raises an exception for what cannot be used.
@@ -90,7 +90,7 @@ class Table(Mapping[str, T], Generic[T]):
                             raise ValueError(f"the name {name!r} is taken")
                         self._all[name] = found
                 except Exception as error:  # noqa: BLE001 - the code of a plug-in may raise anything
-                    refuse(entry, error)
+                    warn_unavailable(entry, error)
         return self._all
 
     @property

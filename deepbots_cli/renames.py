@@ -56,7 +56,7 @@ FUNCTIONS = {rename.old: rename for rename in RENAMES if rename.what == "functio
 KEYS_AND_WORDS = frozenset(rename.old for rename in RENAMES if rename.section)
 
 
-def former(word: str) -> tuple[Rename, ...]:
+def renames_of(word: str) -> tuple[Rename, ...]:
     """The renames of an old word."""
     return tuple(rename for rename in RENAMES if rename.old == word)
 

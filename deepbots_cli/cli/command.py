@@ -36,7 +36,7 @@ def known_engine(name: str | None) -> str | None:
         raise typer.BadParameter(f"there is no engine '{name}'; the engines are: {', '.join(ENGINES)}")
     kind = ENGINES[name]
     if not kind.is_installed and any(other.is_installed for other in ENGINES.own.values()):
-        raise typer.BadParameter(f"{kind.missing}; {kind.way_out}")
+        raise typer.BadParameter(f"{kind.missing}; {kind.remedy}")
     return name
 
 
@@ -60,9 +60,9 @@ def _whole(text: str) -> int | None:
     try:
         return int(text)
     except ValueError:
-        from deepbots_cli.scenario.fields import count_meant
+        from deepbots_cli.scenario.fields import count_replacement
 
-        meant = count_meant(text)
+        meant = count_replacement(text)
     try:
         number = float(meant or text)
     except ValueError:

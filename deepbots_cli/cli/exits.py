@@ -52,7 +52,7 @@ def _exit_code(run: Callable[[], object]) -> int:
         terminal.show_findings(error.findings)
         return FAILED
     except DeepbotsError as error:
-        terminal.complain(error.full)
+        terminal.print_error(error.full)
         return WRONG if isinstance(error, UsageError) else FAILED
     except KeyboardInterrupt:
         return INTERRUPTED
@@ -60,7 +60,7 @@ def _exit_code(run: Callable[[], object]) -> int:
         # The system names no file where writing fails, in contrast to opening.
         if error.filename is None and error.errno not in _DISK_ERRORS:
             return _fault(error)
-        terminal.complain(f"{error.filename or 'writing a file'}: {(error.strerror or 'cannot be used').lower()}")
+        terminal.print_error(f"{error.filename or 'writing a file'}: {(error.strerror or 'cannot be used').lower()}")
         return WRONG
     except Exception as error:  # the last handler: what arrives here is a fault of ours  # noqa: BLE001
         return _fault(error)
@@ -78,7 +78,7 @@ def _fault(error: Exception) -> int:
         place = f"the traceback is in {file.name}; "
     except OSError:  # the disk is full
         place = ""
-    terminal.complain(
+    terminal.print_error(
         f"deepbots failed because of an error in deepbots, not in your input\n"
         f"  {type(error).__name__}: {error}\n"
         f"  {place}DEEPBOTS_DEBUG=1 shows the traceback here"

@@ -20,14 +20,14 @@ from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.render import render
 from deepbots_cli.document import Mapping, Node, descend
 from deepbots_cli.expressions.scalar import Const, Name, Scalar, State, children, names_in
-from deepbots_cli.footprint import bounds, resting
+from deepbots_cli.footprint import bounds, resting_height
 from deepbots_cli.frames import roll_pitch_yaw
 from deepbots_cli.learning.defaults import Effective, effective
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.resets import OfSensor, RandomizedParameter
 from deepbots_cli.program.robots import Actuator, Cartesian, MessageField, MessageLayout, NoiseModel, Robot, Route, Thrust
-from deepbots_cli.program.task import ActionNoise, ActionRange, Choices, Hindsight, ImageObservation, Schedule, viewed
+from deepbots_cli.program.task import ActionNoise, ActionRange, Choices, Hindsight, ImageObservation, Schedule, policy_inputs
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Geometry, Joint, Link, Mesh, RobotModel, Sphere
 from deepbots_cli.robots.reader import RobotFile
 
@@ -105,7 +105,7 @@ def of_robot(file: RobotFile, findings: list[Finding]) -> Tables:
                 "digest": file.digest,
                 **_counts(model),
                 "size_m": [round(b - a, 6) for a, b in zip(low, high, strict=True)],
-                "root_above_ground_m": round(resting(model), 6) + 0.0,  # no -0
+                "root_above_ground_m": round(resting_height(model), 6) + 0.0,  # no -0
                 "meshes": len(file.meshes),
             },
             "links": [_link(link, above.get(link.name, "")) for link in model.links],
@@ -210,7 +210,7 @@ def _run(run: Run) -> Row:
         "best_return": result and result.best_return,
         "solved": (f"in episode {result.solved_at.episode:,}" if result and result.solved_at else "not yet")
         if run.program.solved
-        else "the scenario does not say what counts as solved",
+        else "the scenario does not print_result what counts as solved",
         "notes": run.notes(),
     }
 
@@ -237,7 +237,7 @@ def _scenario(scenario: Program) -> Row:
 
 
 def _view(scenario: Program) -> str:
-    numbers = len(viewed(scenario.policy.numbers, scenario.policy.frame_stack))
+    numbers = len(policy_inputs(scenario.policy.numbers, scenario.policy.frame_stack))
     parts = [f"Box({numbers})"] if numbers or not scenario.policy.images else []
     parts += [f"{entry.key} {_sides(entry, scenario)}" for entry in scenario.policy.images]
     if scenario.policy.goal is not None:
@@ -444,7 +444,7 @@ def _signals(scenario: Program, root: Node) -> list[Row]:
 
 def _observation(scenario: Program) -> list[Row]:
     """A row per number that the policy sees; with histories, how many steps before the last one it was so."""
-    seen = [(scenario.policy.numbers[index], ago) for index, ago in viewed(scenario.policy.numbers, scenario.policy.frame_stack)]
+    seen = [(scenario.policy.numbers[index], ago) for index, ago in policy_inputs(scenario.policy.numbers, scenario.policy.frame_stack)]
     remembers = any(ago for _, ago in seen)
     rows: list[Row] = [
         {

@@ -12,7 +12,7 @@ from deepbots_cli.diagnostics import Finding, Findings, Source
 from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.document import Mapping, Node, descend, files, one_line, shipped
 from deepbots_cli.document.parse import parse
-from deepbots_cli.engine_kinds import on_engine
+from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import ScenarioError, UsageError
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
@@ -64,7 +64,7 @@ def opened(source: str, sets: Sequence[str], allow_paths: Iterable[Path], *, all
             raise UsageError(f"--set changes a scenario, and {source} is a run, which stays as it was trained")
         run, resolved = Run.open(path), path / RESOLVED
         return Opened(run.program, parse(Source(str(resolved), resolved.read_text(encoding="utf-8-sig")), Findings()), run)
-    checked = api.load(source, sets=on_engine(sets, engine), allow_paths=allow_paths, allow_code=allow_code)
+    checked = api.load(source, sets=with_engine(sets, engine), allow_paths=allow_paths, allow_code=allow_code)
     compiled = api.compile(checked)
     return Opened(compiled.program, checked.document.root, findings=compiled.findings)
 
@@ -84,13 +84,13 @@ def opened_robot(reference: str) -> tuple[RobotFile, list[Finding]]:
         ScenarioError: It cannot be read as a robot.
     """
     found = meshes.locate(reference, Path.cwd()) if reference.startswith("package://") else shipped.robot_path(reference) or Path(reference)
-    if isinstance(found, meshes.Refusal) or not found.is_file():
+    if isinstance(found, meshes.UnusableMesh) or not found.is_file():
         names = shipped.robot_names()
         near = meshes.library_reference(reference) or nearest(reference, names)
         hint = f" (did you mean {near}?)" if near else ""
         raise UsageError(f"there is no robot file {reference}{hint}; shipped robots are: {', '.join(names)}")
     findings = Findings()
-    resolve_mesh = meshes.beside(found.absolute().parent, meshes.package_of(reference))
+    resolve_mesh = meshes.mesh_resolver(found.absolute().parent, meshes.package_folders(reference))
     file = read(found, files.display(found.resolve()), findings, resolve_mesh=resolve_mesh)
     if file is None or findings.errors:
         raise ScenarioError(list(findings))

@@ -18,7 +18,7 @@ from deepbots_cli.diagnostics.render import inert, render, summary
 from deepbots_cli.progress import ProgressBar
 
 
-def say(text: str = "") -> None:
+def print_result(text: str = "") -> None:
     """A result, on stdout."""
     print(printable(text))
 
@@ -28,7 +28,7 @@ def note(text: str) -> None:
     print(printable(text), file=sys.stderr)
 
 
-def complain(text: str) -> None:
+def print_error(text: str) -> None:
     """An error, on stderr."""
     mark = "\x1b[1;31merror\x1b[0m" if colourful(sys.stderr) else "error"
     print(f"{mark}: {printable(text)}", file=sys.stderr)
@@ -74,7 +74,7 @@ def show_findings(findings: Sequence[Finding]) -> None:
     note(summary(findings))
 
 
-def mention(warnings: Sequence[Finding], scenario: str) -> None:
+def note_warnings(warnings: Sequence[Finding], scenario: str) -> None:
     """A note that there are warnings, and how to see them."""
     if warnings:
         note(f"{summary(warnings)}; see: deepbots lint {quote(scenario)}")

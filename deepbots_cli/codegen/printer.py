@@ -92,7 +92,7 @@ class Printer:
         """The code of a number; what must happen first has been printed."""
         code = self.code(tree).text
         name = self._settable.get(id(tree))
-        return code if name is None else f"self.given({quoted(name)}, {code})"
+        return code if name is None else f"self.episode_value({quoted(name)}, {code})"
 
     def either(self, components: Sequence[object], trees: Sequence[Scalar]) -> str:
         """The code of a vector with these components, or of a number without any."""
@@ -136,7 +136,7 @@ class Printer:
                 loop = _Loop(self)
                 body = loop.body(trees).text
                 settable = [name for name in names if name]
-                return loop.code(f"self.given({loop.string(settable)}, {body})" if settable else body)
+                return loop.code(f"self.episode_value({loop.string(settable)}, {body})" if settable else body)
             except _DifferentShapesError:
                 pass
         return self.tuple(trees)

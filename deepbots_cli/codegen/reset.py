@@ -32,15 +32,15 @@ from deepbots_cli.program.robots import Route
 from deepbots_cli.program.values import Expression, Noise
 
 
-def begin(space: Workspace) -> list[str]:
+def begin(workspace: Workspace) -> list[str]:
     """Draws in order of dependency, then variations, places, joints; the actuators hold until their first commands."""
-    scenario, reset = space.scenario, space.scenario.reset
-    printer = space.printer()
-    _print_first_draws(space, printer)
-    _print_stds(space, printer)
+    scenario, reset = workspace.scenario, workspace.scenario.reset
+    printer = workspace.printer()
+    _print_first_draws(workspace, printer)
+    _print_stds(workspace, printer)
     if is_arranged(scenario):
         for index, variation in enumerate(reset.variations):
-            printer.assign(_varied(space, index), printer.vector(variation.scalars))
+            printer.assign(_varied(workspace, index), printer.vector(variation.scalars))
         printer.line(f"self.bodies.arrange(self._arrange, {reset.attempts}, self.streams)")
     else:
         printer.line("self.engine.reset()")
@@ -52,15 +52,17 @@ def begin(space: Workspace) -> list[str]:
             printer.line(_placing(place, printer))
         for start in reset.joint_starts:
             _print_joints(start, printer)
-        printer.lines += _forgetting(space)
-    _print_first_pushes(space, printer)
-    printer.lines += [f"self.robot_{robot.name}.hold()" for robot in scenario.robots if Drives(scenario, robot, space.constants).actuators]
+        printer.lines += _forgetting(workspace)
+    _print_first_pushes(workspace, printer)
+    printer.lines += [
+        f"self.robot_{robot.name}.hold()" for robot in scenario.robots if Drives(scenario, robot, workspace.constants).actuators
+    ]
     ticks = round(reset.settle / scenario.world.timestep)
     if ticks:
         printer.line(f"self.physics({ticks * scenario.world.substeps})")
     doc = '"""Draw what this episode varies, and put the world where it begins."""'
     method = block("def _begin(self) -> None:", printer.finished([doc]))
-    return [*method, *_arrange(space)] if is_arranged(scenario) else method
+    return [*method, *_arrange(workspace)] if is_arranged(scenario) else method
 
 
 def is_arranged(scenario: Program) -> bool:
@@ -71,33 +73,33 @@ def is_arranged(scenario: Program) -> bool:
     return bool(drawn) or pooled or scenario.world.terrain is not None or any(is_sought(place) for place in reset.placements)
 
 
-def _arrange(space: Workspace) -> list[str]:
+def _arrange(workspace: Workspace) -> list[str]:
     """The method that is one attempt at a start."""
-    reset = space.scenario.reset
-    printer = space.printer()
+    reset = workspace.scenario.reset
+    printer = workspace.printer()
     printer.line("bodies = self.bodies")
-    printer.lines += _place_lines(reset.placements, space, printer)
+    printer.lines += _place_lines(reset.placements, workspace, printer)
     shares = ", ".join(f"({quoted(layout.name)}, {layout.share!r})" for layout in reset.layouts)
     if len(reset.layouts) > 1:
         printer.line(f'layout = bodies.layout("reset.layout", {shares})')
     for index, layout in enumerate(reset.layouts):
-        lines = _place_lines(layout.placements, space, printer) or ["pass"]
+        lines = _place_lines(layout.placements, workspace, printer) or ["pass"]
         if len(reset.layouts) > 1:
             printer.line(f"{'elif' if index else 'if'} layout == {quoted(layout.name)}:")
             lines = [f"    {line}" for line in lines]
         printer.lines += lines
-    printer.lines += [f"{space.present(group.name)} = bodies.present[{quoted(group.name)}]" for group in reset.groups]
+    printer.lines += [f"{workspace.present(group.name)} = bodies.present[{quoted(group.name)}]" for group in reset.groups]
     printer.line("self.engine.reset()")
-    if any(thing.variants for thing in space.scenario.world.objects):
+    if any(thing.variants for thing in workspace.scenario.world.objects):
         printer.line("bodies.choose()")
     for index, variation in enumerate(reset.variations):
-        varied = _varied(space, index)
+        varied = _varied(workspace, index)
         printer.line(_setting(variation, varied, [f"{varied}[{number}]" for number in range(len(variation.scalars))]))
-    printer.lines += _releasing(space.scenario)
+    printer.lines += _releasing(workspace.scenario)
     printer.line("bodies.put()")
     for start in reset.joint_starts:
         _print_joints(start, printer)
-    printer.lines += _forgetting(space)
+    printer.lines += _forgetting(workspace)
     if reset.require is None:
         printer.line("return True")
     else:
@@ -112,14 +114,14 @@ def _releasing(scenario: Program) -> list[str]:
     return [f"self.robot_{robot.name}.release()" for robot in scenario.robots if Drives(scenario, robot, Constants()).has_devices]
 
 
-def _forgetting(space: Workspace) -> list[str]:
+def _forgetting(workspace: Workspace) -> list[str]:
     """Statements after which no chart shows the episode before."""
-    return ["self.ways.reset()"] if space.readers.charts else []
+    return ["self.ways.reset()"] if workspace.readers.charts else []
 
 
-def _varied(space: Workspace, index: int) -> str:
+def _varied(workspace: Workspace, index: int) -> str:
     """The attribute that holds the values of a randomized parameter while places are looked for."""
-    return f"self.{space.names(f'varied {index}')}"
+    return f"self.{workspace.names(f'varied {index}')}"
 
 
 def _placing(place: Placement, printer: Printer) -> str:
@@ -152,9 +154,9 @@ def is_sought(place: Placement) -> bool:
     return place.seeks_height or place.spot is not None
 
 
-def _place_lines(places: Sequence[Placement], space: Workspace, printer: Printer) -> list[str]:
+def _place_lines(places: Sequence[Placement], workspace: Workspace, printer: Printer) -> list[str]:
     """The statements of one layout: bodies with coordinates, then bodies in cells, then bodies at free positions."""
-    groups = {group.name: group for group in space.scenario.reset.groups}
+    groups = {group.name: group for group in workspace.scenario.reset.groups}
     return [line for place in _ordered(places) for line in _place(place, groups.get(place.body), printer)]
 
 
@@ -243,28 +245,28 @@ _ROUNDING = 1e-9
 """In s: a period of a whole number of steps must not become one more by rounding."""
 
 
-def _print_first_draws(space: Workspace, printer: Printer) -> None:
+def _print_first_draws(workspace: Workspace, printer: Printer) -> None:
     """Parameters and values of routes, as they are at the beginning of an episode."""
-    for entry in space.scenario.parameters:
-        _print_first_period(space, printer, entry, entry.name)
-        printer.assign(space.parameter(entry.name), printer.either(entry.components, entry.scalars), entry.text)
-    for name, value in _settings(space):
+    for entry in workspace.scenario.parameters:
+        _print_first_period(workspace, printer, entry, entry.name)
+        printer.assign(workspace.parameter(entry.name), printer.either(entry.components, entry.scalars), entry.text)
+    for name, value in _settings(workspace):
         if not isinstance(value.scalar, Const) and not _of_message(value):
-            _print_first_period(space, printer, value, name)
+            _print_first_period(workspace, printer, value, name)
             printer.assign(f"self.{name}", printer.value(value.scalar))
 
 
-def print_redraws(space: Workspace, printer: Printer) -> None:
+def print_redraws(workspace: Workspace, printer: Printer) -> None:
     """What a step draws or computes anew before it sends anything; it is not yet counted itself."""
     changing: set[str] = set()
-    for entry in space.scenario.parameters:
+    for entry in workspace.scenario.parameters:
         if entry.redraw is not None or _reads(entry.scalars, changing):
             changing.add(entry.name)
-            drawn = f"{space.parameter(entry.name)} = {printer.either(entry.components, entry.scalars)}"
-            _print_when_due(space, printer, entry, entry.name, drawn)
-    for name, value in _settings(space):
+            drawn = f"{workspace.parameter(entry.name)} = {printer.either(entry.components, entry.scalars)}"
+            _print_when_due(workspace, printer, entry, entry.name, drawn)
+    for name, value in _settings(workspace):
         if value.period is not None if value.redraw else _reads(value.scalars, changing):
-            _print_when_due(space, printer, value, name, f"self.{name} = {printer.value(value.scalar)}")
+            _print_when_due(workspace, printer, value, name, f"self.{name} = {printer.value(value.scalar)}")
 
 
 def print_draws_of_message(printer: Printer, channel: str, route: Route) -> None:
@@ -274,9 +276,9 @@ def print_draws_of_message(printer: Printer, channel: str, route: Route) -> None
             printer.assign(f"{channel}.{name}", printer.value(value.scalar))
 
 
-def _settings(space: Workspace) -> Iterator[tuple[str, Expression]]:
+def _settings(workspace: Workspace) -> Iterator[tuple[str, Expression]]:
     """Every value of every route, with the attribute that holds it."""
-    for robot in space.scenario.robots:
+    for robot in workspace.scenario.robots:
         for channel, route in ((f"to_{robot.name}", robot.to_route), (f"from_{robot.name}", robot.from_route)):
             yield from ((f"{channel}.{name}", value) for name, value in route.settings)
 
@@ -285,22 +287,22 @@ def _of_message(value: Expression) -> bool:
     return value.redraw is not None and value.period is None
 
 
-def _due(space: Workspace, name: str) -> str:
+def _due(workspace: Workspace, name: str) -> str:
     """The attribute that holds the time (s) from which a value is drawn again."""
-    return f"self.{space.names('due', name)}"
+    return f"self.{workspace.names('due', name)}"
 
 
-def _print_first_period(space: Workspace, printer: Printer, value: Expression, name: str) -> None:
+def _print_first_period(workspace: Workspace, printer: Printer, value: Expression, name: str) -> None:
     if value.period is not None:
-        printer.line(f"{_due(space, name)} = {printer.value(value.period)} - {_ROUNDING!r}")
+        printer.line(f"{_due(workspace, name)} = {printer.value(value.period)} - {_ROUNDING!r}")
 
 
-def _print_when_due(space: Workspace, printer: Printer, value: Expression, name: str, line: str) -> None:
+def _print_when_due(workspace: Workspace, printer: Printer, value: Expression, name: str, line: str) -> None:
     if value.period is None:
         printer.line(line)
         return
-    due = _due(space, name)
-    printer.line(f"if {space.tick} * {space.scenario.world.timestep!r} >= {due}:")
+    due = _due(workspace, name)
+    printer.line(f"if {workspace.tick} * {workspace.scenario.world.timestep!r} >= {due}:")
     printer.lines += indent([f"{due} += {printer.value(value.period)}", line])
 
 
@@ -308,9 +310,9 @@ def _reads(values: Iterable[Scalar], names: set[str]) -> bool:
     return any(leaf.name in names for value in values for leaf in names_in(value))
 
 
-def _print_stds(space: Workspace, printer: Printer) -> None:
+def _print_stds(workspace: Workspace, printer: Printer) -> None:
     """Draw the standard deviations of noise that differ between episodes."""
-    scenario = space.scenario
+    scenario = workspace.scenario
     noisy: list[tuple[str, Noise | None]] = [(f"observation.{entry.name}", entry.noise) for entry in scenario.policy.observation]
     noisy += [(f"augment.{entry.name}", entry.noise) for entry in scenario.signals]
     noisy += [("goal.achieved", scenario.policy.goal.achieved.noise)] if scenario.policy.goal else []
@@ -327,30 +329,30 @@ def std_attribute(printer: Printer, stream: str) -> str:
 # Disturbances
 
 
-def bind_pushes(space: Workspace) -> list[str]:
+def bind_pushes(workspace: Workspace) -> list[str]:
     """Statements that take what pushes from `engine`."""
-    substep = space.scenario.world.timestep / space.scenario.world.substeps
+    substep = workspace.scenario.world.timestep / workspace.scenario.world.substeps
     return [
         f"self.push_{push.name} = Push(engine, ({quoted(push.body)}, {quoted(push.link) if push.link else None}), "
         f"self._draw_{push.name}, {substep!r})"
-        for push in space.scenario.disturbances
+        for push in workspace.scenario.disturbances
     ]
 
 
-def _print_first_pushes(space: Workspace, printer: Printer) -> None:
+def _print_first_pushes(workspace: Workspace, printer: Printer) -> None:
     """Statements of a reset that say when the first push of each disturbance begins."""
-    settling = round(space.scenario.reset.settle / space.scenario.world.timestep) * space.scenario.world.substeps
-    for push in space.scenario.disturbances:
+    settling = round(workspace.scenario.reset.settle / workspace.scenario.world.timestep) * workspace.scenario.world.substeps
+    for push in workspace.scenario.disturbances:
         printer.line(f"self.push_{push.name}.reset({printer.value(push.begins)}, {settling})")
 
 
-def drawing(space: Workspace) -> list[str]:
+def drawing(workspace: Workspace) -> list[str]:
     """The methods that draw a push."""
-    return [line for push in space.scenario.disturbances for line in _drawing(space, push)]
+    return [line for push in workspace.scenario.disturbances for line in _drawing(workspace, push)]
 
 
-def _drawing(space: Workspace, push: Disturbance) -> list[str]:
-    printer = space.printer()
+def _drawing(workspace: Workspace, push: Disturbance) -> list[str]:
+    printer = workspace.printer()
     force, torque = (printer.tuple(vector) for vector in push.wrench)
     duration, every = printer.value(push.duration.scalar), "inf" if push.every is None else printer.value(push.every.scalar)
     printer.line(f"return {force}, {torque}, {duration}, {every}")

@@ -10,7 +10,7 @@ from deepbots_cli.codegen.names import Constants, Names, class_name
 from deepbots_cli.codegen.printer import Printer, outer_states
 from deepbots_cli.codegen.readers import Needs, Readers
 from deepbots_cli.codegen.workspace import root_links, whole_vector
-from deepbots_cli.compiler.robots import held
+from deepbots_cli.compiler.robots import rigid_root
 from deepbots_cli.expressions.printer import SCALAR, Target
 from deepbots_cli.expressions.scalar import Draw, Name, Op, Scalar, State, World, names_in, walk
 from deepbots_cli.program import Program
@@ -278,7 +278,7 @@ class Drives:
 
     def _rotor(self, link: str, moment_constant: float) -> str:
         """The link that carries a rotor, where on it the rotor sits, its axis and its moment constant."""
-        carrier, (position, turned) = held(self._model, link)
+        carrier, (position, turned) = rigid_root(self._model, link)
         axis = frames.rotate(turned, (0.0, 0.0, 1.0))
         return f"({quoted(carrier)}, {position!r}, {axis!r}, {moment_constant!r})"
 

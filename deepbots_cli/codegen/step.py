@@ -25,35 +25,35 @@ from deepbots_cli.program.values import Noise
 _SUMMANDS = 100
 
 
-def start(space: Workspace) -> list[str]:
+def start(workspace: Workspace) -> list[str]:
     """The method that runs right after a reset."""
-    lines = ['"""Observe the first moment of an episode."""', *space.readers.start_lines()]
-    lines += _zeroed(_terms(space))
-    lines.append(f"self._observe({', '.join(zeros(components) for _, components in space.acting)})")
-    return block("def _start(self) -> None:", [*lines, *_start_memories_of_messages(space)])
+    lines = ['"""Observe the first moment of an episode."""', *workspace.readers.start_lines()]
+    lines += _zeroed(_terms(workspace))
+    lines.append(f"self._observe({', '.join(zeros(components) for _, components in workspace.acting)})")
+    return block("def _start(self) -> None:", [*lines, *_start_memories_of_messages(workspace)])
 
 
-def advance(space: Workspace) -> list[str]:
+def advance(workspace: Workspace) -> list[str]:
     """The method of a step, and that of a timestep where a step has several."""
-    printer = space.printer()
-    _print_acting(space, printer)
-    result = "Iterator[None]" if space.shares else "None"
-    acting = [space.local(name) for name, _ in space.acting]
-    if not space.repeats:
-        _print_tick(space, printer)
+    printer = workspace.printer()
+    _print_acting(workspace, printer)
+    result = "Iterator[None]" if workspace.shares else "None"
+    acting = [workspace.local(name) for name, _ in workspace.acting]
+    if not workspace.repeats:
+        _print_tick(workspace, printer)
         doc = '"""Act, let the world go on for a timestep, and observe."""'
         return block(f"def _advance(self, action: Any) -> {result}:", printer.finished([doc]))
-    repeat = space.scenario.action_repeat
-    if space.uses("previous_reward"):
+    repeat = workspace.scenario.action_repeat
+    if workspace.uses("previous_reward"):
         printer.line("self.previous_reward = self.reward")
-    printer.lines += _zeroed(["self.reward", *_terms(space)])
+    printer.lines += _zeroed(["self.reward", *_terms(workspace)])
     printer.line(f"for _ in {'range' if printer.on_floats else 'self.ticks'}({repeat}):")
-    printer.line(f"    {'yield from ' if space.shares else ''}self._tick({', '.join(acting)})")
+    printer.line(f"    {'yield from ' if workspace.shares else ''}self._tick({', '.join(acting)})")
     printer.lines += ["    if self.terminated or self.truncated:", "        break"] if printer.on_floats else []
-    ticking = space.printer()
+    ticking = workspace.printer()
     ticking.increase("self.timestep_count", "1")
-    _print_tick(space, ticking)
-    arguments = ", ".join(["self", *_parameters(space)])
+    _print_tick(workspace, ticking)
+    arguments = ", ".join(["self", *_parameters(workspace)])
     doc = f'"""Hold an action for {repeat} timesteps; the reward is the sum over them."""'
     return [
         *block(f"def _advance(self, action: Any) -> {result}:", printer.finished([doc])),
@@ -61,28 +61,28 @@ def advance(space: Workspace) -> list[str]:
     ]
 
 
-def observe(space: Workspace) -> list[str]:
+def observe(workspace: Workspace) -> list[str]:
     """The method that computes everything, once per timestep and right after a reset."""
-    printer = space.printer()
-    for robot in space.scenario.robots:
-        _print_receiving(space, printer, robot)
+    printer = workspace.printer()
+    for robot in workspace.scenario.robots:
+        _print_receiving(workspace, printer, robot)
     printer.insert_readers_here()
-    for entry in space.scenario.signals:
-        printer.assign(space.local(entry.name), printer.either(entry.components, entry.scalars), entry.text)
-        _print_noise(printer, space.local(entry.name), entry.components, f"augment.{entry.name}", entry.noise)
-    _print_goal(space, printer)
-    _print_endings(space, printer)
-    _print_rewards(space, printer)
-    _print_observation(space, printer)
-    _print_masks(space, printer)
-    printer.lines += space.storing_statements()
-    arguments = ", ".join(["self", *_parameters(space)])
+    for entry in workspace.scenario.signals:
+        printer.assign(workspace.local(entry.name), printer.either(entry.components, entry.scalars), entry.text)
+        _print_noise(printer, workspace.local(entry.name), entry.components, f"augment.{entry.name}", entry.noise)
+    _print_goal(workspace, printer)
+    _print_endings(workspace, printer)
+    _print_rewards(workspace, printer)
+    _print_observation(workspace, printer)
+    _print_masks(workspace, printer)
+    printer.lines += workspace.storing_statements()
+    arguments = ", ".join(["self", *_parameters(workspace)])
     doc = '"""Receive, and compute signals, endings, the reward and the observation."""'
     return block(f"def _observe({arguments}) -> None:", printer.finished([doc]))
 
 
-def _parameters(space: Workspace) -> list[str]:
-    return [f"{space.local(name)}: {'Any' if components else 'float'}" for name, components in space.acting]
+def _parameters(workspace: Workspace) -> list[str]:
+    return [f"{workspace.local(name)}: {'Any' if components else 'float'}" for name, components in workspace.acting]
 
 
 def _zeroed(targets: list[str]) -> list[str]:
@@ -96,22 +96,22 @@ def _zeroed(targets: list[str]) -> list[str]:
     return lines
 
 
-def _terms(space: Workspace) -> list[str]:
-    return [f"self.term_{term.name}" for term in space.scenario.policy.reward]
+def _terms(workspace: Workspace) -> list[str]:
+    return [f"self.term_{term.name}" for term in workspace.scenario.policy.reward]
 
 
 # Acting
 
 
-def choice_tables(space: Workspace) -> list[str]:
+def choice_tables(workspace: Workspace) -> list[str]:
     """What each choice sets, as one dictionary per discrete part of the action; and itself as one-hot where that is read."""
     lines = []
-    hot = ("1.0", "0.0") if space.ranges else ("True", "False")
-    for part in space.choices:
+    hot = ("1.0", "0.0") if workspace.ranges else ("True", "False")
+    for part in workspace.choices:
         rows = [[repr(value) for value in option.values] for option in part.options]
         names = ", ".join(option.name for option in part.options)
         lines.append(f"CHOICES_{part.name} = {_table([row[0] if len(row) == 1 else tuple_code(row) for row in rows])}  # {names}")
-        if space.given:
+        if workspace.given:
             size = range(len(part.options))
             lines.append(f"TAKEN_{part.name} = {_table([tuple_code([hot[index != other] for other in size]) for index in size])}")
     return lines
@@ -121,64 +121,66 @@ def _table(rows: list[str]) -> str:
     return f"{{{', '.join(f'{index}: {row}' for index, row in enumerate(rows))}}}"
 
 
-def _print_acting(space: Workspace, printer: Printer) -> None:
+def _print_acting(workspace: Workspace, printer: Printer) -> None:
     """What happens once per step: the action, and the messages that carry it."""
-    _print_decoding(space, printer)
+    _print_decoding(workspace, printer)
     if printer.on_floats:
-        print_redraws(space, printer)
+        print_redraws(workspace, printer)
     else:
-        _print_redrawing(space, printer)
+        _print_redrawing(workspace, printer)
     printer.increase("self.step_count", "1")
-    if space.remembers:
+    if workspace.remembers:
         printer.line("self.next_frame()")
-    printer.lines += [f"{local} = self.last_{local}" for local in space.sent_names()]
+    printer.lines += [f"{local} = self.last_{local}" for local in workspace.sent_names()]
     printer.insert_readers_here()
-    for robot in space.scenario.robots:
+    for robot in workspace.scenario.robots:
         channel = f"self.to_{robot.name}"
         values = [printer.either(entry.components, entry.scalars) for entry in robot.received]
-        _print_draws_of_message(space, printer, channel, robot.to_route)
+        _print_draws_of_message(workspace, printer, channel, robot.to_route)
         printer.line(f"{channel}.send({tuple_code(values) if values else '()'})")
-        if not _delivers_in_ticks(space, robot):
-            _print_delivering(space, printer, robot)
+        if not _delivers_in_ticks(workspace, robot):
+            _print_delivering(workspace, printer, robot)
 
 
-def _print_decoding(space: Workspace, printer: Printer) -> None:
+def _print_decoding(workspace: Workspace, printer: Printer) -> None:
     """Statements that set the action variables from `action`, which holds `choices` and `ranges` where there are both."""
     chosen = ranged = "action"
-    if space.choices and space.ranges:
-        chosen, ranged = space.names("chosen part"), space.names("ranged part")
+    if workspace.choices and workspace.ranges:
+        chosen, ranged = workspace.names("chosen part"), workspace.names("ranged part")
         printer.line(f'{chosen}, {ranged} = action["choices"], action["ranges"]')
-    picks = [chosen] if len(space.choices) == 1 else [space.names(f"{part.name} pick") for part in space.choices]
+    picks = [chosen] if len(workspace.choices) == 1 else [workspace.names(f"{part.name} pick") for part in workspace.choices]
     if len(picks) > 1:
         printer.line(f"{', '.join(picks)} = {chosen}{'' if printer.on_floats else '.T'}")
     looked_up = "{}[{}]" if printer.on_floats else "pick({}, {})"
-    given = {part.name: f"*{looked_up.format(f'self.TAKEN_{part.name}', pick)}" for part, pick in zip(space.choices, picks, strict=True)}
-    for part, pick in zip(space.choices, picks, strict=True):
-        printer.line(f"{', '.join(map(space.local, part.variables))} = {looked_up.format(f'self.CHOICES_{part.name}', pick)}")
-    names = {interval.name: space.local(interval.name) for interval in space.ranges}
-    vectors = [interval.name for interval in space.ranges if interval.components]
-    if len(vectors) == len(space.ranges) == 1:
+    given = {
+        part.name: f"*{looked_up.format(f'self.TAKEN_{part.name}', pick)}" for part, pick in zip(workspace.choices, picks, strict=True)
+    }
+    for part, pick in zip(workspace.choices, picks, strict=True):
+        printer.line(f"{', '.join(map(workspace.local, part.variables))} = {looked_up.format(f'self.CHOICES_{part.name}', pick)}")
+    names = {interval.name: workspace.local(interval.name) for interval in workspace.ranges}
+    vectors = [interval.name for interval in workspace.ranges if interval.components]
+    if len(vectors) == len(workspace.ranges) == 1:
         (name,) = vectors
         printer.line(f"{names[name]} = self.ranges({ranged})")
         given[name] = f"*{names[name]}"
     elif vectors:
-        values, place = space.names("values of ranges"), 0
+        values, place = workspace.names("values of ranges"), 0
         printer.line(f"{values} = self.ranges({ranged})")
-        for interval in space.ranges:
+        for interval in workspace.ranges:
             end = place + max(1, len(interval.components))
             printer.line(f"{names[interval.name]} = {values}[{f'{place}:{end}' if interval.components else place}]")
             given[interval.name] = f"*{values}[{place}:{end}]"
             place = end
-    elif space.ranges:
+    elif workspace.ranges:
         printer.line(f"{targets_code(list(names.values()))} = self.ranges({ranged})")
         given |= names
-    if space.given:
-        parts = [given[part.name] for part in space.scenario.policy.action]
+    if workspace.given:
+        parts = [given[part.name] for part in workspace.scenario.policy.action]
         whole = parts[0][1:] if len(parts) == 1 and parts[0][0] == "*" else tuple_code(parts)
-        printer.line(f"{space.local('previous_action')} = {whole}")
-    for interval in space.ranges:
+        printer.line(f"{workspace.local('previous_action')} = {whole}")
+    for interval in workspace.ranges:
         half, middle = (interval.high - interval.low) / 2, (interval.high + interval.low) / 2
-        name = space.local(interval.name)
+        name = workspace.local(interval.name)
         if (half, middle) != (1.0, 0.0):
             item = "a" if interval.components else name
             code = f"{middle!r} + {half!r} * {item}" if middle else f"{half!r} * {item}"
@@ -186,113 +188,113 @@ def _print_decoding(space: Workspace, printer: Printer) -> None:
             printer.lines += noted(f"{name} = {f'[{code} for a in {name}]' if interval.components else code}", said)
 
 
-def redraw(space: Workspace) -> list[str]:
+def redraw(workspace: Workspace) -> list[str]:
     """For a batch: the method that draws anew in one world what is due; nothing where nothing ever is."""
-    printer = space.of_one_world().printer()
-    print_redraws(space.of_one_world(), printer)
+    printer = workspace.of_one_world().printer()
+    print_redraws(workspace.of_one_world(), printer)
     if not printer.lines:
         return []
     doc = '"""Draw anew what is due in a single world."""'
     return ["@staticmethod", *block("def _redraw(self: Any) -> None:", printer.finished([doc]))]
 
 
-def _print_redrawing(space: Workspace, printer: Printer) -> None:
-    lines = redraw(space)
+def _print_redrawing(workspace: Workspace, printer: Printer) -> None:
+    lines = redraw(workspace)
     if not lines:
         return
     kept = dict.fromkeys(name for line in lines for name in re.findall(r"self\.((?:parameter|due)_\w+) (?:=|\+=) ", line))
     periods = [name for name in kept if name.startswith("due_")]
     always = any(re.match(r"    self\.", line) for line in lines)
     due = f"self.{periods[0]}" if len(periods) == 1 else f"minimum({', '.join(f'self.{name}' for name in periods)})"
-    condition = "True" if always else f"{space.tick} * {space.scenario.world.timestep!r} >= {due}"
+    condition = "True" if always else f"{workspace.tick} * {workspace.scenario.world.timestep!r} >= {due}"
     printer.line(f"self.redraw({', '.join([condition, 'self._redraw', *map(quoted, kept)])})")
 
 
-def _print_draws_of_message(space: Workspace, printer: Printer, channel: str, route: Route) -> None:
+def _print_draws_of_message(workspace: Workspace, printer: Printer, channel: str, route: Route) -> None:
     if printer.on_floats:
         print_draws_of_message(printer, channel, route)
         return
-    drawing = space.of_one_world().printer()
+    drawing = workspace.of_one_world().printer()
     print_draws_of_message(drawing, channel, route)
     for line in drawing.lines:
         name = line.partition(" = ")[0].removeprefix("self.").replace(".", "_")
-        space.of_message[f"_draw_{name}"] = line
+        workspace.of_message[f"_draw_{name}"] = line
         printer.line(f"self.redraw(True, self._draw_{name})")
 
 
 # Messages
 
 
-def _delivers_in_ticks(space: Workspace, robot: Robot) -> bool:
+def _delivers_in_ticks(workspace: Workspace, robot: Robot) -> bool:
     """Whether a message to this robot may arrive in another timestep than the one that follows its sending."""
-    late = space.scenario.timing == "delayed" and space.repeats
-    return space.scenario.format != "none" and (late or not robot.to_route.perfect)
+    late = workspace.scenario.timing == "delayed" and workspace.repeats
+    return workspace.scenario.format != "none" and (late or not robot.to_route.perfect)
 
 
-def _print_delivering(space: Workspace, printer: Printer, robot: Robot) -> None:
+def _print_delivering(workspace: Workspace, printer: Printer, robot: Robot) -> None:
     controller, channel = f"self.robot_{robot.name}", f"self.to_{robot.name}"
-    if space.is_direct(robot, "to_robot"):
+    if workspace.is_direct(robot, "to_robot"):
         printer.line(f"{controller}.use_message_data({channel}.receive())")
     else:
         printer.line(f"for message in {channel}.receive():")
         printer.line(f"    {controller}.use_message_data(message)")
 
 
-def _print_receiving(space: Workspace, printer: Printer, robot: Robot) -> None:
+def _print_receiving(workspace: Workspace, printer: Printer, robot: Robot) -> None:
     """The message of one robot into local variables; the first of an episode arrives at once."""
     controller, channel = f"self.robot_{robot.name}", f"self.from_{robot.name}"
-    targets = [space.local(f"{robot.name}.{entry.name}") for entry in robot.emitted]
-    drawing = space.printer()
-    _print_draws_of_message(space, drawing, channel, robot.from_route)
-    if drawing.lines and space.scenario.format != "none":
-        printer.lines += [f"if {space.tick}:", *indent(drawing.lines)] if printer.on_floats else drawing.lines
+    targets = [workspace.local(f"{robot.name}.{entry.name}") for entry in robot.emitted]
+    drawing = workspace.printer()
+    _print_draws_of_message(workspace, drawing, channel, robot.from_route)
+    if drawing.lines and workspace.scenario.format != "none":
+        printer.lines += [f"if {workspace.tick}:", *indent(drawing.lines)] if printer.on_floats else drawing.lines
     printer.line(f"{channel}.send({controller}.create_message())")
-    receive = "receive" if space.is_direct(robot, "from_robot") else "newest"
+    receive = "receive" if workspace.is_direct(robot, "from_robot") else "newest"
     printer.line(f"{targets_code(targets)} = {channel}.{receive}()" if targets else f"{channel}.{receive}()")
 
 
-def _print_tick(space: Workspace, printer: Printer) -> None:
-    for robot in space.scenario.robots:
-        if _delivers_in_ticks(space, robot):
-            _print_delivering(space, printer, robot)
-    if space.shares:
+def _print_tick(workspace: Workspace, printer: Printer) -> None:
+    for robot in workspace.scenario.robots:
+        if _delivers_in_ticks(workspace, robot):
+            _print_delivering(workspace, printer, robot)
+    if workspace.shares:
         printer.line("yield  # the world goes on when every copy has acted")
     else:
-        printer.line(f"self.physics({space.scenario.world.substeps})")
-    printer.lines += [f"self.robot_{robot.name}.observe()" for robot in space.scenario.robots if observes(space.scenario, robot)]
-    printer.line(f"self._observe({', '.join(space.local(name) for name, _ in space.acting)})")
+        printer.line(f"self.physics({workspace.scenario.world.substeps})")
+    printer.lines += [f"self.robot_{robot.name}.observe()" for robot in workspace.scenario.robots if observes(workspace.scenario, robot)]
+    printer.line(f"self._observe({', '.join(workspace.local(name) for name, _ in workspace.acting)})")
 
 
-def _start_memories_of_messages(space: Workspace) -> list[str]:
+def _start_memories_of_messages(workspace: Workspace) -> list[str]:
     """Start the memories of values that messages to robots contain; they start with an action of 0."""
-    if not any(outer_states(value) for value in space.sent):
+    if not any(outer_states(value) for value in workspace.sent):
         return []
-    printer = space.printer()
-    used = {leaf.name for value in space.sent for state in outer_states(value) for leaf in names_in(state)}
-    printer.lines += [f"{space.local(name)} = {zeros(components)}" for name, components in space.variables if name in used]
-    printer.lines += [f"{local} = self.last_{local}" for local in space.sent_names()]
+    printer = workspace.printer()
+    used = {leaf.name for value in workspace.sent for state in outer_states(value) for leaf in names_in(state)}
+    printer.lines += [f"{workspace.local(name)} = {zeros(components)}" for name, components in workspace.variables if name in used]
+    printer.lines += [f"{local} = self.last_{local}" for local in workspace.sent_names()]
     printer.insert_readers_here()
-    printer.remember(space.sent)
+    printer.remember(workspace.sent)
     return printer.finished()
 
 
 # Goal and noise
 
 
-def _print_goal(space: Workspace, printer: Printer) -> None:
+def _print_goal(workspace: Workspace, printer: Printer) -> None:
     """Set `achieved`, `desired` and `goal_reached`: both as the policy sees them, so that a reward can be recomputed."""
-    goal = space.scenario.policy.goal
+    goal = workspace.scenario.policy.goal
     if goal is None:
         return
-    achieved, desired = space.local("achieved"), space.local("desired")
+    achieved, desired = workspace.local("achieved"), workspace.local("desired")
     given = printer.vector(goal.achieved.scalars)
     if goal.achieved.noise is not None:
         printer.assign(achieved, given if goal.components else printer.value(goal.achieved.scalar))
         _print_noise(printer, achieved, goal.components, "goal.achieved", goal.achieved.noise)
         given = achieved if goal.components else f"({achieved},)"
     targets = (achieved, desired) if goal.components else (f"({achieved},)", f"({desired},)")
-    printer.line(f"{', '.join(targets)} = self.aim({given}, {printer.vector(goal.targets)})")
-    printer.assign(space.local("goal_reached"), printer.value(goal.reached))
+    printer.line(f"{', '.join(targets)} = self.set_goal_observation({given}, {printer.vector(goal.targets)})")
+    printer.assign(workspace.local("goal_reached"), printer.value(goal.reached))
 
 
 def _print_noise(printer: Printer, local: str, components: Sequence[str], stream: str, noise: Noise | None) -> None:
@@ -326,37 +328,37 @@ def _std(printer: Printer, stream: str, noise: Noise) -> str:
 # Endings
 
 
-def _print_endings(space: Workspace, printer: Printer) -> None:
+def _print_endings(workspace: Workspace, printer: Printer) -> None:
     """Conditions in order of dependency; `ended_by` is the first in file order, failures before successes."""
-    endings = space.scenario.endings
+    endings = workspace.scenario.endings
     for ending in _after_what_they_use(endings):
-        code = printer.value(ending.value.scalar) if ending.foreign is None else f"{called(space, 'ending', ending.name)}(self)"
-        printer.assign(space.local(ending.name), code, ending.value.text)
+        code = printer.value(ending.value.scalar) if ending.foreign is None else f"{called(workspace, 'ending', ending.name)}(self)"
+        printer.assign(workspace.local(ending.name), code, ending.value.text)
     failures = [ending for ending in endings if ending.outcome == "failure"]
     successes = [ending for ending in endings if ending.outcome == "success"]
     if not printer.on_floats:
-        _print_endings_of_batch(space, printer, failures, successes)
+        _print_endings_of_batch(workspace, printer, failures, successes)
         return
     if endings:
-        printer.line(f"if {' or '.join(space.local(ending.name) for ending in endings)}:")
-        held = ", ".join(f"{quoted(ending.name)}: {space.local(ending.name)}" for ending in [*failures, *successes])
+        printer.line(f"if {' or '.join(workspace.local(ending.name) for ending in endings)}:")
+        held = ", ".join(f"{quoted(ending.name)}: {workspace.local(ending.name)}" for ending in [*failures, *successes])
         success = ""
         if successes:
-            reached = " or ".join(space.local(ending.name) for ending in successes)
-            refused = "".join(f" and not {space.local(ending.name)}" for ending in failures)
+            reached = " or ".join(workspace.local(ending.name) for ending in successes)
+            refused = "".join(f" and not {workspace.local(ending.name)}" for ending in failures)
             success = f", success={f'({reached})' if refused and len(successes) > 1 else reached}{refused}"
         printer.line(f"    self._terminate({{{held}}}{success})")
-    limit = _tick_limit(space)
+    limit = _tick_limit(workspace)
     if limit is not None:
-        printer.line(f"{'elif' if endings else 'if'} {space.tick} >= {limit[0]}:")
+        printer.line(f"{'elif' if endings else 'if'} {workspace.tick} >= {limit[0]}:")
         printer.line(f"    self._truncate({quoted(limit[1])})")
-        if space.scenario.policy.goal is not None and not successes:
-            printer.line(f"    self.is_success = {space.local('goal_reached')}")
+        if workspace.scenario.policy.goal is not None and not successes:
+            printer.line(f"    self.is_success = {workspace.local('goal_reached')}")
 
 
-def _print_endings_of_batch(space: Workspace, printer: Printer, failures: list[Ending], successes: list[Ending]) -> None:
+def _print_endings_of_batch(workspace: Workspace, printer: Printer, failures: list[Ending], successes: list[Ending]) -> None:
     """The same, for each world by itself."""
-    names = [space.local(ending.name) for ending in [*failures, *successes]]
+    names = [workspace.local(ending.name) for ending in [*failures, *successes]]
     if names:
         held = ", ".join(f"{quoted(ending.name)}: {local}" for ending, local in zip([*failures, *successes], names, strict=True))
         success = ""
@@ -365,21 +367,21 @@ def _print_endings_of_batch(space: Workspace, printer: Printer, failures: list[E
             refused = [printer.joined("not", [local]) for local in names[: len(failures)]]
             success = f", success={printer.joined('and', [reached, *refused])}"
         printer.line(f"self._terminate({{{held}}}{success})")
-    limit = _tick_limit(space)
+    limit = _tick_limit(workspace)
     if limit is not None:
-        reached_goal = f", {space.local('goal_reached')}" if space.scenario.policy.goal is not None and not successes else ""
-        printer.line(f"self._truncate({quoted(limit[1])}, {space.tick} >= {limit[0]}{reached_goal})")
+        reached_goal = f", {workspace.local('goal_reached')}" if workspace.scenario.policy.goal is not None and not successes else ""
+        printer.line(f"self._truncate({quoted(limit[1])}, {workspace.tick} >= {limit[0]}{reached_goal})")
 
 
-def _tick_limit(space: Workspace) -> tuple[int, str] | None:
+def _tick_limit(workspace: Workspace) -> tuple[int, str] | None:
     """The number of timesteps at which an episode is cut short, and the name of that limit; a step is cut short only by an ending."""
-    limits = space.scenario.truncation
+    limits = workspace.scenario.truncation
     ticks = []
     if limits.max_steps is not None:
-        ticks.append((limits.max_steps * space.scenario.action_repeat, "max_steps"))
+        ticks.append((limits.max_steps * workspace.scenario.action_repeat, "max_steps"))
     if limits.max_time is not None:
         # a limit of a whole number of timesteps must not gain one by rounding
-        ticks.append((max(1, math.ceil(limits.max_time / space.scenario.world.timestep - 1e-9)), "max_time"))
+        ticks.append((max(1, math.ceil(limits.max_time / workspace.scenario.world.timestep - 1e-9)), "max_time"))
     return min(ticks) if ticks else None
 
 
@@ -400,53 +402,53 @@ def _after_what_they_use(endings: tuple[Ending, ...]) -> list[Ending]:
     return list(order.values())
 
 
-def bind_foreign(space: Workspace) -> list[str]:
+def bind_foreign(workspace: Workspace) -> list[str]:
     """Statements that import the functions of Python which the scenario names."""
-    items = [("reward term", term.name, term.foreign, False) for term in space.scenario.policy.reward]
-    items += [("ending", ending.name, ending.foreign, True) for ending in space.scenario.endings]
+    items = [("reward term", term.name, term.foreign, False) for term in workspace.scenario.policy.reward]
+    items += [("ending", ending.name, ending.foreign, True) for ending in workspace.scenario.endings]
     lines = []
     for what, name, function, truth in items:
         if function is not None:
             place = ", ".join(map(quoted, (what, name, function.module, function.function)))
-            lines.append(f"{called(space, what, name)} = foreign({place}, {truth})")
+            lines.append(f"{called(workspace, what, name)} = foreign({place}, {truth})")
     return lines
 
 
-def called(space: Workspace, what: str, name: str) -> str:
+def called(workspace: Workspace, what: str, name: str) -> str:
     """The attribute that holds the function of an ending or a reward term."""
-    return f"self.{space.names(f'function of {what}', name)}"
+    return f"self.{workspace.names(f'function of {what}', name)}"
 
 
 # Rewards
 
 
-def _print_rewards(space: Workspace, printer: Printer) -> None:
+def _print_rewards(workspace: Workspace, printer: Printer) -> None:
     """The terms and their sum, but right after a reset; what they remember begins there."""
-    terms = space.scenario.policy.reward
+    terms = workspace.scenario.policy.reward
     for flag in ("terminated", "truncated"):
-        if space.uses(flag):
-            printer.line(f"{space.local(flag)} = self.{flag}")
-    if space.uses("ended"):
-        printer.line(f"{space.local('ended')} = {printer.joined('or', ['self.terminated', 'self.truncated'])}")
+        if workspace.uses(flag):
+            printer.line(f"{workspace.local(flag)} = self.{flag}")
+    if workspace.uses("ended"):
+        printer.line(f"{workspace.local('ended')} = {printer.joined('or', ['self.terminated', 'self.truncated'])}")
     for term in terms:
         printer.remember([term.scalar])
-    names = [space.names(f"{term.name} term") if space.repeats else f"self.term_{term.name}" for term in terms]
+    names = [workspace.names(f"{term.name} term") if workspace.repeats else f"self.term_{term.name}" for term in terms]
     lines: list[str] = []
     for name, term in zip(names, terms, strict=True):
-        code = printer.value(term.scalar) if term.foreign is None else f"{called(space, 'reward term', term.name)}(self)"
+        code = printer.value(term.scalar) if term.foreign is None else f"{called(workspace, 'reward term', term.name)}(self)"
         lines += noted(f"{name} = {code}", term.text)
     # Python's compiler goes down one level per `+`, so a long sum is taken up in parts; the order is the same.
     parts = [" + ".join(names[i : i + _SUMMANDS]) for i in range(0, len(names), _SUMMANDS)]
     for index, part in enumerate(parts):
-        last = index == len(parts) - 1 and not space.repeats
+        last = index == len(parts) - 1 and not workspace.repeats
         lines.append(f"{'self.reward = reward' if last else 'reward'} = {'reward + ' if index else ''}{part}")
-    summing = space.printer()
-    if space.repeats:
+    summing = workspace.printer()
+    if workspace.repeats:
         for name, term in zip(names, terms, strict=True):
             summing.increase(f"self.term_{term.name}", name)
         summing.increase("self.reward", "reward")
     summing.lines += ["if not -1e300 < reward < 1e300:", "    self._not_finite()"] if printer.on_floats else ["self.require_finite(reward)"]
-    if space.uses("episode_return"):
+    if workspace.uses("episode_return"):
         summing.increase("self.episode_return", "reward")
     lines += summing.lines
     printer.lines += ["if self.step_count:  # there is no reward at the reset", *indent(lines)] if printer.on_floats else lines
@@ -455,19 +457,19 @@ def _print_rewards(space: Workspace, printer: Printer) -> None:
 # Observation
 
 
-def _print_observation(space: Workspace, printer: Printer) -> None:
+def _print_observation(workspace: Workspace, printer: Printer) -> None:
     seen = []
-    for entry in space.scenario.policy.observation:
-        if entry in space.scenario.policy.images:
+    for entry in workspace.scenario.policy.observation:
+        if entry in workspace.scenario.policy.images:
             continue
-        seen.append(_observed(space, printer, entry))
+        seen.append(_observed(workspace, printer, entry))
     if seen:
-        printer.line(f"self.see({', '.join(seen)})")
-    for pictured in space.scenario.policy.images:
+        printer.line(f"self.set_observation({', '.join(seen)})")
+    for pictured in workspace.scenario.policy.images:
         printer.line(f"self.frame_stacks[{quoted(pictured.key)}].frames[self.newest] = {printer.value(pictured.value.scalar)}")
 
 
-def _observed(space: Workspace, printer: Printer, entry: Observation) -> str:
+def _observed(workspace: Workspace, printer: Printer, entry: Observation) -> str:
     """The code of one or several numbers, as the policy sees them."""
     components = entry.value.components
     # the reward of this step is known here; everywhere else the name means that of the step before
@@ -496,13 +498,13 @@ def _observed(space: Workspace, printer: Printer, entry: Observation) -> str:
 # Masks
 
 
-def _print_masks(space: Workspace, printer: Printer) -> None:
+def _print_masks(workspace: Workspace, printer: Printer) -> None:
     """What the agent may choose next; where it has to choose, it must be something."""
-    if not space.forbids:
+    if not workspace.forbids:
         return
-    repeat = space.scenario.action_repeat
-    chooses = "not self.terminated and not self.truncated" + (f" and self.timestep_count % {repeat} == 0" if space.repeats else "")
-    for part in space.choices:
+    repeat = workspace.scenario.action_repeat
+    chooses = "not self.terminated and not self.truncated" + (f" and self.timestep_count % {repeat} == 0" if workspace.repeats else "")
+    for part in workspace.choices:
         if any(option.forbidden is not None for option in part.options):
             allowed = f"self.allowed_{part.name}"
             printer.line(f"{allowed} = {tuple_code([_allowed(printer, option) for option in part.options])}")

@@ -62,16 +62,16 @@ class {name}Batch(BatchSupervisor):
 
 def batch_supervisor(scenario: Program, constants: Constants) -> list[str]:
     """The lines of the class for a batch: what happens in each step; episodes begin in the single worlds."""
-    space = Workspace(scenario, constants, BATCH)
-    observing, acting = observe(space), advance(space)
-    methods = [*acting, *observing, *redraw(space)]
-    for name, line in space.of_message.items():
+    workspace = Workspace(scenario, constants, BATCH)
+    observing, acting = observe(workspace), advance(workspace)
+    methods = [*acting, *observing, *redraw(workspace)]
+    for name, line in workspace.of_message.items():
         doc = '"""Draw a value for the next message of a single world."""'
         methods += ["@staticmethod", *block(f"def {name}(self: Any) -> None:", [doc, line])]
     lines = [line for line in methods if "@staticmethod" not in line]
     read = re.findall(r"""(?:self\.|")((?:parameter|due|std|last|present)_\w+)""", "\n".join(lines))
     kept = tuple(dict.fromkeys(read))
-    tables = choice_tables(space)
+    tables = choice_tables(workspace)
     terms = tuple(term.name for term in scenario.policy.reward)
     return filled(
         _BATCH_CLASS,
@@ -79,24 +79,24 @@ def batch_supervisor(scenario: Program, constants: Constants) -> list[str]:
         doc=docstring(scenario.summary or scenario.name),
         tables=[*tables, ""] if tables else [],
         kept=[*([f"KEEPS = {quoted_tuple(kept)}"] if kept else []), f"TERMS = {quoted_tuple(terms)}", ""],
-        binding=_bind_batch(space),
+        binding=_bind_batch(workspace),
         methods=methods,
     )
 
 
-def _bind_batch(space: Workspace) -> list[str]:
-    memories = [f"self.{name} = {code}" for name, code in space.memories.items()]
-    return [*_bind_robots(space), *space.readers.bind_lines(), *memories]
+def _bind_batch(workspace: Workspace) -> list[str]:
+    memories = [f"self.{name} = {code}" for name, code in workspace.memories.items()]
+    return [*_bind_robots(workspace), *workspace.readers.bind_lines(), *memories]
 
 
 def supervisor(scenario: Program, constants: Constants) -> list[str]:
     """The lines of the class."""
-    space = Workspace(scenario, constants)
+    workspace = Workspace(scenario, constants)
     # What the other methods read says what a reset has to begin anew.
-    observing, acting, pushing = observe(space), advance(space), drawing(space)
-    asked = [*_allowed(space), *_compute_reward(space), *_between_steps(space)]
-    methods = [*begin(space), *pushing, *start(space), *acting, *observing]
-    tables = choice_tables(space)
+    observing, acting, pushing = observe(workspace), advance(workspace), drawing(workspace)
+    asked = [*_allowed(workspace), *_compute_reward(workspace), *_between_steps(workspace)]
+    methods = [*begin(workspace), *pushing, *start(workspace), *acting, *observing]
+    tables = choice_tables(workspace)
     terms = ", ".join(f"{quoted(term.name)}: self.term_{term.name}" for term in scenario.policy.reward)
     info = '"is_success": self.is_success, "ended_by": self.ended_by, "endings": self.endings'
     return filled(
@@ -104,51 +104,51 @@ def supervisor(scenario: Program, constants: Constants) -> list[str]:
         name=class_name(scenario.name),
         doc=docstring(scenario.summary or scenario.name),
         tables=[*tables, ""] if tables else [],
-        binding=_bind(space),
+        binding=_bind(workspace),
         methods=methods,
-        seen=docstring(f"What the policy sees, float32 in [-1, 1]: {_seen(space)}."),
-        observation=_observation(space),
+        seen=docstring(f"What the policy sees, float32 in [-1, 1]: {_seen(workspace)}."),
+        observation=_observation(workspace),
         summed=docstring(f"The sum of {sentence_list([term.name for term in scenario.policy.reward])}."),
         ended=docstring(f"Whether {', and whether '.join(_ends(scenario))}."),
         terms=terms,
-        info=info + (', "action_mask": self.action_mask()' if space.forbids else "") + ', "reward_terms": terms',
+        info=info + (', "action_mask": self.action_mask()' if workspace.forbids else "") + ', "reward_terms": terms',
         asked=asked,
     )
 
 
-def _bind_robots(space: Workspace) -> list[str]:
+def _bind_robots(workspace: Workspace) -> list[str]:
     lines = []
-    for robot in space.scenario.robots:
+    for robot in workspace.scenario.robots:
         lines.append(f"self.robot_{robot.name} = self.robot({quoted(robot.name)}, {controller_name(robot)})")
         for which, direction in (("to", "to_robot"), ("from", "from_robot")):
-            made = "channel" if space.is_direct(robot, direction) else "lossy_channel"  # type: ignore[arg-type]
+            made = "channel" if workspace.is_direct(robot, direction) else "lossy_channel"  # type: ignore[arg-type]
             lines.append(f"self.{which}_{robot.name} = self.{made}({quoted(robot.name)}, {quoted(direction)})")
     return lines
 
 
-def _bind(space: Workspace) -> list[str]:
-    scenario, lines = space.scenario, _bind_robots(space)
+def _bind(workspace: Workspace) -> list[str]:
+    scenario, lines = workspace.scenario, _bind_robots(workspace)
     arranged = is_arranged(scenario)
     lines += ["self.bodies = Arrangement(self.scenario, engine)"] if arranged else []
-    if space.readers.charts:
+    if workspace.readers.charts:
         lines.append(f"self.ways = Ways(self.scenario, engine{', self.bodies' if arranged else ''})")
-    memories = [f"self.{name} = {code}" for name, code in space.memories.items()]
-    return [*lines, *space.readers.bind_lines(), *memories, *bind_pushes(space), *bind_foreign(space)] or ["pass"]
+    memories = [f"self.{name} = {code}" for name, code in workspace.memories.items()]
+    return [*lines, *workspace.readers.bind_lines(), *memories, *bind_pushes(workspace), *bind_foreign(workspace)] or ["pass"]
 
 
 # The paper's methods, which read what `_observe` left and change nothing
 
 
-def _seen(space: Workspace) -> str:
-    histories = {entry.name: entry.history for entry in space.scenario.policy.observation}
+def _seen(workspace: Workspace) -> str:
+    histories = {entry.name: entry.history for entry in workspace.scenario.policy.observation}
     seen = sentence_list([name if many == 1 else f"{name} ({many} in a row)" for name, many in histories.items()])
-    seen += f"; {space.scenario.policy.frame_stack} times in a row" if space.scenario.policy.frame_stack > 1 else ""
-    return seen + ("; and what is achieved and desired" if space.scenario.policy.goal is not None else "")
+    seen += f"; {workspace.scenario.policy.frame_stack} times in a row" if workspace.scenario.policy.frame_stack > 1 else ""
+    return seen + ("; and what is achieved and desired" if workspace.scenario.policy.goal is not None else "")
 
 
-def _observation(space: Workspace) -> str:
+def _observation(workspace: Workspace) -> str:
     """The code of each part of an observation, under its key where there are several."""
-    scenario = space.scenario
+    scenario = workspace.scenario
     parts = {"observation": "self.seen()"} if scenario.policy.numbers or not scenario.policy.images else {}
     parts |= {pictured.key: f"self.frame_stacks[{quoted(pictured.key)}].seen(self.newest)" for pictured in scenario.policy.images}
     if scenario.policy.goal is not None:
@@ -165,21 +165,21 @@ def _ends(scenario: Program) -> list[str]:
     return [*ends, f"a limit cut the episode short ({sentence_list(limits, 'or')})"]
 
 
-def _allowed(space: Workspace) -> list[str]:
+def _allowed(workspace: Workspace) -> list[str]:
     """The method that returns the options that may be chosen next; nothing if no option is ever forbidden."""
-    if not space.forbids:
+    if not workspace.forbids:
         return []
     rows = [
         f"self.allowed_{part.name}" if any(option.forbidden for option in part.options) else tuple_code(["True"] * len(part.options))
-        for part in space.choices
+        for part in workspace.choices
     ]
-    doc = docstring(f"Which options of {sentence_list([part.name for part in space.choices])} may be chosen next.")
+    doc = docstring(f"Which options of {sentence_list([part.name for part in workspace.choices])} may be chosen next.")
     return block("def allowed(self) -> tuple[tuple[bool, ...], ...]:", [*doc, f"return {tuple_code(rows)}"])
 
 
-def _compute_reward(space: Workspace) -> list[str]:
+def _compute_reward(workspace: Workspace) -> list[str]:
     """The method that hindsight replay calls; nothing without a goal."""
-    if space.scenario.policy.goal is None:
+    if workspace.scenario.policy.goal is None:
         return []
     doc = docstring("The reward for other goals, as the policy sees them: arrays (n, k) or (k,).")
     head = "def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any = None) -> Any:"
@@ -189,45 +189,45 @@ def _compute_reward(space: Workspace) -> list[str]:
 # Hand-written policies
 
 
-def _between_steps(space: Workspace) -> list[str]:
+def _between_steps(workspace: Workspace) -> list[str]:
     """Methods that read the values of the last timestep. They are called between two steps, on request only."""
-    lines = [line for script in space.scenario.policy.scripts for line in _script(space, script)]
-    for test in space.scenario.tests:
+    lines = [line for script in workspace.scenario.policy.scripts for line in _script(workspace, script)]
+    for test in workspace.scenario.tests:
         asked = {"holds": (test.scalars, "Whether each condition"), "compared": (test.compared, "The compared values of the conditions")}
         for name, (scalars, said) in asked.items():
-            printer = _printer_after(space, scalars)
+            printer = _printer_after(workspace, scalars)
             printer.line(f"return {printer.tuple(scalars) if scalars else '()'}")
             head = f"def test_{test.name}_{name}(self) -> tuple[Any, ...]:"
             lines += block(head, printer.finished(docstring(f"{said} of the test {test.name}.")))
     return lines
 
 
-def _printer_after(space: Workspace, scalars: tuple[Scalar, ...]) -> Printer:
+def _printer_after(workspace: Workspace, scalars: tuple[Scalar, ...]) -> Printer:
     """A printer for these values, which stands after the last timestep: the reward of that one is known."""
-    printer = Printer(space, settable=space.settable, renamed={"previous_reward": "self.reward"})
-    used = space.named(scalars)
-    kept = [space.local(name) for name in space.kept_names() if name in used]
+    printer = Printer(workspace, settable=workspace.settable, renamed={"previous_reward": "self.reward"})
+    used = workspace.named(scalars)
+    kept = [workspace.local(name) for name in workspace.kept_names() if name in used]
     printer.lines += [f"{local} = self.last_{local}" for local in kept]
     printer.insert_readers_here()
     return printer
 
 
-def _script(space: Workspace, script: Script) -> list[str]:
+def _script(workspace: Workspace, script: Script) -> list[str]:
     """The method that computes the next action."""
-    printer = _printer_after(space, script.scalars)
+    printer = _printer_after(workspace, script.scalars)
     choices, ranges = [], []
-    for part, decided in zip(space.scenario.policy.action, script.parts, strict=True):
+    for part, decided in zip(workspace.scenario.policy.action, script.parts, strict=True):
         if isinstance(part, Choices) and isinstance(decided, ScriptedChoice):
-            choices.append(_print_pick(space, printer, part, decided))
+            choices.append(_print_pick(workspace, printer, part, decided))
         elif isinstance(part, ActionRange) and isinstance(decided, ScriptedRange):
             ranges += [_share(printer, part, value) for value in decided.scalars]
     printer.line(f"return self.acting({tuple_code(choices) if choices else '()'}, {tuple_code(ranges) if ranges else '()'})")
     return block(f"def script_{script.name}(self) -> Any:", printer.finished(docstring(f"The next action of the script {script.name}.")))
 
 
-def _print_pick(space: Workspace, printer: Printer, part: Choices, pick: ScriptedChoice) -> str:
+def _print_pick(workspace: Workspace, printer: Printer, part: Choices, pick: ScriptedChoice) -> str:
     """The local that holds the number of the option."""
-    target, names = space.names(f"{part.name} pick"), [option.name for option in part.options]
+    target, names = workspace.names(f"{part.name} pick"), [option.name for option in part.options]
     for index, option in enumerate(pick.options):
         setting = f"{target} = {names.index(option)}  # {option}"
         if len(pick.options) == 1:

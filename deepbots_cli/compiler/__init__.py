@@ -135,12 +135,12 @@ def _program(namespace: Namespace) -> Program:
     for name in namespace.names_of(Origin.PARAMETER, Origin.FIELD):
         namespace.resolve(name)
     bare = world(namespace, scenes, painted)
-    tick = bare.timestep
+    timestep = bare.timestep
     reset, walls = arrangement(namespace, bare)
     limits, action, rewards = truncation(namespace), actions.parts(), reward_terms(namespace)
     each, action_repeat = copies(namespace), spec.agent.action_repeat
     routes = route("to_robot", namespace), route("from_robot", namespace)
-    robots = tuple(builder.finish(tick, action, routes) for builder in builders)
+    robots = tuple(builder.finish(timestep, action, routes) for builder in builders)
     poses = {builder.scene.name: builder.poses for builder in builders}
     policy = Policy(
         action,
@@ -150,7 +150,7 @@ def _program(namespace: Namespace) -> Program:
         spec.agent.frame_stack,
         each,
         scripts(namespace, action),
-        training(namespace, action, each, limits.last_step(tick * action_repeat) if limits != Truncation() else None),
+        training(namespace, action, each, limits.max_episode_steps(timestep * action_repeat) if limits != Truncation() else None),
     )
     program = Program(
         name=spec.name,
@@ -168,7 +168,7 @@ def _program(namespace: Namespace) -> Program:
         reset=replace(
             reset,
             joint_starts=joint_starts(namespace, poses),
-            settle=settling_time(namespace, tick),
+            settle=settling_time(namespace, timestep),
             variations=(*namespace.variations, *namespace.colours),
             groups=tuple(namespace.groups.values()),
         ),

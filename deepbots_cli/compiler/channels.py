@@ -49,24 +49,24 @@ class Parameters:
 
 def route(direction: Direction, namespace: Namespace) -> Route:
     """What `messages.to_robot` or `messages.from_robot` says."""
-    given: RouteSpec = getattr(namespace.scenario.messages, direction)
+    spec: RouteSpec = getattr(namespace.scenario.messages, direction)
     values = namespace.values
-    if namespace.scenario.messages.format == "none" and given.model_fields_set:
+    if namespace.scenario.messages.format == "none" and spec.model_fields_set:
         help = "choose a format, such as `struct`: without messages the supervisor acts on the robot directly"
-        values.findings.add("DB407", values.key_span(given.path), f"`{direction}` without messages", help=help)
+        values.findings.add("DB407", values.key_span(spec.path), f"`{direction}` without messages", help=help)
         return Route()
-    latency, loss, range_ = (_setting(given, name, namespace) for name in ("latency", "loss", "range"))
-    burst = namespace.fixed(given, "burst", scope=namespace.scope(Context.FIELD))
+    latency, loss, range_ = (_setting(spec, name, namespace) for name in ("latency", "loss", "range"))
+    burst = namespace.fixed(spec, "burst", scope=namespace.scope(Context.FIELD))
     if burst is not None and loss is not None:
-        _check_burst(burst, loss, values.field(given, "burst").span, values)
-    return Route(latency, loss, burst, range_, given.order, given.on_loss)
+        _check_burst(burst, loss, values.field(spec, "burst").span, values)
+    return Route(latency, loss, burst, range_, spec.order, spec.on_loss)
 
 
-def _setting(given: RouteSpec, name: str, namespace: Namespace) -> Expression | None:
+def _setting(spec: RouteSpec, name: str, namespace: Namespace) -> Expression | None:
     """A setting of a route, where the file gives it. One that may be new in every step may say how often its draws are repeated."""
-    if name not in given.model_fields_set or getattr(given, name) is None:
+    if name not in spec.model_fields_set or getattr(spec, name) is None:
         return None
-    values, text, what = namespace.values, namespace.values.field(given, name), f"`{name}`"
+    values, text, what = namespace.values, namespace.values.field(spec, name), f"`{name}`"
     assert isinstance(text.kind, Quantity)  # as in the model
     if text.kind.stage == "step" and text.kind.si is not None:
         typed, redraw = values.redrawn(text, what, namespace.scope(Context.FIELD), text.kind.si)
@@ -119,24 +119,24 @@ _PUSHED = frozenset({Kind.ROBOT, Kind.LINK, Kind.OBJECT})
 
 def disturbances(namespace: Namespace) -> tuple[Disturbance, ...]:
     """The entries of `disturbances`, in the order of the file."""
-    found = [_disturbance(name, given, namespace) for name, given in namespace.scenario.disturbances.items()]
+    found = [_disturbance(name, spec, namespace) for name, spec in namespace.scenario.disturbances.items()]
     return tuple(push for push in found if push is not None)
 
 
-def _disturbance(name: str, given: DisturbanceSpec, namespace: Namespace) -> Disturbance | None:
-    pushed = _pushed(given, namespace)
+def _disturbance(name: str, spec: DisturbanceSpec, namespace: Namespace) -> Disturbance | None:
+    pushed = _pushed(spec, namespace)
     keys = ("force", "torque", "at", "every", "duration")
-    force, torque, first, every, duration = found = [namespace.expression(given, key, stage=Stage.STEP) for key in keys]
+    force, torque, first, every, duration = found = [namespace.expression(spec, key, stage=Stage.STEP) for key in keys]
     if every is not None and duration is not None:
         _check_overlap(every, duration, namespace)
-    is_broken = any(value is None and getattr(given, key) is not None for key, value in zip(keys, found, strict=True))
+    is_broken = any(value is None and getattr(spec, key) is not None for key, value in zip(keys, found, strict=True))
     return None if pushed is None or duration is None or is_broken else Disturbance(name, *pushed, force, torque, first, every, duration)
 
 
-def _pushed(given: DisturbanceSpec, namespace: Namespace) -> tuple[str, str | None] | None:
+def _pushed(spec: DisturbanceSpec, namespace: Namespace) -> tuple[str, str | None] | None:
     """Body and link that are pushed; None after a finding."""
-    called, values, scenes = given.body, namespace.values, [scene for scene in namespace.robots.values() if scene is not None]
-    span = values.field(given, "body").span
+    called, values, scenes = spec.body, namespace.values, [scene for scene in namespace.robots.values() if scene is not None]
+    span = values.field(spec, "body").span
     subject = namespace.subject(called, frozenset({Kind.LINK}))
     if subject is None:
         links = [f"{scene.name}.{link}" for scene in scenes for link in scene.link_names]

@@ -12,7 +12,7 @@ from deepbots_cli.compiler.namespace import Default, FieldContext, Namespace, Or
 from deepbots_cli.compiler.robots import (
     RobotScene,
     carries,
-    effort_of,
+    effort_dimension,
     expand,
     joint_dimension,
     joint_interval,
@@ -98,7 +98,7 @@ class Actuators:
                     name, spec.type, names, max_torque, max_velocity, max_acceleration=acceleration, response=self._response(spec, names)
                 )
             case specs.PositionMotor():
-                effort = effort_of(joints[0])
+                effort = effort_dimension(joints[0])
                 stiffness = self._scalar_or_randomized(spec, "stiffness", None, dimension=effort / dimension, per_component=names)
                 damping = self._scalar_or_randomized(spec, "damping", None, dimension=effort * TIME / dimension, per_component=names)
                 if spec.damping is not None and spec.stiffness is None:
@@ -203,7 +203,7 @@ class Actuators:
 
     def _max_torque(self, spec: specs.Actuator, joints: tuple[Joint, ...]) -> Limits:
         """The largest torque or force of each joint: the tighter of the scenario's and that of the robot file."""
-        own, known, effort = tuple(joint.limit.effort for joint in joints), len(self._namespace.variations), effort_of(joints[0])
+        own, known, effort = tuple(joint.limit.effort for joint in joints), len(self._namespace.variations), effort_dimension(joints[0])
         found = self._scalar_or_randomized(spec, "max_torque", None, dimension=effort, per_component=tuple(joint.name for joint in joints))
         if found is None:
             return own
@@ -351,8 +351,8 @@ class RobotBuilder:
                 symbols[name] = Symbol(name, typed.type._replace(stage=Stage.STEP))
         return symbols
 
-    def finish(self, tick: float, action: Sequence[ActionPart], routes: tuple[Route, Route]) -> Robot:
-        """Type everything that is left; the world's timestep is `tick` s, `routes` are those to and from robots."""
+    def finish(self, timestep: float, action: Sequence[ActionPart], routes: tuple[Route, Route]) -> Robot:
+        """Type everything that is left; the world's timestep is `timestep` s, `routes` are those to and from robots."""
         received = self._receive()
         scope = RobotScope(self.namespace, Context.APPLY, self.scene.name, {**self.own, **received})
         actuators = Actuators(self.scene, self.namespace)
@@ -369,7 +369,7 @@ class RobotBuilder:
         name, (to_robot, from_robot) = self.scene.name, routes
         return Robot(
             name,
-            self.sensing.finished(tick),
+            self.sensing.finished(timestep),
             tuple(found.actuator for found in driven.values()),
             tuple(self.received.values()),
             tuple(self.fields.values()),

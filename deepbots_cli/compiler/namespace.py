@@ -36,7 +36,7 @@ from deepbots_cli.expressions.types import (
     Type,
     Typed,
     Vector,
-    zero,
+    is_bare_zero,
 )
 from deepbots_cli.expressions.unification import ANY_SHAPE, expect
 from deepbots_cli.program.resets import Group, OfLink, Owner, Randomizable, RandomizedParameter
@@ -276,7 +276,7 @@ class Namespace:
             return None
         components = of.type.components
         std = self.typed(text, "the noise", components=components)
-        if std is None or zero(std):
+        if std is None or is_bare_zero(std):
             return None
         relative = std.type.dimension == NUMBER and (of.type.dimension != NUMBER or "%" in text.text)
         if not relative:
@@ -318,7 +318,7 @@ class Namespace:
         scope = context.get("scope") or self.scope(Context.FIELD if stage else Context.FIXED)
         return scope, context.get("dimension") or si(kind.dimension), context.get("components") or axes, stage
 
-    def varies(self, what: Randomizable, of: Owner) -> bool:
+    def is_randomized(self, what: Randomizable, of: Owner) -> bool:
         """Whether an episode draws this value."""
         return any((variation.what, variation.of) == (what, of) for variation in self.variations)
 

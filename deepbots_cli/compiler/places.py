@@ -15,7 +15,7 @@ from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER
 from deepbots_cli.expressions.intervals import TURN, exact
 from deepbots_cli.expressions.lower import constant
-from deepbots_cli.expressions.types import PLANE, SPACE, Constant, Context, Invocation, Pick, Stage, Type
+from deepbots_cli.expressions.types import PLANE, SPACE, ComponentSelection, Constant, Context, Invocation, Stage, Type
 from deepbots_cli.footprint import Footprint, Patch
 from deepbots_cli.program.resets import MAX_SPOTS, Cells, Group, Layout, Placement, Region, Top
 from deepbots_cli.program.values import Expression
@@ -35,7 +35,7 @@ def has_top(thing: ObjectBody) -> bool:
     return thing.solid and not thing.pooled and not thing.variants and isinstance(thing.shape, (Box, Cylinder))
 
 
-class Room:
+class PlacementChecker:
     """Checks that there is room for the bodies of a world where they are placed."""
 
     def __init__(self, namespace: Namespace, world: WorldModel) -> None:
@@ -48,9 +48,9 @@ class Room:
         kinds = self._footprints(place)
         if not kinds:
             return
-        narrowest = min(kind.narrowest for kind in kinds)
+        inradius = min(kind.inradius for kind in kinds)
         is_fixed = self._is_fixed(place)
-        needed = 2 * narrowest + (0.0 if is_fixed else 2 * place.clearance)
+        needed = 2 * inradius + (0.0 if is_fixed else 2 * place.clearance)
         width, depth = (region.high[axis] - region.low[axis] for axis in (0, 1))
         arena = self._world.arena
         span = self._values.key_span((*path, "region"))
@@ -123,7 +123,7 @@ class Room:
             headline = f"{copies} copies of {area:.3g} m^2 cannot stand on the {top.area:.3g} m^2 of `{spot.of}`"
             add("DB105", span, headline, help="give a larger top, or fewer copies")
         elif spot.region is not None and (patch := _patch(support, top)) is not None and _misses(spot.region, patch):
-            (reach_x, reach_y), span = patch.extent, self._values.key_span((*path, "region"))
+            (reach_x, reach_y), span = patch.half_extents, self._values.key_span((*path, "region"))
             sides = f"x = {patch.x - reach_x:g} .. {patch.x + reach_x:g} m and y = {patch.y - reach_y:g} .. {patch.y + reach_y:g} m"
             help = f"leave out `region` to use the whole top, which covers {sides}"
             add("DB105", span, f"no position in the region is on the top of `{spot.of}`", help=help)
@@ -136,7 +136,7 @@ class Room:
         kinds = self._footprints(place)
         if not kinds or self._world.terrain is not None:
             return
-        inner = 0.0 if _is_tilted(place) else min(kind.narrowest - hypot(*kind.middle) for kind in kinds)
+        inner = 0.0 if _is_tilted(place) else min(kind.inradius - hypot(*kind.middle) for kind in kinds)
         corners = [(x, y) for x in (region.low[0], region.high[0]) for y in (region.low[1], region.high[1])]
         for thing in self._world.objects:
             other = standing.get(thing.name)
@@ -217,12 +217,12 @@ def _fits(top: Footprint, kind: Footprint, turn: float | None, margin: float) ->
     """Whether a body fits on a top: in the middle, at this turn, or as far as is known at any."""
     if turn is not None or top.half is None or kind.half is None:
         middle = kind._replace(middle=(0.0, 0.0))
-        return top.at(0.0, 0.0, 0.0).holds(middle.at(0.0, 0.0, turn or 0.0), margin - 1e-6)
-    return kind.narrowest + margin <= top.narrowest + 1e-6 and kind.radius + margin <= top.radius + 1e-6
+        return top.at(0.0, 0.0, 0.0).contains(middle.at(0.0, 0.0, turn or 0.0), margin - 1e-6)
+    return kind.inradius + margin <= top.inradius + 1e-6 and kind.radius + margin <= top.radius + 1e-6
 
 
 def _misses(region: Region, patch: Patch) -> bool:
-    reach = patch.extent
+    reach = patch.half_extents
     return any(
         region.low[axis] > middle + reach[axis] or region.high[axis] < middle - reach[axis] for axis, middle in ((0, patch.x), (1, patch.y))
     )
@@ -246,7 +246,7 @@ _ANYWHERE = Invocation(Type(ANGLE, interval=TURN, stage=Stage.EPISODE), 0, 0, "u
 class Places:
     """Reads placements in the scope of a reset, where values may be drawn."""
 
-    def __init__(self, namespace: Namespace, world: WorldModel, room: Room) -> None:
+    def __init__(self, namespace: Namespace, world: WorldModel, room: PlacementChecker) -> None:
         self._room = room
         self._spec = namespace.scenario
         self._namespace = namespace
@@ -254,10 +254,10 @@ class Places:
         self._world = world
         self._scope = namespace.scope(Context.RESET)
 
-    def placements(self, given: Mapping[str, Pose], path: Path, *, used: bool = True) -> list[Placement]:
+    def placements(self, spec: Mapping[str, Pose], path: Path, *, used: bool = True) -> list[Placement]:
         """Those of one layout, or of `reset.place`; whether there is room is asked of layouts that are used."""
         found = []
-        for body, pose in given.items():
+        for body, pose in spec.items():
             if self._namespace.origin(body) in (Origin.ROBOT, Origin.OBJECT):
                 found.append(self.placement(body, pose, used=used))
             else:
@@ -274,7 +274,7 @@ class Places:
         """The placement of a known body; what had findings is left out of it."""
         place = Placement(body, self.coordinates(pose), owner=owner_of(pose.path))
         if not isinstance(pose, PlacementSpec):
-            return self.resting(place)
+            return self.resting_placement(place)
         place = replace(
             place,
             clearance=self._namespace.fixed(pose, "clearance") or 0.0,
@@ -295,7 +295,7 @@ class Places:
         if isinstance(place.spot, Region) and used:
             self._room.check_region(place, place.spot, pose.path)
         self._check_copies(place, pose.path, used=used)
-        return self.resting(place)
+        return self.resting_placement(place)
 
     def coordinates(self, pose: Pose) -> dict[str, Expression]:
         """What the pose says of x, y, z, roll, pitch and yaw, each by itself or as a component of `xyz` or `rpy`."""
@@ -310,11 +310,11 @@ class Places:
             if vector is not None:
                 typed, single = vector.typed, vector.typed.type._replace(components=None)
                 for index, part in enumerate(parts):
-                    tree = Pick(single, typed.start, typed.end, typed, (index,)) if typed.type.components else typed
+                    tree = ComponentSelection(single, typed.start, typed.end, typed, (index,)) if typed.type.components else typed
                     found[part] = replace(vector, name=part, typed=tree)
         return {part: coordinate for part, coordinate in found.items() if coordinate is not None}
 
-    def resting(self, place: Placement) -> Placement:
+    def resting_placement(self, place: Placement) -> Placement:
         """The placement of a body that lies on the ground where no height is given; a robot with a fixed base is built in at 0."""
         robot = self._spec.robots.get(place.body)
         is_built_in = robot is not None and robot.base == "fixed"
@@ -383,15 +383,15 @@ class Places:
             if used:
                 self._check_spread(place, self._room.copies(place), path)
             return
-        for key, given in (("at_most", place.at_most is not None), ("spacing", any(place.spacing))):
-            if given and not self._values.is_invalid(place.body):
+        for key, spec in (("at_most", place.at_most is not None), ("spacing", any(place.spacing))):
+            if spec and not self._values.is_invalid(place.body):
                 headline = f"`{key}` applies to groups only, and `{place.body}` is a single body"
                 help = "groups are bodies with a `count`"
                 self._values.findings.add("DB203", self._values.key_span((*path, key)), headline, help=help)
 
     def _check_spread(self, place: Placement, copies: int, path: Path) -> None:
         """DB105 where up to so many `copies` stand at the same coordinates."""
-        if any(self._values.stands((*path, way)) for way in ("region", "line", "grid", "on")):
+        if any(self._values.is_present((*path, way)) for way in ("region", "line", "grid", "on")):
             return  # there would be spots, were it not for a finding
         known = [place.coordinates[axis] for axis in PLANE if axis in place.coordinates]
         is_fixed = all(constant(coordinate.typed) is not None for coordinate in known)
@@ -428,15 +428,15 @@ class Layouts:
 
     def used(self) -> tuple[Layout, ...]:
         """Each layout with its share; all others are read for their findings alone."""
-        given, layouts = self._spec.reset.layout, self._spec.reset.layouts
-        shares = self._shares() if isinstance(given, dict) else {given: 1.0} if given is not None else dict.fromkeys(list(layouts)[:1], 1.0)
-        if given is None and len(layouts) > 1:
+        spec, layouts = self._spec.reset.layout, self._spec.reset.layouts
+        shares = self._shares() if isinstance(spec, dict) else {spec: 1.0} if spec is not None else dict.fromkeys(list(layouts)[:1], 1.0)
+        if spec is None and len(layouts) > 1:
             help = f"name one layout, or several with their shares: `layout: {next(iter(layouts))}`"
             self._values.findings.add("DB102", self._values.key_span(("reset", "layouts")), "missing key `layout`", help=help)
         for name in shares:
             if name not in layouts:
-                path: Path = ("reset", "layout", name) if isinstance(given, dict) else ("reset", "layout")
-                span = self._values.key_span(path) if isinstance(given, dict) else self._values.span(path)
+                path: Path = ("reset", "layout", name) if isinstance(spec, dict) else ("reset", "layout")
+                span = self._values.key_span(path) if isinstance(spec, dict) else self._values.span(path)
                 self._values.report_unknown(span, "layout", name, list(layouts))
         found = {
             name: tuple(
@@ -449,9 +449,9 @@ class Layouts:
         return tuple(Layout(name, share, found[name]) for name, share in shares.items() if name in found)
 
     def _shares(self) -> dict[str, float]:
-        given = self._spec.reset.layout
-        assert isinstance(given, dict)  # as the caller found
-        read = {name: self._namespace.fixed(self._spec.reset, "layout", name) for name in given}
+        spec = self._spec.reset.layout
+        assert isinstance(spec, dict)  # as the caller found
+        read = {name: self._namespace.fixed(self._spec.reset, "layout", name) for name in spec}
         shares = {name: share for name, share in read.items() if share is not None}
         if len(shares) == len(read) and abs(sum(shares.values()) - 1.0) > 1e-6:
             headline = f"the shares add up to {100 * sum(shares.values()):g} %"

@@ -94,7 +94,7 @@ def _refuse_others(name: str, namespace: Namespace) -> None:
     ]
     paths += [(("reset", "place", name, key), f"`{key}`") for key in ("region", "line", "grid")]
     for path, what in paths:
-        if values.stands(path):
+        if values.is_present(path):
             values.findings.add(
                 "DB108", values.key_span(path), f"{what} together with copies of `{name}` is not supported yet", help=_NOT_YET
             )

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from deepbots_cli.compiler.namespace import Namespace, Origin, ParameterScope
-from deepbots_cli.compiler.places import Layouts, Places, Room
+from deepbots_cli.compiler.places import Layouts, PlacementChecker, Places
 from deepbots_cli.compiler.robots import joint_dimension, joint_missing, warn_beyond
 from deepbots_cli.compiler.values import Text
 from deepbots_cli.expressions.dimensions import TIME, Dimension
@@ -87,7 +87,7 @@ def arrangement(namespace: Namespace, world: WorldModel) -> tuple[Reset, tuple[O
     copy is there.
     """
     spec = namespace.scenario
-    room = Room(namespace, world)
+    room = PlacementChecker(namespace, world)
     places = Places(namespace, world, room)
     layouts = Layouts(namespace, places, world)
     common = places.placements(spec.reset.place, ("reset", "place"))
@@ -140,14 +140,14 @@ def _requirement(namespace: Namespace) -> Expression | None:
     return text.expression(typed)
 
 
-def settling_time(namespace: Namespace, tick: float) -> float:
-    """Seconds, in whole timesteps of `tick` s."""
+def settling_time(namespace: Namespace, timestep: float) -> float:
+    """Seconds, in whole timesteps of `timestep` s."""
     values, settle = namespace.values, namespace.fixed(namespace.scenario.reset, "settle") or 0.0
     span = values.field(namespace.scenario.reset, "settle").span
-    if abs(settle - round(settle / tick) * tick) > 1e-9 * settle and not values.is_invalid("world.timestep"):
-        headline = f"the settling time of {settle:g} s is not a multiple of the timestep of {tick:g} s"
+    if abs(settle - round(settle / timestep) * timestep) > 1e-9 * settle and not values.is_invalid("world.timestep"):
+        headline = f"the settling time of {settle:g} s is not a multiple of the timestep of {timestep:g} s"
         values.findings.add("DB308", span, headline, help="write a multiple of the timestep")
-    if settle / tick * namespace.scenario.world.substeps > MAX_SETTLING_STEPS:
+    if settle / timestep * namespace.scenario.world.substeps > MAX_SETTLING_STEPS:
         headline = f"the settling time of {settle:g} s takes more than {MAX_SETTLING_STEPS:,} physics steps in every reset"
         values.findings.add("DB105", span, headline, help="a few seconds are usual")
     return settle

@@ -41,7 +41,7 @@ def joint_dimension(joint: Joint) -> Dimension:
     return LENGTH if joint.type == "prismatic" else ANGLE
 
 
-def effort_of(joint: Joint) -> Dimension:
+def effort_dimension(joint: Joint) -> Dimension:
     """Of what drives it: a force where it slides, else a torque."""
     return FORCE if joint.type == "prismatic" else TORQUE
 
@@ -63,7 +63,7 @@ def carries(model: RobotModel, joint: Joint, link: str) -> bool:
     return False
 
 
-def held(model: RobotModel, link: str) -> tuple[str, Frame]:
+def rigid_root(model: RobotModel, link: str) -> tuple[str, Frame]:
     """The link that carries another by fixed joints alone, farthest towards the root; and the other's frame in its frame."""
     above = {joint.child: joint for joint in model.joints if not joint.moves}
     frame = IDENTITY_FRAME
@@ -246,7 +246,7 @@ class Overrides:
         of = OfLink(self.robot, link.name)
         factors = self.namespace.triple(change, "scale", stage=Stage.EPISODE)
         if factors:
-            model = self._accepted(model, edits.stretch(model, link.name, factors), change, "scale")
+            model = self._accepted(model, edits.with_scale(model, link.name, factors), change, "scale")
         if change.density is not None:
             model = self._change_density(model, link.name, change)
         elif change.mass is not None:
@@ -272,7 +272,7 @@ class Overrides:
             return model  # a pattern means the links that have a mass
         of, scope = OfLink(self.robot, link.name), self._scope(MASS, link.inertial.mass if link.inertial else None)
         mass = self.namespace.scalar_or_randomized(change, "mass", "mass", of, None, scope=scope)
-        if mass == 0 and not self.namespace.varies("mass", of):
+        if mass == 0 and not self.namespace.is_randomized("mass", of):
             span = self.values.field(change, "mass").span
             self.values.findings.add("DB105", span, "`mass` is 0 kg", help="give more than 0 kg")
         return self._accepted(model, edits.with_mass(model, link.name, mass), change, "mass") if mass else model
@@ -285,7 +285,7 @@ class Overrides:
         return new
 
     def _change_joint(self, model: RobotModel, joint: Joint, change: JointOverride) -> RobotModel:
-        position, effort, limit = joint_dimension(joint), effort_of(joint), joint.limit
+        position, effort, limit = joint_dimension(joint), effort_dimension(joint), joint.limit
 
         def drawn(key: str, what: JointParameter, urdf: float | None, dimension: Dimension) -> float | None:
             of, scope = OfJoint(self.robot, joint.name), self._scope(dimension, urdf)
@@ -395,7 +395,7 @@ def load_robot(name: str, spec: RobotSpec, namespace: Namespace) -> RobotScene |
     file_at = located(spec.urdf, values.field(spec, "urdf").span, document, values, robot=True)
     if file_at is None:
         return None
-    resolve_mesh = meshes.beside(file_at.parent, (*document.roots, *meshes.package_of(spec.urdf)))
+    resolve_mesh = meshes.mesh_resolver(file_at.parent, (*document.roots, *meshes.package_folders(spec.urdf)))
     found = Findings()
     file = read(file_at, files.display(file_at), found, resolve_mesh=resolve_mesh)
     if file is None:
@@ -418,7 +418,7 @@ def _tell(found: Findings, values: Values, has_mass: Sequence[Span]) -> None:
 def located(reference: str, span: Span, document: Document, values: Values, *, robot: bool = False) -> FilePath | None:
     """The file that the scenario names at `span`: in the project, in an installed package, or, of a `robot`, a shipped one."""
     if reference.startswith("package://"):
-        found = meshes.in_package(reference)
+        found = meshes.package_file(reference)
         if found is None:
             help = "the package must be installed and contain this file"
             values.findings.add("DB204", span, f"`{reference}` does not exist", help=help)

@@ -8,7 +8,7 @@ from functools import partial
 
 from deepbots_cli.compiler.namespace import Namespace, Origin, SupervisorScope
 from deepbots_cli.compiler.values import Text
-from deepbots_cli.diagnostics.nearest import Meant
+from deepbots_cli.diagnostics.nearest import Replacement
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import NUMBER
 from deepbots_cli.expressions.intervals import EVERYTHING, TRUTH, Interval
@@ -134,7 +134,7 @@ def _amount(text: Text, namespace: Namespace) -> Typed | None:
     if typed is not None and typed.type.boolean:
         help = f"give it a value, as in `1 when {text.text if len(text.text) <= _SHOWN else '...'}`"
         worth = "a truth value where a number belongs"
-        report("DB403", 0, len(text.text), worth, help, Meant(f"1 when {text.text}", safe=False))
+        report("DB403", 0, len(text.text), worth, help, Replacement(f"1 when {text.text}", safe=False))
         return None
     return typed and expect(typed, report, "a reward", dimension=NUMBER)
 

@@ -42,11 +42,12 @@ class Sensing:
             self._add(name, spec)
         self._check_size()
 
-    def finished(self, tick: float) -> tuple[Sensor, ...]:
-        """The sensors in a world whose timestep is `tick` s, which their periods are multiples of."""
+    def finished(self, timestep: float) -> tuple[Sensor, ...]:
+        """The sensors in a world whose timestep is `timestep` s, which their periods are multiples of."""
         specs = self._scene.spec.sensors
         return tuple(
-            replace(found, faults=_with_period(found.faults, self._namespace, specs[name], tick)) for name, found in self._sensors.items()
+            replace(found, faults=_with_period(found.faults, self._namespace, specs[name], timestep))
+            for name, found in self._sensors.items()
         )
 
     def _check_size(self) -> None:
@@ -336,14 +337,14 @@ def _owner(path: Path, field: str) -> OfSensor:
     return OfSensor(str(path[1]), str(path[3]), field)
 
 
-def _with_period(faults: NoiseModel | None, namespace: Namespace, spec: SensorSpec, tick: float) -> NoiseModel | None:
+def _with_period(faults: NoiseModel | None, namespace: Namespace, spec: SensorSpec, timestep: float) -> NoiseModel | None:
     """The errors with the period of the sensor, in timesteps; DB308 for a period that is no whole number of them."""
     seconds, values = namespace.fixed(spec, "period"), namespace.values
     if seconds is None or values.is_invalid("world.timestep"):
         return faults
-    ticks, span = round(seconds / tick), values.span((*spec.path, "period"))
-    if ticks < 1 or abs(seconds - ticks * tick) > 1e-9 * seconds:
-        headline = f"the period of {seconds:g} s is not a multiple of the timestep of {tick:g} s"
+    ticks, span = round(seconds / timestep), values.span((*spec.path, "period"))
+    if ticks < 1 or abs(seconds - ticks * timestep) > 1e-9 * seconds:
+        headline = f"the period of {seconds:g} s is not a multiple of the timestep of {timestep:g} s"
         values.findings.add("DB308", span, headline, help="write a multiple of the timestep")
     elif ticks > MAX_TICKS:
         values.findings.add("DB105", span, f"the period is {ticks:,} timesteps", help=f"give at most {MAX_TICKS:,} timesteps")

@@ -125,8 +125,8 @@ class _Reader:
     def _steps(self, spec: TestSpec, policy: str | tuple[FixedAction, ...] | None) -> int:
         """The largest number of steps of an episode; a finding if all episodes of the test may take too many."""
         period = self._program.period
-        own = Truncation(spec.max_steps, self._namespace.fixed(spec, "max_time")).last_step(period)
-        steps = min(own, self._program.truncation.last_step(period), len(policy) if isinstance(policy, tuple) else own)
+        own = Truncation(spec.max_steps, self._namespace.fixed(spec, "max_time")).max_episode_steps(period)
+        steps = min(own, self._program.truncation.max_episode_steps(period), len(policy) if isinstance(policy, tuple) else own)
         total = steps * self._program.action_repeat * spec.episodes
         if total > MAX_STEPS and self._program.truncation != Truncation():
             help = "give fewer `episodes`, `max_steps` or `max_time`"

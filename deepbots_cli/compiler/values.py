@@ -12,7 +12,7 @@ from collections.abc import Mapping as Table
 from typing import Any, NamedTuple
 
 from deepbots_cli.diagnostics import Findings, Fix, Label, Span
-from deepbots_cli.diagnostics.nearest import Meant, meant, nearest
+from deepbots_cli.diagnostics.nearest import Replacement, nearest, suggest_replacement
 from deepbots_cli.document.nodes import Mapping, Node, Path, Scalar, descend, to_data
 from deepbots_cli.document.nodes import Sequence as SequenceNode
 from deepbots_cli.expressions import check, parser, syntax
@@ -26,13 +26,13 @@ from deepbots_cli.expressions.types import (
     Stage,
     Typed,
     TypedRange,
-    zero,
+    is_bare_zero,
 )
 from deepbots_cli.expressions.unification import expect, expect_kind, expect_range
 from deepbots_cli.program.values import Expression, Noise
 from deepbots_cli.scenario.base import Section, fields
 from deepbots_cli.scenario.fields import FieldType, Quantity, choose_from, other_name
-from deepbots_cli.scenario.validate import meant_by
+from deepbots_cli.scenario.validate import replacement_for
 
 _KEY_BEFORE = re.compile(r"(?<![\w.])([\w.]+)['\"]?\s*:\s*$")
 ANY = "*"
@@ -49,7 +49,7 @@ def invalid_names(root: Mapping, pruned: Iterable[Path], found: Iterable[Span]) 
     for path in pruned:
         node, key, steps = descend(root, path)
         if steps == len(path):
-            near = meant_by(data, path)
+            near = replacement_for(data, path)
             names.update([key.text] if key else [], [near.text] if near else [], _names(node))
             if path[-1:] and path[-1] in _OF_NAMES and not isinstance(node, Mapping):
                 names.add(ANY)
@@ -184,7 +184,7 @@ class Values:
         """Note that the definition of `name` had a finding."""
         self._invalid.add(name)
 
-    def stands(self, path: Path) -> bool:
+    def is_present(self, path: Path) -> bool:
         """Whether the scenario holds this key, be its value right or not."""
         return descend(self.root, path)[2] == len(path)
 
@@ -196,27 +196,27 @@ class Values:
         """A finding that `name` is none of the `known`, unless its definition had one."""
         if not self.is_invalid(name):
             help = choose_from(name, known) if known else "the scenario has none"
-            near = meant(name, known)
+            near = suggest_replacement(name, known)
             fix = Fix.replacing(span, name, near.text, safe=near.safe) if near else None
             self.findings.add(code, span, f"there is no {what} `{name}`", help=help, fix=fix)
 
     def report(self, text: Text) -> Report:
         """Takes findings at offsets of `text`."""
 
-        def report(code: str, start: int, end: int, headline: str, help: str | None = None, meant: Meant | None = None) -> None:
+        def report(code: str, start: int, end: int, headline: str, help: str | None = None, replacement: Replacement | None = None) -> None:
             span, piece = text.part(start, end), text.text[start:end]
             if code == "DB502" and any(found.code == "DB106" and found.span == span for found in self.findings):
                 return  # what to write instead of too few numbers shows the unit
-            word = self._word_meant(text, piece) if code == "DB402" else None
+            word = self._word_replacement(text, piece) if code == "DB402" else None
             if word and not (help or "").startswith("did you mean"):
-                help, meant = f"did you mean `{word}`? {help}", Meant(word, safe=False)
-            fix = Fix.replacing(span, piece, meant.text, safe=meant.safe) if meant else None
+                help, replacement = f"did you mean `{word}`? {help}", Replacement(word, safe=False)
+            fix = Fix.replacing(span, piece, replacement.text, safe=replacement.safe) if replacement else None
             self.findings.add(code, span, headline, help=help, fix=fix)
 
         return report
 
     @staticmethod
-    def _word_meant(text: Text, piece: str) -> str | None:
+    def _word_replacement(text: Text, piece: str) -> str | None:
         """Of a field that takes words beside numbers, the one that an unknown name stands for."""
         words = text.kind.words if isinstance(text.kind, Quantity) and piece == text.text.strip() else ()
         return other_name(piece, words) or nearest(piece, words) if words else None
@@ -337,7 +337,7 @@ class Values:
         if not falling and any(high <= low for low, high in zip(lows, highs, strict=True)):
             self.findings.add("DB105", text.span, "an empty range", help="give two different ends")
             return None
-        return Ends((bounds.high if zero(bounds.low) else bounds.low).type.dimension, lows, highs)
+        return Ends((bounds.high if is_bare_zero(bounds.low) else bounds.low).type.dimension, lows, highs)
 
 
 def _with_unit(number: float, unit: str) -> str:

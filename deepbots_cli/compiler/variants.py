@@ -14,8 +14,8 @@ from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.scoring import NO_SUCCESS
 from deepbots_cli.diagnostics import Findings, Label, Span
 from deepbots_cli.document import Document, Entry, Mapping, Path, descend
-from deepbots_cli.document.load import place
-from deepbots_cli.document.nodes import Scalar, follow, measure, without
+from deepbots_cli.document.load import apply_setting
+from deepbots_cli.document.nodes import Scalar, count_and_depth, follow_dotted, without
 from deepbots_cli.program import CurriculumStage, EvaluationCase, Program, identity
 from deepbots_cli.program.task import (
     ActionNoise,
@@ -129,7 +129,7 @@ _FIXED = ("deepbots", "name", "summary", "agent", "action", "observation", "goal
 _OTHERS: tuple[Path, ...] = (("curriculum",), ("evaluation", "cases"))
 
 Check = Callable[[Document], "Checked"]
-Word = Literal["case", "stage"]
+VariantKind = Literal["case", "stage"]
 
 
 def with_cases(
@@ -139,7 +139,7 @@ def with_cases(
     if document.root is None:
         return (), program
     maker = _Maker(document, document.root, program, findings, check)
-    count, size = len(spec.evaluation.cases) + len(spec.curriculum), measure(document.root)[0]
+    count, size = len(spec.evaluation.cases) + len(spec.curriculum), count_and_depth(document.root)[0]
     if count > MAX_VARIANTS or count * size > MAX_VALUES:
         many = f"more than {MAX_VARIANTS} cases and stages"
         if count <= MAX_VARIANTS:
@@ -202,7 +202,7 @@ class _Maker:
                 help = "remove it; `solved` determines when the training ends"
                 self.report("DB407", (*path, "until"), "the last stage has an `until`", help)
 
-    def program(self, word: Word, name: str, path: Path) -> Program | None:
+    def program(self, word: VariantKind, name: str, path: Path) -> Program | None:
         """The task under the `set` at `path`; None after a finding."""
         settings = descend(self._root, (*path, "set"))
         entries = settings[0].entries.values() if settings[2] > len(path) and isinstance(settings[0], Mapping) else ()
@@ -212,7 +212,7 @@ class _Maker:
         root = without(self._root, (*_OTHERS, *self._tests(word, name)))
         assert isinstance(root, Mapping)  # as it was
         for entry in entries:
-            root = place(root, entry, findings)
+            root = apply_setting(root, entry, findings)
         checked = self._check(replace(self._document, root=root, findings=findings))
         self.checked.append(checked)
         here = self._place(word, path)
@@ -224,20 +224,20 @@ class _Maker:
                 self._findings.append(replace(found, also=also))
         return checked.program if checked.program is not None and self._is_bearable(checked.program, word, name, here) else None
 
-    def _tests(self, word: Word, name: str) -> Iterator[Path]:
+    def _tests(self, word: VariantKind, name: str) -> Iterator[Path]:
         """What the variant leaves out of `tests`: all other tests, and the keys that name the variant, which has no variants itself."""
         tests = self._root.get("tests")
         for test, entry in tests.entries.items() if isinstance(tests, Mapping) else ():
             named = entry.value.get(word) if isinstance(entry.value, Mapping) else None
             yield ("tests", test, word) if isinstance(named, Scalar) and named.text == name else ("tests", test)
 
-    def _place(self, word: Word, path: Path) -> Span:
+    def _place(self, word: VariantKind, path: Path) -> Span:
         node, key, _ = descend(self._root, path if word == "case" else (*path, "name"))
         return key.span if key and word == "case" else node.span
 
-    def _is_fixed(self, entry: Entry, word: Word) -> bool:
+    def _is_fixed(self, entry: Entry, word: VariantKind) -> bool:
         """Whether a setting speaks of what a policy is made for, after a finding that says so."""
-        steps, _, rest = follow(self._root, entry.key.text.strip())
+        steps, _, rest = follow_dotted(self._root, entry.key.text.strip())
         head = str(steps[0]) if steps else rest.split(".")[0]
         parameters = self._root.get("parameters")
         if head not in _FIXED or (isinstance(parameters, Mapping) and entry.key.text in parameters.entries):
@@ -246,7 +246,7 @@ class _Maker:
         self._findings.add("DB407", entry.key.span, f"a {word} that changes `{head}`", help=help)
         return True
 
-    def _is_bearable(self, program: Program, word: Word, name: str, here: Span) -> bool:
+    def _is_bearable(self, program: Program, word: VariantKind, name: str, here: Span) -> bool:
         """Whether a policy for the scenario itself can act in this one, else after a finding."""
         lines = identity.differences(self._base, program, words=("elsewhere", "here"))
         if word == "stage" and program.world.timestep != self._base.world.timestep:

@@ -18,7 +18,7 @@ from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import lower, op
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 from deepbots_cli.expressions.types import PLANE, Context, Stage, Symbol, Type
-from deepbots_cli.files import MAX_PICTURE_BYTES, picture_fault, read_at_most
+from deepbots_cli.files import MAX_PICTURE_BYTES, picture_problem, read_at_most
 from deepbots_cli.program.resets import Group, OfLink, OfWalls, OfWorld
 from deepbots_cli.program.world import (
     ARENA_WALLS,
@@ -45,7 +45,7 @@ from deepbots_cli.program.world import (
 )
 from deepbots_cli.robots import meshes
 from deepbots_cli.robots.inertia import volume
-from deepbots_cli.robots.meshes import measure
+from deepbots_cli.robots.meshes import mesh_size
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Mesh, Pose, Shape, Sphere
 from deepbots_cli.scenario import world as world_spec
 from deepbots_cli.scenario.fields import COLOURS
@@ -103,8 +103,8 @@ def mesh(namespace: Namespace, spec: world_spec.Mesh | world_spec.MeshTerrain) -
     found = located(reference, values.span(place), namespace.document, values)
     if found is None or factors is None:
         return None
-    loaded = meshes.Meshes(lambda _reference: found).load(reference)
-    if isinstance(loaded, meshes.Refusal):
+    loaded = meshes.MeshReader(lambda _reference: found).load(reference)
+    if isinstance(loaded, meshes.UnusableMesh):
         values.findings.add("DB301", values.span(place), loaded.why, help=loaded.help)
         return None
     if 0.0 in factors:
@@ -120,7 +120,7 @@ def mesh(namespace: Namespace, spec: world_spec.Mesh | world_spec.MeshTerrain) -
 def _is_sensible(namespace: Namespace, place: Path, file: FilePath, mesh: Mesh) -> bool:
     """Whether an engine can hold so many triangles; a size that is hardly meant is a warning."""
     findings, span = namespace.values.findings, namespace.values.span(place)
-    measured = measure(file.suffix.lower(), file.read_bytes())
+    measured = mesh_size(file.suffix.lower(), file.read_bytes())
     if measured is None:
         return True
     if measured.triangles > MAX_TRIANGLES:
@@ -142,7 +142,7 @@ def picture(namespace: Namespace, path: Path, reference: str) -> tuple[str, str]
     if found is None:
         return None
     data = read_at_most(found, MAX_PICTURE_BYTES + 1)
-    wrong = picture_fault(data)
+    wrong = picture_problem(data)
     if wrong is not None:
         help = "save it as a grey PNG of 8 or 16 bits, without interlacing"
         namespace.values.findings.add("DB103", span, wrong, help=help)

@@ -19,7 +19,7 @@ from deepbots_cli.diagnostics.findings import (
     Source,
     Span,
     TooManyFindings,
-    shielded,
+    faults_as_findings,
 )
 from deepbots_cli.diagnostics.registry import RULES, Rule, Severity
 
@@ -37,5 +37,5 @@ __all__ = [
     "Source",
     "Span",
     "TooManyFindings",
-    "shielded",
+    "faults_as_findings",
 ]

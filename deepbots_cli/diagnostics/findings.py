@@ -149,7 +149,7 @@ class Finding:
         return RULES[self.code].name
 
     @property
-    def is_fault(self) -> bool:
+    def is_internal_error(self) -> bool:
         """Whether it reports a fault of deepbots (DB903) and not of the scenario."""
         return self.code == "DB903"
 
@@ -158,28 +158,28 @@ class Finding:
         return (self.span.source.name, self.span.start, self.span.end, self.code, self.headline)
 
 
-def shielded(what: str, source: Source, find: Callable[[], Iterable[Finding]]) -> Iterator[Finding]:
+def faults_as_findings(what: str, source: Source, find: Callable[[], Iterable[Finding]]) -> Iterator[Finding]:
     """The findings of `find`; an exception ends them with a DB903 (see `failure`)."""
     try:
         yield from find()
     except Exception as error:  # noqa: BLE001  # a fault of deepbots must not hide other findings
-        yield failure(what, source, error)
+        yield exception_finding(what, source, error)
 
 
-def failure(what: str, source: Source, error: Exception) -> Finding:
+def exception_finding(what: str, source: Source, error: Exception) -> Finding:
     """A DB903 at the start of `source` for an exception in `what`, such as `the rule DB705`; DEEPBOTS_DEBUG=1 raises it again."""
     if os.environ.get("DEEPBOTS_DEBUG") == "1":
         raise error
-    return fault(what, source, described(error))
+    return internal_error(what, source, describe_exception(error))
 
 
-def fault(what: str, source: Source, description: str) -> Finding:
-    """The DB903 for `what`; `described` gives the description."""
+def internal_error(what: str, source: Source, description: str) -> Finding:
+    """The DB903 for `what`; `describe_exception` gives the description."""
     help = "this is a fault of deepbots; report this message together with the file (DEEPBOTS_DEBUG=1 shows the traceback)"
     return Finding("DB903", Span(source, 0, 0), f"{what} failed on this file: {description}", help)
 
 
-def described(error: BaseException) -> str:
+def describe_exception(error: BaseException) -> str:
     """Type and message of an exception on one line, and the innermost place in deepbots of its traceback: `module:line`."""
     place, trace = "", error.__traceback__
     while trace is not None:
@@ -233,7 +233,7 @@ class Findings:
         last = Finding("DB005", too_many.one.span, f"more than {self.limit} findings", help)
         self._found.setdefault(last.sort_key, last)
 
-    def advise(self, finding: Finding, help: str) -> None:
+    def replace_help(self, finding: Finding, help: str) -> None:
         """Replace the help of a finding that was added."""
         self._found[finding.sort_key] = replace(finding, help=help)
 

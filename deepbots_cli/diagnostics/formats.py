@@ -10,7 +10,7 @@ from urllib.parse import quote
 from deepbots_cli import __version__
 from deepbots_cli.diagnostics.findings import Finding, Fix, Source, Span
 from deepbots_cli.diagnostics.registry import RULES, Severity
-from deepbots_cli.diagnostics.render import message, safe, shortened
+from deepbots_cli.diagnostics.render import escaped, message, shortened
 
 Object = dict[str, object]
 Explain = Callable[[str], tuple[str, str]]
@@ -59,17 +59,19 @@ def junit(findings: Sequence[Finding], files: Sequence[str], failing: Collection
     suites = {_relative(name): [finding for finding in findings if finding.span.source.name == name] for name in names}
     root = ElementTree.Element("testsuites", {"name": "deepbots lint"} | _counts(suites.values(), failing))
     for file, found in suites.items():
-        suite = ElementTree.SubElement(root, "testsuite", {"name": safe(file)} | _counts([found], failing))
+        suite = ElementTree.SubElement(root, "testsuite", {"name": escaped(file)} | _counts([found], failing))
         if not found:
-            ElementTree.SubElement(suite, "testcase", name="no findings", classname=safe(file), time="0")
+            ElementTree.SubElement(suite, "testcase", name="no findings", classname=escaped(file), time="0")
         for finding in found:
             line, column = finding.span.begin
             headline = shortened(finding.headline)
             # Programs merge cases that have the same name.
             name = f"{finding.code} {finding.name} at {line}:{column}: {headline}"
-            case = ElementTree.SubElement(suite, "testcase", name=name, classname=safe(file), file=safe(file), line=str(line), time="0")
-            if finding.severity in failing or finding.is_fault:
-                outcome = "error" if finding.is_fault else "failure"
+            case = ElementTree.SubElement(
+                suite, "testcase", name=name, classname=escaped(file), file=escaped(file), line=str(line), time="0"
+            )
+            if finding.severity in failing or finding.is_internal_error:
+                outcome = "error" if finding.is_internal_error else "failure"
                 inner = ElementTree.SubElement(case, outcome, type=finding.code, message=headline)
             else:
                 inner = ElementTree.SubElement(case, "system-out")
@@ -80,8 +82,8 @@ def junit(findings: Sequence[Finding], files: Sequence[str], failing: Collection
 
 def _counts(suites: Collection[list[Finding]], failing: Collection[Severity]) -> dict[str, str]:
     findings = [finding for suite in suites for finding in suite]
-    faults = sum(finding.is_fault for finding in findings)
-    failed = sum(finding.severity in failing and not finding.is_fault for finding in findings)
+    faults = sum(finding.is_internal_error for finding in findings)
+    failed = sum(finding.severity in failing and not finding.is_internal_error for finding in findings)
     return {"tests": str(sum(len(suite) or 1 for suite in suites)), "failures": str(failed), "errors": str(faults), "time": "0"}
 
 

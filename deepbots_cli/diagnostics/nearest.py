@@ -16,7 +16,7 @@ _MIN_PREFIX = 3
 """Letters from which on a word may be the beginning of a longer one, as `left` of `left_hinge`."""
 
 
-class Meant(NamedTuple):
+class Replacement(NamedTuple):
     """The replacement of a word, and whether it is certain."""
 
     text: str
@@ -35,7 +35,7 @@ def nearest(word: str, known: Iterable[str], cutoff: float = 0.6) -> str | None:
     return longer[0] if len(longer) == 1 else None
 
 
-def meant(word: str, known: Iterable[str], *, ours: bool = False) -> Meant | None:
+def suggest_replacement(word: str, known: Iterable[str], *, of_language: bool = False) -> Replacement | None:
     """The nearest of the `known` words as a replacement.
 
     It is certain only among words of the language (`ours`), and only if exactly one of them is a slip away. Names that a
@@ -45,10 +45,10 @@ def meant(word: str, known: Iterable[str], *, ours: bool = False) -> Meant | Non
     near = nearest(word, words)
     if near is None:
         return None
-    return Meant(near, ours and [other for other in words if is_slip(word, other)] == [near])
+    return Replacement(near, of_language and [other for other in words if is_typo(word, other)] == [near])
 
 
-def is_slip(word: str, other: str) -> bool:
+def is_typo(word: str, other: str) -> bool:
     """Whether two words differ only by case, by underscores, or by one letter: replaced, missing, added, or two swapped."""
     word, other = (text[:_MAX_LENGTH].lower().replace("_", "").replace("-", "") for text in (word, other))
     if word == other:

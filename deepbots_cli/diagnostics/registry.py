@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from deepbots_cli.diagnostics.nearest import nearest
-from deepbots_cli.plugins import Table
+from deepbots_cli.plugins import PluginTable
 
 Severity = Literal["error", "warning"]
 
@@ -166,17 +166,17 @@ def _read(_name: str, found: Any) -> Iterator[tuple[str, Rule]]:
         yield rule.code, rule
 
 
-RULES: Table[Rule] = Table("deepbots.rules", {entry.code: entry for entry in _CATALOGUE}, _read)
+RULES: PluginTable[Rule] = PluginTable("deepbots.rules", {entry.code: entry for entry in _CATALOGUE}, _read)
 
 
-def with_prefix(word: str) -> tuple[Rule, ...]:
+def matching_rules(word: str) -> tuple[Rule, ...]:
     """The rule whose code or name is `word`, whatever its case, or all rules whose codes begin with it."""
     wanted = word.strip().lower().replace("_", "-")
     named = tuple(rule for rule in RULES.values() if wanted == rule.name)
     return named or tuple(rule for rule in RULES.values() if rule.code.lower().startswith(wanted))
 
 
-def unknown(word: str) -> str:
+def unknown_rule_message(word: str) -> str:
     """The message for a word that fits no rule."""
     is_code = word[:2].upper() == "DB" and word[2:3].isdigit()
     near = nearest(word, [rule.code if is_code else rule.name for rule in RULES.values()])

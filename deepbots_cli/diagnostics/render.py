@@ -25,14 +25,14 @@ _UNSAFE = re.compile("[\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u206f
 _COMMAND = re.compile(r"^([ \t]*):(?=:)|(#)(?=#(?:vso)?\[)", re.MULTILINE)
 
 
-def safe(text: str) -> str:
+def escaped(text: str) -> str:
     """`text` on one line, with unsafe characters as escapes."""
     return _UNSAFE.sub(lambda found: f"\\u{{{ord(found.group()):x}}}", text)
 
 
 def shortened(text: str) -> str:
     """A message on one line; it may quote a text of any length."""
-    return safe(text if len(text) <= _MAX_SENTENCE else text[:_MAX_SENTENCE] + "…")
+    return escaped(text if len(text) <= _MAX_SENTENCE else text[:_MAX_SENTENCE] + "…")
 
 
 def inert(text: str) -> str:
@@ -81,7 +81,7 @@ def _counts(findings: Iterable[Finding]) -> dict[Severity, int]:
 
 def _concise(finding: Finding) -> str:
     help = f" ({shortened(finding.help)})" if finding.help else ""
-    return f"{safe(finding.span.where)}: {finding.severity} {finding.code}[{finding.name}] {shortened(finding.headline)}{help}"
+    return f"{escaped(finding.span.where)}: {finding.severity} {finding.code}[{finding.name}] {shortened(finding.headline)}{help}"
 
 
 def _json(findings: list[Finding]) -> str:
@@ -124,8 +124,8 @@ class _Painter:
         lines = [f"{head}: {self.paint('bold', shortened(finding.headline))}"]
         for source in dict.fromkeys(label.span.source for label in labels):
             first = next(label.span for label in labels if label.span.source is source)
-            lines.append(f"{' ' * gutter}{self.paint('frame', '-->')} {safe(first.where)}")
-            lines.extend(f"{' ' * gutter}    included from {safe(span.where)}" for span in source.chain)
+            lines.append(f"{' ' * gutter}{self.paint('frame', '-->')} {escaped(first.where)}")
+            lines.extend(f"{' ' * gutter}    included from {escaped(span.where)}" for span in source.chain)
             lines.extend(self.snippet(source, finding, gutter))
         frame = f"{' ' * gutter} {self.paint('frame', '=')} "
         lines.extend(f"{frame}note: {shortened(note)}" for note in finding.notes)
@@ -171,7 +171,7 @@ class _Line:
         self.cells: list[str] = []
         room = width - len(self.prefix) - 1
         for character in line[self.first : self.first + width]:
-            cell = _TAB if character == "\t" else safe(character)
+            cell = _TAB if character == "\t" else escaped(character)
             room -= columns(cell)
             if room < 0:
                 break

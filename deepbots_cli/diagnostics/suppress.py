@@ -13,7 +13,7 @@ from itertools import islice
 
 from deepbots_cli.diagnostics.findings import Edit, Finding, Fix, Source, Span
 from deepbots_cli.diagnostics.nearest import nearest
-from deepbots_cli.diagnostics.registry import RULES, unknown, with_prefix
+from deepbots_cli.diagnostics.registry import RULES, matching_rules, unknown_rule_message
 from deepbots_cli.errors import UsageError
 
 _UNREADABLE = ("DB0", "DB1")
@@ -29,7 +29,7 @@ _MAX_CODES = 1000
 
 
 @dataclass(frozen=True)
-class Words:
+class RuleSelectors:
     """The words of `select` or `ignore`, and their source: an option or a settings file."""
 
     words: tuple[str, ...]
@@ -49,29 +49,31 @@ class Selection:
         UsageError: A word fits no finding; the message suggests one.
     """
 
-    def __init__(self, select: Words | None = None, ignore: Words | None = None, *, preview: bool = False, deep: bool = False) -> None:
+    def __init__(
+        self, select: RuleSelectors | None = None, ignore: RuleSelectors | None = None, *, preview: bool = False, deep: bool = False
+    ) -> None:
         if select is not None and not select.words:
             raise UsageError(f"{select.source.name}: nothing is selected; leave 'select' out to select every rule")
         self._select = None if select is None else _codes(select)
         self._ignore = _codes(ignore) if ignore else {}
         self._preview = preview
         self._deep = deep
-        self._words = select or Words((), Source("", ""))
+        self._words = select or RuleSelectors((), Source("", ""))
 
     @property
     def is_everything(self) -> bool:
         return self._select is None and not self._ignore
 
-    def wants(self, finding: Finding) -> bool:
+    def selects(self, finding: Finding) -> bool:
         """Whether the finding is shown: it is selected, or an error in text or shape, or a fault of deepbots."""
         unreadable = finding.severity == "error" and finding.code.startswith(_UNREADABLE)
-        return unreadable or finding.is_fault or self._has(finding.code)
+        return unreadable or finding.is_internal_error or self._has(finding.code)
 
     def inactive_rules(self) -> list[Finding]:
         """A DB902 for each rule that is selected by itself and does not run: it is in preview, or needs a simulation."""
         found = []
         for word in self._words.words if "DB902" not in self._ignore else ():
-            entries = with_prefix(word)
+            entries = matching_rules(word)
             if len(entries) != 1 or not self._has(entries[0].code):
                 continue
             rule, span = entries[0], self._words.span(word)
@@ -89,13 +91,13 @@ class Selection:
         return chosen > self._ignore.get(code, -1)
 
 
-def _codes(given: Words) -> Mapping[str, int]:
+def _codes(given: RuleSelectors) -> Mapping[str, int]:
     """The codes that the words fit, each with the length of the longest word; a name is as long as a code."""
     fitting: dict[str, int] = {}
     for word in given.words:
-        entries = with_prefix(word)
+        entries = matching_rules(word)
         if not word.strip() or not entries:
-            raise UsageError(f"{given.source.name}: {unknown(word)}")
+            raise UsageError(f"{given.source.name}: {unknown_rule_message(word)}")
         for entry in entries:
             length = min(len(word.strip()), len(entry.code))
             fitting[entry.code] = max(length, fitting.get(entry.code, 0))

@@ -31,7 +31,7 @@ FORBIDDEN = re.compile("[^\t\n\r\x20-\x7e\xa0-\u2027\u202a-\ud7ff\ue000-\ufefe\u
 
 
 @dataclass(frozen=True)
-class Refused:
+class UnusableFile:
     """Why a file that a scenario names cannot be read; `headline` and `help` make the finding."""
 
     reason: Literal["missing", "outside", "irregular"]
@@ -63,7 +63,7 @@ def _similar(path: Path) -> str | None:
         return None
 
 
-def resolve(reference: str, base: Path, roots: Iterable[Path]) -> Path | Refused:
+def resolve(reference: str, base: Path, roots: Iterable[Path]) -> Path | UnusableFile:
     """The file for `reference`, written in a file of the folder `base`.
 
     Symbolic links are followed before the path is compared with the `roots`, whose links are already followed.
@@ -73,13 +73,13 @@ def resolve(reference: str, base: Path, roots: Iterable[Path]) -> Path | Refused
     try:
         path = path.resolve()
         if not any(path.is_relative_to(root) for root in roots):
-            return Refused("outside", reference, path, roots)
+            return UnusableFile("outside", reference, path, roots)
         if path.is_file():
             return path
-        return Refused("irregular" if path.exists() else "missing", reference, path, roots)
+        return UnusableFile("irregular" if path.exists() else "missing", reference, path, roots)
     except (OSError, RuntimeError):
         # The name is too long, links form a loop, or a folder may not be entered.
-        return Refused("missing", reference, path, roots)
+        return UnusableFile("missing", reference, path, roots)
 
 
 def project_root(folder: Path) -> Path:

@@ -40,7 +40,7 @@ def _tokens(text: str) -> Iterator[Token]:
         yield Token(_BLOCKS.get(token.id, token.id), token.start_mark.index, token.end_mark.index)
 
 
-def tidy(text: str) -> str | None:
+def canonical_text(text: str) -> str | None:
     """`text`, which must parse without findings, in the canonical layout; None if that would change its meaning.
 
     All lines get the line end of the first.
@@ -263,7 +263,7 @@ _REST_OF_LINE = re.compile(r"[ \t]*(?:,?[ \t]+#[^\n]*|\r?)(?:\n|$)")
 _COMMA = re.compile(r"[ \t]*,[ \t]*")
 
 
-def removing(root: Node, path: Path) -> Fix | None:
+def removal_fix(root: Node, path: Path) -> Fix | None:
     """The fix that removes the entry at `path`, with its lines or with a comma beside it.
 
     None for the only entry of its mapping, a list item, and an entry that shares its lines or its comma with other text.

@@ -16,11 +16,11 @@ from pathlib import Path
 from deepbots_cli.diagnostics import MAX_FINDINGS, Findings, Fix, Label, Source, Span, TooManyFindings
 from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.document import files, nodes, shipped
-from deepbots_cli.document.nodes import Entry, Mapping, Node, Scalar, Sequence, descend, follow, measure, without
+from deepbots_cli.document.nodes import Entry, Mapping, Node, Scalar, Sequence, count_and_depth, descend, follow_dotted, without
 from deepbots_cli.document.nodes import Path as NodePath
 from deepbots_cli.document.parse import MAX_DEPTH, MAX_EXPANDED, Budget, parse
 from deepbots_cli.errors import UsageError
-from deepbots_cli.renames import former, headline
+from deepbots_cli.renames import headline, renames_of
 
 MAX_CHAIN = 32
 TESTS = "tests"
@@ -203,7 +203,7 @@ class _Reader:
                 return merge(included, replace(node, entries=below))
 
     def is_affordable(self, included: Mapping, entry: Entry, depth: int) -> bool:
-        size, height = measure(included)
+        size, height = count_and_depth(included)
         self.budget.expanded -= size
         if self.budget.expanded < 0:
             headline = f"included files expand to more than {MAX_EXPANDED:,} values"
@@ -221,7 +221,7 @@ class _Reader:
             self.findings.add("DB103", value.span, f"`{word}` takes the path of one file", help=f"write `{word}: file.yaml`")
             return None
         path = files.resolve(value.text, folder, self.roots)
-        if isinstance(path, files.Refused):
+        if isinstance(path, files.UnusableFile):
             found = shipped.scenario_path(value.text) if word == "extends" else None
             copied = f"`deepbots copy {value.text}` puts a copy beside this file, to be named as `{value.text}.yaml`"
             self.findings.add("DB204", value.span, path.headline, help=copied if found else path.help)
@@ -284,10 +284,10 @@ class _Reader:
         """As `follow`, for a path under `remove`; DB109 for each former name of a key in it."""
         path = item.text
         while True:
-            steps, reached, rest = follow(tree, path)
+            steps, reached, rest = follow_dotted(tree, path)
             name, _, below = rest.partition(".")
             keys = reached.entries if isinstance(reached, Mapping) and not (steps and steps[-1] in _OF_NAMES) else {}
-            rename = next((each for each in former(name) if each.what == "key" and each.new in keys), None)
+            rename = next((each for each in renames_of(name) if each.what == "key" and each.new in keys), None)
             if rename is None:
                 return steps, reached, rest
             end = len(item.text) - len(below) - bool(below)
@@ -358,17 +358,17 @@ def assign(root: Mapping, assignment: str, findings: Findings, budget: Budget | 
     return root
 
 
-def place(root: Mapping, setting: Entry, findings: Findings) -> Mapping:
+def apply_setting(root: Mapping, setting: Entry, findings: Findings) -> Mapping:
     """`root` after a setting of a file: its key is the path, its value the new value."""
     return _set(root, setting.key, setting.value, setting.key.span, findings)
 
 
-def under(root: Mapping, path: NodePath) -> Mapping:
+def with_settings_at(root: Mapping, path: NodePath) -> Mapping:
     """`root` after the settings of the evaluation case or curriculum stage at `path`."""
     settings, _, reached = descend(root, (*path, "set"))
     if reached > len(path) and isinstance(settings, Mapping):
         for entry in settings.entries.values():
-            root = place(root, entry, Findings())
+            root = apply_setting(root, entry, Findings())
     return root
 
 
@@ -407,7 +407,7 @@ def _target(root: Mapping, path: Scalar, findings: Findings) -> tuple[NodePath, 
             fix = Fix.replacing(span, dotted, near, safe=False)
             findings.add("DB201", span, f"there is no parameter `{dotted}`", help=f"did you mean `{near}`?", fix=fix)
             return None
-    steps, reached, rest = follow(root, dotted)
+    steps, reached, rest = follow_dotted(root, dotted)
     if not rest:
         return steps, [_key(path, start, end)]
     at = end - len(rest)

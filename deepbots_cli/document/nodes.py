@@ -129,19 +129,19 @@ def _item_on_line(node: Node) -> str:
     return " ".join(node.span.text.split()) if quoted else one_line(node)
 
 
-def measure(node: Node) -> tuple[int, int]:
+def count_and_depth(node: Node) -> tuple[int, int]:
     """The number of values in a tree, itself included, and its depth in containers."""
     match node:
         case Scalar():
             return 1, 0
         case Sequence():
-            below = [measure(item) for item in node.items]
+            below = [count_and_depth(item) for item in node.items]
         case Mapping():
-            below = [measure(entry.value) for entry in node.entries.values()]
+            below = [count_and_depth(entry.value) for entry in node.entries.values()]
     return 1 + sum(size for size, _ in below), 1 + max((height for _, height in below), default=0)
 
 
-def around(node: Node, name: str, start: int, end: int) -> Span | None:
+def enclosing_entry(node: Node, name: str, start: int, end: int) -> Span | None:
     """The narrowest entry or list item that holds the piece `[start, end)` of the file `name`; None if there is none."""
     match node:
         case Mapping():
@@ -151,7 +151,7 @@ def around(node: Node, name: str, start: int, end: int) -> Span | None:
         case Scalar():
             return None
     for first, value in parts:
-        found = around(value, name, start, end)
+        found = enclosing_entry(value, name, start, end)
         if found:
             return found
         last = value.span if value.span.source is first.source else first  # an included value lies in another file
@@ -177,7 +177,7 @@ def descend(node: Node, path: Path) -> tuple[Node, Scalar | None, int]:
     return node, key, len(path)
 
 
-def follow(node: Node, dotted: str) -> tuple[Path, Node, str]:
+def follow_dotted(node: Node, dotted: str) -> tuple[Path, Node, str]:
     """Follow a dotted path as far as it goes: the steps taken, the node reached, and the rest of the path.
 
     Keys may hold dots (`observation.cart.pole_angle`): the longest key that fits is taken.

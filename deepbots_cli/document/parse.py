@@ -21,7 +21,7 @@ from yaml.events import AliasEvent, CollectionEndEvent, MappingStartEvent, Scala
 
 from deepbots_cli.diagnostics import Edit, Finding, Findings, Fix, Label, Source, Span
 from deepbots_cli.document import hints
-from deepbots_cli.document.nodes import Entry, Mapping, Node, Scalar, Sequence, Style, Value, measure
+from deepbots_cli.document.nodes import Entry, Mapping, Node, Scalar, Sequence, Style, Value, count_and_depth
 
 MAX_DEPTH = 64
 # The largest shipped scenario has 500.
@@ -148,7 +148,7 @@ class _Builder:
             return None
         node = self.anchors[event.anchor]
         # Measuring takes no longer than the budget for expansion allows.
-        size, height = measure(node) if node is not None else (1, 0)
+        size, height = count_and_depth(node) if node is not None else (1, 0)
         self.budget.expanded -= size
         if self.budget.expanded < 0:
             self.stop(event, f"aliases expand to more than {MAX_EXPANDED:,} values")

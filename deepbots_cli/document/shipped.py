@@ -11,7 +11,7 @@ from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
-from deepbots_cli.plugins import entries, refuse
+from deepbots_cli.plugins import entries, warn_unavailable
 
 _SCENARIOS = "scenarios/*.yaml"
 _ROBOTS = "robots/urdf/*.urdf"
@@ -42,7 +42,7 @@ def _added_dirs() -> tuple[Path, ...]:
                 if taken:
                     raise ValueError(f"the name {taken[0]!r} is taken")
         except Exception as error:  # noqa: BLE001 - to look for a package may run the code of a plug-in
-            refuse(entry, error)
+            warn_unavailable(entry, error)
         else:
             found.append(folder)
     return tuple(found)

@@ -51,7 +51,7 @@ def create(name: str, world: WorldModel) -> Engine:
     except ModuleNotFoundError as error:
         kind = ENGINES.get(name)
         if kind is not None and error.name == kind.library and any(other.is_installed for other in ENGINES.values()):
-            raise UsageError(f"the engine '{name}' cannot be used: {kind.missing}; {kind.way_out}") from error
+            raise UsageError(f"the engine '{name}' cannot be used: {kind.missing}; {kind.remedy}") from error
         if error.name in _OF_EXTRA_SIM:
             raise MissingExtraError("sim", "running a scenario") from error
         raise
@@ -103,5 +103,5 @@ def _of_plugin(entry: EntryPoint) -> EngineFactory:
     except Exception as error:
         if isinstance(error, ModuleNotFoundError) and error.name in _OF_EXTRA_SIM:
             raise
-        raise UsageError(plugins.why_not(entry, error)) from error
+        raise UsageError(plugins.unavailable_message(entry, error)) from error
     return cast("EngineFactory", factory)

@@ -69,7 +69,7 @@ def walls(arena: Arena) -> tuple[ObjectBody, ...]:
 # Robots
 
 
-def held_by(model: RobotModel, first: str) -> dict[str, Frame]:
+def rigid_group(model: RobotModel, first: str) -> dict[str, Frame]:
     """The links that fixed joints hold to `first`, itself included, and where they are in its frame."""
     members = {first: IDENTITY_FRAME}
     waiting = [first]
@@ -88,11 +88,11 @@ def with_explicit_masses(name: str, model: RobotModel, fixed_base: bool) -> Robo
     Raises:
         EngineError: A joint or a free base moves nothing that has mass, or a joint is of a kind that is not supported.
     """
-    carried = inertia.carried(model)
+    subtree_mass = inertia.subtree_mass(model)
     for joint in model.joints:
         if joint.type in ("floating", "planar"):
             raise EngineError(f"the engine has no {joint.type} joints such as '{joint.name}' of '{name}'")
-        if joint.moves and carried[joint.child] <= 0.0:
+        if joint.moves and subtree_mass[joint.child] <= 0.0:
             raise EngineError(f"joint '{joint.name}' of '{name}' moves nothing that has mass; give link '{joint.child}' an inertial")
     root = model.link(model.root).inertial
     if not fixed_base and (root is None or root.mass <= 0.0):
@@ -105,7 +105,7 @@ def _with_heavy_root(name: str, model: RobotModel) -> RobotModel:
 
     The engine would take a free root without mass for one that is bolted to the world.
     """
-    links = [model.link(link).inertial for link in held_by(model, model.root)]
+    links = [model.link(link).inertial for link in rigid_group(model, model.root)]
     mass = sum(known.mass for known in links if known)
     if mass <= 0.0:
         raise EngineError(f"root link '{model.root}' of '{name}' has no mass; give it an inertial or fix the base")

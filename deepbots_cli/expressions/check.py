@@ -13,7 +13,7 @@ from functools import partial
 from typing import NamedTuple, TypeVar
 
 from deepbots_cli import renames
-from deepbots_cli.diagnostics.nearest import Meant, meant
+from deepbots_cli.diagnostics.nearest import Replacement, suggest_replacement
 from deepbots_cli.expressions import syntax
 from deepbots_cli.expressions.dimensions import ANGLE, NUMBER, TIME, Dimension, multiple, suggest_unit
 from deepbots_cli.expressions.functions import ALLOWED, FUNCTIONS, OPERATORS, Family, Form, Function, Param
@@ -23,12 +23,12 @@ from deepbots_cli.expressions.types import (
     PLANE,
     SPACE,
     Components,
+    ComponentSelection,
     Constant,
     Context,
     Invocation,
     Kind,
     Operation,
-    Pick,
     Redraw,
     Reference,
     Report,
@@ -46,8 +46,8 @@ from deepbots_cli.expressions.unification import (
     Stop,
     components_of,
     dimension_of,
-    fault,
     or_none,
+    report_at,
     require_dimension,
     require_kind,
     warn_of_degrees,
@@ -141,7 +141,7 @@ def check_drawn(tree: syntax.Node, scope: Scope, report: Report) -> Checked:
 def check_range(tree: syntax.Node, scope: Scope, report: Report, *, falling: bool = False) -> TypedRange:
     """The typed ends of a text `low .. high`; with `falling`, the first may be above the second."""
     if not isinstance(tree, syntax.Range):
-        raise fault(report, "DB401", tree, "a single value where a range is needed", "write both ends: `low .. high`")
+        raise report_at(report, "DB401", tree, "a single value where a range is needed", "write both ends: `low .. high`")
     checker = _Checker(scope, report)
     low, high = checker.each(checker.whole, (tree.low, tree.high))
     found = TypedRange(low, high, tree.start, tree.end)
@@ -155,7 +155,7 @@ def check_range(tree: syntax.Node, scope: Scope, report: Report, *, falling: boo
 
 def _require_rising(found: TypedRange, report: Report) -> None:
     if found.low.type.interval.low > found.high.type.interval.high:
-        raise fault(report, "DB105", found, "a range whose low end is above its high end", "write the low end first")
+        raise report_at(report, "DB105", found, "a range whose low end is above its high end", "write the low end first")
 
 
 class _Checker:
@@ -164,7 +164,7 @@ class _Checker:
     def __init__(self, scope: Scope, report: Report) -> None:
         self._scope = scope
         self._report = report
-        self._fault = partial(fault, report)
+        self._fault = partial(report_at, report)
         self._occurrences = 0
         self.draws = 0
 
@@ -243,7 +243,7 @@ class _Checker:
         if not set(wanted) <= set(components) or len(set(wanted)) < len(wanted):
             raise self._unknown("component", member, components, node, before)
         chosen = value.type._replace(components=None if len(wanted) == 1 else wanted)
-        return Pick(chosen, node.start, node.end, value, tuple(components.index(name) for name in wanted))
+        return ComponentSelection(chosen, node.start, node.end, value, tuple(components.index(name) for name in wanted))
 
     def _subject(self, node: syntax.Node, kinds: frozenset[Kind], function: str) -> Subject:
         """The part of the world that an argument names; DB203 for one of another kind, DB402 for none."""
@@ -277,7 +277,7 @@ class _Checker:
             return self._fault("DB402", node, f"`{name}` is a function", f"call it: `{FUNCTIONS[name].signature}`")
         if asked := self._asked_of_a_body(node):
             help = f"functions give the values of the world: `{asked}`"
-            return self._fault("DB402", node, f"unknown name `{name}`", help, Meant(asked, safe=False))
+            return self._fault("DB402", node, f"unknown name `{name}`", help, Replacement(asked, safe=False))
         return self._unknown("name", name, scope.names(), node, also=_NAMED.get(name.lower(), _ELSEWHERE.get(scope.context)))
 
     def _asked_of_a_body(self, node: syntax.Name) -> str | None:
@@ -301,7 +301,7 @@ class _Checker:
         names that are like none of the known.
         """
         names = sorted(known)
-        near = _with_owner(name, names) or meant(name, names)
+        near = _with_owner(name, names) or suggest_replacement(name, names)
         listed = "; ".join(filter(None, (_known(names), None if near else also)))
         help = f"did you mean `{near.text}`? {listed}" if near else listed
         fix = near._replace(text=f"{before}{near.text}") if near and before is not None else None
@@ -440,7 +440,7 @@ class _Checker:
         function = FUNCTIONS.get(node.function)
         called = syntax.Name(node.start, node.name_end, (node.function,))
         if function is None and (rename := renames.FUNCTIONS.get(node.function)):
-            self._fault("DB109", called, renames.headline(rename), f"write `{rename.new}`", Meant(rename.new, safe=True))
+            self._fault("DB109", called, renames.headline(rename), f"write `{rename.new}`", Replacement(rename.new, safe=True))
             function = FUNCTIONS[rename.new]
         if function is None:
             if help := _CALLED_ELSEWHERE.get(node.function):
@@ -577,11 +577,11 @@ def _positions(count: int) -> Components:
     return {len(PLANE): PLANE, len(SPACE): SPACE}.get(count) or tuple(str(n + 1) for n in range(count))
 
 
-def _with_owner(name: str, known: list[str]) -> Meant | None:
+def _with_owner(name: str, known: list[str]) -> Replacement | None:
     """`cart.speed.x` for `speed.x`, if one part alone has a `speed`."""
     first, dot, rest = name.partition(".")
     longer = [other for other in known if other.endswith(f".{first}")]
-    return Meant(f"{longer[0]}{dot}{rest}", safe=False) if len(longer) == 1 else None
+    return Replacement(f"{longer[0]}{dot}{rest}", safe=False) if len(longer) == 1 else None
 
 
 def _known(names: list[str]) -> str:

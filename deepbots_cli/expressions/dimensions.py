@@ -10,7 +10,7 @@ import math
 from fractions import Fraction
 from typing import NamedTuple
 
-from deepbots_cli.diagnostics.nearest import Meant
+from deepbots_cli.diagnostics.nearest import Replacement
 
 Exponent = int | Fraction
 
@@ -214,19 +214,19 @@ _AMBIGUOUS = frozenset({"rads", "nm"})
 _PREFIXES = {"n": 1e-9, "u": 1e-6, "\u00b5": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}
 
 
-def suggest_unit(name: str) -> Meant | None:
+def suggest_unit(name: str) -> Replacement | None:
     """The unit that the unknown `name` probably means; safe where `name` is the unit written out."""
     known = name if name in _WRITTEN_OUT else name.lower()
     if known in _WRITTEN_OUT:
-        return Meant(_WRITTEN_OUT[known], known not in _AMBIGUOUS)
+        return Replacement(_WRITTEN_OUT[known], known not in _AMBIGUOUS)
     if multiple(name) is not None:
         return None  # the unit without its prefix would be another value
     if len(name) > 1 and known in UNITS:
-        return Meant(known, safe=False)
+        return Replacement(known, safe=False)
     from difflib import get_close_matches  # only on the way to a finding: its import costs 4 ms; case matters here: m, M
 
     close = get_close_matches(name, UNITS, n=1)
-    return Meant(close[0], safe=False) if close else None
+    return Replacement(close[0], safe=False) if close else None
 
 
 def multiple(name: str) -> tuple[float, str] | None:

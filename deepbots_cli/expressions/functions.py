@@ -28,7 +28,7 @@ from deepbots_cli.expressions.dimensions import ANGLE, FORCE, LENGTH, NUMBER, TI
 from deepbots_cli.expressions.intervals import EVERYTHING, INF, Interval
 from deepbots_cli.expressions.scalar import Const, Draw, Op, Scalar, State, World
 from deepbots_cli.expressions.types import QUATERNION, SPACE, Components, Context, Kind
-from deepbots_cli.plugins import Table
+from deepbots_cli.plugins import PluginTable
 
 GROUP = "deepbots.functions"
 
@@ -541,7 +541,7 @@ def _require_usable(function: object) -> None:
         raise ValueError(f"{name!r} needs an interval that gives an Interval, and a result that gives a Dimension")
 
 
-FUNCTIONS: Mapping[str, Function] = Table(GROUP, {function.name: function for function in _ENTRIES}, _read)
+FUNCTIONS: Mapping[str, Function] = PluginTable(GROUP, {function.name: function for function in _ENTRIES}, _read)
 
 
 def operation(name: str) -> Function:

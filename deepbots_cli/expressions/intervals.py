@@ -54,7 +54,7 @@ def _times(a: float, b: float) -> float:
     return 0.0 if a == 0.0 or b == 0.0 else a * b
 
 
-def guarded(function: Callable[..., float], *args: float, beyond: float = INF) -> float:
+def value_or(function: Callable[..., float], *args: float, beyond: float = INF) -> float:
     """The value of a math function; `beyond` where it overflows or is not defined."""
     try:
         return function(*args)
@@ -109,7 +109,8 @@ def power(a: Interval, exponent: Interval) -> Interval:
     if n % 2.0 == 0.0:
         a = absolute(a)
     return Interval(
-        guarded(math.pow, a.low, n, beyond=-INF if a.low < 0.0 else INF), guarded(math.pow, a.high, n, beyond=INF if a.high > 0.0 else -INF)
+        value_or(math.pow, a.low, n, beyond=-INF if a.low < 0.0 else INF),
+        value_or(math.pow, a.high, n, beyond=INF if a.high > 0.0 else -INF),
     )
 
 
@@ -121,7 +122,7 @@ def absolute(a: Interval) -> Interval:
 
 def monotone(function: Callable[[float], float], a: Interval) -> Interval:
     """The image under a function that never falls; infinite where the function overflows."""
-    return Interval(guarded(function, a.low, beyond=-INF if a.low < 0.0 else INF), guarded(function, a.high))
+    return Interval(value_or(function, a.low, beyond=-INF if a.low < 0.0 else INF), value_or(function, a.high))
 
 
 def square_root(a: Interval) -> Interval:
@@ -182,7 +183,7 @@ def times_count(a: Interval, count: int) -> Interval:
 def length_of(*parts: Interval) -> Interval:
     """The square root of a sum of squares."""
     sizes = [absolute(part) for part in parts]
-    return Interval(guarded(math.hypot, *(s.low for s in sizes)), guarded(math.hypot, *(s.high for s in sizes)))
+    return Interval(value_or(math.hypot, *(s.low for s in sizes)), value_or(math.hypot, *(s.high for s in sizes)))
 
 
 def angle_of(y: Interval, x: Interval) -> Interval:

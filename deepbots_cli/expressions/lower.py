@@ -8,7 +8,17 @@ from itertools import product
 
 from deepbots_cli.expressions.functions import FUNCTIONS, Family, Function, Reduction, rotation, scalar_function
 from deepbots_cli.expressions.scalar import Const, Draw, Name, NamedFloat, Op, Scalar, State, World
-from deepbots_cli.expressions.types import Components, Constant, Invocation, Operation, Pick, Reference, Subject, Typed, Vector
+from deepbots_cli.expressions.types import (
+    Components,
+    ComponentSelection,
+    Constant,
+    Invocation,
+    Operation,
+    Reference,
+    Subject,
+    Typed,
+    Vector,
+)
 
 Scalars = tuple[Scalar, ...]
 
@@ -86,7 +96,7 @@ class Lowering:
                 return tuple(op(operator, *column) for column in self._columns(value, args))
             case Invocation():
                 return self._invocation(value, FUNCTIONS[value.function])
-            case Pick(value=whole, indices=indices):
+            case ComponentSelection(value=whole, indices=indices):
                 parts = self.scalars(whole)
                 return tuple(parts[index] for index in indices)
             case Vector(items=items):

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import NamedTuple
 
-from deepbots_cli.diagnostics.nearest import Meant
+from deepbots_cli.diagnostics.nearest import Replacement
 from deepbots_cli.expressions.dimensions import ONE, UNITS, Unit
 from deepbots_cli.expressions.syntax import (
     MAX_LENGTH,
@@ -45,7 +45,7 @@ _MAX_DOTS = 8
 _SHORT = 80
 _MAX_FACTORS = 8
 
-_STRENGTH = {"or": 1, "and": 2, "<": 4, "<=": 4, ">": 4, ">=": 4, "==": 4, "!=": 4, "+": 5, "-": 5, "*": 6, "/": 6}
+_PRECEDENCE = {"or": 1, "and": 2, "<": 4, "<=": 4, ">": 4, ">=": 4, "==": 4, "!=": 4, "+": 5, "-": 5, "*": 6, "/": 6}
 _NOT, _COMPARISON, _MINUS = 3, 4, 7
 _NEVER_CLOSED = "a parenthesis that is not closed"
 _SMALLER = "define parts of it as signals or parameters"
@@ -81,10 +81,10 @@ class _SyntaxError(Exception):
     """Carries the finding to `parse`, which reports it."""
 
     def __init__(
-        self, start: int, end: int, headline: str, help: str | None = None, meant: Meant | None = None, code: str = "DB401"
+        self, start: int, end: int, headline: str, help: str | None = None, replacement: Replacement | None = None, code: str = "DB401"
     ) -> None:
         super().__init__(headline)
-        self.finding = (code, start, end, headline, help, meant)
+        self.finding = (code, start, end, headline, help, replacement)
 
 
 class _Parser:
@@ -246,13 +246,13 @@ class _Parser:
 
     # operations
 
-    def _operation(self, weakest: int) -> Node:
-        """An operand and every operator behind it that binds at least as strongly as `weakest`."""
+    def _operation(self, min_precedence: int) -> Node:
+        """An operand and every operator behind it that binds at least as strongly as `min_precedence`."""
         left = self._operand()
-        while (strength := _STRENGTH.get(self._peek.text, 0)) and strength >= weakest:
+        while (strength := _PRECEDENCE.get(self._peek.text, 0)) and strength >= min_precedence:
             operator = self._next()
             right = self._operation(strength + 1)
-            if strength == _COMPARISON and _STRENGTH.get(self._peek.text) == _COMPARISON:
+            if strength == _COMPARISON and _PRECEDENCE.get(self._peek.text) == _COMPARISON:
                 opening = _unclosed(self._tokens)
                 if opening is not None and opening.start < right.start:  # what was left out belongs before the second one
                     raise _SyntaxError(opening.start, opening.end, _NEVER_CLOSED)
@@ -426,7 +426,7 @@ _HINTS = {sign: _Hint(f"write `{text.strip()}`", text) for sign, text in _SAME.i
 }
 
 
-def _diagnosis(tokens: list[Token], at: int, missing: bool) -> tuple[str, str | None, Meant | None]:
+def _diagnosis(tokens: list[Token], at: int, missing: bool) -> tuple[str, str | None, Replacement | None]:
     """Headline, help and correction, where the token `at` cannot stand; `missing` where a value was due."""
     token, before = tokens[at], tokens[at - 1] if at else tokens[at]
     shown = token.text if token.text.isprintable() else f"U+{ord(token.text[0]):04X}"
@@ -439,7 +439,7 @@ def _diagnosis(tokens: list[Token], at: int, missing: bool) -> tuple[str, str | 
         if text is not None and text.isalpha():  # a word needs blanks around it
             text = " " * (before.end == token.start) + text + " " * (tokens[at + 1].start == token.end)
         # Of three dots, the last may be the point of a decimal.
-        return f"`{shown}` in an expression", help, None if text is None else Meant(text, safe=token.text != "...")
+        return f"`{shown}` in an expression", help, None if text is None else Replacement(text, safe=token.text != "...")
     if missing:
         return f"a value is missing before `{shown}`", help, None
     if token.text == ")":
@@ -467,12 +467,12 @@ def _unclosed(tokens: list[Token]) -> Token | None:
     return None
 
 
-def _about_comma(tokens: list[Token], at: int) -> tuple[str, str | None, Meant | None]:
+def _about_comma(tokens: list[Token], at: int) -> tuple[str, str | None, Replacement | None]:
     if tokens[at + 1].kind == "END":
-        return "a comma at the end", "remove it", Meant("", safe=True)
+        return "a comma at the end", "remove it", Replacement("", safe=True)
     whole, comma, part = tokens[at - 1 : at + 2]
     if whole.text.isdigit() and part.text.isdigit() and whole.end == comma.start and comma.end == part.start:
-        return "a comma in a number", f"write a decimal point: `{whole.text}.{part.text}`", Meant(".", safe=False)
+        return "a comma in a number", f"write a decimal point: `{whole.text}.{part.text}`", Replacement(".", safe=False)
     return "unexpected `,`", _HINTS[","].help, None
 
 
@@ -484,9 +484,9 @@ def _missing_end(tokens: list[Token]) -> str | None:
     return f"{missing} missing after `{last.text}`"
 
 
-def _about_equals(tokens: list[Token], at: int) -> tuple[str, Meant | None]:
+def _about_equals(tokens: list[Token], at: int) -> tuple[str, Replacement | None]:
     if at and tokens[at - 1].text in ("+", "-", "*", "/"):
         return "remove it: an entry defines a value, and the terms of a reward are summed", None
     if at >= 2 and tokens[at - 1].kind == "NAME" and tokens[at - 2].text in ("(", ","):
         return "pass arguments in order, without names", None
-    return "compare with `==`", Meant("==", safe=True)
+    return "compare with `==`", Replacement("==", safe=True)

@@ -21,7 +21,7 @@ from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar, State
 Leaf = Callable[[Name | World | State | Draw], str]
 
 
-class Bind(IntEnum):
+class Precedence(IntEnum):
     """How strongly Python binds, from loose to tight."""
 
     TERNARY = 0
@@ -40,11 +40,11 @@ class Code(NamedTuple):
     """A piece of Python and how strongly its outermost operator binds."""
 
     text: str
-    bind: Bind = Bind.ATOM
+    bind: Precedence = Precedence.ATOM
 
-    def within(self, weakest: int) -> str:
-        """The text, in parentheses where it binds less than `weakest`."""
-        return self.text if self.bind >= weakest else f"({self.text})"
+    def within(self, min_precedence: int) -> str:
+        """The text, in parentheses where it binds less than `min_precedence`."""
+        return self.text if self.bind >= min_precedence else f"({self.text})"
 
 
 class Target(NamedTuple):
@@ -102,7 +102,7 @@ def number(value: float | bool) -> Code:
     """The code of a constant."""
     negative = not isinstance(value, bool) and str(value).startswith("-")
     code = repr(value).replace(repr(math.pi), "pi") if abs(value) == math.pi else repr(value)
-    return Code(code, Bind.SIGN if negative else Bind.ATOM)
+    return Code(code, Precedence.SIGN if negative else Precedence.ATOM)
 
 
 def applied(name: str, args: Sequence[Code], scalars: Sequence[Scalar], target: Target = SCALAR) -> Code:
@@ -156,30 +156,30 @@ def _is_product(exponent: int, scalar: Scalar) -> bool:
 
 def _power(base: Code, exponent: int, scalar: Scalar) -> Code:
     if _is_product(exponent, scalar):
-        text = base.within(Bind.SIGN)
-        return Code(f"{text} * {text}", Bind.PRODUCT)
-    text = base.within(Bind.ATOM)
+        text = base.within(Precedence.SIGN)
+        return Code(f"{text} * {text}", Precedence.PRODUCT)
+    text = base.within(Precedence.ATOM)
     sign = "**" if re.fullmatch(r"[\w.]+", text) and exponent > 0 else " ** "  # as a formatter has it
-    return Code(f"{text}{sign}{exponent}", Bind.POWER)
+    return Code(f"{text}{sign}{exponent}", Precedence.POWER)
 
 
 # The Python of a function, with the code of its arguments in place of their names
 
-_SIGNS: dict[type[ast.AST], tuple[str, Bind]] = {
-    ast.Add: ("+", Bind.SUM),
-    ast.Sub: ("-", Bind.SUM),
-    ast.Mult: ("*", Bind.PRODUCT),
-    ast.Div: ("/", Bind.PRODUCT),
-    ast.FloorDiv: ("//", Bind.PRODUCT),
-    ast.Mod: ("%", Bind.PRODUCT),
-    ast.And: ("and", Bind.AND),
-    ast.Or: ("or", Bind.OR),
-    ast.Lt: ("<", Bind.COMPARISON),
-    ast.LtE: ("<=", Bind.COMPARISON),
-    ast.Gt: (">", Bind.COMPARISON),
-    ast.GtE: (">=", Bind.COMPARISON),
-    ast.Eq: ("==", Bind.COMPARISON),
-    ast.NotEq: ("!=", Bind.COMPARISON),
+_SIGNS: dict[type[ast.AST], tuple[str, Precedence]] = {
+    ast.Add: ("+", Precedence.SUM),
+    ast.Sub: ("-", Precedence.SUM),
+    ast.Mult: ("*", Precedence.PRODUCT),
+    ast.Div: ("/", Precedence.PRODUCT),
+    ast.FloorDiv: ("//", Precedence.PRODUCT),
+    ast.Mod: ("%", Precedence.PRODUCT),
+    ast.And: ("and", Precedence.AND),
+    ast.Or: ("or", Precedence.OR),
+    ast.Lt: ("<", Precedence.COMPARISON),
+    ast.LtE: ("<=", Precedence.COMPARISON),
+    ast.Gt: (">", Precedence.COMPARISON),
+    ast.GtE: (">=", Precedence.COMPARISON),
+    ast.Eq: ("==", Precedence.COMPARISON),
+    ast.NotEq: ("!=", Precedence.COMPARISON),
 }
 
 
@@ -206,17 +206,22 @@ def _printed(node: ast.expr, args: Mapping[str, Code]) -> Code:
             return _infix(sign, [_printed(part, args) for part in parts])
         case ast.UnaryOp(op=ast.USub(), operand=inner):
             negated = _printed(inner, args)
-            return Code(f"-({negated.text})" if negated.bind is Bind.POWER else f"-{negated.within(Bind.SIGN)}", Bind.SIGN)
+            return Code(
+                f"-({negated.text})" if negated.bind is Precedence.POWER else f"-{negated.within(Precedence.SIGN)}", Precedence.SIGN
+            )
         case ast.UnaryOp(op=ast.Not(), operand=inner):
-            return Code(f"not {_printed(inner, args).within(Bind.NOT)}", Bind.NOT)
+            return Code(f"not {_printed(inner, args).within(Precedence.NOT)}", Precedence.NOT)
         case ast.IfExp(test=test, body=a, orelse=b):
-            condition = _printed(test, args).within(Bind.OR)
-            return Code(f"{_printed(a, args).within(Bind.OR)} if {condition} else {_printed(b, args).within(Bind.TERNARY)}", Bind.TERNARY)
+            condition = _printed(test, args).within(Precedence.OR)
+            return Code(
+                f"{_printed(a, args).within(Precedence.OR)} if {condition} else {_printed(b, args).within(Precedence.TERNARY)}",
+                Precedence.TERNARY,
+            )
     raise ValueError(f"{ast.unparse(node)[:60]!r} is not part of the Python of functions")
 
 
 def _infix(operator: ast.AST, codes: Sequence[Code]) -> Code:
     """Operators group to the left, so the right sides bind more tightly; Python chains comparisons, so both sides do."""
     sign, bind = _SIGNS[type(operator)]
-    left = codes[0].within(bind + 1 if bind is Bind.COMPARISON else bind)
+    left = codes[0].within(bind + 1 if bind is Precedence.COMPARISON else bind)
     return Code(f" {sign} ".join([left, *(code.within(bind + 1) for code in codes[1:])]), bind)

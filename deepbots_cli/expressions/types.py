@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from enum import Enum, IntEnum, StrEnum
 from typing import NamedTuple, Protocol
 
-from deepbots_cli.diagnostics.nearest import Meant
+from deepbots_cli.diagnostics.nearest import Replacement
 from deepbots_cli.expressions.dimensions import NUMBER, Dimension, Unit
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
 
@@ -18,7 +18,7 @@ Shape = tuple[int, int, int]
 """Rows, columns and channels of a picture."""
 
 
-class Copies(tuple[str, ...]):
+class GroupComponents(tuple[str, ...]):
     """The components of a value that has one per copy of a group. Names do not tell them: a joint may be called `hip#1`, too."""
 
 
@@ -55,7 +55,7 @@ class Type(NamedTuple):
     @property
     def copies(self) -> bool:
         """Whether there is a component per copy of a group, of which some may be absent."""
-        return isinstance(self.components, Copies)
+        return isinstance(self.components, GroupComponents)
 
     @property
     def shape_words(self) -> str:
@@ -126,7 +126,7 @@ class Subject(NamedTuple):
     def components(self) -> Components | None:
         """The short names of a group's members; None where the subject is a single thing."""
         if self.kind is Kind.OBJECTS:
-            return Copies(self.members) if self.members else None
+            return GroupComponents(self.members) if self.members else None
         # The first dot follows the robot's name; a joint may have dots in its own.
         return tuple(member.partition(".")[2] for member in self.members) if self.members else None
 
@@ -192,7 +192,9 @@ class NoNames(NamedTuple):
 class Report(Protocol):
     """Takes a finding at the offsets `[start, end)` of the text; `meant` is the text to write there instead."""
 
-    def __call__(self, code: str, start: int, end: int, headline: str, help: str | None = None, meant: Meant | None = None) -> None: ...
+    def __call__(
+        self, code: str, start: int, end: int, headline: str, help: str | None = None, replacement: Replacement | None = None
+    ) -> None: ...
 
 
 # The typed tree. Every node holds its type and its place in the text, [start, end).
@@ -217,7 +219,7 @@ class Reference(NamedTuple):
     symbol: Symbol
 
 
-class Pick(NamedTuple):
+class ComponentSelection(NamedTuple):
     """Some components of a vector, by position."""
 
     type: Type
@@ -261,7 +263,7 @@ class Invocation(NamedTuple):
     occurrence: int | None = None
 
 
-Typed = Constant | Reference | Pick | Operation | Vector | Invocation
+Typed = Constant | Reference | ComponentSelection | Operation | Vector | Invocation
 
 
 class TypedRange(NamedTuple):
@@ -283,7 +285,7 @@ def children(node: Typed) -> tuple[Typed, ...]:
     match node:
         case Constant() | Reference():  # first: most nodes are one of these
             return ()
-        case Pick(value=value):
+        case ComponentSelection(value=value):
             return (value,)
         case Operation(args=args) | Invocation(args=args):
             return args
@@ -301,22 +303,22 @@ def walk(node: Typed) -> Iterator[Typed]:
             waiting += reversed(children(node))
 
 
-def bare(value: Typed) -> bool:
+def is_bare_number(value: Typed) -> bool:
     """Whether this is made of numbers without units alone."""
     match value:
         case Constant(unit=unit):
             return unit is None and not value.type.boolean
         case Operation(args=parts) | Vector(items=parts):
-            return not value.type.boolean and all(bare(part) for part in parts)
+            return not value.type.boolean and all(is_bare_number(part) for part in parts)
         case Invocation(function="uniform" | "normal" | "choice", args=parts):
-            return all(bare(part) for part in parts)
+            return all(is_bare_number(part) for part in parts)
         case _:
             return False
 
 
-def zero(value: Typed) -> bool:
+def is_bare_zero(value: Typed) -> bool:
     """Whether this is a bare zero, which fits every dimension."""
-    return isinstance(value, Constant) and bare(value) and not any(value.values)
+    return isinstance(value, Constant) and is_bare_number(value) and not any(value.values)
 
 
 MAX_SIZE = 10_000

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from functools import wraps
 from typing import ParamSpec, TypeVar
 
-from deepbots_cli.diagnostics.nearest import Meant
+from deepbots_cli.diagnostics.nearest import Replacement
 from deepbots_cli.expressions import syntax
 from deepbots_cli.expressions.dimensions import ANGLE, NUMBER, Dimension, quantity
 from deepbots_cli.expressions.types import (
@@ -23,9 +23,9 @@ from deepbots_cli.expressions.types import (
     Stage,
     Typed,
     TypedRange,
-    bare,
+    is_bare_number,
+    is_bare_zero,
     shown,
-    zero,
 )
 
 P = ParamSpec("P")
@@ -42,9 +42,11 @@ class Stop(Exception):  # noqa: N818 - no error: it carries nothing
     """A part has a finding; nothing above it is checked."""
 
 
-def fault(report: Report, code: str, place: Place, headline: str, help: str | None = None, meant: Meant | None = None) -> Stop:
+def report_at(
+    report: Report, code: str, place: Place, headline: str, help: str | None = None, replacement: Replacement | None = None
+) -> Stop:
     """Report a finding about a node; the caller raises the result."""
-    report(code, place.start, place.end, headline, help, meant)
+    report(code, place.start, place.end, headline, help, replacement)
     return Stop()
 
 
@@ -72,7 +74,7 @@ def require_kind(values: Sequence[Typed], report: Report, *, boolean: bool = Fal
     wrong = [value for value in wrong if value.type.picture] or wrong
     for value in wrong:
         if value.type.picture:
-            fault(
+            report_at(
                 report,
                 "DB404",
                 value,
@@ -80,38 +82,40 @@ def require_kind(values: Sequence[Typed], report: Report, *, boolean: bool = Fal
                 "a picture can be sent and observed, but not used in an expression",
             )
         elif boolean:
-            fault(report, "DB403", value, "a number where a truth value belongs", "compare it, as in `x > 0`")
+            report_at(report, "DB403", value, "a number where a truth value belongs", "compare it, as in `x > 0`")
         else:
             name = value.symbol.name if isinstance(value, Reference) else "condition"
             help = f"make it a number with `where({name}, 1, 0)`, or write the value under the condition: `5 when {name}`"
-            fault(report, "DB403", value, "a truth value where a number belongs", help)
+            report_at(report, "DB403", value, "a truth value where a number belongs", help)
     raise Stop
 
 
 def dimension_of(values: Sequence[Typed], place: Place, report: Report) -> Dimension:
     """The one dimension of all values except bare zeros; DB502 or DB503 where they differ."""
-    counted = [value for value in values if not zero(value)]
+    counted = [value for value in values if not is_bare_zero(value)]
     if not counted:
         return NUMBER
-    first = next((value for value in counted if not bare(value)), counted[0])
+    first = next((value for value in counted if not is_bare_number(value)), counted[0])
     for value in counted:
         if value.type.dimension == first.type.dimension:
             continue
-        if bare(value):
+        if is_bare_number(value):
             raise missing_unit(value, first.type.dimension, report)
         help = "both sides need the same dimension; divide by a unit to get a plain number"
-        raise fault(report, "DB503", place, f"{first.type.words} is combined with {value.type.words}", _plain_name(first, value) or help)
+        raise report_at(
+            report, "DB503", place, f"{first.type.words} is combined with {value.type.words}", _plain_name(first, value) or help
+        )
     return first.type.dimension
 
 
 def require_dimension(value: Typed, dimension: Dimension, what: str, report: Report, unit: str | None = None) -> None:
     """Require a dimension (a bare zero has any); DB502 or DB503 about `what` otherwise. `unit` is probably that of a bare number."""
-    if zero(value) or value.type.dimension == dimension:
+    if is_bare_zero(value) or value.type.dimension == dimension:
         return
-    if bare(value):
+    if is_bare_number(value):
         raise missing_unit(value, dimension, report, unit)
     help = _plain_name(value) or _remedy(value, dimension)
-    raise fault(report, "DB503", value, f"{what} is {value.type.words}, not {dimension.words}", help)
+    raise report_at(report, "DB503", value, f"{what} is {value.type.words}, not {dimension.words}", help)
 
 
 def missing_unit(value: Typed | TypedRange, dimension: Dimension, report: Report, unit: str | None = None) -> Stop:
@@ -126,7 +130,7 @@ def missing_unit(value: Typed | TypedRange, dimension: Dimension, report: Report
         if dimension == ANGLE:  # nobody writes an angle beyond a turn in radians
             units = ("deg",) if largest > 2 * math.pi else ("deg", "rad")
         help = "write its unit: " + " or ".join(f"`{written} {name}`" for name in units)
-    return fault(report, "DB502", value, f"a number without unit where {dimension.words} is needed", help)
+    return report_at(report, "DB502", value, f"a number without unit where {dimension.words} is needed", help)
 
 
 def _plain_name(*values: Typed) -> str | None:
@@ -167,7 +171,7 @@ def _differing(first: Components, second: Components, place: Place, report: Repo
     help = "components are matched by name; select the ones that match, as in `v.x`"
     if set(first) == set(second):
         help = "the names are the same in another order; write both groups in one order"
-    return fault(report, "DB404", place, f"a vector of {shown(first)} is combined with one of {shown(second)}", help)
+    return report_at(report, "DB404", place, f"a vector of {shown(first)} is combined with one of {shown(second)}", help)
 
 
 def warn_of_degrees(value: Typed, report: Report) -> None:
@@ -179,8 +183,8 @@ def warn_of_degrees(value: Typed, report: Report) -> None:
         largest = max(abs(number) for number in value.values)
         if 2 * math.pi < largest <= 180.0 or 270.0 <= largest <= 360.0:
             headline, help = f"{largest:g} rad is more than a full turn", f"write `{largest:g} deg` if you mean degrees"
-            meant = Meant(f"{value.values[0]:g} deg", safe=False) if len(value.values) == 1 else None
-            fault(report, "DB504", value, headline, help, meant)
+            replacement = Replacement(f"{value.values[0]:g} deg", safe=False) if len(value.values) == 1 else None
+            report_at(report, "DB504", value, headline, help, replacement)
 
 
 # Whether a value fits its field
@@ -217,13 +221,13 @@ def expect(
     """
     require_kind([value], report, boolean=boolean)
     if not boolean and dimension is not None and value.type.dimension != dimension:
-        if not (bare(value) and quantity(dimension).bare_is_si):
+        if not (is_bare_number(value) and quantity(dimension).bare_is_si):
             require_dimension(value, dimension, what, report, unit)
         value = value._replace(type=value.type._replace(dimension=dimension))
     _require_shape(value, components, what, report)
     if value.type.stage > stage:
         allowed = "may be drawn once per episode, but not change within it" if stage is Stage.EPISODE else "must be fixed"
-        raise fault(report, "DB407", value, f"{what} is {value.type.stage.words}", f"it {allowed}")
+        raise report_at(report, "DB407", value, f"{what} is {value.type.stage.words}", f"it {allowed}")
     if value.type.interval.finite and not boolean:
         _require_size(value, stage, what, report)
     return value
@@ -242,7 +246,7 @@ def expect_range(
 ) -> TypedRange:
     """As `expect`, for both ends of a range."""
     needs_unit = dimension is not None and dimension != NUMBER and not quantity(dimension).bare_is_si
-    if dimension and needs_unit and bare(found.low) and bare(found.high) and not zero(found.high):
+    if dimension and needs_unit and is_bare_number(found.low) and is_bare_number(found.high) and not is_bare_zero(found.high):
         raise missing_unit(found, dimension, report, unit)  # one unit is missing, behind both ends
     # The right end first: the unit of both stands there.
     high = expect(found.high, report, what, dimension=dimension, components=components, stage=stage)
@@ -258,10 +262,10 @@ def _require_shape(value: Typed, components: Components | None, what: str, repor
         return
     if components is None:
         help = f"pick a component, or reduce it with {'`any` or `all`' if value.type.boolean else '`norm`, `sum`, `max` ...'}"
-        raise fault(report, "DB404", value, f"{what} is {value.type.shape_words}, not a single value", help)
+        raise report_at(report, "DB404", value, f"{what} is {value.type.shape_words}, not a single value", help)
     if len(found) != len(components) and found[0] in ("x", "1"):
         headline = f"{what} has {len(found)} values, not {len(components)}"
-        raise fault(report, "DB106", value, headline, f"give {' and '.join(components)}")
+        raise report_at(report, "DB106", value, headline, f"give {' and '.join(components)}")
     raise _differing(components, found, value, report)
 
 
@@ -273,11 +277,11 @@ def _require_size(value: Typed, stage: Stage, what: str, report: Report) -> None
     limit = _LARGEST if plausible == math.inf else _BEYOND * plausible
     if largest > limit and stage is not Stage.STEP:
         unit = "" if dimension == NUMBER else f" {dimension}"
-        raise fault(report, "DB105", value, f"{what} is {largest:g}{unit}", f"give at most {limit:g}{unit}")
+        raise report_at(report, "DB105", value, f"{what} is {largest:g}{unit}", f"give at most {limit:g}{unit}")
     if dimension == ANGLE:
         warn_of_degrees(value, report)
     if largest > plausible:
-        fault(report, "DB505", value, f"{what} is {largest:g} {dimension}", "check the unit")
+        report_at(report, "DB505", value, f"{what} is {largest:g} {dimension}", "check the unit")
 
 
 def negated(value: Typed) -> Callable[[str], str]:

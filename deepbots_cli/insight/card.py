@@ -23,7 +23,7 @@ from deepbots_cli.errors import MissingExtraError, RunError
 from deepbots_cli.learning.listing import last_evaluation
 from deepbots_cli.learning.run import Format, KeptEvaluation, ModelName, Run, read_json
 from deepbots_cli.program import Program, identity
-from deepbots_cli.program.task import ActionRange, Choices, viewed
+from deepbots_cli.program.task import ActionRange, Choices, policy_inputs
 
 FORMAT = 1
 NAME = "card.json"
@@ -160,7 +160,7 @@ def bundle(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
 
 def _observed(program: Program) -> list[Observed]:
     numbers = program.policy.numbers
-    seen = [(numbers[index], age) for index, age in viewed(numbers, program.policy.frame_stack)]
+    seen = [(numbers[index], age) for index, age in policy_inputs(numbers, program.policy.frame_stack)]
     return [
         Observed(name=n.full_name, unit=n.unit.removeprefix("1"), low=n.low, high=n.high, truth=n.truth, clipped=n.clip, steps_ago=age)
         for n, age in seen
@@ -231,7 +231,7 @@ def read(folder: Path) -> Card:
 
 def differences(card: Card, program: Program) -> list[str]:
     """A line for each item of the interface that bundle and scenario do not share; empty if the policy fits."""
-    return identity.compare(card.interface, identity.interface(program), words=("bundle", "scenario"))
+    return identity.compare_interfaces(card.interface, identity.interface(program), words=("bundle", "scenario"))
 
 
 def remarks(card: Card, program: Program, digest: str) -> list[str]:

@@ -125,7 +125,7 @@ def ending_at_once(t: Training) -> Numbers | None:
 
     Try: Loosen the bound of '{ending}', or start farther away from it: `deepbots explain-episode RUN` shows the value and the bound.
     """
-    lengths, longest = t.episodes.lengths, t.program.truncation.last_step(t.program.period)
+    lengths, longest = t.episodes.lengths, t.program.truncation.max_episode_steps(t.program.period)
     if len(lengths) < _ENOUGH:
         return None
     long, (name, count) = float(np.quantile(lengths, 0.9)), Counter(t.episodes.endings).most_common(1)[0]

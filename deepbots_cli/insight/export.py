@@ -24,7 +24,7 @@ import deepbots_cli
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import algorithms
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import ActionRange, Choices, viewed
+from deepbots_cli.program.task import ActionRange, Choices, policy_inputs
 from deepbots_cli.runtime.spaces import action_space, observation_space
 
 _OPSET = 17
@@ -206,7 +206,7 @@ def _bounds(program: Program, name: str) -> tuple[Any, Any]:
         assert program.policy.goal is not None
         return np.array(program.policy.goal.low), np.array(program.policy.goal.high)
     numbers = program.policy.numbers
-    seen = [numbers[index] for index, _ in viewed(numbers, program.policy.frame_stack)]
+    seen = [numbers[index] for index, _ in policy_inputs(numbers, program.policy.frame_stack)]
     return np.array([-1.0 if n.truth else n.low for n in seen]), np.array([1.0 if n.truth else n.high for n in seen])
 
 

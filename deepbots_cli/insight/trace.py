@@ -25,9 +25,9 @@ from deepbots_cli.insight.conditions import Values, Watch, measured
 from deepbots_cli.learning import failures
 from deepbots_cli.learning.run import ModelName, Run, kept_evaluations, read_evaluation
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import ActionRange, Choices, ObservedNumber, viewed
+from deepbots_cli.program.task import ActionRange, Choices, ObservedNumber, policy_inputs
 from deepbots_cli.runtime import Supervisor
-from deepbots_cli.runtime.streams import derive
+from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.view.episodes import Opened, Source
 from deepbots_cli.view.recordings import Recorded, Recording, observation_hash
 from deepbots_cli.view.replay import Actions, changes
@@ -174,7 +174,7 @@ def _row(value: Any, row: int) -> Any:
 def newest(program: Program, observations: Sequence[Any]) -> Array:
     """The newest value of each number in observations: (moments, numbers)."""
     policy = program.policy
-    places = {index: place for place, (index, age) in enumerate(viewed(policy.numbers, policy.frame_stack)) if age == 0}
+    places = {index: place for place, (index, age) in enumerate(policy_inputs(policy.numbers, policy.frame_stack)) if age == 0}
     order = [places[index] for index in range(len(policy.numbers))]
     rows = [each.get("observation", np.zeros(0)) if isinstance(each, dict) else each for each in observations]
     return np.array([np.asarray(row, float)[order] for row in rows]).reshape(len(rows), len(order))
@@ -212,7 +212,7 @@ class Kept:
         return [number for number, is_bad in enumerate(bad) if is_bad]
 
     def chosen(self, number: int) -> Chosen:
-        return Chosen(number, derive(self.seed, "evaluation", number), self.model, self.deterministic, self.path.name)
+        return Chosen(number, derive_seed(self.seed, "evaluation", number), self.model, self.deterministic, self.path.name)
 
 
 def last_evaluation(run: Run) -> Kept | None:

@@ -25,7 +25,7 @@ from deepbots_cli.learning.episodes import read_log
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionRange, Choices, Schedule, Solved
-from deepbots_cli.runtime.streams import derive
+from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.view.plots import scalars_of
 
 Array = NDArray[np.float64]
@@ -143,7 +143,7 @@ def probe(training: Training, *, allow_code: bool = False, on_episode: Callable[
     from deepbots_cli.learning import algorithms, evaluation
 
     run = training.run
-    seeds = [derive(run.record.seed, "diagnosis", number) for number in range(EPISODES)]
+    seeds = [derive_seed(run.record.seed, "diagnosis", number) for number in range(EPISODES)]
     watch = measured(training.program)
     world = Traced(api.build(watch.program, engine=run.record.engine, allow_code=allow_code), watch)
     with algorithms.torch_settings(), closing(world):

@@ -115,9 +115,9 @@ def _device(wanted: str, *, to_learn: bool) -> str:
 
 def _imported(algorithm: type[Model]) -> type[BaseAlgorithm]:
     try:
-        found: type[BaseAlgorithm] = attribute(algorithm.place)
+        found: type[BaseAlgorithm] = attribute(algorithm.import_path)
     except ModuleNotFoundError as error:
-        raise MissingExtraError("contrib", f"training with {algorithm.place.rpartition(':')[2]}") from error
+        raise MissingExtraError("contrib", f"training with {algorithm.import_path.rpartition(':')[2]}") from error
     return found
 
 

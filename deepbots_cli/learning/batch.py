@@ -15,7 +15,7 @@ from deepbots_cli.codegen import not_batched
 from deepbots_cli.learning.environments import BuildWorld, VectorEnvironment, last_info
 from deepbots_cli.learning.episodes import Episode
 from deepbots_cli.program import Program
-from deepbots_cli.runtime.batch import BatchSupervisor, Outcome, Running
+from deepbots_cli.runtime.batch import BatchStep, BatchSupervisor, Running
 
 SMALLEST = 8
 """Worlds from which on a batch is faster: what it does per step over arrays takes as long as 5 single worlds."""
@@ -130,7 +130,7 @@ class BatchedWorlds(VectorEnvironment):
     def step_wait(self) -> VecEnvStepReturn:
         rewards, dones = np.zeros(self.num_envs, np.float32), np.zeros(self.num_envs, bool)
         infos: list[dict[str, Any]] = [_NOTHING] * self.num_envs
-        ended: dict[int, tuple[int, Outcome, Sums]] = {}
+        ended: dict[int, tuple[int, BatchStep, Sums]] = {}
         for stage, (worlds, sums) in self._batches.items():
             acting = self._in(stage)
             outcome = worlds.advance(self._actions, None if acting.all() else ~acting)
@@ -162,7 +162,7 @@ class BatchedWorlds(VectorEnvironment):
         for world, _ in beginning:
             self.drawn[world] = worlds.singles[world].drawn()
 
-    def _close(self, world: int, place: int, outcome: Outcome, sums: Sums) -> dict[str, Any]:
+    def _close(self, world: int, place: int, outcome: BatchStep, sums: Sums) -> dict[str, Any]:
         """The last info of an episode, which is reported."""
         info, last = outcome.infos[place], outcome.last
         episode = sums.close(world, info)

@@ -36,13 +36,13 @@ from deepbots_cli.learning.defaults import effective
 from deepbots_cli.learning.environments import BuildWorld, World
 from deepbots_cli.learning.episodes import Episode, Statistics, Summary
 from deepbots_cli.learning.evaluation import batch_rollout, rollout
-from deepbots_cli.learning.failures import Guarded
+from deepbots_cli.learning.failures import FailureRecorder
 from deepbots_cli.learning.report import Reporter, TrainingProgress
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import Choices, Training, viewed
+from deepbots_cli.program.task import Choices, Training, policy_inputs
 from deepbots_cli.runtime.batch import BatchSupervisor
-from deepbots_cli.runtime.streams import derive
+from deepbots_cli.runtime.streams import derive_seed
 
 EPISODES = 20
 """Starts of an evaluation, the same each time: two networks differ by what they do there, not by their luck."""
@@ -96,7 +96,7 @@ class Evaluator:
         """Those of all evaluations."""
         self._build, self._run = build, run
         self._engine = "" if run is None else run.record.engine
-        self._seeds: Sequence[int] = [derive(seed, "trial", k) for k in range(CONFIRMATION_EPISODES)]
+        self._seeds: Sequence[int] = [derive_seed(seed, "trial", k) for k in range(CONFIRMATION_EPISODES)]
         self._scenario: Program | None = None
         self._world: World | None = None
         self._batch: BatchSupervisor | None = None
@@ -129,7 +129,7 @@ class Evaluator:
             found = None if self._batch is None else batch_rollout(model, self._batch, seeds, on_episode=look)
             if found is None:
                 if self._world is None:
-                    self._world = Guarded(self._build(scenario), self._run, scenario, seeds=self._seeds, stage=stage)
+                    self._world = FailureRecorder(self._build(scenario), self._run, scenario, seeds=self._seeds, stage=stage)
                 found = rollout(model, [self._world], seeds, deterministic=True, on_episode=look)
         finally:
             torch.set_rng_state(state)
@@ -338,7 +338,7 @@ class TrainingCallback(BaseCallback):
 def _first_frame(program: Program) -> dict[str, int]:
     """Where the newest value of each clipped number stands in an observation, by name; a truth value is always at an end of its range."""
     numbers = program.policy.numbers
-    places = enumerate(viewed(numbers, program.policy.frame_stack))
+    places = enumerate(policy_inputs(numbers, program.policy.frame_stack))
     return {numbers[i].full_name: place for place, (i, age) in places if age == 0 and numbers[i].clip and not numbers[i].truth}
 
 

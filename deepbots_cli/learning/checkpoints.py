@@ -48,7 +48,7 @@ from deepbots_cli.learning.environments import VectorEnvironment, fingerprint
 from deepbots_cli.learning.episodes import StatisticsState
 from deepbots_cli.learning.run import Run, read_json
 from deepbots_cli.runtime.batch import Running
-from deepbots_cli.runtime.streams import derive
+from deepbots_cli.runtime.streams import derive_seed
 
 Array = npt.NDArray[Any]
 Arrays = Mapping[str, Array]
@@ -374,7 +374,7 @@ class Checkpoints:
         if fingerprint(env.repeat(histories)) == state.observed:
             return True
         self._note(f"the episodes that ran at {model.num_timesteps:,} steps gave different results when repeated, so they were restarted")
-        env.starts = [derive(self.run.record.seed, "environment", i, "resumed", model.num_timesteps) for i in range(len(env.worlds))]
+        env.starts = [derive_seed(self.run.record.seed, "environment", i, "resumed", model.num_timesteps) for i in range(len(env.worlds))]
         model._last_obs = model.env.reset()  # type: ignore[union-attr, assignment]
         if (normalizer := model.get_vec_normalize_env()) is not None:
             model._last_original_obs = normalizer.get_original_obs()

@@ -118,7 +118,7 @@ def _base(algorithm: str) -> str:
 def longest_episode(scenario: Program) -> int:
     """In steps of the agent, over the scenario and its stages."""
     stages = [scenario, *(stage.program for stage in scenario.curriculum)]
-    return max(stage.truncation.last_step(stage.period) for stage in stages)
+    return max(stage.truncation.max_episode_steps(stage.period) for stage in stages)
 
 
 def effective(scenario: Program, total_timesteps: int) -> list[Effective]:

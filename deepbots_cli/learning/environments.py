@@ -22,7 +22,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvO
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
 from deepbots_cli.learning.episodes import Episode, EpisodeAccumulator
-from deepbots_cli.learning.failures import Guarded, set_random_state
+from deepbots_cli.learning.failures import FailureRecorder, set_random_state
 from deepbots_cli.program import Program
 from deepbots_cli.runtime.batch import Running
 from deepbots_cli.scenario import Scenario
@@ -76,7 +76,7 @@ class VectorEnvironment(VecEnv):
         self._on_step = on_step
         self._on_episode = on_episode
         self._next_world = next_world
-        self._is_team = is_team(self.worlds[0])
+        self._is_team = has_copies(self.worlds[0])
         first = self._agents(self.worlds[0])
         self._rows = len(first)
         self._accumulators = [EpisodeAccumulator() for _ in range(self._rows * len(self.worlds))]
@@ -217,11 +217,11 @@ class VectorEnvironment(VecEnv):
         return [agents[index] for index in self._get_indices(indices)]
 
 
-def _guarded(world: World) -> Guarded:
-    return world if isinstance(world, Guarded) else Guarded(world)
+def _guarded(world: World) -> FailureRecorder:
+    return world if isinstance(world, FailureRecorder) else FailureRecorder(world)
 
 
-def is_team(world: World) -> bool:
+def has_copies(world: World) -> bool:
     """Whether the agents of the world are copies of a robot, and not the world itself."""
     return world.has_wrapper_attr("agents") and world.unwrapped not in world.get_wrapper_attr("agents").values()
 

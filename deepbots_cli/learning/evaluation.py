@@ -24,15 +24,15 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from deepbots_cli.api import Compiled, build_batch
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.learning import algorithms, batch, models, video
-from deepbots_cli.learning.environments import BuildWorld, VectorEnvironment, World, compiled_of, default_build, is_team
+from deepbots_cli.learning.environments import BuildWorld, VectorEnvironment, World, compiled_of, default_build, has_copies
 from deepbots_cli.learning.episodes import DrawnBin, Episode, EpisodeAccumulator, Summary, by_drawn_value, meets, statistics_of, zero
-from deepbots_cli.learning.failures import Guarded
+from deepbots_cli.learning.failures import FailureRecorder
 from deepbots_cli.learning.run import ModelName, Run
 from deepbots_cli.learning.statistics import gate_rate
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Solved
 from deepbots_cli.runtime.batch import BatchSupervisor
-from deepbots_cli.runtime.streams import derive
+from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.scenario import Scenario
 
 ROWS = 8
@@ -133,7 +133,7 @@ def evaluate(
         video.check(video_to)
     engine = engine or known.engine_for(program)
     make = build or default_build(engine, allow_code=allow_code)
-    seeds = [derive(root, "evaluation", k) for k in range(count)]
+    seeds = [derive_seed(root, "evaluation", k) for k in range(count)]
     with algorithms.torch_settings(), ExitStack() as stack:
         done: list[Episode] | None = None
         together = min(count, TOGETHER)
@@ -144,7 +144,9 @@ def evaluate(
         if done is None:
             worlds = []
             for _ in range(min(count, max(1, min(copies or ROWS, ROWS)) if deterministic else 1)):
-                worlds.append(Guarded(make(program), known if scenario is None else None, program, seeds=seeds, case=case, stage=stage))
+                worlds.append(
+                    FailureRecorder(make(program), known if scenario is None else None, program, seeds=seeds, case=case, stage=stage)
+                )
                 stack.callback(worlds[-1].close)
             policy = load(known, model, worlds[0])
             done = rollout(policy, worlds, seeds, deterministic=deterministic, on_episode=on_episode, until=until)
@@ -176,7 +178,7 @@ def evaluate_baselines(
     """
     known = run if isinstance(run, Run) else Run.open(run)
     program, count, root = _setting(known, episodes, seed, scenario, case, stage)
-    seeds = [derive(root, "evaluation", k) for k in range(count)]
+    seeds = [derive_seed(root, "evaluation", k) for k in range(count)]
     results = []
     engine = engine or known.engine_for(program)
     with closing((build or default_build(engine, allow_code=allow_code))(program)) as world:
@@ -272,7 +274,7 @@ def _result(run: Run, program: Program, model: str, done: Sequence[Episode], **w
         success_defined=program.defines_success,
         solved=solved,
         verdict=verdict,
-        notes=(*run.notes(), *identity.other_conditions(run.program, program)),
+        notes=(*run.notes(), *identity.timing_differences(run.program, program)),
         outcomes=tuple(done),
         **where,
         **found,
@@ -319,7 +321,7 @@ def rollout(
     on_episode = on_episode or (lambda done, of: None)
     until = until or (lambda episodes: False)
     episodes: list[Episode] = []
-    if is_team(worlds[0]):
+    if has_copies(worlds[0]):
         for seed in seeds:
             episodes.append(_team_episode(model, worlds[0], seed, deterministic=deterministic))
             on_episode(len(episodes), len(seeds))
@@ -414,7 +416,7 @@ def batch_rollout(
 
 def repeat(model: BaseAlgorithm, world: World, seed: int, number: int, *, deterministic: bool) -> Episode:
     """One episode of an evaluation once more, to the bit: the one of this number, whose reset has this seed."""
-    if is_team(world):
+    if has_copies(world):
         return _team_episode(model, world, seed, deterministic=deterministic)
     forward = _Pass(world.observation_space, _choices(world) if algorithms.takes_masks(model) else None)
     lane = _Lane(world, number % ROWS, [0], [seed])
@@ -427,7 +429,7 @@ def repeat(model: BaseAlgorithm, world: World, seed: int, number: int, *, determ
 
 def acting(model: BaseAlgorithm, world: World, *, deterministic: bool = True) -> Callable[[Any], Any]:
     """A function that returns the action of a policy for each observation of one episode."""
-    size = len(world.get_wrapper_attr("agents")) if is_team(world) else 0
+    size = len(world.get_wrapper_attr("agents")) if has_copies(world) else 0
     memory, starts = None, np.ones(size or 1, dtype=bool)
     takes_masks = algorithms.takes_masks(model) and world.has_wrapper_attr("action_masks")
 
@@ -444,7 +446,7 @@ def acting(model: BaseAlgorithm, world: World, *, deterministic: bool = True) ->
 
 def _team_episode(model: BaseAlgorithm, world: World, seed: int, *, deterministic: bool) -> Episode:
     """An episode of all copies of a robot, with the mean of their rewards; each forward pass has a row for each copy."""
-    torch.manual_seed(derive(seed, "policy"))
+    torch.manual_seed(derive_seed(seed, "policy"))
     observation, info = world.reset(seed=seed)
     accumulator, act = EpisodeAccumulator(), acting(model, world, deterministic=deterministic)
     accumulator.begin(seed, info)
@@ -528,7 +530,7 @@ class _Lane:
         self.number = number
         # Only a policy that samples draws from this.
         seed = self._seeds[number]
-        torch.manual_seed(derive(seed, "policy"))
+        torch.manual_seed(derive_seed(seed, "policy"))
         forward.starts[self.row] = True
         observation, info = self._world.reset(seed=seed)
         self._accumulator.begin(seed, info)

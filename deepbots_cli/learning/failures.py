@@ -2,7 +2,7 @@
 
     failures/0001.json      the start of the episode, its actions, and the error
 
-`Guarded` wraps each world of a training or an evaluation of a run. `reproduce` repeats the episode of a file.
+`FailureRecorder` wraps each world of a training or an evaluation of a run. `reproduce` repeats the episode of a file.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from deepbots_cli import api
 from deepbots_cli.errors import DeepbotsError, EvaluationError, RunError, UsageError
 from deepbots_cli.learning.run import Run, read_json, write_numbered
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import viewed
+from deepbots_cli.program.task import policy_inputs
 from deepbots_cli.runtime.batch import Running
 
 FOLDER = "failures"
@@ -46,7 +46,7 @@ class Failure(BaseModel, strict=True):
     actions: list[Any]
 
 
-class Guarded(gym.Wrapper[Any, Any, Any, Any]):
+class FailureRecorder(gym.Wrapper[Any, Any, Any, Any]):
     """A world with the `history` of its running episode, whose failures name field or term, step, episode and seed.
 
     A failure is an error of the world, a reward that is not finite, or an observation that is not finite.
@@ -108,7 +108,7 @@ class Guarded(gym.Wrapper[Any, Any, Any, Any]):
         if key != "observation" or self._program is None:
             return f"the {key.replace('_', ' ')}"
         policy = self._program.policy
-        names = [policy.numbers[index].full_name for index, _ in viewed(policy.numbers, policy.frame_stack)]
+        names = [policy.numbers[index].full_name for index, _ in policy_inputs(policy.numbers, policy.frame_stack)]
         place = int(np.flatnonzero(~np.isfinite(part).reshape(-1))[0])
         return f"the observation '{names[place % len(names)]}'" if names else "the observation"
 
@@ -153,7 +153,7 @@ def keep(run: Run, failure: Failure) -> Path | None:
 
 
 def read(path: Path) -> tuple[Failure, Run, Program]:
-    """A file that `Guarded` wrote, its run, and the scenario, case or stage that failed.
+    """A file that `FailureRecorder` wrote, its run, and the scenario, case or stage that failed.
 
     Raises:
         RunError: The file is damaged, or does not lie in the folder `failures` of a run.
@@ -177,7 +177,7 @@ def steps(failure: Failure, program: Program, world: gym.Env[Any, Any], path: Pa
     if isinstance(failure.start, dict):
         with _damaged(path):
             set_random_state(world, failure.start)
-    guarded = Guarded(world, program=program, episode=lambda: failure.episode)
+    guarded = FailureRecorder(world, program=program, episode=lambda: failure.episode)
     guarded.reset(seed=failure.start if isinstance(failure.start, int) else None)
     for done, kept in enumerate(failure.actions, start=1):
         with _damaged(path):
@@ -189,7 +189,7 @@ def steps(failure: Failure, program: Program, world: gym.Env[Any, Any], path: Pa
 
 
 def reproduce(path: Path, *, allow_code: bool = False) -> tuple[Failure, str | None]:
-    """Repeat the episode of a file that `Guarded` wrote; the failure, and the error of the repetition (None: it did not fail).
+    """Repeat the episode of a file that `FailureRecorder` wrote; the failure, and the error of the repetition (None: it did not fail).
 
     If the episode ends earlier now, the actions of the failure are those that were repeated.
 

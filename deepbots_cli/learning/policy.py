@@ -18,7 +18,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import algorithms, evaluation
 from deepbots_cli.learning.run import ModelName, Run
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import ActionRange, Choices, viewed
+from deepbots_cli.program.task import ActionRange, Choices, policy_inputs
 from deepbots_cli.runtime.spaces import action_space, observation_space
 
 
@@ -65,7 +65,7 @@ class Policy:
         numbers = program.policy.numbers
         self.observation = tuple(
             ObservedValue(n.full_name, n.unit.removeprefix("1"), n.low, n.high, n.truth, age)
-            for n, age in ((numbers[index], age) for index, age in viewed(numbers, program.policy.frame_stack))
+            for n, age in ((numbers[index], age) for index, age in policy_inputs(numbers, program.policy.frame_stack))
         )
         self.action = tuple(value for part in program.policy.action for value in _values(part))
         self._model = model

@@ -293,7 +293,7 @@ class Run:
             compiled = api.compile(api.load(path / RESOLVED, allow_code=True, project=path))
         except DeepbotsError as error:
             raise RunError(f"{path} cannot be used, since its scenario does not compile: {' '.join(str(error).split())[:500]}") from error
-        differences = identity.compare(record.interface, identity.interface(compiled.program), words=("trained", "now"))
+        differences = identity.compare_interfaces(record.interface, identity.interface(compiled.program), words=("trained", "now"))
         if differences:
             lines = "\n  ".join(differences)
             raise RunError(f"{path} was trained for another observation, action or messages than its scenario has now:\n  {lines}")

@@ -19,7 +19,7 @@ from deepbots_cli.learning.episodes import Episode, EpisodeAccumulator, zero
 from deepbots_cli.lint.ranges import with_unit
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Expected, ScenarioTest
-from deepbots_cli.runtime.streams import derive
+from deepbots_cli.runtime.streams import derive_seed
 
 if TYPE_CHECKING:
     from deepbots_cli.runtime import Supervisor
@@ -114,7 +114,7 @@ def _first_of_each(misses: Sequence[Miss], test: ScenarioTest, period: float) ->
 
 def _episode(environment: Supervisor, test: ScenarioTest, number: int, misses: list[Miss]) -> Episode:
     """One episode, whose `ended_by` is None if the test stops it; what it misses is added to `misses`."""
-    seed, accumulator = derive(test.seed, "evaluation", number), EpisodeAccumulator()
+    seed, accumulator = derive_seed(test.seed, "evaluation", number), EpisodeAccumulator()
     accumulator.begin(seed, environment.reset(seed=seed)[1])
     policy, watches = _policy(environment, test), [_Watch(agent, test, number) for agent in environment.agents.values()]
     for step in range(1, test.steps + 1):

@@ -31,7 +31,7 @@ from deepbots_cli.learning.curriculum import Curriculum
 from deepbots_cli.learning.defaults import longest_episode
 from deepbots_cli.learning.environments import BuildWorld, VectorEnvironment, World, compiled_of, default_build
 from deepbots_cli.learning.episodes import Episode, EpisodeLog, Statistics
-from deepbots_cli.learning.failures import Guarded
+from deepbots_cli.learning.failures import FailureRecorder
 from deepbots_cli.learning.report import Reporter, reporter
 from deepbots_cli.learning.run import (
     FORMAT,
@@ -49,7 +49,7 @@ from deepbots_cli.learning.run import (
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Training
 from deepbots_cli.runtime.batch import BatchSupervisor
-from deepbots_cli.runtime.streams import derive
+from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.scenario import Scenario
 
 MAX_STEPS = 10**12
@@ -111,7 +111,7 @@ def train(
     source = None if initialize_from is None else Run.open(initialize_from)
     taken_over = _validate_setup(compiled.program, training, build, source)
     path = new_directory(run, runs, compiled.program.name, seed)
-    seeds = {f"environment/{i}": derive(seed, "environment", i) for i in range(training.environments)}
+    seeds = {f"environment/{i}": derive_seed(seed, "environment", i) for i in range(training.environments)}
     record = Record(
         format=FORMAT,
         deepbots=deepbots_cli.__version__,
@@ -123,7 +123,7 @@ def train(
         inputs=input_digests(compiled.inputs),
         engine=engine,
         seed=seed,
-        seeds=seeds | {"policy": derive(seed, "policy"), "evaluation": derive(seed, "evaluation")},
+        seeds=seeds | {"policy": derive_seed(seed, "policy"), "evaluation": derive_seed(seed, "evaluation")},
         total_timesteps=training.total_timesteps,
         stop_when_solved=stop_when_solved,
         first_stage=stage,
@@ -264,7 +264,7 @@ def _learn(run: Run, training: Training, checkpoints: Checkpoints, build: BuildW
             model: Any = algorithms.create(
                 training,
                 env,
-                seed=derive(run.record.seed, "policy"),
+                seed=derive_seed(run.record.seed, "policy"),
                 total_timesteps=training.total_timesteps,
                 longest_episode=longest_episode(run.program),
                 mixin=Resumable,
@@ -372,7 +372,7 @@ def _environment(
     def guarded(stage: int) -> World:
         scenario = curriculum.scenario_of(stage)
         name = curriculum.stages[stage].name if curriculum.stages else None
-        return Guarded(build(scenario), run, scenario, episode=lambda: statistics.episodes + 1, stage=name)
+        return FailureRecorder(build(scenario), run, scenario, episode=lambda: statistics.episodes + 1, stage=name)
 
     def close() -> None:
         for world in worlds:
@@ -380,7 +380,7 @@ def _environment(
 
     worlds: list[World] = []
     stack.callback(close)
-    seeds = [derive(run.record.seed, "environment", i) for i in range(len(stages))]
+    seeds = [derive_seed(run.record.seed, "environment", i) for i in range(len(stages))]
     env: VectorEnvironment
     if not batch.reasons_against(run.program, len(stages), run.record.engine, build):
         build_stage = partial(_batch_of_stage, run, curriculum, len(stages))
@@ -398,7 +398,7 @@ def _enter_stage(run: Run, curriculum: Curriculum, stages: list[int], world: int
     if stages[world] == curriculum.index:
         return None
     stages[world] = curriculum.index
-    return derive(run.record.seed, "environment", world, "stage", curriculum.index)
+    return derive_seed(run.record.seed, "environment", world, "stage", curriculum.index)
 
 
 def _batch_of_stage(run: Run, curriculum: Curriculum, count: int, stage: int) -> BatchSupervisor:

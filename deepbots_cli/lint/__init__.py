@@ -1,6 +1,6 @@
 """Lint: rules about scenarios that compile and are probably not what their author means, fixes, and project settings.
 
-A static rule is a generator from a `Context` to findings, a simulated rule one from a `Simulation`. No rule uses another rule. Each
+A static rule is a generator from a `RuleContext` to findings, a simulated rule one from a `Simulation`. No rule uses another rule. Each
 module of rules lists both kinds, in `STATIC_RULES` and `SIMULATED_RULES`. The docstring of a rule begins with its code; the docstring
 of a static rule is its page in the reference.
 
@@ -12,7 +12,7 @@ rewards.py       the size of the reward; shaping.py its direction               
 endings.py       when episodes end, goals that cannot be reached                             DB8
 
 analysis.py      what rules ask about a program: definitions, equal quantities, thresholds; ranges.py interval analysis
-simulation.py    plan, process and report of a simulation; child.py and rollouts.py run in that process
+simulation.py    plan, process and report of a simulation; simulation_process.py and rollouts.py run in that process
 fixes.py         applies fixes; settings.py which files are linted, and how
 """
 
@@ -28,13 +28,13 @@ from pathlib import Path
 from textwrap import dedent, fill, indent
 
 from deepbots_cli.compiler import Checked
-from deepbots_cli.diagnostics import MAX_FINDINGS, RULES, Finding, Findings, Source, Span, shielded
-from deepbots_cli.diagnostics.findings import fault
+from deepbots_cli.diagnostics import MAX_FINDINGS, RULES, Finding, Findings, Source, Span, faults_as_findings
+from deepbots_cli.diagnostics.findings import internal_error
 from deepbots_cli.diagnostics.suppress import suppress
 from deepbots_cli.document.nodes import to_data
 from deepbots_cli.document.parse import parse
 from deepbots_cli.lint import endings, names, observations, rewards, robots, saturation, shaping, world
-from deepbots_cli.lint.analysis import Context, StaticRule, names_in
+from deepbots_cli.lint.analysis import RuleContext, StaticRule, names_in
 from deepbots_cli.lint.simulation import Limits, Simulation, measure
 
 SimulatedRule = Callable[[Simulation], Iterator[Finding]]
@@ -77,12 +77,12 @@ def run(checked: Checked, *, preview: bool = False) -> Iterator[Finding]:
     """
     if checked.findings.errors or checked.program is None or checked.namespace is None:
         return
-    context, cascade, source = Context(checked, checked.program, checked.namespace), CascadeFilter(checked), checked.document.source
+    context, cascade, source = RuleContext(checked, checked.program, checked.namespace), CascadeFilter(checked), checked.document.source
     checks: list[tuple[str, Callable[[], Iterator[Finding]]]] = [(code_of(rule), partial(rule, context)) for rule in STATIC_RULES]
     checks += [(rule.code, partial(rule.check, checked)) for rule in RULES.added.values() if rule.check is not None]
     for code, check in checks:
         if preview or not RULES[code].preview:
-            found = shielded(f"the rule {code}", source, partial(_found, check))
+            found = faults_as_findings(f"the rule {code}", source, partial(_found, check))
             yield from (finding for finding in found if not cascade.drops(finding))
 
 
@@ -139,13 +139,13 @@ def simulate(checked: Checked, *, preview: bool = False, limits: Limits = Limits
     source = checked.document.source
     report = measure(checked.inputs, limits, allow_code=checked.document.allow_code)
     if report.fault is not None:
-        return Simulated([fault("the simulation", source, report.fault)])
+        return Simulated([internal_error("the simulation", source, report.fault)])
     simulation = Simulation(checked, checked.program, checked.namespace, report)
     rules = [(code_of(rule), rule) for rule in SIMULATED_RULES]
     active = [(code, rule) for code, rule in rules if preview or not RULES[code].deep_preview]
-    found = [finding for code, rule in active for finding in shielded(f"the rule {code}", source, partial(rule, simulation))]
+    found = [finding for code, rule in active for finding in faults_as_findings(f"the rule {code}", source, partial(rule, simulation))]
     errors = [finding for finding in found if finding.severity == "error"]
-    if not all(finding.is_fault for finding in errors):
+    if not all(finding.is_internal_error for finding in errors):
         found = [finding for finding in found if finding.severity == "error" or finding.code in _CAUSES]
     halt = report.halt
     return Simulated(found, f"{simulation.when()}, after {halt.what}" if halt is not None and halt.kind == "slow" else None)

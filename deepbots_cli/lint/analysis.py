@@ -104,7 +104,7 @@ class Analysis:
         self._ranges: dict[tuple[float, float], Ranges] = {}
         self.period = program.world.timestep * program.action_repeat
         """Seconds between two actions."""
-        self.last = program.truncation.last_step(self.period)
+        self.last = program.truncation.max_episode_steps(self.period)
         """The step at which an episode is truncated at the latest."""
 
     @cached_property
@@ -486,46 +486,46 @@ def thresholds(comparison: Comparison, ranges: Ranges) -> Iterator[Threshold]:
                 yield from _derived(Threshold(side, above, bound, dimension), ranges)
 
 
-def _derived(asked: Threshold, ranges: Ranges) -> Iterator[Threshold]:
+def _derived(threshold: Threshold, ranges: Ranges) -> Iterator[Threshold]:
     """A threshold, and those of the quantities that its quantity is made of."""
-    yield asked
-    meaning = ranges.analysis.meaning(asked.quantity)
+    yield threshold
+    meaning = ranges.analysis.meaning(threshold.quantity)
     match meaning:
-        case Op("abs", (inner,)) if asked.above or ranges.of(inner).low >= 0.0:
-            now = asked.now and ranges.of(inner).low >= 0.0
-            yield from _derived(asked._replace(quantity=inner, now=now), ranges)
-            if asked.above:
-                yield from _derived(Threshold(inner, False, iv.negate(asked.bound), asked.dimension, False), ranges)
+        case Op("abs", (inner,)) if threshold.above or ranges.of(inner).low >= 0.0:
+            now = threshold.now and ranges.of(inner).low >= 0.0
+            yield from _derived(threshold._replace(quantity=inner, now=now), ranges)
+            if threshold.above:
+                yield from _derived(Threshold(inner, False, iv.negate(threshold.bound), threshold.dimension, False), ranges)
         case Op("neg", (inner,)):
-            yield from _derived(asked._replace(quantity=inner, above=not asked.above, bound=iv.negate(asked.bound)), ranges)
+            yield from _derived(threshold._replace(quantity=inner, above=not threshold.above, bound=iv.negate(threshold.bound)), ranges)
         case Op("add" | "sub" | "mul" | "div" as op, (a, b)):
-            yield from _solved(op, a, b, asked, ranges)
+            yield from _solved(op, a, b, threshold, ranges)
         case State(function, (inner, *_)) if function in FOLLOWING:
-            yield from _derived(asked._replace(quantity=inner, now=False), ranges)
-        case Name() if meaning != asked.quantity:
-            yield asked._replace(quantity=meaning)
+            yield from _derived(threshold._replace(quantity=inner, now=False), ranges)
+        case Name() if meaning != threshold.quantity:
+            yield threshold._replace(quantity=meaning)
 
 
-def _solved(op: str, a: Scalar, b: Scalar, asked: Threshold, ranges: Ranges) -> Iterator[Threshold]:
+def _solved(op: str, a: Scalar, b: Scalar, threshold: Threshold, ranges: Ranges) -> Iterator[Threshold]:
     """`a + b > c` needs a > c - b, where b is known."""
     known, unknown = (ranges.of(b), a) if ranges.of(b).finite else (ranges.of(a), b)
     if not known.finite or ranges.of(unknown).single:
         return
     if op in ("mul", "div") and (known.low <= 0.0 <= known.high or (op == "div" and unknown is b)):
         return
-    above = asked.above
+    above = threshold.above
     match op:
         case "add":
-            bound = iv.subtract(asked.bound, known)
+            bound = iv.subtract(threshold.bound, known)
         case "sub" if unknown is a:
-            bound = iv.add(asked.bound, known)
+            bound = iv.add(threshold.bound, known)
         case "sub":
-            bound, above = iv.subtract(known, asked.bound), not above
+            bound, above = iv.subtract(known, threshold.bound), not above
         case _:
             solve = iv.divide if op == "mul" else iv.multiply
-            bound, above = solve(asked.bound, known), above == (known.low > 0.0)
-    dimension = asked.dimension if op in ("add", "sub") else None
-    yield from _derived(Threshold(unknown, above, bound, dimension, asked.now), ranges)
+            bound, above = solve(threshold.bound, known), above == (known.low > 0.0)
+    dimension = threshold.dimension if op in ("add", "sub") else None
+    yield from _derived(Threshold(unknown, above, bound, dimension, threshold.now), ranges)
 
 
 def shadowed(analysis: Analysis) -> Mapping[Ending, Ending]:
@@ -541,11 +541,13 @@ def shadowed(analysis: Analysis) -> Mapping[Ending, Ending]:
         if not others or has_choice(analysis, late.value):
             continue
         for comparison in analysis.comparisons(late.value):
-            for asked in thresholds(comparison, ranges):
-                if not asked.now or not _is_gradual(analysis, asked.quantity):
+            for threshold in thresholds(comparison, ranges):
+                if not threshold.now or not _is_gradual(analysis, threshold.quantity):
                     continue
-                ahead = asked.limit - (1.0 if asked.above else -1.0) * _MARGIN * abs(asked.limit)
-                there = ranges.where(analysis.identity(asked.quantity), Interval(ahead, INF) if asked.above else Interval(-INF, ahead))
+                ahead = threshold.limit - (1.0 if threshold.above else -1.0) * _MARGIN * abs(threshold.limit)
+                there = ranges.where(
+                    analysis.identity(threshold.quantity), Interval(ahead, INF) if threshold.above else Interval(-INF, ahead)
+                )
                 first = next((other for other in others if there.of(analysis.scalars(other.value)[0]) == ALWAYS), None)
                 if first is not None:
                     found.setdefault(late, first)
@@ -570,7 +572,7 @@ def _is_gradual(analysis: Analysis, quantity: Scalar) -> bool:
 # For the rules
 
 
-class Context:
+class RuleContext:
     """A scenario without errors, for the rules.
 
     `program` is what it compiles to, `analysis` what several rules ask about that, and `values` the places in its text.
@@ -595,7 +597,7 @@ class Context:
         return self.values.span(("observation", entry.value.name, "range"))
 
 
-StaticRule = Callable[[Context], Iterator[Finding]]
+StaticRule = Callable[[RuleContext], Iterator[Finding]]
 
 
 def names_in(tree: Typed) -> Iterator[str]:

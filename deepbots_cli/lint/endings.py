@@ -12,7 +12,7 @@ from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import LENGTH, TIME
 from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, TRUTH, Interval, hull
 from deepbots_cli.expressions.scalar import Name, Op, Scalar, World
-from deepbots_cli.lint.analysis import Analysis, Comparison, Context, Threshold, has_choice, names_in, thresholds, total
+from deepbots_cli.lint.analysis import Analysis, Comparison, RuleContext, Threshold, has_choice, names_in, thresholds, total
 from deepbots_cli.lint.ranges import Ranges, between, with_unit
 from deepbots_cli.lint.simulation import Simulation
 from deepbots_cli.program import Program
@@ -29,7 +29,7 @@ _MAX_SEEDS = 8
 """Seeds listed in a note."""
 
 
-def never_true(context: Context) -> Iterator[Finding]:
+def never_true(context: RuleContext) -> Iterator[Finding]:
     """DB801: an ending can never hold.
 
     For example, the joint has a stop before the limit, a distance would have to be negative, or an angle in degrees is compared in
@@ -85,7 +85,7 @@ def _sides(entry: Comparison, ranges: Ranges) -> Iterator[tuple[str, Interval, s
             yield entry.value.text[arg.start : arg.end], known, between(known, arg.type.dimension)
 
 
-def always_true(context: Context) -> Iterator[Finding]:
+def always_true(context: RuleContext) -> Iterator[Finding]:
     """DB802: an ending holds in every step, so that each episode ends at once.
 
     Example::
@@ -102,7 +102,7 @@ def always_true(context: Context) -> Iterator[Finding]:
             yield Finding("DB802", ending.value.span, headline, help="write a condition that does not always hold")
 
 
-def shadowed_limit(context: Context) -> Iterator[Finding]:
+def shadowed_limit(context: RuleContext) -> Iterator[Finding]:
     """DB804: one of two limits always comes first, so the other has no effect.
 
     For example, `max_time` comes after `max_steps`, an ending can hold only after the truncation or after another ending, or an ending
@@ -153,7 +153,7 @@ def _with_return(analysis: Analysis, first: int, last: int) -> Ranges:
     return Ranges(analysis, {"episode_return": known}, (float(first), float(last)))
 
 
-def _later_limit(context: Context) -> Iterator[Finding]:
+def _later_limit(context: RuleContext) -> Iterator[Finding]:
     """The later one of `max_steps` and `max_time`, if it is the same in every case and every stage."""
     later = {_later(analysis.program) for analysis in context.versions}
     if len(later) == 1 and (name := later.pop()):
@@ -171,7 +171,7 @@ def _later(program: Program) -> str:
     return "max_time" if time > steps else "max_steps" if steps > time else ""
 
 
-def _later_ending(context: Context) -> Iterator[Finding]:
+def _later_ending(context: RuleContext) -> Iterator[Finding]:
     """Endings that come too late in every case and every stage."""
     found = context.analysis.shadowed
     later = [{late.value.name for late in analysis.shadowed} for analysis in context.versions] if found else []
@@ -190,7 +190,7 @@ def _leaves(analysis: Analysis, node: Scalar) -> set[str]:
     return names | {f"{part.function}()" for part in nodes if isinstance(part, World)}
 
 
-def timeout_as_termination(context: Context) -> Iterator[Finding]:
+def timeout_as_termination(context: RuleContext) -> Iterator[Finding]:
     """DB805: an ending depends only on the time, which the agent does not observe.
 
     A time limit is not part of the task, because the world would continue. After a truncation the learner estimates the return that
@@ -217,7 +217,7 @@ def timeout_as_termination(context: Context) -> Iterator[Finding]:
             yield Finding("DB805", ending.value.span, headline, help=f"limit the episode under `truncation`: {kept}")
 
 
-def ends_at_reset(context: Context) -> Iterator[Finding]:
+def ends_at_reset(context: RuleContext) -> Iterator[Finding]:
     """DB806: an ending already holds at the start of every episode.
 
     Example::
@@ -262,7 +262,7 @@ def undefined_value(simulation: Simulation) -> Iterator[Finding]:
         yield Finding("DB808", span, headline, notes=(simulation.when(), str(stop.get("text", ""))))
 
 
-def after_the_end(context: Context) -> Iterator[Finding]:
+def after_the_end(context: RuleContext) -> Iterator[Finding]:
     """DB811: a push, a reading or a message would come only after the end of every episode.
 
     The rule compares three times with the length of an episode (`max_steps`, `max_time`): the first push of a disturbance, the second
@@ -332,7 +332,7 @@ class SolidProfile(NamedTuple):
         return sqrt(max(0.0, self.radius**2 - off**2))
 
 
-def unreachable_goal(context: Context) -> Iterator[Finding]:
+def unreachable_goal(context: RuleContext) -> Iterator[Finding]:
     """DB807: a success requires an impossible distance: bodies touch before their origins meet, or one lies beyond the walls.
 
     `distance` and `ground_distance` are measured between origins. A robot of 4 cm radius and a ball of 7 cm radius never come closer
@@ -435,7 +435,7 @@ def _height(analysis: Analysis, subject: str, shape: Shape | RobotModel) -> floa
         return None
     if known.single:
         return known.low
-    return footprint.resting(shape) if not known.finite else None
+    return footprint.resting_height(shape) if not known.finite else None
 
 
 def _core(shape: Shape, height: float, *, upright: bool) -> list[SolidProfile]:
@@ -463,7 +463,7 @@ def _is_outside(analysis: Analysis, body: str, near: float) -> bool:
     return False
 
 
-def idle_test(context: Context) -> Iterator[Finding]:
+def idle_test(context: RuleContext) -> Iterator[Finding]:
     """DB813: a test that can only pass, or only fail.
 
     A condition holds in every step or in none, a rate may be anything, or every ending of the scenario is expected.

@@ -17,7 +17,7 @@ from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Edit, Finding, Findings, Source
 from deepbots_cli.document import files, shipped
 from deepbots_cli.document.load import NO_DRAFTS, Drafts
-from deepbots_cli.document.nodes import Mapping, around, to_data
+from deepbots_cli.document.nodes import Mapping, enclosing_entry, to_data
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
 from deepbots_cli.lint import review
@@ -223,7 +223,7 @@ def _outside(added: Iterable[Finding], root: Mapping, edits: Iterable[Edit]) -> 
     for edit in sorted(edits, key=lambda edit: edit.span.start):
         source, start = edit.span.source, edit.span.start + shift[edit.span.source]
         shift[source] += len(edit.text) - (edit.span.end - edit.span.start)
-        entries.append(around(root, source.name, start, start + len(edit.text)))
+        entries.append(enclosing_entry(root, source.name, start, start + len(edit.text)))
     return [
         finding
         for finding in added

@@ -7,11 +7,11 @@ from math import pi
 
 from deepbots_cli.compiler.namespace import Origin
 from deepbots_cli.diagnostics import Finding
-from deepbots_cli.document.layout import removing
+from deepbots_cli.document.layout import removal_fix
 from deepbots_cli.expressions.dimensions import ANGLE
 from deepbots_cli.expressions.scalar import Op, Scalar, World
 from deepbots_cli.expressions.types import Constant, Invocation, Kind, Operation, Reference, Stage, Typed, children, walk
-from deepbots_cli.lint.analysis import Analysis, Context, names_in
+from deepbots_cli.lint.analysis import Analysis, RuleContext, names_in
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Robot
 from deepbots_cli.program.values import Expression
@@ -21,7 +21,7 @@ from deepbots_cli.program.values import Expression
 _COUNTED = (Origin.PARAMETER, Origin.ACTION, Origin.FIELD, Origin.AUGMENT, Origin.SIGNAL)
 
 
-def unused_definition(context: Context) -> Iterator[Finding]:
+def unused_definition(context: RuleContext) -> Iterator[Finding]:
     """DB205: a parameter, action variable, field, signal, sensor, actuator or message value is defined and never used.
 
     Most often the name is misspelt elsewhere, or the definition is left over from an earlier version. A sensor is used if `emit`, `apply`
@@ -48,16 +48,16 @@ def unused_definition(context: Context) -> Iterator[Finding]:
     yield from _unused_parts(context)
 
 
-def _unused_names(context: Context) -> Iterator[Finding]:
+def _unused_names(context: RuleContext) -> Iterator[Finding]:
     used = {name for each in context.checked.variants if each.namespace for name, known in each.namespace.definitions.items() if known.uses}
     for name, definition in context.namespace.definitions.items():
         if definition.origin in _COUNTED and definition.uses == 0 and name not in used:
             headline = f"`{name}` is {definition.origin.value} that nothing uses"
-            fix = removing(context.values.root, definition.path)
+            fix = removal_fix(context.values.root, definition.path)
             yield Finding("DB205", context.values.key_span(definition.path), headline, help="use it, or remove it", fix=fix)
 
 
-def _unused_parts(context: Context) -> Iterator[Finding]:
+def _unused_parts(context: RuleContext) -> Iterator[Finding]:
     """Sensors and actuators of a robot, and what it receives."""
     read = {
         subject.name
@@ -89,7 +89,7 @@ def _unused_parts(context: Context) -> Iterator[Finding]:
             path = ("robots", robot.name, *place)
             span = context.values.key_span(path)
             if span.source is context.checked.document.source:  # an included robot file may offer more than the task needs
-                yield Finding("DB205", span, f"`{path[-1]}` is {what}", help=help, fix=removing(context.values.root, path))
+                yield Finding("DB205", span, f"`{path[-1]}` is {what}", help=help, fix=removal_fix(context.values.root, path))
 
 
 def _computed(program: Program) -> Iterator[Expression]:
@@ -115,7 +115,7 @@ _SMOOTH = frozenset({"add", "sub", "mul", "div", "neg", "abs", "hypot", "sqrt", 
 """Operations on a measurement that give a measurement; `clamp`, `min` and `where` give values that can be met exactly."""
 
 
-def equality_of_measures(context: Context) -> Iterator[Finding]:
+def equality_of_measures(context: RuleContext) -> Iterator[Finding]:
     """DB411: a condition requires a measurement to be equal to a number.
 
     A distance, an angle or a speed has sixteen digits and changes in every step. It passes 20 cm without ever being exactly 20 cm, so
@@ -180,7 +180,7 @@ _PERIODIC = frozenset({"wrap", "sin", "cos", "tan"})
 """Functions for which a full turn makes no difference."""
 
 
-def angle_jumps(context: Context) -> Iterator[Finding]:
+def angle_jumps(context: RuleContext) -> Iterator[Finding]:
     """DB506: the change of a heading, or the difference of two headings, jumps by a full turn at 180 deg.
 
     `yaw`, `bearing`, `atan2` and a compass lie between -180 and 180 deg. A turn from 179 to -179 deg is a turn of 2 deg, but

@@ -9,14 +9,14 @@ from typing import NamedTuple
 
 from deepbots_cli.compiler.namespace import Origin
 from deepbots_cli.diagnostics import Edit, Finding, Fix, Label, Span
-from deepbots_cli.document.layout import removing
+from deepbots_cli.document.layout import removal_fix
 from deepbots_cli.expressions.dimensions import Dimension
 from deepbots_cli.expressions.functions import FUNCTIONS, Family
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 from deepbots_cli.expressions.scalar import children as parts_of
 from deepbots_cli.expressions.types import Invocation, Reference, Typed, walk
-from deepbots_cli.lint.analysis import Analysis, Context
+from deepbots_cli.lint.analysis import Analysis, RuleContext
 from deepbots_cli.lint.ranges import between, range_text, with_unit
 from deepbots_cli.lint.simulation import MeasuredNumber, Simulation
 from deepbots_cli.program import Program
@@ -77,13 +77,13 @@ def clipped_once(analysis: Analysis) -> Iterator[RangedNumber]:
             yield number
 
 
-def replace_range(context: Context, number: RangedNumber, wide: Interval, dimension: Dimension) -> Fix | None:
+def replace_range(context: RuleContext, number: RangedNumber, wide: Interval, dimension: Dimension) -> Fix | None:
     """A fix that writes another range; None where the components have ranges of their own."""
     is_one = len({*zip(number.entry.low, number.entry.high, strict=True)}) == 1
     return Fix((Edit(context.range_span(number.entry), range_text(wide, dimension)),), safe=False) if is_one else None
 
 
-def privileged_observation(context: Context) -> Iterator[Finding]:
+def privileged_observation(context: RuleContext) -> Iterator[Finding]:
     """DB609: the policy sees a signal or a parameter that is not listed under `augment`.
 
     Only the supervisor knows the world and the drawn parameters; a real robot could not measure them. List the value under `augment` to
@@ -127,7 +127,7 @@ def _is_privileged(node: Typed, privileged: set[str]) -> bool:
     return isinstance(node, Invocation) and FUNCTIONS[node.function].family is Family.WORLD
 
 
-def goal_in_observation(context: Context) -> Iterator[Finding]:
+def goal_in_observation(context: RuleContext) -> Iterator[Finding]:
     """DB614: with hindsight replay, an entry of the observation depends on the goal.
 
     Hindsight stores each step once more with another goal. It replaces `desired`, which the policy sees anyway, and recomputes the
@@ -186,7 +186,7 @@ class Linear(NamedTuple):
     offset: float = 0.0
 
 
-def noise_without_effect(context: Context) -> Iterator[Finding]:
+def noise_without_effect(context: RuleContext) -> Iterator[Finding]:
     """DB616: a value has noise, and the policy sees the exact value elsewhere.
 
     The policy reads the exact value there, for example in `achieved_goal`, and learns nothing about noise. Two values are the same if
@@ -301,7 +301,7 @@ def _shows(shown: SeenNumber, exact: Linear, noisy: SeenNumber, hidden: Linear) 
     return common >= _SHARE * (noisy.range.high - noisy.range.low)
 
 
-def observation_unbounded(context: Context) -> Iterator[Finding]:
+def observation_unbounded(context: RuleContext) -> Iterator[Finding]:
     """DB601: an entry of the observation has no bounds and is not clipped.
 
     A network that was trained on numbers around 1 gives arbitrary outputs for 1000. Such values occur when a robot is thrown, in a
@@ -319,12 +319,12 @@ def observation_unbounded(context: Context) -> Iterator[Finding]:
     loose = [number for number in ranged_numbers(analysis) if not number.entry.clip and not analysis.ranges.of(number.node).finite]
     for entry in {id(number.entry): number.entry for number in loose}.values():
         headline = f"`{entry.value.name}` has no bounds and is not clipped"
-        fix = removing(context.values.root, ("observation", entry.value.name, "clip"))
+        fix = removal_fix(context.values.root, ("observation", entry.value.name, "clip"))
         help = "remove `clip: false`, or `clamp` the value under `augment`"
         yield Finding("DB601", context.range_span(entry), headline, help=help, fix=fix)
 
 
-def bounds_mismatch(context: Context) -> Iterator[Finding]:
+def bounds_mismatch(context: RuleContext) -> Iterator[Finding]:
     """DB602: a value never lies within its range in the observation.
 
     The value is clipped to one end of the range in every step, so the policy sees a constant. The usual causes are a range in another

@@ -11,7 +11,7 @@ from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.intervals import INF, NEVER, TRUTH, Interval
 from deepbots_cli.expressions.scalar import Name, Op, Scalar, State, walk
 from deepbots_cli.expressions.types import Constant, Invocation, Operation, Reference, Typed, children
-from deepbots_cli.lint.analysis import Analysis, Context, RewardTerms, Threshold, is_clock, thresholds, total
+from deepbots_cli.lint.analysis import Analysis, RewardTerms, RuleContext, Threshold, is_clock, thresholds, total
 from deepbots_cli.lint.ranges import Ranges
 from deepbots_cli.lint.simulation import IDLE, Episode, Simulation
 from deepbots_cli.program.task import Ending
@@ -39,7 +39,7 @@ class Pole(NamedTuple):
     is_divisor: bool
 
 
-def reward_unbounded(context: Context) -> Iterator[Finding]:
+def reward_unbounded(context: RuleContext) -> Iterator[Finding]:
     """DB701: a term of the reward has no bound: its divisor may be zero, or it takes the exponential of an unbounded value.
 
     A single step with a very small divisor outweighs all other steps, also in the learned value function. At zero the reward is
@@ -63,7 +63,7 @@ def reward_unbounded(context: Context) -> Iterator[Finding]:
                 yield _unbounded(context, term, found)
 
 
-def _unbounded(context: Context, term: Expression, found: Pole) -> Finding:
+def _unbounded(context: RuleContext, term: Expression, found: Pole) -> Finding:
     text = context.text(found.value.owner)
     place, part = text.part(found.node.start, found.node.end), text.text[found.node.start : found.node.end]
     also = () if found.value is term else (Label(term.span, f"`{term.name}` depends on it"),)
@@ -84,9 +84,9 @@ class _PoleSearch:
         self.ranges = analysis.ranges_in(1.0, float(analysis.last))
         self.met: set[str] = set()
         compared = [entry for ending in analysis.program.endings for entry in analysis.comparisons(ending.value)]
-        asked = [asked for entry in compared for asked in thresholds(entry, self.ranges)]
+        threshold = [threshold for entry in compared for threshold in thresholds(entry, self.ranges)]
         self._guarded = {
-            analysis.identity(entry.quantity) for entry in asked if (entry.bound.high < 0.0 if entry.above else entry.bound.low > 0.0)
+            analysis.identity(entry.quantity) for entry in threshold if (entry.bound.high < 0.0 if entry.above else entry.bound.low > 0.0)
         }
         """Quantities that end the episode before they come near zero."""
 
@@ -126,7 +126,7 @@ class _PoleSearch:
 # Too large, too small
 
 
-def term_dominates(context: Context) -> Iterator[Finding]:
+def term_dominates(context: RuleContext) -> Iterator[Finding]:
     """DB702: over an episode a term adds up to more than a hundred times what any ending pays.
 
     The agent cannot learn to reach the goal or to avoid failure, because both have a negligible share of the return. The rule uses the
@@ -195,7 +195,7 @@ def dominating_term(simulation: Simulation) -> Iterator[Finding]:
             yield Finding("DB702", term.span, headline, help=f"scale `{term.name}` down, or the other terms up", notes=tuple(notes))
 
 
-def inactive_term(context: Context) -> Iterator[Finding]:
+def inactive_term(context: RuleContext) -> Iterator[Finding]:
     """DB704: a term of the reward is zero in every step.
 
     Its condition never holds, it is a difference of constants, or it has a factor of zero. A term that is written as 0, or is
@@ -282,7 +282,7 @@ def non_finite_reward(simulation: Simulation) -> Iterator[Finding]:
 # What pays
 
 
-def rewards_early_death(context: Context) -> Iterator[Finding]:
+def rewards_early_death(context: RuleContext) -> Iterator[Finding]:
     """DB705: every step costs, no ending pays, and a failure costs less than the remaining steps.
 
     The best policy is to fail at once, and the agent learns it first. Pay for success, pay for each good step, or make a failure cost
@@ -349,7 +349,7 @@ class Staying(Ranges):
                 return super()._state(node)
 
 
-def hovering_pays(context: Context) -> Iterator[Finding]:
+def hovering_pays(context: RuleContext) -> Iterator[Finding]:
     """DB708: staying just outside of the goal pays more than reaching the goal, which ends the episode.
 
     The agent learns to stay there, for example 5 mm from its target. Pay for progress (`-10 * delta(distance) / m`), or pay more for the
@@ -381,11 +381,11 @@ def hovering_pays(context: Context) -> Iterator[Finding]:
     if possible == NEVER or success in analysis.shadowed:
         return  # DB801, DB804
     for entry in analysis.comparisons(success.value):
-        for asked in thresholds(entry, running):
-            if is_clock(analysis, asked.quantity):
+        for threshold in thresholds(entry, running):
+            if is_clock(analysis, threshold.quantity):
                 continue
-            pay = total(reward.terms, _staying_outside(running, asked)).low
-            prize = total(reward.terms, _staying_outside(reward.at(success), asked)).high if pay > 0.0 else INF
+            pay = total(reward.terms, _staying_outside(running, threshold)).low
+            prize = total(reward.terms, _staying_outside(reward.at(success), threshold)).high if pay > 0.0 else INF
             if pay * discounted_ticks(reward) > prize:
                 headline = f"staying just outside of `{success.value.name}` pays {pay:.3g} per step, and reaching it pays {prize:.3g} once"
                 best = max(ordinary, key=lambda term: running.of(term[1]).high)[0]
@@ -395,11 +395,11 @@ def hovering_pays(context: Context) -> Iterator[Finding]:
                 return
 
 
-def _staying_outside(ranges: Ranges, asked: Threshold) -> Ranges:
+def _staying_outside(ranges: Ranges, threshold: Threshold) -> Ranges:
     """The same within a fifth of a threshold, on the side where the episode goes on."""
-    low, high = asked.bound
-    kept = Interval(low - 0.2 * abs(low), low) if asked.above else Interval(high, high + 0.2 * abs(high))
-    return Staying(ranges.analysis, ranges.given, ranges.steps, (ranges.analysis.identity(asked.quantity), kept))
+    low, high = threshold.bound
+    kept = Interval(low - 0.2 * abs(low), low) if threshold.above else Interval(high, high + 0.2 * abs(high))
+    return Staying(ranges.analysis, ranges.given, ranges.steps, (ranges.analysis.identity(threshold.quantity), kept))
 
 
 def discounted_ticks(reward: RewardTerms) -> float:
@@ -477,7 +477,7 @@ def _most_paid(simulation: Simulation, by: str) -> Expression:
 # Returns
 
 
-def nothing_to_learn(context: Context) -> Iterator[Finding]:
+def nothing_to_learn(context: RuleContext) -> Iterator[Finding]:
     """DB711: every episode has the same return, whatever the policy does.
 
     The reward is the same in every step and no ending makes an episode shorter, so that no action is better than another. A constant
@@ -506,7 +506,7 @@ def nothing_to_learn(context: Context) -> Iterator[Finding]:
     yield Finding("DB711", context.program.policy.reward[0].span, headline, help=help)
 
 
-def return_out_of_reach(context: Context) -> Iterator[Finding]:
+def return_out_of_reach(context: RuleContext) -> Iterator[Finding]:
     """DB810: no episode can reach the required mean return, or every episode does.
 
     If no episode can reach it, training never stops early, no policy counts as solved, and a stage of a curriculum never ends. If every
@@ -533,7 +533,7 @@ def return_out_of_reach(context: Context) -> Iterator[Finding]:
             yield Finding("DB810", context.values.span(path), headline, help=help)
 
 
-def _wanted_returns(context: Context) -> Iterator[tuple[Analysis, float, Path]]:
+def _wanted_returns(context: RuleContext) -> Iterator[tuple[Analysis, float, Path]]:
     """The mean returns that the scenario asks for, each with the version of the scenario and its place."""
     program = context.program
     if program.solved is not None and program.solved.mean_return is not None:

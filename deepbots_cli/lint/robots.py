@@ -15,13 +15,13 @@ from deepbots_cli.expressions.intervals import NEVER, Interval, hull
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 from deepbots_cli.footprint import link_frames
 from deepbots_cli.frames import Frame, Triple, quaternion
-from deepbots_cli.lint.analysis import Analysis, Context
+from deepbots_cli.lint.analysis import Analysis, RuleContext
 from deepbots_cli.lint.ranges import is_level, range_text, with_unit
 from deepbots_cli.lint.simulation import ARENA, SINK, Clearance, Miss, Simulation, Where, casts_rays
 from deepbots_cli.program.robots import Actuator, Cartesian, CustomActuator, Motor, Robot, Thrust
 from deepbots_cli.program.world import ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots.inertia import matrix
-from deepbots_cli.robots.meshes import extent
+from deepbots_cli.robots.meshes import mesh_bounds
 from deepbots_cli.robots.model import Joint, Mesh, RobotModel
 
 _KNOWN_WITHIN = 0.2
@@ -47,7 +47,7 @@ _LOWEST, _HIGHEST = 0, 1
 # Commands and actuators
 
 
-def command_cut_off(context: Context) -> Iterator[Finding]:
+def command_cut_off(context: RuleContext) -> Iterator[Finding]:
     """DB312: an actuator cuts off most of the commands that the agent can give, so that most actions have the same effect.
 
     A speed beyond the limit of the motor, a thrust beyond its range and a position beyond the stop of the joint are clipped. Where the
@@ -109,7 +109,7 @@ def _follows_action(analysis: Analysis, target: Scalar, robot: Robot) -> bool:
     return True
 
 
-def joint_driven_twice(context: Context) -> Iterator[Finding]:
+def joint_driven_twice(context: RuleContext) -> Iterator[Finding]:
     """DB313: two actuators drive the motor of the same joint, so that the command of the first is lost.
 
     A joint has one motor, and the last command counts. The usual cause is a copied line, so that no actuator drives the joint on the
@@ -156,11 +156,11 @@ def _held_joints(actuator: Actuator) -> tuple[str, ...]:
 
 def _joints_span(values: Values, robot: str, actuator: str) -> Span:
     place = ("robots", robot, "actuators", actuator)
-    key = next((key for key in ("joint", "joints") if values.stands((*place, key))), None)
+    key = next((key for key in ("joint", "joints") if values.is_present((*place, key))), None)
     return values.span((*place, key)) if key else values.key_span(place)
 
 
-def limp_at_start(context: Context) -> Iterator[Finding]:
+def limp_at_start(context: RuleContext) -> Iterator[Finding]:
     """DB314: an arm sinks at the start of an episode, since the first command reaches its torque motors late.
 
     A torque motor exerts nothing until its first command; position and velocity motors hold. The rule reports joints of robots with a
@@ -217,7 +217,7 @@ def limp_at_start(context: Context) -> Iterator[Finding]:
                 )
                 help = "hold the joint with a `position_motor`, or shorten the delay of the first command"
                 late = ("messages", "to_robot", "latency")
-                also = (Label(values.span(late), "delays the first command"),) if values.stands(late) else ()
+                also = (Label(values.span(late), "delays the first command"),) if values.is_present(late) else ()
                 yield Finding("DB314", values.key_span(("robots", robot.name, "actuators", motor.name)), headline, help=help, also=also)
 
 
@@ -319,7 +319,7 @@ def _turned_in_place(simulation: Simulation, miss: Miss) -> Finding:
 # Rays
 
 
-def rays_meet_nothing(context: Context) -> Iterator[Finding]:
+def rays_meet_nothing(context: RuleContext) -> Iterator[Finding]:
     """DB615: the rays of a lidar, a sonar, an infrared or a laser sensor pass over everything in the world.
 
     Rays that pass above every body never hit one: every reading is the maximum of the range, and the policy learns nothing from it.
@@ -442,7 +442,7 @@ class Heights:
     def _top(self, thing: ObjectBody, *, may_be_lifted: bool) -> float:
         """The top of an object; of a movable one with its longest side upright."""
         kinds = [(kind.shape, kind.fixed) for kind in thing.variants] or [(thing.shape, thing.fixed)]
-        if any((isinstance(shape, Mesh) and extent(shape) is None) or (may_be_lifted and not fixed) for shape, fixed in kinds):
+        if any((isinstance(shape, Mesh) and mesh_bounds(shape) is None) or (may_be_lifted and not fixed) for shape, fixed in kinds):
             return inf
         poses = list(self._analysis.start.poses(thing.name))
         top = -inf
@@ -495,9 +495,11 @@ def _can_lift(world: WorldModel) -> bool:
 
 def _standing_height(model: RobotModel) -> float | None:
     """The height (m) of the root's origin on level ground; None for a robot that joints raise, or that has to balance."""
-    feet, centre = footprint.feet(model, _FOOT), _centre_of_mass(model)
-    stands = feet and all(min(foot[axis] for foot in feet) < centre[axis] < max(foot[axis] for foot in feet) for axis in (0, 1))
-    return footprint.resting(model) if stands and _keeps(model, _LOWEST) else None
+    contact_points, centre = footprint.contact_points(model, _FOOT), _centre_of_mass(model)
+    stands = contact_points and all(
+        min(foot[axis] for foot in contact_points) < centre[axis] < max(foot[axis] for foot in contact_points) for axis in (0, 1)
+    )
+    return footprint.resting_height(model) if stands and _keeps(model, _LOWEST) else None
 
 
 def _centre_of_mass(model: RobotModel) -> tuple[float, float]:
@@ -517,12 +519,12 @@ def _passing_over(values: Values, robot: str, sensor: str, clearance: Clearance,
     help = f"lower the `pose` of the sensor by more than {lower}"
     if clearance.tallest == ARENA:
         named, place = "the walls of the arena", ("world", "arena", "wall_height")
-        span = values.span(place) if values.stands(place) else values.key_span(place[:2])
+        span = values.span(place) if values.is_present(place) else values.key_span(place[:2])
         help = f"write `wall_height: {with_unit(float(f'{_ROOM * clearance.lowest:.2g}'), LENGTH)}` for the arena, or {help}"
     else:
         wall = base.rpartition(" ")[0]  # `stub 1` is a piece of the wall `stub`
         places = ("objects", base), ("robots", base), ("world", "walls", wall), ("reset", "layouts", wall)
-        named, span = f"`{wall or base}`", values.key_span(next((place for place in places if values.stands(place)), ("world",)))
+        named, span = f"`{wall or base}`", values.key_span(next((place for place in places if values.is_present(place)), ("world",)))
     also = (Label(span, f"{top} high"),)
     headline = (
         f"the rays of `{sensor}` meet nothing: they are at least {height} above the ground, and the tallest body, {named}, ends at {top}"

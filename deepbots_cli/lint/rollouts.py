@@ -43,7 +43,7 @@ from deepbots_cli.port import Engine, JointReader, MotionReader
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Cartesian as CartesianActuator
 from deepbots_cli.program.robots import Sensor
-from deepbots_cli.program.task import Choices, viewed
+from deepbots_cli.program.task import Choices, policy_inputs
 from deepbots_cli.program.world import ObjectBody
 from deepbots_cli.robots.model import RobotModel
 from deepbots_cli.runtime import Supervisor
@@ -257,7 +257,7 @@ class Counter:
 
     def __init__(self, program: Program) -> None:
         self._program = program
-        ages = viewed(program.policy.numbers, program.policy.frame_stack)
+        ages = policy_inputs(program.policy.numbers, program.policy.frame_stack)
         self._columns = [ages.index((place, 0)) for place in range(len(program.policy.numbers))]
         self._pictures = [entry.key for entry in program.policy.images]
         self._first: dict[str, NDArray[np.uint8]] = {}
@@ -355,7 +355,7 @@ def _outside(environment: Supervisor, observation: Any) -> list[str]:
     numbers = np.atleast_2d(observation["observation"] if isinstance(observation, dict) else observation)
     entries = [
         environment.scenario.policy.numbers[place]
-        for place, _ in viewed(environment.scenario.policy.numbers, environment.scenario.policy.frame_stack)
+        for place, _ in policy_inputs(environment.scenario.policy.numbers, environment.scenario.policy.frame_stack)
     ]
     return [
         entry.full_name

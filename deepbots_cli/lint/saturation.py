@@ -7,12 +7,12 @@ from math import isnan, nan
 from typing import NamedTuple
 
 from deepbots_cli import footprint, frames
-from deepbots_cli.compiler.robots import held
+from deepbots_cli.compiler.robots import rigid_root
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.expressions.dimensions import ACCELERATION
 from deepbots_cli.expressions.intervals import NEVER, SIGNED_UNIT, Interval
 from deepbots_cli.expressions.scalar import Draw, Name, Scalar, World, children
-from deepbots_cli.lint.analysis import Analysis, Comparison, Context, Threshold, thresholds
+from deepbots_cli.lint.analysis import Analysis, Comparison, RuleContext, Threshold, thresholds
 from deepbots_cli.lint.observations import RangedNumber, clipped_once, ranged_numbers, replace_range
 from deepbots_cli.lint.ranges import Ranges, between, range_text, with_unit
 from deepbots_cli.program.values import Expression
@@ -26,7 +26,7 @@ _NEAR = 0.05
 _HALVINGS = 40
 
 
-def saturates_before_termination(context: Context) -> Iterator[Finding]:
+def saturates_before_termination(context: RuleContext) -> Iterator[Finding]:
     """DB603: a value leaves its range in the observation before it ends the episode: the agent cannot see the failure coming.
 
     Between the end of the range and the limit the policy sees a constant, exactly where it has to act. The rule also checks values that
@@ -131,7 +131,7 @@ def _edge(number: RangedNumber, threshold: Threshold, ranges: Ranges) -> float:
     return near
 
 
-def _unseen(context: Context, analysis: Analysis, view: View, ending: Expression, comparison: Comparison) -> Finding:
+def _unseen(context: RuleContext, analysis: Analysis, view: View, ending: Expression, comparison: Comparison) -> Finding:
     number, name, limit = view.number, view.number.name, view.threshold.limit
     help, fix = "widen its range, or the range of its `clamp`, beyond the limit", None
     if analysis.identity(number.node) == analysis.identity(view.threshold.quantity):
@@ -154,7 +154,7 @@ def _unseen(context: Context, analysis: Analysis, view: View, ending: Expression
     return Finding("DB603", context.range_span(number.entry), headline, help=help, also=also, fix=fix)
 
 
-def observation_saturates(context: Context) -> Iterator[Finding]:
+def observation_saturates(context: RuleContext) -> Iterator[Finding]:
     """DB611: a value is at the end of its range in ordinary operation: an accelerometer at rest, or a start beyond the range.
 
     An accelerometer at rest reads the acceleration of gravity, upwards. If its range ends below this value, the axis is constant while
@@ -175,7 +175,7 @@ def observation_saturates(context: Context) -> Iterator[Finding]:
     yield from _saturated_by_gravity(context)
 
 
-def _saturated_at_start(context: Context) -> Iterator[Finding]:
+def _saturated_at_start(context: RuleContext) -> Iterator[Finding]:
     analysis = context.analysis
     for number in clipped_once(analysis):
         if number.is_outside(analysis.ranges.of(number.node)):
@@ -190,7 +190,7 @@ def _saturated_at_start(context: Context) -> Iterator[Finding]:
             yield Finding("DB611", context.range_span(number.entry), headline, help="widen the range, or start inside the range")
 
 
-def _goal_out_of_range(context: Context) -> Iterator[Finding]:
+def _goal_out_of_range(context: RuleContext) -> Iterator[Finding]:
     """A goal that is drawn from more than its range: policy, reward and endings know only the clipped value."""
     analysis, goal = context.analysis, context.program.policy.goal
     if goal is None:
@@ -208,7 +208,7 @@ def _goal_out_of_range(context: Context) -> Iterator[Finding]:
             return
 
 
-def _saturated_by_gravity(context: Context) -> Iterator[Finding]:
+def _saturated_by_gravity(context: RuleContext) -> Iterator[Finding]:
     met = set()
     for number in ranged_numbers(context.analysis):
         leaf = context.analysis.meaning(number.node)
@@ -234,7 +234,7 @@ def _at_rest(analysis: Analysis, leaf: Scalar) -> float | None:
     robot, sensor = found
     model = analysis.body(robot).model
     tilts = [analysis.start.of(World("orientation", (f"{robot}.{model.root}",), axis)) for axis in "xy"]
-    if held(model, sensor.subjects[0])[0] != model.root or any(tilt not in (NEVER, SIGNED_UNIT) for tilt in tilts):
+    if rigid_root(model, sensor.subjects[0])[0] != model.root or any(tilt not in (NEVER, SIGNED_UNIT) for tilt in tilts):
         return None
     link = footprint.link_frames(model)[sensor.subjects[0]]
     turn = frames.compose(link, frames.frame(sensor.mount))[1]

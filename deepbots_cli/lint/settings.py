@@ -16,7 +16,7 @@ from typing import Literal, get_args
 
 from deepbots_cli.diagnostics import Source
 from deepbots_cli.diagnostics.nearest import nearest
-from deepbots_cli.diagnostics.suppress import Words
+from deepbots_cli.diagnostics.suppress import RuleSelectors
 from deepbots_cli.document import files
 from deepbots_cli.errors import UsageError
 
@@ -37,8 +37,8 @@ class Settings:
     """The settings of a project; None where it has none. `exclude` holds patterns of paths from `root`, such as `drafts/*`."""
 
     root: Path
-    select: Words | None = None
-    ignore: Words | None = None
+    select: RuleSelectors | None = None
+    ignore: RuleSelectors | None = None
     preview: bool | None = None
     fail_on: FailOn | None = None
     format: Format | None = None
@@ -106,7 +106,7 @@ def _settings(root: Path, table: dict[str, object], source: Source) -> Settings:
         raise UsageError(f"{source.name}: 'preview' must be true or false")
     given = {key.replace("-", "_"): _word(table[key], key, source.name) for key in _WORDS if key in table}
     lists = {key: _list(table[key], key, source.name) for key in ("select", "ignore", "exclude") if key in table}
-    words = {key: Words(lists[key], source) for key in ("select", "ignore") if key in lists}
+    words = {key: RuleSelectors(lists[key], source) for key in ("select", "ignore") if key in lists}
     return Settings(root, preview=preview, exclude=lists.get("exclude", ()), **words, **given)  # type: ignore[arg-type]
 
 

@@ -9,7 +9,7 @@ from deepbots_cli.expressions.dimensions import ANGLE, LENGTH
 from deepbots_cli.expressions.intervals import NEVER, Interval
 from deepbots_cli.expressions.scalar import Name, Op, Scalar, State, World, children
 from deepbots_cli.expressions.unification import negated
-from deepbots_cli.lint.analysis import FOLLOWING, Analysis, Comparison, Context, RewardTerms, Terms, Threshold, is_clock, thresholds
+from deepbots_cli.lint.analysis import FOLLOWING, Analysis, Comparison, RewardTerms, RuleContext, Terms, Threshold, is_clock, thresholds
 from deepbots_cli.lint.ranges import Ranges, with_unit
 from deepbots_cli.program.task import Ending
 from deepbots_cli.program.values import Expression
@@ -25,7 +25,7 @@ _RATES = frozenset({"velocity", "angular_velocity"})
 """Facts that do not depend on where a body is."""
 
 
-def suspicious_sign(context: Context) -> Iterator[Finding]:
+def suspicious_sign(context: RuleContext) -> Iterator[Finding]:
     """DB703: a reward has the wrong sign: a failure pays, a success costs, or progress towards success costs.
 
     The agent learns the reward as it is written. With the reward printed in the paper for PitEscape, which has the wrong sign, the agent
@@ -80,10 +80,10 @@ def _away_from_success(reward: RewardTerms, ordinary: Terms, ending: Ending) -> 
     compared = list(analysis.comparisons(ending.value))
     if len(compared) != 1 or not analysis.is_one_comparison(ending.value):
         return
-    for asked in thresholds(compared[0], running):
-        if is_clock(analysis, asked.quantity):
+    for threshold in thresholds(compared[0], running):
+        if is_clock(analysis, threshold.quantity):
             continue
-        slope, wrong = Slope(running, asked), -1.0 if asked.above else 1.0
+        slope, wrong = Slope(running, threshold), -1.0 if threshold.above else 1.0
         slopes = [slope.of(node) for _, node in ordinary]
         if all(known in (wrong, 0.0) for known in slopes) and wrong in slopes:
             for (term, _), known in zip(ordinary, slopes, strict=True):
@@ -99,11 +99,11 @@ class Slope:
     The slope of a condition is 0 or None; the slope of `where` is that of its branches.
     """
 
-    def __init__(self, ranges: Ranges, asked: Threshold) -> None:
+    def __init__(self, ranges: Ranges, threshold: Threshold) -> None:
         self._analysis = ranges.analysis
         self._ranges = ranges
-        self._quantity = self._analysis.identity(asked.quantity)
-        self._pair = self._analysis.pair(asked.quantity)
+        self._quantity = self._analysis.identity(threshold.quantity)
+        self._pair = self._analysis.pair(threshold.quantity)
         self._known: dict[Name, float | None] = {}
 
     def of(self, node: Scalar) -> float | None:
@@ -174,7 +174,7 @@ def _sum(slopes: list[float | None]) -> float | None:
     return 0.0 if not found else found.pop() if len(found) == 1 else None
 
 
-def hidden_state_reward(context: Context) -> Iterator[Finding]:
+def hidden_state_reward(context: RuleContext) -> Iterator[Finding]:
     """DB706: the reward depends on a value that differs between episodes and that the policy does not observe.
 
     The value is a drawn parameter, such as a target or a command, or the place of a body that no entry of the observation and no sensor
@@ -211,7 +211,7 @@ def hidden_state_reward(context: Context) -> Iterator[Finding]:
             yield Finding("DB706", term.span, f"`{term.name}` depends on {what}, which the observation does not show", help=help)
 
 
-def pays_towards_failure(context: Context) -> Iterator[Finding]:
+def pays_towards_failure(context: RuleContext) -> Iterator[Finding]:
     """DB710: a term pays more as the episode approaches a failure.
 
     The agent learns to stay close to the failure, or to cause it. The usual cause is a missing sign. The rule checks lengths and angles
@@ -237,20 +237,20 @@ def pays_towards_failure(context: Context) -> Iterator[Finding]:
         compared = list(analysis.comparisons(ending.value)) if ending.outcome == "failure" else []
         if len(compared) != 1 or not analysis.is_one_comparison(ending.value):
             continue
-        asked = next(thresholds(compared[0], reward.running()), None)
-        if asked is None or not _counts_from_middle(reward, asked):
+        threshold = next(thresholds(compared[0], reward.running()), None)
+        if threshold is None or not _counts_from_middle(reward, threshold):
             continue
-        for term in _towards(reward, asked, ordinary):
+        for term in _towards(reward, threshold, ordinary):
             headline = f"`{term.name}` pays more as the episode approaches `{ending.value.name}`"
             also = (Label(ending.value.span, "a failure"),)
-            yield Finding("DB710", term.span, headline, help=_opposite(compared[0], asked), also=also)
+            yield Finding("DB710", term.span, headline, help=_opposite(compared[0], threshold), also=also)
 
 
-def _counts_from_middle(reward: RewardTerms, asked: Threshold) -> bool:
+def _counts_from_middle(reward: RewardTerms, threshold: Threshold) -> bool:
     """Whether a quantity counts from a middle up to a limit, and depends on the present alone."""
-    known = reward.running().of(asked.quantity)
-    is_place = asked.dimension in (LENGTH, ANGLE) and asked.above and known.low == 0.0 < asked.bound.low
-    return is_place and not _has_memory(reward.analysis, asked.quantity)
+    known = reward.running().of(threshold.quantity)
+    is_place = threshold.dimension in (LENGTH, ANGLE) and threshold.above and known.low == 0.0 < threshold.bound.low
+    return is_place and not _has_memory(reward.analysis, threshold.quantity)
 
 
 def _has_memory(analysis: Analysis, node: Scalar) -> bool:
@@ -258,10 +258,10 @@ def _has_memory(analysis: Analysis, node: Scalar) -> bool:
     return isinstance(node, State) or any(_has_memory(analysis, part) for part in children(node))
 
 
-def _towards(reward: RewardTerms, asked: Threshold, terms: Terms) -> list[Expression]:
+def _towards(reward: RewardTerms, threshold: Threshold, terms: Terms) -> list[Expression]:
     """The terms that pay more just before the failure than in the middle; none where another term or a success concerns the same."""
-    analysis, running, slope = reward.analysis, reward.running(), Slope(reward.running(), asked)
-    limit, quantity = asked.bound.low, analysis.identity(asked.quantity)
+    analysis, running, slope = reward.analysis, reward.running(), Slope(reward.running(), threshold)
+    limit, quantity = threshold.bound.low, analysis.identity(threshold.quantity)
     middle = running.where(quantity, Interval(0.0, _EDGE * limit))
     edge = running.where(quantity, Interval((1.0 - _EDGE) * limit, limit))
     wrong = [term for term, node in terms if slope.of(node) == 1.0 and edge.of(node).low > middle.of(node).high]
@@ -269,7 +269,7 @@ def _towards(reward: RewardTerms, asked: Threshold, terms: Terms) -> list[Expres
         return []
     others = [node for term, node in terms if term not in wrong]
     others += [analysis.scalars(ending.value)[0] for ending in reward.program.endings if ending.outcome == "success"]
-    concerned = _concerns(analysis, asked.quantity)
+    concerned = _concerns(analysis, threshold.quantity)
     return [] if any(concerned & _concerns(analysis, node) for node in others) else wrong
 
 
@@ -285,11 +285,11 @@ def _concerns(analysis: Analysis, node: Scalar) -> set[str]:
     return found
 
 
-def _opposite(compared: Comparison, asked: Threshold) -> str:
+def _opposite(compared: Comparison, threshold: Threshold) -> str:
     side = compared.node.args[0 if compared.node.operator.startswith("greater") else 1]
     quantity = compared.value.text[side.start : side.end]
-    assert asked.dimension is not None  # a length or an angle
-    return f"reward the opposite, as in `exp(-{quantity} / {with_unit(asked.bound.low / 2, asked.dimension)})`"
+    assert threshold.dimension is not None  # a length or an angle
+    return f"reward the opposite, as in `exp(-{quantity} / {with_unit(threshold.bound.low / 2, threshold.dimension)})`"
 
 
 STATIC_RULES = (suspicious_sign, hidden_state_reward, pays_towards_failure)

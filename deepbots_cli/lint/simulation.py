@@ -27,7 +27,7 @@ from deepbots_cli.diagnostics import Span
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.errors import MissingExtraError
 from deepbots_cli.expressions.scalar import Name, walk
-from deepbots_cli.lint.analysis import Context
+from deepbots_cli.lint.analysis import RuleContext
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Sensor
 from deepbots_cli.program.task import Choices, Observation
@@ -74,7 +74,7 @@ class Plan:
 
 def planned(program: Program) -> Plan:
     """The plan for the scenario itself."""
-    last = program.truncation.last_step(program.period)
+    last = program.truncation.max_episode_steps(program.period)
     drawn = [Rollout(HELD if seed % 2 else RANDOM, seed, min(last, _RANDOM_STEPS)) for seed in range(_RANDOM_EPISODES)]
     others = [Rollout(by, seed, min(last, _OTHER_STEPS), script) for by, script in _others(program) for seed in range(_OTHER_EPISODES)]
     share = min(1.0, _MAX_WORK / (_work(program) * (_ENOUGH + sum(rollout.steps for rollout in others))))
@@ -334,7 +334,7 @@ def measure(inputs: Inputs, limits: Limits, *, allow_code: bool = False) -> Repo
     import tempfile
 
     # -P, since modules in the working directory may be anyone's
-    command = [sys.executable, "-P", "-m", "deepbots_cli.lint.child", *map(str, limits)]
+    command = [sys.executable, "-P", "-m", "deepbots_cli.lint.simulation_process", *map(str, limits)]
     ours = str(Path(deepbots_cli.__file__).parents[1])
     path = os.pathsep.join([ours, *filter(None, [os.environ.get("PYTHONPATH")])])
     environment = {**os.environ, "PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
@@ -427,7 +427,7 @@ class FailedExpression(NamedTuple):
     notes: tuple[str, ...]
 
 
-class Simulation(Context):
+class Simulation(RuleContext):
     """A scenario and the report of its simulation."""
 
     def __init__(self, checked: Checked, program: Program, namespace: Namespace, report: Report) -> None:

@@ -18,7 +18,7 @@ from deepbots_cli.expressions.functions import FUNCTIONS, Family
 from deepbots_cli.expressions.intervals import ALWAYS, exact
 from deepbots_cli.expressions.scalar import World
 from deepbots_cli.expressions.types import Invocation, Stage, Typed, walk
-from deepbots_cli.lint.analysis import Analysis, Context, names_in
+from deepbots_cli.lint.analysis import Analysis, RuleContext, names_in
 from deepbots_cli.lint.observations import may_be_noisy
 from deepbots_cli.lint.ranges import StartRanges, is_level, with_unit
 from deepbots_cli.lint.simulation import Overlap, Simulation
@@ -53,7 +53,7 @@ A cart or a crate was pushed out of the ground at 0.01 to 0.04 m/s from 4 mm, at
 # Objects and engines
 
 
-def beyond_engine(context: Context) -> Iterator[Finding]:
+def beyond_engine(context: RuleContext) -> Iterator[Finding]:
     """DB316: the physics engine is not installed, or does not support a part of the world.
 
     The rule applies if `world.engine` or `--engine` names the engine. PyBullet has builds up to Python 3.11; later versions of Python use
@@ -64,12 +64,12 @@ def beyond_engine(context: Context) -> Iterator[Finding]:
         return
     if not kind.is_installed and any(other.is_installed for other in ENGINES.own.values()):
         headline = f"the engine `{context.program.engine}` cannot be used here: {kind.missing}"
-        yield Finding("DB316", context.values.span(("world", "engine")), headline, help=kind.way_out)
+        yield Finding("DB316", context.values.span(("world", "engine")), headline, help=kind.remedy)
     if kind.mesh_terrain is not None and terrain is not None and isinstance(terrain.shape, Mesh):
         yield Finding("DB316", context.values.span(("world", "terrain", "file")), kind.mesh_terrain.reason, help=kind.mesh_terrain.help)
 
 
-def odd_scale(context: Context) -> Iterator[Finding]:
+def odd_scale(context: RuleContext) -> Iterator[Finding]:
     """DB507: the size or the mass of an object is implausible.
 
     A bare number is a length in metres or a mass in kilograms: a puck with `radius: 4` is 8 m across. The rule reports an object that
@@ -91,7 +91,7 @@ def odd_scale(context: Context) -> Iterator[Finding]:
     met: set[Path] = set()
     for thing in world.objects:
         for path, kind in _forms(thing):
-            if path in met or not values.stands(path):
+            if path in met or not values.is_present(path):
                 continue  # another copy of a group, or a wall
             met.add(path)
             found = _around(context.analysis.start, thing, kind, robots, path, values) or _odd_mass(thing, kind, robots, path, values)
@@ -112,7 +112,7 @@ def _around(start: StartRanges, thing: ObjectBody, kind: Variant, robots: _Robot
     """An object with a small robot inside, wherever both are placed."""
     if not thing.solid or isinstance(kind.shape, Mesh):
         return None
-    width = 2.0 * footprint.of_shape(kind.shape).narrowest
+    width = 2.0 * footprint.of_shape(kind.shape).inradius
     for robot, size in robots:
         if width >= _DWARFS * size and _is_within(start, robot, thing, kind.shape):
             headline = (
@@ -126,7 +126,7 @@ def _is_within(start: StartRanges, robot: RobotBody, thing: ObjectBody, shape: S
     """Whether the origin of a robot lies within the outline of an object, seen from above, and part of the robot at the same height."""
     radius, half = _inner_cylinder(shape)
     high = footprint.bounds(footprint.without_meshes(robot.model))[1][2]
-    standing, lying = footprint.resting(robot.model), footprint.resting(shape)
+    standing, lying = footprint.resting_height(robot.model), footprint.resting_height(shape)
     pairs = [(one, other) for one in start.poses(thing.name) for other in start.poses(robot.name)]
     for (place, here), (stand, there) in pairs:
         if not (is_level(here) and is_level(there)):
@@ -148,7 +148,7 @@ def _inner_cylinder(shape: Shape) -> tuple[float, float]:
         case Capsule(radius, length) | Cylinder(radius, length):
             return radius, length / 2
         case _:
-            return footprint.of_shape(shape).narrowest, footprint.resting(shape)
+            return footprint.of_shape(shape).inradius, footprint.resting_height(shape)
 
 
 def _odd_mass(thing: ObjectBody, kind: Variant, robots: _Robots, path: Path, values: Values) -> Finding | None:
@@ -173,7 +173,7 @@ def _odd_mass(thing: ObjectBody, kind: Variant, robots: _Robots, path: Path, val
 
 def _span(path: Path, keys: tuple[str, ...], values: Values) -> Span:
     """The value of the first of these keys that the object has, or else its name."""
-    place = next(((*path, key) for key in keys if values.stands((*path, key))), None)
+    place = next(((*path, key) for key in keys if values.is_present((*path, key))), None)
     return values.span(place) if place else values.key_span(path)
 
 
@@ -256,7 +256,7 @@ def _body_in(simulation: Simulation, text: str) -> str:
 # Resets
 
 
-def identical_episodes(context: Context) -> Iterator[Finding]:
+def identical_episodes(context: RuleContext) -> Iterator[Finding]:
     """DB809: nothing is random, so that all episodes are the same.
 
     Physics is deterministic. A policy without noise behaves the same in all episodes of an evaluation: their standard deviation is 0,
@@ -290,7 +290,7 @@ def identical_episodes(context: Context) -> Iterator[Finding]:
         spread = "-1 .. 1 deg" if joint_dimension(joint) == ANGLE else "-1 .. 1 cm"
         yield Finding("DB809", start.position.span, headline, help=f"draw the initial state, as in `uniform({spread})`")
     else:
-        section = next((key for key in ("reset", "evaluation", "train") if context.values.stands((key,))), "train")
+        section = next((key for key in ("reset", "evaluation", "train") if context.values.is_present((key,))), "train")
         help = f"draw the initial position, as in `{program.world.robots[0].name}: {{x: uniform(-5 .. 5 cm)}}` under `reset.place`"
         yield Finding("DB809", context.values.key_span((section,)), headline, help=help)
 
@@ -331,7 +331,7 @@ def _draws_coordinates(place: Placement) -> bool:
     return any(_is_drawn(coordinate.typed) for coordinate in place.coordinates.values())
 
 
-def requirement_not_redrawn(context: Context) -> Iterator[Finding]:
+def requirement_not_redrawn(context: RuleContext) -> Iterator[Finding]:
     """DB812: `reset.require` depends only on drawn parameters, which are not drawn again when the requirement does not hold.
 
     When a requirement does not hold, the layout, all places and the joints are drawn again. Parameters keep their values for the

@@ -17,7 +17,7 @@ from lsprotocol import types
 from deepbots_cli import api
 from deepbots_cli.diagnostics import Edit, Finding, Source, Span
 from deepbots_cli.diagnostics.render import message, shortened
-from deepbots_cli.document.layout import tidy
+from deepbots_cli.document.layout import canonical_text
 from deepbots_cli.document.load import Drafts
 from deepbots_cli.document.nodes import to_data
 from deepbots_cli.errors import UsageError
@@ -214,7 +214,7 @@ class CodeActions:
         known = analysis.checked.document
         try:
             load = partial(api.load, allow_paths=known.roots, allow_code=known.allow_code)
-            rewrites = Fixer([str(self._document.path)], load, wanted=analysis.selection.wants, drafts=self._workspace.drafts).fix()
+            rewrites = Fixer([str(self._document.path)], load, wanted=analysis.selection.selects, drafts=self._workspace.drafts).fix()
         except UsageError:  # a file does not exist yet or has changed
             return None
         by_path = self._workspace.by_path
@@ -325,7 +325,7 @@ def formatting(document: Document) -> list[types.TextEdit]:
     """The edits that `deepbots fmt` would make; empty if there are none or the document cannot be parsed."""
     _, root, findings = document.read()
     before = document.plain
-    after = tidy(before) if root is not None and not findings.errors else None
+    after = canonical_text(before) if root is not None and not findings.errors else None
     return minimal_edits(document, after) if after is not None else []
 
 

@@ -18,7 +18,7 @@ from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.document import Entry, Mapping, Scalar, descend, shipped
 from deepbots_cli.document.files import resolve
 from deepbots_cli.document.nodes import Path as KeyPath
-from deepbots_cli.document.nodes import follow
+from deepbots_cli.document.nodes import follow_dotted
 from deepbots_cli.expressions import parser, syntax
 from deepbots_cli.expressions.check import check
 from deepbots_cli.expressions.dimensions import UNITS
@@ -285,7 +285,7 @@ def _file(view: View, found: KeyOrValue, open_uris: dict[Path, str]) -> types.Lo
 def _located(view: View, reference: str, *, robots: bool) -> Path | None:
     """The file that a reference names; None if no such file exists or the scenario may not read it."""
     if reference.startswith("package://"):
-        return meshes.in_package(reference)
+        return meshes.package_file(reference)
     found = resolve(reference, view.document.path.parent, view.roots)
     if isinstance(found, Path):
         return found
@@ -321,7 +321,7 @@ def _by_reference(view: View, found: KeyOrValue) -> list[Span]:
 
 def _setting(root: Mapping, text: str) -> list[Span]:
     """The key at the dotted path of a setting."""
-    steps, _, rest = follow(root, text)
+    steps, _, rest = follow_dotted(root, text)
     key = descend(root, steps)[1] if steps and not rest else None
     return [key.span] if key else []
 

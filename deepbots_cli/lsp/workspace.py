@@ -213,7 +213,7 @@ def analyse(document: Document, drafts: Drafts, *, allow_paths: Iterable[Path] =
         return Analysis(document, drafts)
     checked = check(replace(read, allow_code=allow_code))
     found = review(checked, preview=preview)
-    wanted = (*selection.inactive_rules(), *filter(selection.wants, found))
+    wanted = (*selection.inactive_rules(), *filter(selection.selects, found))
     return Analysis(document, drafts, wanted, checked, settings_error, selection)
 
 

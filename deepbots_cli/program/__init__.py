@@ -80,7 +80,7 @@ class Program:
     kept: frozenset[str] = frozenset()
     tests: tuple[ScenarioTest, ...] = ()
 
-    def projection(self) -> dict[str, object]:
+    def digest_fields(self) -> dict[str, object]:
         left_out = {"augmented", "kept", "tests"} | ({"engine"} if self.engine in (None, DEFAULT) else set())
         return {name: value for name, value in vars(self).items() if name in self.__dataclass_fields__ and name not in left_out}
 

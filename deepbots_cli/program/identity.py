@@ -74,19 +74,19 @@ def _with_files(value: Any, change: Callable[[File], File]) -> Any:
     return value
 
 
-def members(part: object) -> dict[str, Any] | None:
+def record_members(part: object) -> dict[str, Any] | None:
     """The members of a record by name, as they count for the digest; None for what is no record."""
     if isinstance(part, Scalar):
         return part._asdict()
-    if hasattr(part, "projection"):
-        return part.projection()  # type: ignore[no-any-return]
+    if hasattr(part, "digest_fields"):
+        return part.digest_fields()  # type: ignore[no-any-return]
     if is_dataclass(part) and not isinstance(part, type):
         return {field.name: getattr(part, field.name) for field in fields(part)}
     return None
 
 
 def _plain(value: object) -> object:
-    inside = members(value)
+    inside = record_members(value)
     if inside is not None:
         return {"is": type(value).__name__, **{name: _plain(member) for name, member in inside.items()}}
     if isinstance(value, tuple):
@@ -125,10 +125,10 @@ def interface(program: Program) -> dict[str, str]:
 
 def differences(one: Program, other: Program, *, words: tuple[str, str] = ("run", "scenario")) -> list[str]:
     """One line for each item that the two, called by `words`, do not share; empty when a policy of one fits the other."""
-    return compare(interface(one), interface(other), words=words)
+    return compare_interfaces(interface(one), interface(other), words=words)
 
 
-def compare(old: Mapping[str, str], new: Mapping[str, str], *, words: tuple[str, str] = ("run", "scenario")) -> list[str]:
+def compare_interfaces(old: Mapping[str, str], new: Mapping[str, str], *, words: tuple[str, str] = ("run", "scenario")) -> list[str]:
     """The same for two sets of agreed items."""
     here, there = words
     names = [*old, *(name for name in new if name not in old)]
@@ -142,7 +142,7 @@ def compare(old: Mapping[str, str], new: Mapping[str, str], *, words: tuple[str,
     return lines
 
 
-def other_conditions(run: Program, scenario: Program) -> list[str]:
+def timing_differences(run: Program, scenario: Program) -> list[str]:
     """One line per setting that differs from training but does not break the policy: timing, timestep, action repeat."""
     circumstances = (
         ("timing", run.timing, scenario.timing),

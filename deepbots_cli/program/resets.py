@@ -101,7 +101,7 @@ class Placement:
         roll, pitch, _ = self.rpy
         if not self.rests or self.lying is None or not isinstance(roll, Const) or not isinstance(pitch, Const):
             return None
-        return footprint.resting(self.lying, roll.value, pitch.value)
+        return footprint.resting_height(self.lying, roll.value, pitch.value)
 
     @property
     def seeks_height(self) -> bool:
@@ -118,7 +118,7 @@ class Placement:
         given = (("velocity", self.velocity), ("angular_velocity", self.angular_velocity))
         return tuple((name, value.scalars) for name, value in given if value is not None)
 
-    def projection(self) -> dict[str, object]:
+    def digest_fields(self) -> dict[str, object]:
         names = ("body", "xyz", "rpy", "velocity", "angular_velocity", "seeks_height", "spot", "clearance", "at_most", "spacing", "stream")
         return {name: getattr(self, name) for name in names}
 
@@ -166,7 +166,7 @@ class JointStart:
         velocities = self.velocity.scalars if self.velocity else (Const(0.0),) * len(self.joints)
         return tuple(zip(self.joints, self.position.scalars, velocities, strict=True))
 
-    def projection(self) -> dict[str, object]:
+    def digest_fields(self) -> dict[str, object]:
         return {"robot": self.robot, "states": self.states}
 
 
@@ -234,7 +234,7 @@ class RandomizedParameter:
         pairs = zip(found, self.max, strict=True)
         return tuple(scalar if limit is None else op("min", scalar, Const(limit)) for scalar, limit in pairs)
 
-    def projection(self) -> dict[str, object]:
+    def digest_fields(self) -> dict[str, object]:
         return {"what": self.what, "of": self.of, "scalars": self.scalars}
 
 

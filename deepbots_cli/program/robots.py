@@ -125,7 +125,7 @@ class Sensor:
             return World(self.world_function or "", (f"{robot}.{component or self.subjects[0]}",))
         return World(self.world_function or "", (f"{robot}.{self.subjects[0]}",), component)
 
-    def projection(self) -> dict[str, object]:
+    def digest_fields(self) -> dict[str, object]:
         return {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.name not in ("reader", "world_function")}
 
 
@@ -374,7 +374,7 @@ class Command:
             case _:
                 return values
 
-    def projection(self) -> dict[str, object]:
+    def digest_fields(self) -> dict[str, object]:
         return {"name": self.name, "scalars": self.scalars}
 
 

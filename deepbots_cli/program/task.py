@@ -165,7 +165,7 @@ class ObservedNumber(NamedTuple):
         return self.name if self.component is None else f"{self.name}.{self.component}"
 
 
-def viewed(numbers: Sequence[ObservedNumber], stack: int = 1) -> tuple[tuple[int, int], ...]:
+def policy_inputs(numbers: Sequence[ObservedNumber], stack: int = 1) -> tuple[tuple[int, int], ...]:
     """For every number that the policy sees, in its order: the index of the number, and how many steps ago.
 
     The frames of the stack come oldest first; in each, the named values in file order, each with its
@@ -246,7 +246,7 @@ class Truncation:
     max_steps: int | None = None
     max_time: float | None = None
 
-    def last_step(self, period: float) -> int:
+    def max_episode_steps(self, period: float) -> int:
         """Steps of the agent, of `period` s each, after which an episode is cut short at the latest."""
         time = [math.ceil(self.max_time / period - 1e-9)] if self.max_time else []
         return max(1, min([self.max_steps or 2**63, *time]))
@@ -429,7 +429,7 @@ class Training:
     normalize: Literal["reward"] | None = None
     device: Literal["auto", "cpu", "cuda"] = "cpu"
 
-    def projection(self) -> dict[str, object]:
+    def digest_fields(self) -> dict[str, object]:
         """As it counts for the digest, which keys that were added later change only where they are given."""
         later = {"normalize": None, "device": "cpu"}
         return {name: value for name, value in vars(self).items() if name not in later or value != later[name]}

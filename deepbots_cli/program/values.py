@@ -91,7 +91,7 @@ class Expression:
             return None
         return lower(self.redraw.period, f"{self.owner}.every")[0]
 
-    def projection(self) -> dict[str, object]:
+    def digest_fields(self) -> dict[str, object]:
         redraw = None if self.redraw is None else ("period", self.period)
         found = {"name": self.name, "components": self.components, "scalars": self.scalars}
         extras = {"redraw": redraw, "foreign": self.foreign, "noise": self.noise}

@@ -94,7 +94,7 @@ class _ShapeError(Exception):
     """A shape cannot be stretched so; `args` holds the reason."""
 
 
-def stretch(model: RobotModel, link: str, scale: Vector) -> RobotModel | str:
+def with_scale(model: RobotModel, link: str, scale: Vector) -> RobotModel | str:
     """The link stretched by `scale` along the axes of its own frame, as if it were made longer from the same material.
 
     Shapes, centre of mass and the origins of child joints move with it, mass grows with the volume, and the

@@ -97,7 +97,7 @@ def _is_positive(m: Matrix, shift: float) -> bool:
     return a > 0 and a * b - d * d > 0 and a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e) > 0
 
 
-def carried(model: RobotModel) -> dict[str, float]:
+def subtree_mass(model: RobotModel) -> dict[str, float]:
     """For each link by name, the mass (kg) of the link and of everything below it."""
     mass = {link.name: link.inertial.mass if link.inertial else 0.0 for link in model.links}
     below: dict[str, list[str]] = {name: [] for name in mass}

@@ -43,7 +43,7 @@ _ARCHIVES = (b"PK\x03\x04", b"PK\x05\x06", b"\x1f\x8b", b"BZh", b"\xfd7zXZ\0", b
 
 
 @dataclass(frozen=True)
-class Refusal:
+class UnusableMesh:
     """Why a file is not read, as a headline and a remedy."""
 
     why: str
@@ -51,7 +51,7 @@ class Refusal:
 
 
 @dataclass(frozen=True)
-class Above:
+class MeshAboveRobot:
     """A mesh in a folder above the robot file, where PyBullet looks too; `reference` is its path from the folder of the robot."""
 
     path: Path
@@ -66,11 +66,11 @@ class Loaded(NamedTuple):
     reference: str | None = None
 
 
-ResolveMesh = Callable[[str], Path | Above | Refusal]
+ResolveMesh = Callable[[str], Path | MeshAboveRobot | UnusableMesh]
 """From a `filename` as written in the robot file to the real path, where it may be read."""
 
 
-def locate(reference: str, folder: Path) -> Path | Refusal:
+def locate(reference: str, folder: Path) -> Path | UnusableMesh:
     """The real path that `reference` names in a robot file of `folder`, which need not exist.
 
     `package://X/rest` is looked up in the installed package X (found without importing it), then in a
@@ -82,7 +82,7 @@ def locate(reference: str, folder: Path) -> Path | Refusal:
     if scheme == "file":
         return Path(os.path.realpath(folder / rest))
     if scheme != "package":
-        return Refusal(f"a mesh cannot be fetched from {scheme[:20]!r}", "store the file beside the robot and name its path")
+        return UnusableMesh(f"a mesh cannot be fetched from {scheme[:20]!r}", "store the file beside the robot and name its path")
     package, _, inside = rest.partition("/")
     home = package_folder(package) or next((above for above in folder.absolute().parents if above.name == package), None)
     return Path(os.path.realpath(home / inside if home else folder / rest))
@@ -103,13 +103,13 @@ def package_folder(name: str) -> Path | None:
     return Path(spec.submodule_search_locations[0])
 
 
-def package_of(reference: str) -> tuple[Path, ...]:
+def package_folders(reference: str) -> tuple[Path, ...]:
     """The folder of the package that `package://X/rest` names; none for a path, or if it is not installed."""
     home = package_folder(reference.removeprefix("package://").partition("/")[0]) if reference.startswith("package://") else None
     return (home,) if home else ()
 
 
-def in_package(reference: str) -> Path | None:
+def package_file(reference: str) -> Path | None:
     """The file of an installed package that `package://X/rest` names; None where there is none, or it lies outside of X."""
     package, _, inside = reference.removeprefix("package://").partition("/")
     home = package_folder(package)
@@ -126,74 +126,78 @@ def library_reference(reference: str) -> str | None:
     """How to name a file of pybullet_data that `reference` calls by its path there; None unless it is installed and holds one."""
     inside = reference.removeprefix("pybullet_data/")
     names = (f"package://pybullet_data/{inside}{suffix}" for suffix in ("", ".urdf"))
-    return None if "://" in reference else next((name for name in names if in_package(name)), None)
+    return None if "://" in reference else next((name for name in names if package_file(name)), None)
 
 
-def beside(folder: Path, allowed: Iterable[Path] = ()) -> ResolveMesh:
+def mesh_resolver(folder: Path, allowed: Iterable[Path] = ()) -> ResolveMesh:
     """Allows the folder of the robot file, the `allowed` ones, all below them, and the installed package that a `package://` names."""
     roots = [os.path.realpath(root) for root in (folder, *allowed)]
 
-    def resolve(reference: str) -> Path | Above | Refusal:
+    def resolve(reference: str) -> Path | MeshAboveRobot | UnusableMesh:
         path = locate(reference, folder)
-        if isinstance(path, Refusal):
+        if isinstance(path, UnusableMesh):
             return path
-        within = [*roots, *map(os.path.realpath, package_of(reference))]
+        within = [*roots, *map(os.path.realpath, package_folders(reference))]
         if not any(path.is_relative_to(root) for root in within):
-            return Refusal("the mesh lies outside the folder of the robot", "move it beside the robot file")
+            return UnusableMesh("the mesh lies outside the folder of the robot", "move it beside the robot file")
         return path if "://" in reference or path.exists() else _above(reference, folder, roots) or path
 
     return resolve
 
 
-def _above(reference: str, folder: Path, roots: list[str]) -> Above | None:
+def _above(reference: str, folder: Path, roots: list[str]) -> MeshAboveRobot | None:
     """The nearest file of that name seen from a folder above; PyBullet's `findExistingMeshFile` looks there in the same order."""
     for above in folder.absolute().parents:
         path = Path(os.path.realpath(above / reference))
         if any(path.is_relative_to(root) for root in roots) and path.is_file():
-            return Above(path, os.path.relpath(above / reference, folder).replace(os.sep, "/"))
+            return MeshAboveRobot(path, os.path.relpath(above / reference, folder).replace(os.sep, "/"))
     return None
 
 
-class Meshes:
+class MeshReader:
     """Reads each mesh of one robot once: path and sha256 digest, or a refusal."""
 
     def __init__(self, resolve: ResolveMesh) -> None:
         self._resolve = resolve
-        self._known: dict[Path, str | Refusal] = {}
+        self._known: dict[Path, str | UnusableMesh] = {}
         self._total = 0
 
-    def load(self, reference: str) -> Loaded | Refusal:
+    def load(self, reference: str) -> Loaded | UnusableMesh:
         try:
             found = self._resolve(reference)
-            if isinstance(found, Refusal):
+            if isinstance(found, UnusableMesh):
                 return found
-            path = found.path if isinstance(found, Above) else found
+            path = found.path if isinstance(found, MeshAboveRobot) else found
             if path not in self._known:
                 self._known[path] = self._digest(path)
         except OSError as error:
-            return Refusal(f"the mesh cannot be read: {error.strerror}")
+            return UnusableMesh(f"the mesh cannot be read: {error.strerror}")
         digest = self._known[path]
-        return digest if isinstance(digest, Refusal) else Loaded(path, digest, found.reference if isinstance(found, Above) else None)
+        return (
+            digest
+            if isinstance(digest, UnusableMesh)
+            else Loaded(path, digest, found.reference if isinstance(found, MeshAboveRobot) else None)
+        )
 
-    def _digest(self, path: Path) -> str | Refusal:
+    def _digest(self, path: Path) -> str | UnusableMesh:
         if not str(path).isprintable():
-            return Refusal("the path of the mesh holds characters that cannot be printed", "rename the file or its folder")
+            return UnusableMesh("the path of the mesh holds characters that cannot be printed", "rename the file or its folder")
         if path.suffix.lower() not in FORMATS:
-            return Refusal(f"the mesh format {path.suffix[:20]!r} is not read", f"convert it to one of: {', '.join(FORMATS)}")
+            return UnusableMesh(f"the mesh format {path.suffix[:20]!r} is not read", f"convert it to one of: {', '.join(FORMATS)}")
         if not path.exists():
-            return Refusal("the mesh does not exist", f"looked for {path}")
+            return UnusableMesh("the mesh does not exist", f"looked for {path}")
         if not path.is_file():
-            return Refusal("the mesh is not a regular file")
+            return UnusableMesh("the mesh is not a regular file")
         data = read_at_most(path, MAX_BYTES + 1)
         if len(data) > MAX_BYTES:
-            return Refusal(f"the mesh is larger than {MAX_BYTES >> 20} MiB", "simplify it")
+            return UnusableMesh(f"the mesh is larger than {MAX_BYTES >> 20} MiB", "simplify it")
         self._total += len(data)
         if self._total > MAX_TOTAL_BYTES:
-            return Refusal(f"the meshes of this robot are larger than {MAX_TOTAL_BYTES >> 20} MiB together", "simplify them")
+            return UnusableMesh(f"the meshes of this robot are larger than {MAX_TOTAL_BYTES >> 20} MiB together", "simplify them")
         if data.startswith(_ARCHIVES):
-            return Refusal("the mesh is an archive", "unpack it")
-        wrong = fault(path.suffix.lower(), data)
-        return Refusal(wrong) if wrong else hashlib.sha256(data).hexdigest()
+            return UnusableMesh("the mesh is an archive", "unpack it")
+        wrong = mesh_problem(path.suffix.lower(), data)
+        return UnusableMesh(wrong) if wrong else hashlib.sha256(data).hexdigest()
 
 
 def checked_bytes(mesh: Mesh) -> bytes:
@@ -215,10 +219,10 @@ def checked_bytes(mesh: Mesh) -> bytes:
 
 
 @lru_cache(maxsize=1000)
-def extent(mesh: Mesh) -> tuple[Vector, Vector] | None:
+def mesh_bounds(mesh: Mesh) -> tuple[Vector, Vector] | None:
     """The lowest and the highest coordinates of a scaled mesh, m; None for a COLLADA file, or if the file is missing or changed."""
     try:
-        found = measure(Path(mesh.path).suffix.lower(), checked_bytes(mesh))
+        found = mesh_size(Path(mesh.path).suffix.lower(), checked_bytes(mesh))
     except EngineError:
         return None
     if found is None:
@@ -231,7 +235,7 @@ def extent(mesh: Mesh) -> tuple[Vector, Vector] | None:
 # Content
 
 
-def fault(suffix: str, data: bytes) -> str | None:
+def mesh_problem(suffix: str, data: bytes) -> str | None:
     """The headline for the first problem of a mesh; None if an engine may load it."""
     match suffix:
         case ".stl":
@@ -242,7 +246,7 @@ def fault(suffix: str, data: bytes) -> str | None:
             return _dae(data)
 
 
-class Measure(NamedTuple):
+class MeshSize(NamedTuple):
     """The corners of the box that holds a mesh, in its own units, and how many triangles it has."""
 
     lower: tuple[float, float, float]
@@ -250,7 +254,7 @@ class Measure(NamedTuple):
     triangles: int
 
 
-def measure(suffix: str, data: bytes) -> Measure | None:
+def mesh_size(suffix: str, data: bytes) -> MeshSize | None:
     """The size of a mesh without fault; None of a COLLADA file, which has units and frames of its own."""
     if suffix == ".dae":
         return None
@@ -263,7 +267,7 @@ def measure(suffix: str, data: bytes) -> Measure | None:
     else:
         numbers, faces = list(_stl_numbers(data)), int.from_bytes(data[80:84], "little")
     lower, upper = (tuple(end(numbers[axis::3], default=0.0) for axis in range(3)) for end in (min, max))
-    return Measure((lower[0], lower[1], lower[2]), (upper[0], upper[1], upper[2]), faces)
+    return MeshSize((lower[0], lower[1], lower[2]), (upper[0], upper[1], upper[2]), faces)
 
 
 def _stl(data: bytes) -> str | None:

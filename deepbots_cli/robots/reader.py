@@ -17,7 +17,7 @@ from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.files import read_at_most
 from deepbots_cli.robots.elements import Element, known_names, parse, quoted
 from deepbots_cli.robots.inertia import is_plausible
-from deepbots_cli.robots.meshes import Meshes, Refusal, ResolveMesh, beside
+from deepbots_cli.robots.meshes import MeshReader, ResolveMesh, UnusableMesh, mesh_resolver
 from deepbots_cli.robots.model import (
     Box,
     Capsule,
@@ -121,7 +121,7 @@ def read(path: Path, display: str, findings: Findings, *, resolve_mesh: ResolveM
     if path.is_file():  # a pipe would block for ever
         try:
             data = read_at_most(path, MAX_BYTES + 1)
-            return read_bytes(data, display, findings, resolve_mesh=resolve_mesh or beside(path.absolute().parent))
+            return read_bytes(data, display, findings, resolve_mesh=resolve_mesh or mesh_resolver(path.absolute().parent))
         except OSError as error:
             headline = f"the robot file cannot be read: {(error.strerror or 'unknown reason').lower()}"
     findings.add("DB301", Span(Source(display, ""), 0, 0), headline)
@@ -162,7 +162,7 @@ def _read(data: bytes, display: str, findings: Findings, resolve_mesh: ResolveMe
     if len(links) > MAX_LINKS:
         root.error(f"the robot has more than {MAX_LINKS} links", code="DB005")
         return None
-    model = _model(root, links, joints, Meshes(resolve_mesh))
+    model = _model(root, links, joints, MeshReader(resolve_mesh))
     if model is None:
         return None
     _check_inertia(model, links)
@@ -226,7 +226,7 @@ def _named(root: Element, tag: str) -> dict[str, Element]:
     return found
 
 
-def _model(root: Element, links: dict[str, Element], joints: dict[str, Element], meshes: Meshes) -> RobotModel | None:
+def _model(root: Element, links: dict[str, Element], joints: dict[str, Element], meshes: MeshReader) -> RobotModel | None:
     """The whole model, or None after an error."""
     colours = _colours(root)
     read_links = [_link(element, name, colours, meshes) for name, element in links.items()]
@@ -278,7 +278,7 @@ def _pose(element: Element) -> Pose:
     return Pose(origin.vector("xyz", (0.0, 0.0, 0.0)), rpy)
 
 
-def _link(element: Element, name: str, colours: dict[str, Colour], meshes: Meshes) -> Link:
+def _link(element: Element, name: str, colours: dict[str, Colour], meshes: MeshReader) -> Link:
     visuals = [_geometry(visual, meshes, _visual_colour(visual, colours)) for visual in element.all("visual")]
     collisions = [_geometry(collision, meshes) for collision in element.all("collision")]
     return Link(name, _inertial(element), tuple(filter(None, visuals)), tuple(filter(None, collisions)), _friction(element))
@@ -311,7 +311,7 @@ def _visual_colour(visual: Element, named: dict[str, Colour]) -> Colour | None:
     return _colour(material) if material.all("color") else named.get(material.attributes.get("name", ""))
 
 
-def _geometry(holder: Element, meshes: Meshes, colour: Colour | None = None) -> Geometry | None:
+def _geometry(holder: Element, meshes: MeshReader, colour: Colour | None = None) -> Geometry | None:
     element = holder.required("geometry")
     if element is None:
         return None
@@ -347,7 +347,7 @@ def _solid(element: Element, holder: str) -> Shape | None:
     return None
 
 
-def _mesh(element: Element, meshes: Meshes) -> Mesh | None:
+def _mesh(element: Element, meshes: MeshReader) -> Mesh | None:
     filename = element.text("filename")
     scale = element.vector("scale", (1.0, 1.0, 1.0))
     if not all(scale):
@@ -355,7 +355,7 @@ def _mesh(element: Element, meshes: Meshes) -> Mesh | None:
     if filename is None:
         return None
     loaded = meshes.load(filename)
-    if isinstance(loaded, Refusal):
+    if isinstance(loaded, UnusableMesh):
         element.error(loaded.why, attribute="filename", help=loaded.help)
         return None
     if loaded.reference:

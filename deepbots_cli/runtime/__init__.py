@@ -7,8 +7,8 @@ formulas.py    functions that generated code calls: pure ones, ones with memory,
 messages.py    channels of messages, and their formats
 streams.py     named random streams under one root seed, and values that `reset` is given in place of draws
 placement.py   where bodies stand when an episode begins
-ways.py        shortest ways around solid objects; painted lines: places beside and along them, light
-view.py        a camera that sees the whole scene
+paths.py       shortest paths around solid objects; painted lines: places beside and along them, light
+overview.py    a camera that sees the whole scene
 actuation.py   actuators that are more than a motor of the engine, and pushes
 sensing.py     sensors that are sampled once per tick, with their faults; readers.py what each kind measures
 batch.py       base of the generated supervisor of a batch of worlds; columns.py its functions, devices.py its sensors
@@ -19,7 +19,7 @@ Nothing here reads YAML or knows an engine beyond the port.
 
 from deepbots_cli.frames import quaternion
 from deepbots_cli.runtime.actuation import Cartesian, Motor, Push, Thrust
-from deepbots_cli.runtime.copies import assemble
+from deepbots_cli.runtime.copies import make_environment
 from deepbots_cli.runtime.formulas import (
     Accumulate,
     Delta,
@@ -48,9 +48,9 @@ from deepbots_cli.runtime.formulas import (
     wrap_angle,
     yaw,
 )
+from deepbots_cli.runtime.paths import Follower, Ways
 from deepbots_cli.runtime.placement import Arrangement
 from deepbots_cli.runtime.supervisor import RobotController, Supervisor
-from deepbots_cli.runtime.ways import Follower, Ways
 
 __all__ = [
     "Accumulate",
@@ -72,13 +72,13 @@ __all__ = [
     "Supervisor",
     "Thrust",
     "Ways",
-    "assemble",
     "bearing",
     "clamp",
     "clip",
     "distance",
     "foreign",
     "ground_distance",
+    "make_environment",
     "pitch",
     "quaternion",
     "roll",

@@ -29,7 +29,7 @@ LOST = "not_finite"
 """How an episode ends whose world is no longer finite."""
 
 
-class Outcome(NamedTuple):
+class BatchStep(NamedTuple):
     """What a step came to, one row per world; observations are those that the agent acts on next.
 
     `terms` has a row per term of the reward and a column per world. `done` holds the numbers of the worlds whose episode ended, `last`
@@ -272,7 +272,7 @@ class BatchSupervisor(_Part, ABC):
         self.begin(range(self.count), seeds)
         return self.observations()
 
-    def step(self, action: Any) -> Outcome:
+    def step(self, action: Any) -> BatchStep:
         """One step of all worlds; episodes that end are followed by new ones at once.
 
         A world that is no longer finite is truncated by `not_finite` with a reward of 0. It begins anew, and is told in `losses` and as a
@@ -288,7 +288,7 @@ class BatchSupervisor(_Part, ABC):
         self.begin(outcome.done.tolist(), [None] * len(outcome.done))
         return outcome._replace(observations=self.observations())
 
-    def advance(self, action: Any, resting: Column | None = None) -> Outcome:
+    def advance(self, action: Any, resting: Column | None = None) -> BatchStep:
         """One step of all worlds but those that are `resting` (truth values), whose episodes have ended; no episode begins."""
         action = _copied(action)
         for episode, act in zip(self._episodes, _each_of(action, self.count), strict=True):
@@ -304,9 +304,9 @@ class BatchSupervisor(_Part, ABC):
         ended = terminated | truncated
         done = np.flatnonzero(ended if resting is None else ended & ~resting)
         if not len(done):
-            return Outcome(observations, rewards, terms, terminated, truncated, done, None, [])
+            return BatchStep(observations, rewards, terms, terminated, truncated, done, None, [])
         last, infos = _taken(observations, done), [self.info(world) for world in done.tolist()]
-        return Outcome(observations, rewards, terms, terminated, truncated, done, last, infos)
+        return BatchStep(observations, rewards, terms, terminated, truncated, done, last, infos)
 
     def warn_of_losses(self, stacklevel: int) -> None:
         """Warn of each world that was lost in the last step."""
@@ -482,7 +482,7 @@ class BatchSupervisor(_Part, ABC):
                 drawn[:, world] = single.streams[stream].standard_normal(count)
         return drawn
 
-    def see(self, *numbers: Any) -> None:
+    def set_observation(self, *numbers: Any) -> None:
         """Let the policies see these numbers in the newest frame."""
         frame = self.frames[self.newest]
         for row, number in zip(frame, numbers, strict=True):
@@ -501,7 +501,7 @@ class BatchSupervisor(_Part, ABC):
         """Make room for what the policies see after this step."""
         self.newest = (self.newest + 1) % self.depth
 
-    def aim(self, achieved: Any, desired: Any) -> tuple[Column, Column]:
+    def set_goal_observation(self, achieved: Any, desired: Any) -> tuple[Column, Column]:
         """See `Supervisor.aim`."""
         goal = self.scenario.policy.goal
         assert goal is not None

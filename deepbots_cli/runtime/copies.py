@@ -25,7 +25,7 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.task import RobotCopies
 from deepbots_cli.program.world import WorldModel
 from deepbots_cli.runtime.placement import offset
-from deepbots_cli.runtime.spaces import alike, usual
+from deepbots_cli.runtime.spaces import canonical_action, is_canonical
 from deepbots_cli.runtime.streams import Streams
 from deepbots_cli.runtime.supervisor import Info, Supervisor
 
@@ -46,7 +46,7 @@ def populated(world: WorldModel, copies: RobotCopies) -> WorldModel:
     return replace(world, robots=(*others, *(replace(one, name=copy_name(copies, k + 1)) for k in range(copies.count))))
 
 
-def assemble(
+def make_environment(
     kind: type[Supervisor], scenario: Program, create: Callable[[WorldModel], Engine], render_mode: str | None = None
 ) -> Supervisor:
     """The environment of a scenario whose generated supervisor is `kind`."""
@@ -193,8 +193,8 @@ class CopiesSupervisor(Supervisor):
         """The agents have frames of their own."""
 
     def _advance(self, action: Any) -> None:
-        fitting = usual(self.action_space, action)
-        if fitting is None or not alike(fitting, action):  # refused before any copy has acted: those that have cannot go back
+        fitting = canonical_action(self.action_space, action)
+        if fitting is None or not is_canonical(fitting, action):  # refused before any copy has acted: those that have cannot go back
             raise ValueError("no action of this space")
         self.step_count += 1
         agents = self.agents.values()

@@ -5,7 +5,7 @@ A channel delivers every message at once; a lossy one, where the scenario asks f
 Every message opens with the layout's stamp, so that one of another layout, version or robot is
 recognised. A codec takes the values in field order (a vector as its components); decoding returns
 the stamp and the values. All formats carry 64-bit floats exactly. A picture is its bytes, in formats of text in base64.
-`Wire` is what a channel uses: it takes and gives one value per field, and checks the layout.
+`FieldCodec` is what a channel uses: it takes and gives one value per field, and checks the layout.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Codec:
     parts: Callable[[Any], Sequence[object]]
 
 
-class Wire:
+class FieldCodec:
     """Messages of one layout on their way: `encode` takes one value per field, a vector as a sequence, and `decode` gives them back."""
 
     encode: Callable[[Sequence[Any]], Any]
@@ -176,7 +176,7 @@ def _with_pictures(made: Codec, shapes: Mapping[int, tuple[int, ...]]) -> Codec:
     return Codec(encode, decode, made.parts)
 
 
-def struct_codec(stamp: int, codes: list[str]) -> Codec:
+def struct_codec(layout_hash: int, codes: list[str]) -> Codec:
     form = struct.Struct("<I" + "".join(codes))
 
     def parts(message: bytes) -> list[object]:
@@ -187,11 +187,11 @@ def struct_codec(stamp: int, codes: list[str]) -> Codec:
                 return values if head.size == len(message) or count < len(codes) else [*values, message[head.size :]]
         raise ValueError("shorter than a stamp")
 
-    return Codec(partial(form.pack, stamp), form.unpack, parts)
+    return Codec(partial(form.pack, layout_hash), form.unpack, parts)
 
 
-def csv_codec(stamp: int, codes: list[str]) -> Codec:
-    head = str(stamp)
+def csv_codec(layout_hash: int, codes: list[str]) -> Codec:
+    head = str(layout_hash)
 
     def encode(*values: Value) -> str:
         return ",".join([head, *map(_csv_cell, values)] if mixed else [head, *map(repr, values)])
@@ -236,19 +236,19 @@ def _tuple_type(codes: list[str]) -> Any:
     return GenericAlias(tuple, (int, *kinds))
 
 
-def json_codec(stamp: int, codes: list[str]) -> Codec:
+def json_codec(layout_hash: int, codes: list[str]) -> Codec:
     encoder = msgspec.json.Encoder().encode
     return Codec(
-        lambda *values: encoder((stamp, *values)),
+        lambda *values: encoder((layout_hash, *values)),
         msgspec.json.Decoder(_tuple_type(codes)).decode,
         lambda message: list(msgspec.json.decode(message)),
     )
 
 
-def msgpack_codec(stamp: int, codes: list[str]) -> Codec:
+def msgpack_codec(layout_hash: int, codes: list[str]) -> Codec:
     encoder = msgspec.msgpack.Encoder().encode
     return Codec(
-        lambda *values: encoder((stamp, *values)),
+        lambda *values: encoder((layout_hash, *values)),
         msgspec.msgpack.Decoder(_tuple_type(codes)).decode,
         lambda message: list(msgspec.msgpack.decode(message)),
     )
@@ -335,7 +335,7 @@ class LossyChannel:
         timestep: float,
         delay: int = 0,
         where: Where | None = None,
-        wire: Wire | None = None,
+        wire: FieldCodec | None = None,
         *,
         first_at_once: bool = False,
     ) -> None:
@@ -448,7 +448,7 @@ class Channel:
     What is sent is one value per field of the layout, and so is what is received: messages are encoded on the way, decoded and checked.
     """
 
-    def __init__(self, wire: Wire) -> None:
+    def __init__(self, wire: FieldCodec) -> None:
         self.wire = wire
         self._queue: deque[Any] = deque()
         self.transmit: Callable[[Any], None] = self._queue.append

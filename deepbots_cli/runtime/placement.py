@@ -181,7 +181,7 @@ class Arrangement:
                 spots = self._floor.hopeful(spots, covered, rpy[2], clearance, base)
             for x, y in spots:
                 patch = covered.at(x, y, rpy[2])
-                if (surface is None or surface.holds(patch, margin)) and self._floor.is_free(patch, clearance, base):
+                if (surface is None or surface.contains(patch, margin)) and self._floor.is_free(patch, clearance, base):
                     ground = surface.height if surface else self._height(x, y)
                     self._settle(body, patch, (x, y, z), rpy, (velocity, angular_velocity), rests, clearance, ground)
                     if "#" not in body:
@@ -215,7 +215,7 @@ class Arrangement:
     ) -> None:
         """Note the place of a body whose height counts from `ground` (m)."""
         x, y, z = xyz
-        z += ground + (self.forms.resting(body, rpy) if rests else 0.0)
+        z += ground + (self.forms.resting_height(body, rpy) if rests else 0.0)
         top = self.forms.top(body, z, rpy)
         if top > ground + TOUCHING:  # a table top level with the ground is nothing to keep clear of
             self._floor.take(patch, clearance, top)
@@ -255,7 +255,7 @@ class Floor:
     def within(self, area: Area, covered: Footprint, yaw: float, clearance: float) -> Area:
         """Where in the area the origin of a body may be, so that it keeps its clearance from the walls; may be empty."""
         at_origin = covered.at(0.0, 0.0, yaw)
-        (reach_x, reach_y), (half_x, half_y) = at_origin.extent, self._half
+        (reach_x, reach_y), (half_x, half_y) = at_origin.half_extents, self._half
         room_x, room_y = half_x - clearance - reach_x, half_y - clearance - reach_y
         x, y = at_origin.x, at_origin.y
         return max(area[0], -room_x - x), max(area[1], -room_y - y), min(area[2], room_x - x), min(area[3], room_y - y)
@@ -266,9 +266,9 @@ class Floor:
         for other, own, top in self._taken:
             if top <= base + TOUCHING:
                 continue
-            gap = (clearance if clearance > own else own) - TOUCHING
-            dx, dy, near = x - other.x, y - other.y, radius + other.radius + gap
-            if dx * dx + dy * dy < near * near and footprint.gap(patch, other) < gap:
+            patch_distance = (clearance if clearance > own else own) - TOUCHING
+            dx, dy, near = x - other.x, y - other.y, radius + other.radius + patch_distance
+            if dx * dx + dy * dy < near * near and footprint.patch_distance(patch, other) < patch_distance:
                 return False
         return True
 
@@ -283,8 +283,8 @@ class Floor:
         dx, dy = np.add(spots, (at_origin.x, at_origin.y)).T[..., None] - np.array((x, y))[:, None]
         along = np.maximum(np.abs(c * dx + s * dy) - half_x, 0.0)
         across = np.maximum(np.abs(c * dy - s * dx) - half_y, 0.0)
-        gap = np.maximum(own, clearance) + around + covered.narrowest - TOUCHING
-        free = np.all(along * along + across * across >= gap * gap, axis=1)
+        patch_distance = np.maximum(own, clearance) + around + covered.inradius - TOUCHING
+        free = np.all(along * along + across * across >= patch_distance * patch_distance, axis=1)
         return [spot for spot, hopeful in zip(spots, free.tolist(), strict=True) if hopeful]
 
 
@@ -296,18 +296,18 @@ class Surface(NamedTuple):
 
     @property
     def area(self) -> Area:
-        (x, y), (reach_x, reach_y) = (self.patch.x, self.patch.y), self.patch.extent
+        (x, y), (reach_x, reach_y) = (self.patch.x, self.patch.y), self.patch.half_extents
         return x - reach_x, y - reach_y, x + reach_x, y + reach_y
 
     def within(self, area: Area, covered: Footprint, yaw: float, margin: float) -> Area:
         """Where in the area the origin of a body may be at most, so that it keeps `margin` from the edge; perhaps nowhere."""
         at_origin, (low_x, low_y, high_x, high_y) = covered.at(0.0, 0.0, yaw), self.area
-        reach_x, reach_y = (reach + margin for reach in at_origin.extent)
+        reach_x, reach_y = (reach + margin for reach in at_origin.half_extents)
         x, y = at_origin.x, at_origin.y
         return cut(area, (low_x + reach_x - x, low_y + reach_y - y, high_x - reach_x - x, high_y - reach_y - y))
 
-    def holds(self, patch: Patch, margin: float) -> bool:
-        return self.patch.holds(patch, margin - TOUCHING)
+    def contains(self, patch: Patch, margin: float) -> bool:
+        return self.patch.contains(patch, margin - TOUCHING)
 
 
 def cut(one: Area, other: Area) -> Area:
@@ -376,15 +376,15 @@ class Forms:
 
     def half_width(self, body: str) -> float:
         """Half the width of the narrowest passage that it fits through, m."""
-        return self._widths[body] if body in self._widths else self.footprint(body).narrowest
+        return self._widths[body] if body in self._widths else self.footprint(body).inradius
 
-    def resting(self, body: str, rpy: Triple) -> float:
+    def resting_height(self, body: str, rpy: Triple) -> float:
         """The height (m) of the body's origin if its lowest point touches flat ground."""
-        return footprint.resting(self.models.get(body) or self.shape(body), rpy[0], rpy[1])
+        return footprint.resting_height(self.models.get(body) or self.shape(body), rpy[0], rpy[1])
 
     def top(self, body: str, z: float, rpy: Triple) -> float:
         """The height of the top of an object whose origin is at `z`; infinite for a robot."""
-        return z + footprint.resting(self.shape(body), rpy[0], rpy[1]) if body in self.things else inf
+        return z + footprint.resting_height(self.shape(body), rpy[0], rpy[1]) if body in self.things else inf
 
     def at_home(self, body: str) -> tuple[Patch, float]:
         """The patch and the top of an object at the pose of the world model."""

@@ -17,8 +17,8 @@ from deepbots_cli import frames
 from deepbots_cli.frames import IDENTITY_FRAME, IDENTITY_ROTATION, Frame, Quaternion, Triple
 from deepbots_cli.port import Engine, Part, PoseReader, RayReader, Sight, VelocityReader
 from deepbots_cli.program.robots import CalibrationTable, CameraIntrinsics, RayConfig
+from deepbots_cli.runtime.paths import Paint
 from deepbots_cli.runtime.sensing import Instrument, Normals, Site, Values
-from deepbots_cli.runtime.ways import Paint
 
 if TYPE_CHECKING:
     from deepbots_cli.port import Image

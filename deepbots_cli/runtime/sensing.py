@@ -72,7 +72,7 @@ class Normals:
         return len(self._rows)
 
 
-class Chain:
+class SensorErrors:
     """The faults of one sensor with `width` values."""
 
     def __init__(self, spec: NoiseModel, width: int) -> None:
@@ -224,7 +224,7 @@ class Device:
         self._period = faults.period
         self._latency = faults.latency
         parameters = (faults.noise, faults.relative_noise, faults.bias, faults.relative_bias, faults.drift, faults.low, faults.resolution)
-        self.chain = Chain(faults, max(1, len(sensor.components))) if any(parameters) else None
+        self.chain = SensorErrors(faults, max(1, len(sensor.components))) if any(parameters) else None
         self._under_way: deque[tuple[int, int, Reading]] = deque()
 
     def vary(self, fault: str, values: Sequence[float]) -> None:

@@ -13,7 +13,7 @@ from deepbots_cli.arrays import evaluate
 from deepbots_cli.errors import EvaluationError, UsageError
 from deepbots_cli.expressions.scalar import Name
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import ActionRange, Choices, Goal, viewed
+from deepbots_cli.program.task import ActionRange, Choices, Goal, policy_inputs
 
 Goals = NDArray[np.floating[Any]]
 
@@ -24,7 +24,7 @@ def observation_space(scenario: Program) -> gym.Space[Any]:
     With pictures or a goal, that stands as `observation` in a Dict beside them: pictures under their names as uint8 (rows,
     columns, channels), and `achieved_goal` and `desired_goal`.
     """
-    entries = [scenario.policy.numbers[index] for index, _ in viewed(scenario.policy.numbers, scenario.policy.frame_stack)]
+    entries = [scenario.policy.numbers[index] for index, _ in policy_inputs(scenario.policy.numbers, scenario.policy.frame_stack)]
     low = np.array([0.0 if entry.truth else -1.0 if entry.clip else -np.inf for entry in entries], np.float32)
     high = np.array([1.0 if entry.truth or entry.clip else np.inf for entry in entries], np.float32)
     box = gym.spaces.Box(low, high, dtype=np.float32)
@@ -48,7 +48,7 @@ def depth(scenario: Program) -> int:
 
 def views(scenario: Program) -> NDArray[np.intp]:
     """Where the numbers of an observation stand in a ring of frames; row p is for a newest frame in place p."""
-    seen = np.array(viewed(scenario.policy.numbers, scenario.policy.frame_stack), np.intp).reshape(-1, 2)
+    seen = np.array(policy_inputs(scenario.policy.numbers, scenario.policy.frame_stack), np.intp).reshape(-1, 2)
     frames = depth(scenario)
     newest = np.arange(frames)[:, None]
     return (newest - seen[:, 1]) % frames * len(scenario.policy.numbers) + seen[:, 0]
@@ -74,11 +74,13 @@ def composed(space: gym.Space[Any], choices: Sequence[int], ranges: Sequence[flo
     return np.array(choices, np.int64) if choices else np.array(ranges, np.float32)
 
 
-def usual(space: gym.Space[Any], action: Any) -> Any:
+def canonical_action(space: gym.Space[Any], action: Any) -> Any:
     """The action as generated code takes it (int or array), or None if it is none of this space."""
     try:
         if isinstance(space, gym.spaces.Dict):
-            parts = {key: usual(part, action[key]) for key, part in space.spaces.items()} if set(action) == set(space.spaces) else {}
+            parts = (
+                {key: canonical_action(part, action[key]) for key, part in space.spaces.items()} if set(action) == set(space.spaces) else {}
+            )
             return parts if parts and all(part is not None for part in parts.values()) else None
         array = np.asarray(action)
         if isinstance(space, gym.spaces.Box):
@@ -91,10 +93,10 @@ def usual(space: gym.Space[Any], action: Any) -> Any:
         return None
 
 
-def alike(usual: Any, action: Any) -> bool:
+def is_canonical(usual: Any, action: Any) -> bool:
     """Whether an action came in the form in which generated code takes it."""
     if isinstance(usual, dict):
-        return all(alike(part, action[key]) for key, part in usual.items())
+        return all(is_canonical(part, action[key]) for key, part in usual.items())
     return type(usual) is type(action) or isinstance(action, int | np.integer)
 
 

@@ -25,7 +25,7 @@ _ROUNDING = 1e-6
 """Of the size of a limit, by which a value may lie beyond it and is then the limit: 0.6 as a float32 is 0.60000002."""
 
 
-def derive(root: int, *names: str | int) -> int:
+def derive_seed(root: int, *names: str | int) -> int:
     """A 32-bit seed for the purpose `names` under the root seed; any whole number is a root, 0 too."""
     text = "/".join(str(name) for name in (root, *names))
     return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "little")

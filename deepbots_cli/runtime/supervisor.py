@@ -26,12 +26,21 @@ from deepbots_cli.program.robots import Actuator, CustomActuator, Direction, Mes
 from deepbots_cli.program.task import ActionRange, Choices
 from deepbots_cli.runtime.actuation import CustomMotor, Site
 from deepbots_cli.runtime.formulas import Memories, Memory, clip, memory_of_vector
-from deepbots_cli.runtime.messages import Channel, LossyChannel, Wire, excerpt, explain
+from deepbots_cli.runtime.messages import Channel, FieldCodec, LossyChannel, excerpt, explain
+from deepbots_cli.runtime.overview import moved, overview
 from deepbots_cli.runtime.readers import sees
 from deepbots_cli.runtime.sensing import Device, instrument
-from deepbots_cli.runtime.spaces import FrameStack, action_space, alike, composed, observation_space, recomputed, usual, views
+from deepbots_cli.runtime.spaces import (
+    FrameStack,
+    action_space,
+    canonical_action,
+    composed,
+    is_canonical,
+    observation_space,
+    recomputed,
+    views,
+)
 from deepbots_cli.runtime.streams import Streams, episode_values
-from deepbots_cli.runtime.view import moved, overview
 
 Observation = NDArray[np.float32]
 Info = dict[str, Any]
@@ -151,7 +160,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
     def channel(self, name: str, direction: Direction) -> Channel:
         """The path of messages to or from a robot, where it is direct."""
         spec = self._spec(name)
-        made = Channel(Wire(spec.to_robot if direction == "to_robot" else spec.from_robot, self.scenario.format, self._rejected))
+        made = Channel(FieldCodec(spec.to_robot if direction == "to_robot" else spec.from_robot, self.scenario.format, self._rejected))
         self.channels[name, direction] = made
         return made
 
@@ -165,7 +174,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
             self.scenario.world.timestep,
             1 if self.scenario.timing == "delayed" else 0,
             self.engine.pose(name),
-            Wire(layout, self.scenario.format, self._rejected),
+            FieldCodec(layout, self.scenario.format, self._rejected),
             first_at_once=not to_robot,
         )
         self.channels[name, direction] = made
@@ -411,7 +420,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
             raise ValueError(f"{len(values)} numbers")
         return values
 
-    def see(self, *numbers: float) -> None:
+    def set_observation(self, *numbers: float) -> None:
         """Let the policy see these numbers, in the newest frame, as float32; a truth value is 0 or 1."""
         self._pack(self._buffer, self._width * self.newest, *numbers)
 
@@ -423,7 +432,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         """The numbers that the policy sees; a copy."""
         return self.frames.copy() if self.depth == 1 else self.frames.take(self.views[self.newest])
 
-    def aim(self, achieved: Sequence[float], desired: Sequence[float]) -> tuple[list[float], list[float]]:
+    def set_goal_observation(self, achieved: Sequence[float], desired: Sequence[float]) -> tuple[list[float], list[float]]:
         """Let the policy see what is achieved and desired, and give both back as it sees them.
 
         Both are mapped to [-1, 1], clipped and rounded to float32, and mapped back: a reward that is recomputed from what was
@@ -442,7 +451,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         meant = [middle + half * seen for middle, half, seen in zip(middles * 2, halves * 2, self.goal.tolist(), strict=True)]
         return meant[:size], meant[size:]
 
-    def given(self, name: str, drawn: float) -> float:
+    def episode_value(self, name: str, drawn: float) -> float:
         """The value of this episode: what `options` of `reset` set, or else what was drawn."""
         self.episode_values[name] = self.chosen.get(name, drawn)
         return self.episode_values[name]
@@ -520,10 +529,10 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
 
         A list, or the array without axes that SB3 predicts, fails there before anything has changed.
         """
-        fitting = usual(self.action_space, action)
+        fitting = canonical_action(self.action_space, action)
         if fitting is None:
             raise UsageError(f"action {excerpt(action)} does not fit {self.action_space}") from None
-        if alike(fitting, action):
+        if is_canonical(fitting, action):
             raise self._no_value(error) from error
         try:
             self._go_on(fitting)

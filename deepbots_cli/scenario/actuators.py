@@ -13,9 +13,9 @@ from typing import Annotated, Any, ClassVar, Literal
 from deepbots_cli.expressions.dimensions import ANGLE, ANGULAR_VELOCITY, FORCE, LENGTH, NUMBER, SPEED, TORQUE, Dimension
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
 from deepbots_cli.expressions.types import SPACE, Components
-from deepbots_cli.plugins import Table
+from deepbots_cli.plugins import PluginTable
 from deepbots_cli.robots.model import Joint
-from deepbots_cli.scenario.base import FORMS, Keys, Kinds, Section, kind_of, parameters, require_kind
+from deepbots_cli.scenario.base import FORMS, KeyCount, Kinds, Section, kind_of, parameters, require_kind
 from deepbots_cli.scenario.fields import (
     JointName,
     JointNames,
@@ -23,7 +23,7 @@ from deepbots_cli.scenario.fields import (
     LinkName,
     LinkNames,
     Pattern,
-    Prose,
+    PlainText,
     Quantity,
     RandomizableDelay,
     RandomizableFactor,
@@ -50,7 +50,7 @@ class Actuator(Section):
     interval: ClassVar[Interval] = EVERYTHING
     """To which commands of a plug-in's kind are clamped."""
 
-    type: Prose
+    type: PlainText
     """The kind of actuator."""
     strength: RandomizableFactor = 1
     """Factor on the torque, force or thrust of the actuator; below 1 for a worn one."""
@@ -67,7 +67,7 @@ class JointActuator(Actuator):
     """The dimension of a command where the joint slides; `dimension` is that where it turns."""
     drive: ClassVar[str] = ""
     """`module:attribute` of the control law of a plug-in's kind: from a `runtime.actuation.Site` to a `ControlLaw`."""
-    key_rules: ClassVar[tuple[Keys, ...]] = (Keys(("joint", "joints"), min=1),)
+    key_rules: ClassVar[tuple[KeyCount, ...]] = (KeyCount(("joint", "joints"), min=1),)
 
     joint: JointName | None = None
     """The joint that it drives."""
@@ -123,7 +123,7 @@ class Thrust(Actuator):
     """Pushes links along their z axis, as a rotor does."""
 
     dimension = FORCE
-    key_rules: ClassVar[tuple[Keys, ...]] = (Keys(("link", "links"), min=1),)
+    key_rules: ClassVar[tuple[KeyCount, ...]] = (KeyCount(("link", "links"), min=1),)
 
     type: Literal["thrust"]
 
@@ -186,5 +186,5 @@ def _read(name: str, kind: Any) -> Iterator[tuple[str, type[Actuator]]]:
 
 
 _KINDS = (VelocityMotor, PositionMotor, TorqueMotor, Thrust, Cartesian, Gripper)
-ACTUATORS: Table[type[Actuator]] = Table("deepbots.actuators", {kind_of(model): model for model in _KINDS}, _read)
+ACTUATORS: PluginTable[type[Actuator]] = PluginTable("deepbots.actuators", {kind_of(model): model for model in _KINDS}, _read)
 AnyActuator = Annotated[Actuator, Kinds("type", ACTUATORS)]

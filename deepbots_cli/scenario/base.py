@@ -24,7 +24,7 @@ from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, PrivateAttr, T
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
 from deepbots_cli.document.nodes import Path
-from deepbots_cli.scenario.fields import PLAIN, FieldType, Word, article, at, choose_from, count, error, mismatch, word_meant
+from deepbots_cli.scenario.fields import PLAIN, FieldType, Word, article, at, choose_from, count, error, mismatch, word_replacement
 
 T = TypeVar("T")
 Many = tuple[T, ...]
@@ -35,7 +35,7 @@ LENIENT = "lenient"
 
 
 @dataclass(frozen=True)
-class Keys:
+class KeyCount:
     """How many of these keys a section may have at once."""
 
     names: tuple[str, ...]
@@ -58,8 +58,8 @@ class Section(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
-    key_rules: ClassVar[tuple[Keys, ...]] = ()
-    marks: ClassVar[frozenset[str]] = frozenset()
+    key_rules: ClassVar[tuple[KeyCount, ...]] = ()
+    identifying_keys: ClassVar[frozenset[str]] = frozenset()
     """Keys that distinguish this form from other forms that are mappings."""
 
     _path: Path = PrivateAttr(())
@@ -157,13 +157,13 @@ def _fits(shape: Shape, value: object) -> bool:
     match shape:
         case FieldType():
             # The field type itself refuses a single value of the wrong type, not the choice between the forms.
-            return shape.holds(list(value)) if isinstance(value, (list, tuple)) else not isinstance(value, dict)
+            return shape.has_form(list(value)) if isinstance(value, (list, tuple)) else not isinstance(value, dict)
         case ListOf():
             return isinstance(value, (list, tuple))
         case MappingOf() | Kinds():
             return isinstance(value, dict)
         case type():
-            return isinstance(value, dict) and (not shape.marks or not shape.marks.isdisjoint(value))
+            return isinstance(value, dict) and (not shape.identifying_keys or not shape.identifying_keys.isdisjoint(value))
         case _:
             return False
 
@@ -226,7 +226,9 @@ class Kinds:
         word = value[self.key]
         if not isinstance(word, str):
             raise at(self.key, mismatch(f"the name of {article(self.key)}", choose_from("", self.names), value=word))
-        unknown = error("DB104", f"unknown {self.key} `{word[:40]}`", choose_from(word, self.names), meant=word_meant(word, self.names))
+        unknown = error(
+            "DB104", f"unknown {self.key} `{word[:40]}`", choose_from(word, self.names), replacement=word_replacement(word, self.names)
+        )
         raise at(self.key, unknown)
 
 
@@ -319,7 +321,7 @@ def shape_of(annotation: Any, metadata: tuple[Any, ...] = ()) -> Shape:
 # Walking
 
 
-def locate(value: object, path: Path = ()) -> None:
+def set_paths(value: object, path: Path = ()) -> None:
     """Set the paths of `value` and of all sections below it."""
     if isinstance(value, Section):
         value._path = path
@@ -331,7 +333,7 @@ def locate(value: object, path: Path = ()) -> None:
     else:
         return
     for step, item in below:
-        locate(item, (*path, step))
+        set_paths(item, (*path, step))
 
 
 def visit(section: Section, path: Path = ()) -> Iterator[tuple[Path, FieldType, object]]:

@@ -19,7 +19,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationError, ValidationInfo
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
-from deepbots_cli.diagnostics.nearest import Meant, meant, nearest
+from deepbots_cli.diagnostics.nearest import Replacement, nearest, suggest_replacement
 from deepbots_cli.expressions import parser, syntax
 from deepbots_cli.expressions.dimensions import NUMBER, UNITS, Dimension
 from deepbots_cli.expressions.types import PLANE, SPACE, Components, shown
@@ -43,16 +43,16 @@ GROUPED = r"[-+]?[0-9]{1,3}(_[0-9]{3})+"
 
 
 def error(
-    code: str, headline: str, help: str | None = None, *, missing: tuple[str, ...] = (), meant: Meant | None = None
+    code: str, headline: str, help: str | None = None, *, missing: tuple[str, ...] = (), replacement: Replacement | None = None
 ) -> PydanticCustomError:
     """An error with the parts of a finding: `missing` keys, and `meant`, a replacement of the whole value."""
-    context = {"headline": headline, "help": help, "missing": missing, "meant": meant}
+    context = {"headline": headline, "help": help, "missing": missing, "replacement": replacement}
     return PydanticCustomError(code, "{headline}; {help}" if help else "{headline}", context)
 
 
-def mismatch(expected: str, help: str | None = None, meant: Meant | None = None, *, value: object) -> PydanticCustomError:
+def mismatch(expected: str, help: str | None = None, replacement: Replacement | None = None, *, value: object) -> PydanticCustomError:
     """An error about a value of the wrong type; `validate` shows how it is written in the file."""
-    refused = error("DB103", f"expected {expected}, found {str(value)[:60]!r}", help, meant=meant)
+    refused = error("DB103", f"expected {expected}, found {str(value)[:60]!r}", help, replacement=replacement)
     refused.context["expected"] = expected  # type: ignore[index]
     return refused
 
@@ -104,7 +104,7 @@ _OTHER_NAMES = {
 def other_name(word: str, known: Iterable[str]) -> str | None:
     """The `known` word for a name in other tools."""
     plain = word.lower().replace("-", "_").replace(" ", "_")
-    return next((ours for ours in known if plain in _OTHER_NAMES.get(ours, "").split()), None)
+    return next((of_language for of_language in known if plain in _OTHER_NAMES.get(of_language, "").split()), None)
 
 
 def choose_from(word: str, words: Sequence[str]) -> str:
@@ -114,16 +114,16 @@ def choose_from(word: str, words: Sequence[str]) -> str:
     return f"did you mean `{near}`? known names: {listed}" if near else f"known names: {listed}"
 
 
-def word_meant(word: str, words: Sequence[str]) -> Meant | None:
+def word_replacement(word: str, words: Sequence[str]) -> Replacement | None:
     """The probable word of the language, as a replacement."""
     other = other_name(word, words)
-    return Meant(other, safe=False) if other else meant(word, words, ours=True)
+    return Replacement(other, safe=False) if other else suggest_replacement(word, words, of_language=True)
 
 
 _ENDS = rf"\s*({_NUMBER})([ ]?[A-Za-z%][\w*/^%]*)?\s*(?:-|to|:|\u2013|\u2026)\s*({_NUMBER}(?:[ ]?[A-Za-z%][\w*/^%]*)?)\s*"
 
 
-def _range_meant(value: object) -> str | None:
+def _range_replacement(value: object) -> str | None:
     """The range that two numbers in a list, or with another sign between them, were meant to be."""
     if isinstance(value, list) and len(value) == 2 and all(isinstance(end, (int, float)) for end in value):
         return f"{value[0]:g} .. {value[1]:g}"
@@ -131,7 +131,7 @@ def _range_meant(value: object) -> str | None:
     return f"{ends[1]}{ends[2] or ''} .. {ends[3]}" if ends else None
 
 
-def count_meant(value: object) -> str | None:
+def count_replacement(value: object) -> str | None:
     """The whole number that `200k` or `1e5` was meant to be."""
     if isinstance(value, float) and value.is_integer() and 1_000 <= value < 1e15:  # below, a point may have parted thousands
         return f"{int(value):_}"
@@ -195,7 +195,7 @@ class FieldType:
         """The types of a value of the right form."""
         return (str,)
 
-    def holds(self, value: object) -> bool:
+    def has_form(self, value: object) -> bool:
         """Whether `value` has the right form at all; `check` looks at its content."""
         return isinstance(value, self.takes) and (bool in self.takes or not isinstance(value, bool))
 
@@ -209,7 +209,7 @@ class FieldType:
         """The help for a value of the wrong form."""
         return f"write it like `{self.example}`" if self.example else None
 
-    def meant_by(self, value: object) -> Meant | None:
+    def replacement_for(self, value: object) -> Replacement | None:
         """The only possible meaning of a value of the wrong form."""
         return None
 
@@ -218,8 +218,8 @@ class FieldType:
         return {"type": types if len(types) > 1 else types[0]}
 
     def validate(self, value: object) -> object:
-        if not self.holds(value):
-            raise mismatch(self.noun, self.help_for(value), self.meant_by(value), value=value)
+        if not self.has_form(value):
+            raise mismatch(self.noun, self.help_for(value), self.replacement_for(value), value=value)
         if isinstance(value, str) and not value.strip():
             raise error("DB107", "is empty", self.help_for(value))
         self.check(value)
@@ -253,12 +253,12 @@ class Flag(FieldType):
     def help_for(self, value: object) -> str | None:
         if value in ("true", "false"):
             return f"write `{value}` without quotes"
-        near = self.meant_by(value)
+        near = self.replacement_for(value)
         return f"write `{near.text}`" if near else None
 
-    def meant_by(self, value: object) -> Meant | None:
+    def replacement_for(self, value: object) -> Replacement | None:
         near = {"on": "true", "yes": "true", "off": "false", "no": "false"}.get(value.lower()) if isinstance(value, str) else None
-        return Meant(near, safe=True) if near else None
+        return Replacement(near, safe=True) if near else None
 
 
 @dataclass(frozen=True)
@@ -279,8 +279,8 @@ class Number(FieldType):
     def takes(self) -> tuple[type, ...]:
         return (int, float)
 
-    def holds(self, value: object) -> bool:
-        return re.fullmatch(self.text, value) is not None if isinstance(value, str) else super().holds(value)
+    def has_form(self, value: object) -> bool:
+        return re.fullmatch(self.text, value) is not None if isinstance(value, str) else super().has_form(value)
 
     def check(self, value: Any) -> None:
         found = re.fullmatch(self.text, value) if isinstance(value, str) else None
@@ -305,12 +305,12 @@ class Whole(Number):
         return (int,)
 
     def help_for(self, value: object) -> str | None:
-        near = count_meant(value)
+        near = count_replacement(value)
         return f"write `{near}`; digits are grouped as in `100_000`" if near else super().help_for(value)
 
-    def meant_by(self, value: object) -> Meant | None:
-        near = count_meant(value) if isinstance(value, str) else None
-        return Meant(near, safe=True) if near else None
+    def replacement_for(self, value: object) -> Replacement | None:
+        near = count_replacement(value) if isinstance(value, str) else None
+        return Replacement(near, safe=True) if near else None
 
 
 @dataclass(frozen=True)
@@ -347,7 +347,9 @@ class Word(FieldType):
 
     def check(self, value: Any) -> None:
         if value not in self.known:
-            raise error("DB104", f"unknown word `{value[:40]}`", choose_from(value, self.words), meant=word_meant(value, self.words))
+            raise error(
+                "DB104", f"unknown word `{value[:40]}`", choose_from(value, self.words), replacement=word_replacement(value, self.words)
+            )
 
     def json_schema(self) -> JsonSchema:
         summaries = [getattr(entry, "summary", "") for entry in self.known.values()] if isinstance(self.known, Mapping) else []
@@ -531,14 +533,14 @@ class Range(Parsed):
 
     def check(self, value: Any) -> None:
         if ".." not in value and not (self.auto and value == "auto"):
-            raise mismatch(self.noun, self.help_for(value), self.meant_by(value), value=value)
+            raise mismatch(self.noun, self.help_for(value), self.replacement_for(value), value=value)
 
     def help_for(self, value: object) -> str:
-        return f"write it like `{_range_meant(value) or self.example}`{', or `auto`' if self.auto else ''}"
+        return f"write it like `{_range_replacement(value) or self.example}`{', or `auto`' if self.auto else ''}"
 
-    def meant_by(self, value: object) -> Meant | None:
-        near = _range_meant(value) if isinstance(value, str) else None
-        return Meant(near, safe=False) if near else None
+    def replacement_for(self, value: object) -> Replacement | None:
+        near = _range_replacement(value) if isinstance(value, str) else None
+        return Replacement(near, safe=False) if near else None
 
     def json_schema(self) -> JsonSchema:
         return {"type": "string", "pattern": r"\.\.|^auto$" if self.auto else r"\.\.", "patternErrorMessage": self.help_for(None)}
@@ -558,7 +560,7 @@ class Bounds(Range):
         if not isinstance(value, str):
             check_bounds(value)
 
-    def meant_by(self, value: object) -> None:
+    def replacement_for(self, value: object) -> None:
         """Nothing: a text without `..` is a minimum."""
 
     def json_schema(self) -> JsonSchema:
@@ -737,8 +739,8 @@ class Color(FieldType):
         for word in colour_options(value):
             if word not in COLOURS and not re.fullmatch(r"#[0-9a-fA-F]{6}", word):
                 help = f"{choose_from(word, tuple(COLOURS))}, or write `'#ffa500'`"
-                near = meant(word, tuple(COLOURS), ours=True) if word == value else None
-                raise error("DB104", f"unknown colour `{word[:40]}`", help, meant=near)
+                near = suggest_replacement(word, tuple(COLOURS), of_language=True) if word == value else None
+                raise error("DB104", f"unknown colour `{word[:40]}`", help, replacement=near)
 
     def json_schema(self) -> JsonSchema:
         words = "|".join(COLOURS)
@@ -785,7 +787,7 @@ class Until(FieldType):
     noun = "a goal over episodes, or a number of steps"
     example = "success_rate >= 0.7 over 40 episodes"
 
-    def holds(self, value: object) -> bool:
+    def has_form(self, value: object) -> bool:
         return read_until(value) is not None
 
     def check(self, value: Any) -> None:
@@ -818,7 +820,7 @@ PLAIN: Mapping[object, FieldType] = {int: Whole(), float: Number(), bool: Flag()
 PositiveInt = Annotated[int, Whole(1, 1_000_000_000)]
 SmallInt = Annotated[int, Whole(1, 1000)]
 Bool = Annotated[bool, Flag()]
-Prose = Annotated[str, Text()]
+PlainText = Annotated[str, Text()]
 Fraction = Annotated[Scalar, Number(0, 1, text=_PERCENT, noun="a number from 0 to 1", example="0.9"), AfterValidator(read_fraction)]
 Schedule = Annotated[Scalar, Number(0, text=_SCHEDULE, noun="a number or a schedule", example="3e-4 -> 0")]
 

@@ -234,10 +234,10 @@ class _Writer:
 
     def _with_marks(self, form: Shape, other: Json) -> Json:
         """The schema of the other forms, with the marks of this form as completions."""
-        if not isinstance(form, type) or not form.marks:
+        if not isinstance(form, type) or not form.identifying_keys:
             return other
-        marks = {key: self._property(form, key) for key in fields(form) if key in form.marks}
-        return other | {"properties": marks | other.get("properties", {})}
+        identifying_keys = {key: self._property(form, key) for key in fields(form) if key in form.identifying_keys}
+        return other | {"properties": identifying_keys | other.get("properties", {})}
 
     def _kinds(self, shape: Kinds) -> Json:
         key = shape.key
@@ -317,8 +317,8 @@ def _form_of(shape: Shape) -> Json:
             return {"type": "array"}
         case FieldType():
             return {"type": ["string", "number", "boolean"]}
-        case type() if shape.marks:
-            return {"type": "object", "anyOf": [{"required": [mark]} for mark in sorted(shape.marks)]}
+        case type() if shape.identifying_keys:
+            return {"type": "object", "anyOf": [{"required": [mark]} for mark in sorted(shape.identifying_keys)]}
         case _:
             return {"type": "object"}
 

@@ -8,7 +8,7 @@ from pydantic import Field, PrivateAttr
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.scenario import fields
 from deepbots_cli.scenario.base import Many, Section, Size, visit
-from deepbots_cli.scenario.fields import Expression, LocalName, PositiveInt, Prose, Scalar, SharedName, Signal, Text
+from deepbots_cli.scenario.fields import Expression, LocalName, PlainText, PositiveInt, Scalar, SharedName, Signal, Text
 from deepbots_cli.scenario.robot import Messages, Robot
 from deepbots_cli.scenario.task import (
     Action,
@@ -53,7 +53,7 @@ class Scenario(Section):
     """Version of the scenario language: `1`."""
     name: Annotated[str, TITLE]
     """Name of the scenario; runs are named after it."""
-    summary: Prose = ""
+    summary: PlainText = ""
     """One sentence about the task."""
     parameters: dict[SharedName, Annotated[Scalar, Expression("parameter")]] = {}
     """Values by names of your choice: constants, or draws such as `uniform(0 .. 1 m)` that are new in every episode."""

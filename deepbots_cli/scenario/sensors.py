@@ -27,9 +27,9 @@ from deepbots_cli.expressions.dimensions import (
 )
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
 from deepbots_cli.expressions.types import QUATERNION, SPACE, Components
-from deepbots_cli.plugins import Table
+from deepbots_cli.plugins import PluginTable
 from deepbots_cli.robots.model import Joint
-from deepbots_cli.scenario.base import FORMS, Keys, Kinds, Section, Size, kind_of, parameters, require_kind
+from deepbots_cli.scenario.base import FORMS, KeyCount, Kinds, Section, Size, kind_of, parameters, require_kind
 from deepbots_cli.scenario.fields import (
     Column,
     JointName,
@@ -37,7 +37,7 @@ from deepbots_cli.scenario.fields import (
     LinkName,
     LinkNames,
     LocalName,
-    Prose,
+    PlainText,
     Quantity,
     RandomizableDelay,
     Range,
@@ -72,7 +72,7 @@ class Sensor(Section):
     perceives: ClassVar[bool] = False
     """Whether a reading depends on what is around the robot."""
 
-    type: Prose
+    type: PlainText
     """The kind of sensor."""
     period: Timestep | None = None
     """Time between two readings, a multiple of the timestep; by default one timestep."""
@@ -95,7 +95,7 @@ class JointSensor(Sensor):
 
     sliding: ClassVar[Dimension] = NUMBER
     """The dimension of a reading where the joint slides; `dimension` is that where it turns."""
-    key_rules: ClassVar[tuple[Keys, ...]] = (Keys(("joint", "joints"), min=1),)
+    key_rules: ClassVar[tuple[KeyCount, ...]] = (KeyCount(("joint", "joints"), min=1),)
 
     joint: JointName | None = None
     """The joint that it reads."""
@@ -247,7 +247,7 @@ class ContactSensor(Sensor):
     """Measures contacts of one link, or of several under their names."""
 
     perceives = True
-    key_rules: ClassVar[tuple[Keys, ...]] = (Keys(("link", "links"), min=1),)
+    key_rules: ClassVar[tuple[KeyCount, ...]] = (KeyCount(("link", "links"), min=1),)
 
     link: LinkName | None = None
     """The link whose contacts are measured."""
@@ -384,5 +384,5 @@ _KINDS = (
     *(Gyro, Accelerometer, ProjectedGravity, Compass, Position, Velocity, Orientation, AngularVelocity),
     *(Touch, Force, Infrared, Sonar, Laser, Lidar, Reflectance, Camera),
 )
-SENSORS: Table[type[Sensor]] = Table("deepbots.sensors", {kind_of(model): model for model in _KINDS}, _read)
+SENSORS: PluginTable[type[Sensor]] = PluginTable("deepbots.sensors", {kind_of(model): model for model in _KINDS}, _read)
 AnySensor = Annotated[Sensor, Kinds("type", SENSORS)]

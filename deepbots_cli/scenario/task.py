@@ -2,7 +2,7 @@
 
 from typing import Annotated, ClassVar
 
-from deepbots_cli.scenario.base import FORMS, Keys, Many, Section, Size
+from deepbots_cli.scenario.base import FORMS, KeyCount, Many, Section, Size
 from deepbots_cli.scenario.fields import (
     BodyName,
     Bool,
@@ -11,8 +11,8 @@ from deepbots_cli.scenario.fields import (
     Length,
     LocalName,
     Number,
+    PlainText,
     PositiveInt,
-    Prose,
     Quantity,
     Range,
     Reference,
@@ -53,7 +53,7 @@ class ContinuousAction(Section):
 class DiscreteAction(Section):
     """One of several options."""
 
-    marks: ClassVar[frozenset[str]] = frozenset({"choices", "forbid"})
+    identifying_keys: ClassVar[frozenset[str]] = frozenset({"choices", "forbid"})
 
     choices: Annotated[dict[LocalName, Annotated[dict[SharedName, Choice] | Choice, FORMS]], Size(2, "choice")]
     """The options by name, each with a number, or with the variables that it sets: `{forward: {left: 1, right: 1}}`."""
@@ -118,7 +118,7 @@ class Termination(Section):
 class Truncation(Section):
     """Limits that only cut the episode short; they are not part of the task."""
 
-    key_rules: ClassVar[tuple[Keys, ...]] = (Keys(("max_steps", "max_time"), min=1, max=2),)
+    key_rules: ClassVar[tuple[KeyCount, ...]] = (KeyCount(("max_steps", "max_time"), min=1, max=2),)
 
     max_steps: Annotated[Scalar, Quantity("number", minimum=1, whole=True)] | None = None
     """Steps of the agent."""
@@ -169,7 +169,7 @@ class Evaluation(Section):
 class Solved(Section):
     """Criterion for a solved task."""
 
-    key_rules: ClassVar[tuple[Keys, ...]] = (Keys(("mean_return", "success_rate"), min=1, max=2),)
+    key_rules: ClassVar[tuple[KeyCount, ...]] = (KeyCount(("mean_return", "success_rate"), min=1, max=2),)
 
     mean_return: Annotated[float, Number()] | None = None
     """Minimum of the mean return over the episodes."""
@@ -190,8 +190,8 @@ EndingName = Annotated[str, Reference("ending")]
 class Expectation(Section):
     """Result that a test expects; all of it must hold."""
 
-    key_rules: ClassVar[tuple[Keys, ...]] = (
-        Keys(("success_rate", "failure_rate", "mean_return", "ends_by", "always", "eventually"), min=1, max=6),
+    key_rules: ClassVar[tuple[KeyCount, ...]] = (
+        KeyCount(("success_rate", "failure_rate", "mean_return", "ends_by", "always", "eventually"), min=1, max=6),
     )
 
     success_rate: Annotated[Scalar, Bounds()] | None = None
@@ -211,7 +211,7 @@ class Expectation(Section):
 class ScenarioTest(Section):
     """Episodes without a trained policy, and their expected result."""
 
-    key_rules: ClassVar[tuple[Keys, ...]] = (Keys(("policy", "actions"), min=1), Keys(("case", "stage")))
+    key_rules: ClassVar[tuple[KeyCount, ...]] = (KeyCount(("policy", "actions"), min=1), KeyCount(("case", "stage")))
 
     policy: Annotated[str, Reference("policy")] | None = None
     """What acts: a script, `random`, or `zero`, which takes the middle of each range and the first option of each choice."""
@@ -276,11 +276,11 @@ class Region(Section):
 class Placement(Pose):
     """Where a body stands at the start: at a pose, somewhere in a region, or on a line."""
 
-    key_rules: ClassVar[tuple[Keys, ...]] = (
+    key_rules: ClassVar[tuple[KeyCount, ...]] = (
         *Pose.key_rules,
-        Keys(("region", "line", "xyz")),
-        *(Keys((way, axis)) for way in ("region", "line", "on") for axis in ("x", "y")),
-        *(Keys(("on", way)) for way in ("line", "xyz")),
+        KeyCount(("region", "line", "xyz")),
+        *(KeyCount((way, axis)) for way in ("region", "line", "on") for axis in ("x", "y")),
+        *(KeyCount(("on", way)) for way in ("line", "xyz")),
     )
 
     region: Annotated[Region | Annotated[str, Reference("region")], FORMS] | None = None
@@ -309,13 +309,13 @@ Places = dict[BodyName, Placement]
 class MapLayout(Section):
     """A layout as a map of letters: each cell holds one letter of the legend, or a dot if it is empty."""
 
-    marks: ClassVar[frozenset[str]] = frozenset({"map", "cell"})
+    identifying_keys: ClassVar[frozenset[str]] = frozenset({"map", "cell"})
 
     cell: Thickness
     """Size of a cell, m."""
     legend: Annotated[dict[Annotated[str, Reference("letter")], BodyName], Size(1, "letter")]
     """The meaning of each letter: a robot, an object, or `wall`."""
-    map: Prose
+    map: PlainText
     """The rows of the map; blanks separate the cells, and the first row has the largest y."""
 
 
@@ -326,7 +326,7 @@ Mixture = Annotated[dict[LayoutName, Share], Size(1, "layout")]
 class Reset(Section):
     """How an episode begins."""
 
-    key_rules: ClassVar[tuple[Keys, ...]] = (Keys(("layout", "place")),)
+    key_rules: ClassVar[tuple[KeyCount, ...]] = (KeyCount(("layout", "place")),)
 
     place: Places = {}
     """Where robots and objects stand, in this order; later ones avoid earlier ones."""
@@ -347,7 +347,7 @@ class Reset(Section):
 class Disturbance(Section):
     """A force or a torque that acts on a body for a short time."""
 
-    key_rules: ClassVar[tuple[Keys, ...]] = (Keys(("force", "torque"), min=1, max=2), Keys(("every", "at"), min=1, max=2))
+    key_rules: ClassVar[tuple[KeyCount, ...]] = (KeyCount(("force", "torque"), min=1, max=2), KeyCount(("every", "at"), min=1, max=2))
 
     body: Annotated[str, Reference("body or link")]
     """The robot, link or object that is pushed."""

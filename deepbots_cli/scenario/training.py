@@ -9,9 +9,9 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from deepbots_cli.plugins import Table
+from deepbots_cli.plugins import PluginTable
 from deepbots_cli.scenario.base import FORMS, Kinds, Many, Section, require_kind
-from deepbots_cli.scenario.fields import Bool, Fraction, Number, PositiveInt, Prose, Scalar, Schedule, Whole
+from deepbots_cli.scenario.fields import Bool, Fraction, Number, PlainText, PositiveInt, Scalar, Schedule, Whole
 
 Weight = Annotated[float, Number(0)]
 Positive = Annotated[float, Number(0, exclusive=True)]
@@ -55,11 +55,11 @@ class Policy(Section):
 class Training(Section):
     """Keys of all algorithms; each adds its hyperparameters."""
 
-    place: ClassVar[str] = ""
+    import_path: ClassVar[str] = ""
     """`module:attribute` of its class, imported when it is used."""
     on_policy: ClassVar[bool] = False
 
-    algorithm: Prose
+    algorithm: PlainText
     """The learning algorithm."""
     total_timesteps: Annotated[int, Whole(1, 10**12)]
     """Steps of the agent to train for, summed over all environments."""
@@ -178,7 +178,7 @@ class _SoftActorCritic(_StateDependentExploration, _Deterministic):
 class PPO(_StateDependentExploration, _Proximal):
     """On-policy; choices or ranges. The first to try."""
 
-    place = "stable_baselines3:PPO"
+    import_path = "stable_baselines3:PPO"
 
     algorithm: Literal["PPO"]
 
@@ -186,7 +186,7 @@ class PPO(_StateDependentExploration, _Proximal):
 class A2C(_StateDependentExploration, _OnPolicy):
     """On-policy; choices or ranges. Plainer than PPO."""
 
-    place = "stable_baselines3:A2C"
+    import_path = "stable_baselines3:A2C"
 
     algorithm: Literal["A2C"]
     rms_prop_eps: Positive | None = None
@@ -198,7 +198,7 @@ class A2C(_StateDependentExploration, _OnPolicy):
 class DQN(_OffPolicy):
     """Off-policy; one choice."""
 
-    place = "stable_baselines3:DQN"
+    import_path = "stable_baselines3:DQN"
 
     algorithm: Literal["DQN"]
     target_update_interval: PositiveInt | None = None
@@ -218,7 +218,7 @@ class DQN(_OffPolicy):
 class SAC(_SoftActorCritic):
     """Off-policy; ranges. Explores by entropy."""
 
-    place = "stable_baselines3:SAC"
+    import_path = "stable_baselines3:SAC"
 
     algorithm: Literal["SAC"]
 
@@ -226,7 +226,7 @@ class SAC(_SoftActorCritic):
 class TD3(_Deterministic):
     """Off-policy; ranges. DDPG with two critics and delayed updates."""
 
-    place = "stable_baselines3:TD3"
+    import_path = "stable_baselines3:TD3"
 
     algorithm: Literal["TD3"]
     policy_delay: PositiveInt | None = None
@@ -242,7 +242,7 @@ class TD3(_Deterministic):
 class DDPG(_Deterministic):
     """Off-policy; ranges."""
 
-    place = "stable_baselines3:DDPG"
+    import_path = "stable_baselines3:DDPG"
 
     algorithm: Literal["DDPG"]
 
@@ -250,7 +250,7 @@ class DDPG(_Deterministic):
 class MaskablePPO(_Proximal):
     """PPO that never takes forbidden choices."""
 
-    place = "sb3_contrib:MaskablePPO"
+    import_path = "sb3_contrib:MaskablePPO"
 
     algorithm: Literal["MaskablePPO"]
 
@@ -258,7 +258,7 @@ class MaskablePPO(_Proximal):
 class RecurrentPPO(_StateDependentExploration, _Proximal):
     """PPO with a memory (LSTM); choices or ranges."""
 
-    place = "sb3_contrib:RecurrentPPO"
+    import_path = "sb3_contrib:RecurrentPPO"
 
     algorithm: Literal["RecurrentPPO"]
     lstm: Annotated[int, Whole(1, 2048)] | None = None
@@ -268,7 +268,7 @@ class RecurrentPPO(_StateDependentExploration, _Proximal):
 class TQC(_SoftActorCritic):
     """Off-policy; ranges. SAC with critics of many quantiles."""
 
-    place = "sb3_contrib:TQC"
+    import_path = "sb3_contrib:TQC"
 
     algorithm: Literal["TQC"]
     top_quantiles_to_drop_per_net: Annotated[int, Whole(0, 1_000_000_000)] | None = None
@@ -283,12 +283,12 @@ def _read(name: str, model: Any) -> Iterator[tuple[str, type[Training]]]:
     """
     if not (isinstance(model, type) and issubclass(model, _BUILT_IN)):
         raise ValueError(f"{model!r} is derived from none of {', '.join(known.__name__ for known in _BUILT_IN)}")
-    require_kind(name, model, model.place, "algorithm")
+    require_kind(name, model, model.import_path, "algorithm")
     yield name, model
 
 
 _BUILT_IN = (PPO, A2C, DQN, SAC, TD3, DDPG, MaskablePPO, RecurrentPPO, TQC)
-ALGORITHMS: Table[type[Training]] = Table("deepbots.algorithms", {model.__name__: model for model in _BUILT_IN}, _read)
+ALGORITHMS: PluginTable[type[Training]] = PluginTable("deepbots.algorithms", {model.__name__: model for model in _BUILT_IN}, _read)
 AnyTraining = Annotated[Training, Kinds("algorithm", ALGORITHMS)]
 
 ELSEWHERE: Mapping[str, str] = {

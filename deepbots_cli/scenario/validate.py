@@ -19,7 +19,7 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from deepbots_cli.diagnostics import Finding, Findings, Fix, Span, TooManyFindings
-from deepbots_cli.diagnostics.nearest import Meant, meant, nearest
+from deepbots_cli.diagnostics.nearest import Replacement, nearest, suggest_replacement
 from deepbots_cli.document import nodes
 from deepbots_cli.document.hints import GIVE_A_VALUE
 from deepbots_cli.document.nodes import Entry, Node, Path, Scalar, descend, to_data, walk
@@ -34,9 +34,9 @@ from deepbots_cli.scenario.base import (
     Shape,
     chosen_shape,
     fields,
-    locate,
     noun_of,
     sections,
+    set_paths,
     shape_at,
 )
 from deepbots_cli.scenario.fields import FieldType, error, mismatch
@@ -69,7 +69,7 @@ class _Problem:
     path: Path
     finding: Finding
     missing: tuple[str, ...] = ()
-    meant: Meant | None = None
+    replacement: Replacement | None = None
 
 
 def validate(root: nodes.Mapping, findings: Findings) -> Scenario | None:
@@ -94,7 +94,7 @@ def validate(root: nodes.Mapping, findings: Findings) -> Scenario | None:
             errors = refused.errors(include_url=False, include_input=False)[: findings.limit]
         else:
             scenario._pruned = frozenset(pruned)
-            locate(scenario)
+            set_paths(scenario)
             return scenario
         problems = [_problem(root, data, error) for error in errors]
         if round_number == 0:
@@ -153,15 +153,15 @@ def _problem(root: nodes.Mapping, data: Any, error: ErrorDetails) -> _Problem:
         return _Problem(path, finding, (str(key),))
     if kind == "extra_forbidden":
         headline = f"unknown key `{str(path[-1])[:60]}` {_place(path[:-1])}"
-        help, near = _help_for_unknown(data, path) or about_key(data, path), meant_by(data, path)
+        help, near = _help_for_unknown(data, path) or about_key(data, path), replacement_for(data, path)
         key_node = descend(root, path)[1]
-        return _Problem(path, Finding("DB101", _key_span(root, path), headline, help, fix=_fix(key_node, near)), meant=near)
+        return _Problem(path, Finding("DB101", _key_span(root, path), headline, help, fix=_fix(key_node, near)), replacement=near)
     node, key_node, _ = descend(root, path)
     at_key = path[-1:] == ("[key]",) and not (isinstance(node, nodes.Mapping) and "[key]" in node.entries)
     path = path[:-1] if at_key else path
     context = error["ctx"] if kind.startswith("DB") else _reworded(shape_at(Scenario, data, path), to_data(node), error["msg"])
     kind = context.get("code", kind)
-    headline, help, near = context["headline"], context["help"], context["meant"]
+    headline, help, near = context["headline"], context["help"], context["replacement"]
     if expected := context.get("expected"):
         headline = f"expected {expected}, found {_describe(node)}"
         help = help or _keys_of(shape_at(Scenario, data, path))
@@ -187,7 +187,7 @@ def _key_span(root: nodes.Mapping, path: Path) -> Span:
     return Span(span.source, span.start, span.end if end < 0 else end)
 
 
-def _fix(word: Node | None, near: Meant | None) -> Fix | None:
+def _fix(word: Node | None, near: Replacement | None) -> Fix | None:
     return Fix.replacing(word.part(0, len(word.text)), word.text, near.text, safe=near.safe) if near and isinstance(word, Scalar) else None
 
 
@@ -218,13 +218,13 @@ def _describe(node: Node) -> str:
             return f"the text `{_shortened(node.text)}`"
 
 
-def _typing_hint(node: Node, data: object, path: Path) -> tuple[str, Meant | None] | None:
+def _typing_hint(node: Node, data: object, path: Path) -> tuple[str, Replacement | None] | None:
     """Help and replacement for a typing error that the form of a wrong value shows."""
     match node:
         case Scalar(style="plain", text=text) if glued := re.fullmatch(r"([A-Za-z_]\w*):(\S.*)", text):
             return f"a colon is followed by a space: `{glued[1]}: {glued[2][:60]}`", None
         case Scalar(style="plain", text=text) if text.endswith(",") and (bare := text.rstrip(", ")):
-            return f"a line ends without a comma: `{bare[:60]}`", Meant(bare, safe=True)
+            return f"a line ends without a comma: `{bare[:60]}`", Replacement(bare, safe=True)
         case nodes.Sequence(items=items) if items and all(isinstance(item, nodes.Mapping) for item in items):
             return "; ".join(filter(None, ("remove the dashes to write keys", about_key(data, path)))), None
     return None
@@ -242,7 +242,7 @@ def _is_follow_up(root: nodes.Mapping, problem: _Problem) -> bool:
 
 def _is_misspelt(problem: _Problem, problems: list[_Problem]) -> bool:
     """Whether a key that is reported as unknown is the missing one, misspelt."""
-    misspelt = (other.meant for other in problems if problem.missing and other.path[:-1] == problem.path)
+    misspelt = (other.replacement for other in problems if problem.missing and other.path[:-1] == problem.path)
     return any(near is not None and near.text in problem.missing for near in misspelt)
 
 
@@ -291,7 +291,7 @@ def _advise(root: nodes.Mapping, data: Any, findings: Findings) -> None:
     for path, node in walk(root) if vague else ():
         for key in node.keys_without_value if isinstance(node, nodes.Mapping) else ():
             if found := vague.get(key.span):
-                findings.advise(found, _wanted(data, (*path, key.text)))
+                findings.replace_help(found, _wanted(data, (*path, key.text)))
 
 
 def _wanted(data: object, path: Path) -> str:
@@ -389,12 +389,12 @@ def _help_for_unknown(data: object, path: Path) -> str | None:
     return f"did you mean `{near}`? {here}" if near else _keys_of(section)
 
 
-def meant_by(data: object, path: Path) -> Meant | None:
+def replacement_for(data: object, path: Path) -> Replacement | None:
     """The probable key for an unknown one; not a safe fix if the unknown key exists elsewhere in the language."""
     section = shape_at(Scenario, data, path[:-1])
     if not isinstance(section, type):
         return None
-    near = meant(str(path[-1]), tuple(section.model_fields), ours=True)
+    near = suggest_replacement(str(path[-1]), tuple(section.model_fields), of_language=True)
     return near and near._replace(safe=near.safe and path[-1] not in _homes())
 
 

@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from deepbots_cli.engine_kinds import ENGINES
-from deepbots_cli.scenario.base import Keys, Kinds, Many, Section, Size
+from deepbots_cli.scenario.base import KeyCount, Kinds, Many, Section, Size
 from deepbots_cli.scenario.fields import (
     Area,
     Bool,
@@ -14,8 +14,8 @@ from deepbots_cli.scenario.fields import (
     FilePath,
     LocalName,
     MeshFile,
+    PlainText,
     Point,
-    Prose,
     Quantity,
     RandomizableAngle,
     RandomizableCoordinate,
@@ -94,7 +94,7 @@ class Line(Section):
 class Terrain(Section):
     """Ground that is not flat; heights count from z = 0."""
 
-    type: Prose
+    type: PlainText
     """Kind of terrain."""
     friction: RandomizableFactor = 1.0
     """Friction of the ground."""
@@ -152,7 +152,7 @@ TERRAINS: dict[str, type[Terrain]] = {"pit": Pit, "heightfield": Heightfield, "f
 class World(Section):
     """Time and place of the simulation."""
 
-    key_rules: ClassVar[tuple[Keys, ...]] = (Keys(("ground", "terrain")),)
+    key_rules: ClassVar[tuple[KeyCount, ...]] = (KeyCount(("ground", "terrain")),)
 
     timestep: Timestep
     """Time of one control step: robots sense and act this often, such as `32 ms`."""
@@ -178,7 +178,7 @@ class World(Section):
 
 # Poses
 
-_ONE_WAY = tuple(Keys((whole, part)) for whole, parts in (("xyz", "xyz"), ("rpy", ("roll", "pitch", "yaw"))) for part in parts)
+_ONE_WAY = tuple(KeyCount((whole, part)) for whole, parts in (("xyz", "xyz"), ("rpy", ("roll", "pitch", "yaw"))) for part in parts)
 
 Coordinate = Annotated[Scalar, Quantity("length")]
 Angle = Annotated[Scalar, Quantity("angle")]
@@ -187,7 +187,7 @@ Angle = Annotated[Scalar, Quantity("angle")]
 class SensorFrame(Section):
     """A frame on a link; it is fixed."""
 
-    key_rules: ClassVar[tuple[Keys, ...]] = _ONE_WAY
+    key_rules: ClassVar[tuple[KeyCount, ...]] = _ONE_WAY
 
     x: Coordinate = 0
     """Position along x of the link, m."""
@@ -210,7 +210,7 @@ class SensorFrame(Section):
 class Pose(Section):
     """A pose in the world, which may be drawn in every episode."""
 
-    key_rules: ClassVar[tuple[Keys, ...]] = _ONE_WAY
+    key_rules: ClassVar[tuple[KeyCount, ...]] = _ONE_WAY
 
     x: RandomizableCoordinate | None = None
     """Position along x of the world, m."""
@@ -257,7 +257,7 @@ class Material(Section):
 class Shaped(Material):
     """A body of one shape."""
 
-    shape: Prose
+    shape: PlainText
     """The shape of the body."""
 
 

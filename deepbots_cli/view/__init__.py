@@ -3,7 +3,7 @@
 frames.py      what is drawn of an environment at one moment, read by the engine port
 episodes.py    what is opened, who acts, and the frames of an episode
 scene.py       the world in viser's scene
-hand.py        driving by keys, gamepad, buttons and sliders
+manual_input.py driving by keys, gamepad, buttons and sliders
 server.py      viser's web server behind checks
 page.py        the page: controls, time, plots, and the loop that steps and draws
 panel.py       what the panel says

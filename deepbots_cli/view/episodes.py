@@ -14,14 +14,14 @@ import numpy as np
 from deepbots_cli import api
 from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Finding
-from deepbots_cli.engine_kinds import on_engine
+from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import EngineError, MissingExtraError, RunError, ScenarioError, UsageError
 from deepbots_cli.port import View
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Choices
 from deepbots_cli.runtime import Supervisor
-from deepbots_cli.runtime.streams import derive
-from deepbots_cli.runtime.ways import Ways
+from deepbots_cli.runtime.paths import Ways
+from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.view.frames import FrameReader, WorldFrame
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ class Source:
             run = Run.open(self.reference)
             checked, files = self._kept(Path(self.reference)), frozenset[Path]()
         else:
-            sets = on_engine(self.sets, self.engine)
+            sets = with_engine(self.sets, self.engine)
             checked = api.load(self.reference, sets=sets, allow_paths=self.allow_paths, allow_code=self.allow_code)
             files = frozenset({checked.document.path, *checked.document.files})
         try:
@@ -185,7 +185,7 @@ class Scripted:
         return self._next()
 
 
-class ByHand:
+class ManualDriver:
     """A person: `values` holds an option by its index for each choice, and a number from -1 to 1 for each component of a range."""
 
     note = ""
@@ -276,7 +276,7 @@ class Player:
         self.opened = opened
         self.env = opened.make()
         self.program = self.env.scenario
-        self.hand = ByHand(self.env)
+        self.hand = ManualDriver(self.env)
         self.driver: Driver = self.hand
         self.observation: Any = None
         self.action: Any = None
@@ -299,7 +299,7 @@ class Player:
 
     def begin(self, seed: int, episode: int) -> WorldFrame:
         """Reset to an episode; its first frame."""
-        return self.start(derive(seed, "evaluation", episode))
+        return self.start(derive_seed(seed, "evaluation", episode))
 
     def start(self, seed: int) -> WorldFrame:
         """Reset to the episode of a seed; its first frame."""

@@ -19,12 +19,12 @@ from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.port import STILL
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Sensor
-from deepbots_cli.program.task import Choices, viewed
+from deepbots_cli.program.task import Choices, policy_inputs
 from deepbots_cli.program.world import Variant
 from deepbots_cli.robots.model import RobotModel
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.actuation import Push
-from deepbots_cli.runtime.messages import Channel, LossyChannel, Wire
+from deepbots_cli.runtime.messages import Channel, FieldCodec, LossyChannel
 from deepbots_cli.runtime.placement import Arrangement
 
 Image = NDArray[np.uint8]
@@ -165,10 +165,10 @@ def action_fields(program: Program) -> tuple[Field, ...]:
     return tuple(found)
 
 
-class Tap:
-    """In the place of the `Wire` of a channel, remembers what was received last."""
+class MessageRecorder:
+    """In the place of the `FieldCodec` of a channel, remembers what was received last."""
 
-    def __init__(self, wire: Wire) -> None:
+    def __init__(self, wire: FieldCodec) -> None:
         self._wire, self.layout, self.silence, self.encode = wire, wire.layout, wire.silence, wire.encode
         self.fields = tuple(
             Field(name, field.name, math.nan, math.nan, field.unit)
@@ -214,12 +214,12 @@ class FrameReader:
             for copy, agent in env.agents.items()
             for name, controller in agent.controllers.items()
         }
-        self._taps: dict[str, tuple[Channel | LossyChannel, Tap]] = {}
+        self._taps: dict[str, tuple[Channel | LossyChannel, MessageRecorder]] = {}
         for copy, agent in env.agents.items():
             for (name, direction), channel in agent.channels.items():
                 assert channel.wire is not None  # only those of tests have none
-                tap = Tap(channel.wire)
-                channel.wire = cast("Wire", tap)
+                tap = MessageRecorder(channel.wire)
+                channel.wire = cast("FieldCodec", tap)
                 self._taps[f"{copy if policy.copies and policy.copies.robot == name else name}/{direction}"] = channel, tap
         beams = {
             f"{body}.{sensor.name}": _beams((body, sensor.subjects[0]), sensor)
@@ -341,7 +341,7 @@ def _row(value: Any, row: int) -> Any:
 def _newest(program: Program) -> tuple[NDArray[np.intp], list[bool]]:
     """Where the newest value of each number stands in the observation, and whether it is a truth value."""
     numbers = program.policy.numbers
-    places = [at for at, (_, age) in enumerate(viewed(numbers, program.policy.frame_stack)) if age == 0]
+    places = [at for at, (_, age) in enumerate(policy_inputs(numbers, program.policy.frame_stack)) if age == 0]
     return np.array(places, np.intp), [number.truth for number in numbers]
 
 

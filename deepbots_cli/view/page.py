@@ -21,11 +21,11 @@ from deepbots_cli.diagnostics.render import render
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.frames import add, scaled
 from deepbots_cli.port import STILL
-from deepbots_cli.runtime.view import around, beside, extent
+from deepbots_cli.runtime.overview import around, beside, extent
 from deepbots_cli.view import panel, server
 from deepbots_cli.view.episodes import HAND, RANDOM, ZERO, Opened, Player, Source, stamps
 from deepbots_cli.view.frames import Field, Image, WorldFrame
-from deepbots_cli.view.hand import Hand
+from deepbots_cli.view.manual_input import ManualInput
 from deepbots_cli.view.replay import Replayed
 from deepbots_cli.view.scene import WorldScene, look
 
@@ -97,7 +97,7 @@ class Page:
         self._compare = compare
         self.shown: list[Shown] = []
         self._rival: Player | None = None
-        self._hand = Hand(())
+        self._hand = ManualInput(())
         self._changed: dict[str, str] = {}
         self._changed_at = 0.0
         self._controls: Any = None
@@ -241,7 +241,7 @@ class Page:
                 self._switch(what, box.value)
             return
         self._controls = controls
-        self._hand = Hand(layout.action)
+        self._hand = ManualInput(layout.action)
         self._agents = {
             f"{self._title(number)}: {name}" if len(players) > 1 else name: (number, name)
             for number, each in enumerate(players)

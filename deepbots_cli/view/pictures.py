@@ -19,7 +19,7 @@ from deepbots_cli.files import atomic, check_writable
 from deepbots_cli.footprint import bounds
 from deepbots_cli.frames import Triple
 from deepbots_cli.port import View
-from deepbots_cli.runtime.view import around, overview
+from deepbots_cli.runtime.overview import around, overview
 from deepbots_cli.view.episodes import Player
 from deepbots_cli.view.frames import WorldFrame
 from deepbots_cli.view.page import COLOURS

@@ -94,7 +94,7 @@ def strokes(line: Line, height: float) -> tuple[Points, NDArray[np.int32]]:
     return flat, faces
 
 
-def _contour(relief: geometry.Grid, above: float) -> Points:
+def _contour(relief: geometry.HeightGrid, above: float) -> Points:
     """Line segments (n, 2, 3) along every fifth row and column of a relief, a little above it."""
     rows, columns = relief.heights.shape
     points = relief.triangles()[0].reshape(rows, columns, 3) + np.array([0.0, 0.0, above])

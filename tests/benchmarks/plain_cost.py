@@ -24,10 +24,10 @@ import gymnasium as gym
 import numpy as np
 
 from deepbots_cli import api
-from deepbots_cli.engines.pybullet import hushed
+from deepbots_cli.engines.pybullet import capture_native_output
 from tests.benchmarks.report import Row, options, ratio, show
 
-with hushed():  # PyBullet prints when it is imported and when it connects
+with capture_native_output():  # PyBullet prints when it is imported and when it connects
     import pybullet as p
     import pybullet_data
 
@@ -96,7 +96,7 @@ class PlainCartPole(gym.Env[np.ndarray, int]):
 
 
 def plain() -> PlainCartPole:
-    with hushed():
+    with capture_native_output():
         return PlainCartPole()
 
 

@@ -21,11 +21,11 @@ from typing import Any
 from deepbots_cli import api
 from deepbots_cli.cli.commands.bench import UNTIMED, Held, plan, timed
 from deepbots_cli.document import shipped
-from deepbots_cli.engines.pybullet import hushed
+from deepbots_cli.engines.pybullet import capture_native_output
 from deepbots_cli.runtime import Supervisor
 from tests.benchmarks.report import Row, difference, options, pairs, ratio, show
 
-with hushed():  # PyBullet prints when it is imported and when it connects
+with capture_native_output():  # PyBullet prints when it is imported and when it connects
     from deepbots_cli.engines.pybullet.engine import PyBulletEngine
     from tests.benchmarks.layered import LayeredCartPole
 
@@ -138,7 +138,7 @@ def csv_beside_struct(steps: int, count: int) -> Row:
 
 
 def beside_layered(steps: int, count: int) -> list[Row]:
-    with hushed():
+    with capture_native_output():
         layered = LayeredCartPole()
     with opened(RAIL) as environment, opened(RAIL) as other:
         episodes = plan(environment, steps, 0)

@@ -17,7 +17,7 @@ from unittest import mock
 import numpy as np
 
 from deepbots_cli.footprint import Footprint, Patch
-from deepbots_cli.runtime import ways
+from deepbots_cli.runtime import paths
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -33,19 +33,19 @@ def dijkstra(blocked: NDArray[np.bool_], starts: NDArray[np.float64], cell: floa
 
     index = np.arange(blocked.size).reshape(blocked.shape)
     edges: list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]] = []
-    for rows, columns in ways._MOVES:
+    for rows, columns in paths._MOVES:
         barred = blocked | np.roll(blocked, (rows, columns), (0, 1))
-        for between in ways._between(rows, columns):
+        for between in paths._between(rows, columns):
             barred |= np.roll(blocked, between, (0, 1))
         ends = index[~barred]
-        length = cell * ways.SCALE * math.hypot(rows, columns)
+        length = cell * paths.SCALE * math.hypot(rows, columns)
         edges.append((ends - (rows * blocked.shape[1] + columns), ends, np.full(len(ends), length)))
-    first = np.nonzero((starts.ravel() < ways.FAR) & ~blocked.ravel())[0]
+    first = np.nonzero((starts.ravel() < paths.FAR) & ~blocked.ravel())[0]
     edges.append((np.full(len(first), blocked.size), first, np.maximum(starts.ravel()[first], 1e-12)))  # 0 is no edge
     here, there, length = (np.concatenate(parts) for parts in zip(*edges, strict=True))
     graph = csr_matrix((length, (here, there)), shape=(blocked.size + 1, blocked.size + 1))
     found = dijkstra(graph, directed=False, indices=blocked.size)[:-1]
-    return np.minimum(found, ways.FAR).reshape(blocked.shape)
+    return np.minimum(found, paths.FAR).reshape(blocked.shape)
 
 
 def layouts(count: int, generator: np.random.Generator) -> Iterator[tuple[list[Patch], tuple[float, float]]]:
@@ -65,14 +65,14 @@ def main() -> None:
     count = parser.parse_args().layouts
     generator = np.random.default_rng(0)
     spent, largest = [0.0, 0.0], 0.0
-    methods: tuple[Callable[..., NDArray[np.float64]], ...] = (ways.path_lengths, dijkstra)
+    methods: tuple[Callable[..., NDArray[np.float64]], ...] = (paths.path_lengths, dijkstra)
     for solids, goal in layouts(count, generator):
         places = generator.uniform(-0.5, 0.5, (20, 2)).tolist()
         found = []
         for number, method in enumerate(methods):
-            with mock.patch.object(ways, "path_lengths", method):
+            with mock.patch.object(paths, "path_lengths", method):
                 started = time.process_time()
-                field = ways.DistanceField(ARENA, RADIUS, solids, goal, GOAL)
+                field = paths.DistanceField(ARENA, RADIUS, solids, goal, GOAL)
                 spent[number] += time.process_time() - started
                 found.append([field.length(x, y) for x, y in places])
         largest = max(largest, *(abs(a - b) for a, b in zip(*found, strict=True)))

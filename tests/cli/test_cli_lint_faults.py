@@ -12,13 +12,13 @@ import pytest
 
 from deepbots_cli import api, lint
 from deepbots_cli.diagnostics import Finding, Source
-from deepbots_cli.lint.analysis import Context
+from deepbots_cli.lint.analysis import RuleContext
 from deepbots_cli.lint.simulation import Simulation
 from deepbots_cli.lsp.diagnostics import diagnostics
 from deepbots_cli.lsp.workspace import Document, analyse
 
 
-def breaking(context: Context) -> Iterator[Finding]:
+def breaking(context: RuleContext) -> Iterator[Finding]:
     """DB801: fails on the scenario that is named Broken."""
     if context.program.name == "Broken":
         raise IndexError("tuple index\nout of range")
@@ -114,6 +114,6 @@ def test_a_rule_that_fails_after_a_simulation_does_not_hide_what_the_others_meas
 
 
 def test_the_message_of_an_exception_is_cut(folder, monkeypatch) -> None:
-    from deepbots_cli.diagnostics.findings import failure
+    from deepbots_cli.diagnostics.findings import exception_finding
 
-    assert len(failure("the rule DB801", Source("a.yaml", ""), ValueError("long " * 10_000)).headline) < 300
+    assert len(exception_finding("the rule DB801", Source("a.yaml", ""), ValueError("long " * 10_000)).headline) < 300

@@ -77,7 +77,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
 
 def examine(bench: Workshop, text: str) -> None:
     findings = bench.lint(text)
-    assert [finding.headline for finding in findings if finding.is_fault] == []
+    assert [finding.headline for finding in findings if finding.is_internal_error] == []
     for finding in findings:
         assert 0 <= finding.span.start <= finding.span.end <= len(finding.span.source.text)
     assert render(findings, "full") or not findings

@@ -5,17 +5,17 @@ from __future__ import annotations
 import pytest
 
 from deepbots_cli.diagnostics import Finding, Source, Span
-from deepbots_cli.diagnostics.suppress import Selection, Words
+from deepbots_cli.diagnostics.suppress import RuleSelectors, Selection
 from deepbots_cli.errors import UsageError
 
 
-def words(*given: str, option: str = "--select") -> Words:
-    return Words(given, Source(option, ",".join(given)))
+def words(*given: str, option: str = "--select") -> RuleSelectors:
+    return RuleSelectors(given, Source(option, ",".join(given)))
 
 
 def shown(selection: Selection, *codes: str) -> list[str]:
     found = [Finding(code, Span(Source("a.yaml", "a"), 0, 1), "x") for code in codes]
-    return [finding.code for finding in found if selection.wants(finding)]
+    return [finding.code for finding in found if selection.selects(finding)]
 
 
 def test_without_a_word_everything_is_shown() -> None:

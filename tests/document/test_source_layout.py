@@ -9,7 +9,7 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.document import shipped, to_data
-from deepbots_cli.document.layout import tidy
+from deepbots_cli.document.layout import canonical_text
 from deepbots_cli.document.parse import parse
 from tests.few import LIGHT, few
 
@@ -84,25 +84,25 @@ def meaning(text):
 
 
 def test_blanks_blank_lines_and_indentation_are_put_in_order():
-    assert tidy(UNTIDY) == TIDY
-    assert tidy(TIDY) == TIDY
+    assert canonical_text(UNTIDY) == TIDY
+    assert canonical_text(TIDY) == TIDY
 
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_a_shipped_scenario_is_in_the_canonical_layout(name):
-    assert tidy(text_of(name)) == text_of(name)
+    assert canonical_text(text_of(name)) == text_of(name)
 
 
 def test_comments_by_the_ten_thousand_and_brackets_over_thousands_of_lines_end():
     # Whatever is quadratic in the lines takes minutes here.
     comments = "a: 1\n" + "# a word\n" * 40_000
-    assert tidy(comments) == comments
+    assert canonical_text(comments) == comments
     brackets = "a: [\n" + "  x,\n" * 7_000 + "]\n"
-    assert tidy(brackets) == brackets
+    assert canonical_text(brackets) == brackets
 
 
 def test_line_ends_stay():
-    assert tidy(UNTIDY.replace("\n", "\r\n")) == TIDY.replace("\n", "\r\n")
+    assert canonical_text(UNTIDY.replace("\n", "\r\n")) == TIDY.replace("\n", "\r\n")
 
 
 def disturbed(text, seed):
@@ -125,16 +125,16 @@ def test_any_layout_of_a_scenario_is_changed_without_its_meaning_and_once_for_al
     for seed in range(3):
         text = disturbed(text_of(name), seed)
         before = meaning(text)
-        done = tidy(text) if before is not None else None
+        done = canonical_text(text) if before is not None else None
         if done is not None:
             assert meaning(done) == before
-            assert tidy(done) == done
+            assert canonical_text(done) == done
 
 
 @pytest.mark.parametrize("name", few(SHIPPED, LIGHT))
 def test_a_scenario_compiles_to_the_same_before_and_after(name):
     path = shipped.scenario_path(name).resolve()
     text = text_of(name)
-    layouts = [tidy(text), *(tidy(other) for other in [disturbed(text, 1)] if meaning(other) == meaning(text))]
+    layouts = [canonical_text(text), *(canonical_text(other) for other in [disturbed(text, 1)] if meaning(other) == meaning(text))]
     digests = {api.compile(api.load(path, drafts={path: layout.encode()})).digest for layout in layouts}
     assert digests == {api.compile(path).digest}

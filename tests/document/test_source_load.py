@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli.document import Document, Mapping, load, loads, shipped, to_data
-from deepbots_cli.document.files import Refused, project_root, resolve
+from deepbots_cli.document.files import UnusableFile, project_root, resolve
 from deepbots_cli.errors import UsageError
 
 
@@ -200,7 +200,7 @@ def test_shipped_files_may_be_read_from_anywhere(tmp_path: Path) -> None:
     for root in shipped.data_roots():
         for path in root.rglob("*.*"):
             assert resolve(str(path), tmp_path, shipped.data_roots()) == path
-    assert isinstance(resolve(str(shipped.data_dir() / "pyproject.toml"), tmp_path, shipped.data_roots()), Refused)
+    assert isinstance(resolve(str(shipped.data_dir() / "pyproject.toml"), tmp_path, shipped.data_roots()), UnusableFile)
 
 
 @pytest.mark.parametrize("name", ["../x", "", "a/b", "x" * 10_000, "a\0", "nothing-like-it"])

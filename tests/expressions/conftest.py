@@ -96,7 +96,7 @@ class Bench:
         self.text = ""
         self.scope = Words()
 
-    def report(self, code, start, end, headline, help=None, meant=None):
+    def report(self, code, start, end, headline, help=None, replacement=None):
         assert 0 <= start <= end <= len(self.text)
         assert headline[0] == headline[0].lower() or headline[0] == "`"
         assert not headline.endswith(".")

@@ -21,7 +21,7 @@ from typing import Any
 from deepbots_cli.cli import main as command_line
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.document import files
-from deepbots_cli.document.layout import tidy
+from deepbots_cli.document.layout import canonical_text
 from deepbots_cli.document.nodes import to_data
 from deepbots_cli.document.parse import parse
 from tests.fuzz.mutations import CORPUS, PIECES, READS, ROOT, Case, case, damaged
@@ -41,12 +41,12 @@ def check_layout(text: str) -> bool:
         FailedError: It does not.
     """
     before, readable = _meaning(text)
-    done = tidy(text) if readable else None
+    done = canonical_text(text) if readable else None
     if done is None:
         return False
     if _meaning(done) != (before, True):
         raise FailedError("fmt changes what the file says")
-    if tidy(done) != done:
+    if canonical_text(done) != done:
         raise FailedError("fmt of what fmt has made changes it again")
     return done != text
 

@@ -13,10 +13,10 @@ from deepbots_cli.learning.callbacks import Evaluator, Interruption
 from deepbots_cli.learning.environments import VectorEnvironment
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Hyperparameter, Solved, Training
-from deepbots_cli.runtime.streams import derive
+from deepbots_cli.runtime.streams import derive_seed
 
-EVALUATION_SEEDS = [derive(0, "trial", k) for k in range(callbacks.EPISODES)]
-CONFIRMATION_SEED = derive(0, "trial", callbacks.CONFIRMATION_EPISODES - 1)
+EVALUATION_SEEDS = [derive_seed(0, "trial", k) for k in range(callbacks.EPISODES)]
+CONFIRMATION_SEED = derive_seed(0, "trial", callbacks.CONFIRMATION_EPISODES - 1)
 EASY = Solved(2, mean_return=5.0)
 
 

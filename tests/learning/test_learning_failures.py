@@ -17,7 +17,7 @@ from deepbots_cli.compiler import check
 from deepbots_cli.document import loads
 from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.learning import TrainingResult, evaluate, train
-from deepbots_cli.learning.failures import Guarded, reproduce
+from deepbots_cli.learning.failures import FailureRecorder, reproduce
 
 ODD = {
     "reward": "reward: {alive: 1, odd: 1 / (20 - step)}",
@@ -78,7 +78,7 @@ def test_an_observation_that_is_not_finite_is_named() -> None:
             return super().reset(**settings)
 
     program = stand_in.scenario()
-    world = Guarded(Blind(program), program=program)
+    world = FailureRecorder(Blind(program), program=program)
     world.reset(seed=1)
     for _ in range(2):
         world.step(0)

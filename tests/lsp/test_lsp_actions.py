@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from deepbots_cli.document.layout import tidy
+from deepbots_cli.document.layout import canonical_text
 from deepbots_cli.lsp.diagnostics import minimal_edits
 from deepbots_cli.lsp.workspace import Document
 from tests.lsp.client import Client, edited
@@ -155,7 +155,7 @@ def test_formatting_makes_what_fmt_makes_and_leaves_broken_text_alone(client, pi
 )
 def test_an_edit_never_begins_or_ends_within_a_line_end(text):
     document = Document("untitled:a", 1, f"deepbots: 1\r\n{text}", Path("a.yaml"))
-    for after in (tidy(document.text), document.text.replace("\r\n", "\n"), document.text.replace("\r\n", "\r\n\r\n")):
+    for after in (canonical_text(document.text), document.text.replace("\r\n", "\n"), document.text.replace("\r\n", "\r\n\r\n")):
         for edit in minimal_edits(document, after):
             start, end = document.lines.offset(edit.range.start), document.lines.offset(edit.range.end)
             assert document.text[:start] + edit.new_text + document.text[end:] == after

@@ -11,7 +11,7 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.errors import EvaluationError
-from deepbots_cli.footprint import Footprint, Patch, gap
+from deepbots_cli.footprint import Footprint, Patch, patch_distance
 from deepbots_cli.frames import Triple
 from deepbots_cli.runtime import Supervisor
 
@@ -67,8 +67,8 @@ def test_bodies_keep_their_clearance_from_each_other_and_those_that_move_from_wa
         for one, patch in laid.items():
             for other, clearance in clearances.items():
                 if one < other:
-                    assert gap(patch, laid[other]) >= max(clearance, clearances[one]) - 1e-6, (one, other)
-            for at, reach, half in zip((patch.x, patch.y), patch.extent, HALF, strict=True):
+                    assert patch_distance(patch, laid[other]) >= max(clearance, clearances[one]) - 1e-6, (one, other)
+            for at, reach, half in zip((patch.x, patch.y), patch.half_extents, HALF, strict=True):
                 assert abs(at) + reach + (clearances[one] if one in ("hunter", "prey") else 0.0) <= half + 1e-6, one
 
 
@@ -153,7 +153,7 @@ def test_a_body_at_coordinates_is_placed_before_those_that_look_for_a_place(make
     for _ in range(30):
         environment.reset()
         laid = patches(environment)
-        assert min(gap(laid["hunter"], laid[other]) for other in ("ball", "prey")) >= 0.04 - 1e-6
+        assert min(patch_distance(laid["hunter"], laid[other]) for other in ("ball", "prey")) >= 0.04 - 1e-6
 
 
 def test_a_start_that_is_never_found_names_the_body_and_the_seed(make: Callable[..., Supervisor]) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.runtime import Supervisor
-from deepbots_cli.runtime.view import overview
+from deepbots_cli.runtime.overview import overview
 
 HALF = (0.3, 0.2)
 TABLE = """

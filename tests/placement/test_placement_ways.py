@@ -13,7 +13,7 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.footprint import Footprint
 from deepbots_cli.runtime import Supervisor
-from deepbots_cli.runtime.ways import DistanceField
+from deepbots_cli.runtime.paths import DistanceField
 
 ARENA = (-0.5, -0.5, 0.5, 0.5)
 RADIUS = 0.04

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli.diagnostics import Finding, Findings
-from deepbots_cli.robots.meshes import beside
+from deepbots_cli.robots.meshes import mesh_resolver
 from deepbots_cli.robots.reader import RobotFile, read_bytes
 
 ReadText = Callable[[str | bytes], tuple[RobotFile | None, list[Finding]]]
@@ -21,6 +21,6 @@ def read_text(tmp_path: Path) -> ReadText:
     def read(text: str | bytes) -> tuple[RobotFile | None, list[Finding]]:
         findings = Findings()
         data = text.encode() if isinstance(text, str) else text
-        return read_bytes(data, "robot.urdf", findings, resolve_mesh=beside(tmp_path)), list(findings)
+        return read_bytes(data, "robot.urdf", findings, resolve_mesh=mesh_resolver(tmp_path)), list(findings)
 
     return read

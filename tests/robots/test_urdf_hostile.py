@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from deepbots_cli.diagnostics import Findings
-from deepbots_cli.robots.meshes import Refusal
+from deepbots_cli.robots.meshes import UnusableMesh
 from deepbots_cli.robots.reader import read, read_bytes
 from deepbots_cli.robots.writer import write
 
@@ -26,7 +26,7 @@ LAUGHS = (
 def headline_of(data: bytes) -> str:
     findings = Findings()
     started = time.process_time()
-    assert read_bytes(data, "x.urdf", findings, resolve_mesh=lambda _: Refusal("no meshes here")) is None
+    assert read_bytes(data, "x.urdf", findings, resolve_mesh=lambda _: UnusableMesh("no meshes here")) is None
     assert time.process_time() - started < 5
     return next(iter(findings.errors)).headline
 
@@ -69,18 +69,20 @@ def test_a_hostile_file_is_refused_in_time(case):
 def test_a_hundred_thousand_findings_are_not_all_told():
     findings = Findings()
     joints = b"<joint/>" * 99_000
-    assert read_bytes(b"<robot>" + joints + b"</robot>", "x", findings, resolve_mesh=lambda _: Refusal("")) is None
+    assert read_bytes(b"<robot>" + joints + b"</robot>", "x", findings, resolve_mesh=lambda _: UnusableMesh("")) is None
     assert 0 < len(findings) <= 110
     findings = Findings()
     axes = b'<axis xyz="1 0 0"/>' * 99_000
-    read_bytes(b'<robot><link name="a"/><joint name="j">' + axes + b"</joint></robot>", "x", findings, resolve_mesh=lambda _: Refusal(""))
+    read_bytes(
+        b'<robot><link name="a"/><joint name="j">' + axes + b"</joint></robot>", "x", findings, resolve_mesh=lambda _: UnusableMesh("")
+    )
     assert 0 < len(findings) <= 110
 
 
 def test_a_long_chain_of_joints_needs_no_recursion():
     links = b"".join(b'<link name="l%d"/>' % i for i in range(1000))
     joints = b"".join(b'<joint name="j%d" type="fixed"><parent link="l%d"/><child link="l%d"/></joint>' % (i, i, i + 1) for i in range(999))
-    robot = read_bytes(b"<robot>" + links + joints + b"</robot>", "x", Findings(), resolve_mesh=lambda _: Refusal(""))
+    robot = read_bytes(b"<robot>" + links + joints + b"</robot>", "x", Findings(), resolve_mesh=lambda _: UnusableMesh(""))
     assert robot is not None
     assert robot.model.root == "l0"
 
@@ -101,7 +103,7 @@ def test_missing_files_folders_and_pipes_are_findings(tmp_path: Path):
 def check(data: bytes) -> None:
     """Reading ends in a robot that survives the round trip, or in at least one error; every span lies in its text."""
     findings = Findings()
-    robot = read_bytes(data, "x.urdf", findings, resolve_mesh=lambda _: Refusal("no meshes here"))
+    robot = read_bytes(data, "x.urdf", findings, resolve_mesh=lambda _: UnusableMesh("no meshes here"))
     for finding in findings:
         text = finding.span.source.text
         assert 0 <= finding.span.start <= finding.span.end <= len(text)
@@ -111,7 +113,7 @@ def check(data: bytes) -> None:
     if robot is None:
         assert findings.errors
         return
-    again = read_bytes(write(robot.model).encode(), "y.urdf", Findings(), resolve_mesh=lambda _: Refusal(""))
+    again = read_bytes(write(robot.model).encode(), "y.urdf", Findings(), resolve_mesh=lambda _: UnusableMesh(""))
     assert again is not None
     assert again.model == robot.model
 

@@ -127,7 +127,7 @@ def test_a_mesh_in_a_folder_above_is_read_with_a_warning_where_that_folder_is_al
     (tmp_path / "shapes/m.obj").write_bytes(TETRAHEDRON)
     assert robot_with(inner, "shapes/m.obj")[1] == ["the mesh does not exist"]
     findings = Findings()
-    robot = read(inner / "robot.urdf", "robot.urdf", findings, resolve_mesh=meshes.beside(inner, [tmp_path]))
+    robot = read(inner / "robot.urdf", "robot.urdf", findings, resolve_mesh=meshes.mesh_resolver(inner, [tmp_path]))
     assert [(finding.code, finding.help) for finding in findings] == [("DB311", 'write filename="../../shapes/m.obj"')]
     assert list(robot.meshes) == [os.path.realpath(tmp_path / "shapes/m.obj")]
 
@@ -164,5 +164,5 @@ def test_a_resolver_decides_what_may_be_read(tmp_path: Path):
     (tmp_path / "m.obj").write_bytes(TETRAHEDRON)
     robot_with(tmp_path, "m.obj")
     findings = Findings()
-    assert read(tmp_path / "robot.urdf", "r", findings, resolve_mesh=lambda _: meshes.Refusal("not today", "come back")) is None
+    assert read(tmp_path / "robot.urdf", "r", findings, resolve_mesh=lambda _: meshes.UnusableMesh("not today", "come back")) is None
     assert (findings.errors[0].headline, findings.errors[0].help) == ("not today", "come back")

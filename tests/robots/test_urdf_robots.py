@@ -10,7 +10,7 @@ import pytest
 from deepbots_cli.compiler.robots import match
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.robots import inertia
-from deepbots_cli.robots.meshes import beside
+from deepbots_cli.robots.meshes import mesh_resolver
 from deepbots_cli.robots.model import Box, Cylinder, Sphere
 from deepbots_cli.robots.reader import RobotFile, read, read_bytes
 from deepbots_cli.robots.writer import write
@@ -122,7 +122,7 @@ def library() -> Path:
 
 def published(library: Path, name: str) -> tuple[RobotFile | None, Findings]:
     findings = Findings()
-    return read(library / name, name, findings, resolve_mesh=beside((library / name).parent, [library])), findings
+    return read(library / name, name, findings, resolve_mesh=mesh_resolver((library / name).parent, [library])), findings
 
 
 @pytest.mark.parametrize("name", PUBLISHED)

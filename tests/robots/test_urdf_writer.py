@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepbots_cli.diagnostics import Findings
-from deepbots_cli.robots.meshes import beside
+from deepbots_cli.robots.meshes import mesh_resolver
 from deepbots_cli.robots.model import (
     Box,
     Capsule,
@@ -89,7 +89,7 @@ def robots(draw: st.DrawFn) -> RobotModel:
 @given(robots())
 def test_any_robot_survives_writing_and_reading(model: RobotModel):
     findings = Findings()
-    robot = read_bytes(write(model).encode(), "x.urdf", findings, resolve_mesh=beside(Path("/nowhere")))
+    robot = read_bytes(write(model).encode(), "x.urdf", findings, resolve_mesh=mesh_resolver(Path("/nowhere")))
     assert robot is not None, [finding.headline for finding in findings]
     assert robot.model == model
 
@@ -112,6 +112,6 @@ def test_one_material_name_means_one_colour():
 @pytest.mark.parametrize("name", ['a"b', "a'b", "a<b>&", "é", "a b"])
 def test_names_with_special_characters_are_escaped(name):
     model = RobotModel("r", (Link(name),), (), name)
-    robot = read_bytes(write(model).encode(), "x", Findings(), resolve_mesh=beside(Path("/nowhere")))
+    robot = read_bytes(write(model).encode(), "x", Findings(), resolve_mesh=mesh_resolver(Path("/nowhere")))
     assert robot is not None
     assert robot.model.root == name

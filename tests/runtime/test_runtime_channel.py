@@ -7,7 +7,7 @@ import pytest
 from deepbots_cli.errors import MessageError
 from deepbots_cli.message_formats import FORMATS
 from deepbots_cli.program.robots import MessageField, MessageLayout
-from deepbots_cli.runtime.messages import Channel, Wire
+from deepbots_cli.runtime.messages import Channel, FieldCodec
 from deepbots_cli.runtime.streams import Streams
 
 FIELDS = (MessageField("angle", "rad"), MessageField("gyro", "rad/s", ("x", "y", "z")), MessageField("touch", "", (), "bool"))
@@ -20,7 +20,7 @@ def refused(layout: MessageLayout, message: object) -> MessageError:
 
 
 def channel(format: str = "struct") -> Channel:
-    return Channel(Wire(LAYOUT, format, refused))
+    return Channel(FieldCodec(LAYOUT, format, refused))
 
 
 @pytest.mark.parametrize("format", FORMATS)
@@ -44,6 +44,6 @@ def test_messages_arrive_in_order_and_a_new_episode_forgets_them() -> None:
 @pytest.mark.parametrize("format", sorted(set(FORMATS) - {"none"}))
 def test_a_message_of_another_layout_is_refused(format: str) -> None:
     path = channel(format)
-    path.transmit(Wire(MessageLayout.of("cart", "to_robot", FIELDS), format, refused).encode(MESSAGE))
+    path.transmit(FieldCodec(MessageLayout.of("cart", "to_robot", FIELDS), format, refused).encode(MESSAGE))
     with pytest.raises(MessageError, match="cart refuses"):
         path.receive()

@@ -15,7 +15,7 @@ from deepbots_cli.cli import main
 from deepbots_cli.errors import UsageError
 from deepbots_cli.view.episodes import HAND, Source
 from deepbots_cli.view.frames import Field
-from deepbots_cli.view.hand import Hand
+from deepbots_cli.view.manual_input import ManualInput
 from deepbots_cli.view.page import Page
 
 CARTPOLE = (
@@ -64,7 +64,7 @@ def test_keys_drive_and_let_go():
 
 
 def test_hands_know_options_by_their_names():
-    hand = Hand([Field("move", "move", 0, 2, "", ("left", "right", "stop"))])
+    hand = ManualInput([Field("move", "move", 0, 2, "", ("left", "right", "stop"))])
     assert hand.values() == {"move": 2.0}
     hand.hold(frozenset({"ArrowLeft"}), ())
     assert hand.values() == {"move": 0.0}

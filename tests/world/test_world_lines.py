@@ -7,7 +7,7 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.program.world import Line
-from deepbots_cli.runtime.ways import Follower, Paint
+from deepbots_cli.runtime.paths import Follower, Paint
 
 SQUARE = Line("square", ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)), closed=True, width=0.02, reflectance=0.1)
 ROAD = Line("road", ((0.0, 0.0), (1.0, 0.0)), closed=False, width=0.02)

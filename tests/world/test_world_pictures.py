@@ -12,7 +12,7 @@ from deepbots_cli.document import shipped
 from deepbots_cli.frames import add, cross, dot, scaled, subtract
 from deepbots_cli.port import View
 from deepbots_cli.runtime import Supervisor
-from deepbots_cli.runtime.view import around, beside, overview
+from deepbots_cli.runtime.overview import around, beside, overview
 from tests.few import few
 
 

@@ -133,7 +133,7 @@ def test_an_episode_on_terrain_after_a_reset_is_that_of_a_fresh_world() -> None:
 def test_a_grey_picture_is_read_as_it_was_written(data, depth: int, filtering: int, width: int, tall: int) -> None:
     rows = [[data.draw(st.integers(0, 256**depth - 1)) for _ in range(width)] for _ in range(tall)]
     written = grey_png(rows, depth, filtering)
-    assert files.picture_fault(written) is None
+    assert files.picture_problem(written) is None
     assert pixels(written).tolist() == rows
 
 
@@ -142,7 +142,7 @@ def test_a_grey_picture_is_read_as_it_was_written(data, depth: int, filtering: i
 def test_a_damaged_picture_is_refused_or_read_and_nothing_worse(tail: bytes, at: int, patch: bytes) -> None:
     whole = grey_png([[1, 2, 3], [4, 5, 6]])
     for odd in (whole[:at] + patch + whole[at + len(patch) :], whole[:at] + tail):
-        if files.picture_fault(odd) is None:
+        if files.picture_problem(odd) is None:
             with suppress(EngineError):
                 pixels(odd)
 
@@ -157,7 +157,7 @@ HOSTILE = {
 
 @pytest.mark.parametrize("words", HOSTILE)
 def test_a_picture_that_cannot_be_heights_is_told_from_its_header(words: str) -> None:
-    assert words in str(files.picture_fault(HOSTILE[words]))
+    assert words in str(files.picture_problem(HOSTILE[words]))
 
 
 SCENARIO = """

@@ -22,7 +22,7 @@ from deepbots_cli import api
 from deepbots_cli.cli import terminal, throughput
 from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Scenario, Seed, Sets, known_engine, whole
 from deepbots_cli.cli.tables import pairs as aligned
-from deepbots_cli.engine_kinds import on_engine
+from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError
 
 if TYPE_CHECKING:
@@ -84,9 +84,9 @@ def command(
     if worlds is not None and throughput.BATCH not in names:
         raise UsageError("--worlds goes with --engine batch")
     several = len(names) > 1 or throughput.BATCH in names
-    changed = on_engine(sets, None if several or not names else names[0])
+    changed = with_engine(sets, None if several or not names else names[0])
     compiled = api.compile(scenario, sets=changed, allow_paths=allow_paths or (), allow_code=allow_code)
-    terminal.mention(compiled.findings, scenario)
+    terminal.note_warnings(compiled.findings, scenario)
     if several:
         rounds = pairs or (1 if quick else 3)
         numbers = throughput.counts(worlds or "1,16,64,256")
@@ -94,7 +94,7 @@ def command(
         if as_json:
             terminal.show_json([asdict(row) for row in rows])
         else:
-            terminal.say(throughput.text(compiled.program.name, rows, rounds))
+            terminal.print_result(throughput.text(compiled.program.name, rows, rounds))
         return
     usual_steps, usual_pairs = (600, 3) if quick else (2000, 9)
     steps, pairs = steps or usual_steps, pairs or usual_pairs
@@ -105,7 +105,7 @@ def command(
     if as_json:
         terminal.show_json(asdict(result))
         return
-    terminal.say(
+    terminal.print_result(
         f"{result.scenario} on {result.engine}, {result.format} messages; medians of {result.pairs} pairs of {result.steps:,} steps\n"
         + aligned(
             {

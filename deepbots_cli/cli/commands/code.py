@@ -59,7 +59,7 @@ def compile_(
     compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
     if output is not None and output.is_file() and output.read_bytes() in compiled.inputs.values():
         raise UsageError(f"{output} is an input of the scenario; name another output file")
-    terminal.mention(compiled.findings, scenario)
+    terminal.note_warnings(compiled.findings, scenario)
     code = compiled.code if target == "scalar" else emit(compiled.program, target)
     if as_json:
         data = {"name": compiled.program.name, "digest": compiled.digest, "code": code, "inputs": list(compiled.inputs)}
@@ -88,13 +88,13 @@ def eject(
     """
     _check(folder)
     compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
-    terminal.mention(compiled.findings, scenario)
+    terminal.note_warnings(compiled.findings, scenario)
     written = write_new(project(compiled), folder)
     if as_json:
         terminal.show_json({"project": folder, "files": written})
         return
     for path in written:
-        terminal.say(str(path))
+        terminal.print_result(str(path))
     terminal.note(f"\nnext: cd {quote(str(folder))} && python run.py")
 
 

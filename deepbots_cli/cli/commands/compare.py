@@ -62,7 +62,7 @@ def command(
     """
     if scenario is not None:
         judged = api.compile(scenario, allow_paths=allow_paths or (), allow_code=allow_code)
-        terminal.mention(judged.findings, scenario)
+        terminal.note_warnings(judged.findings, scenario)
     with terminal.passing("loading the policies ..."):
         compare = learning.compare  # which imports torch
     with terminal.progress(always=False) as show:
@@ -86,7 +86,7 @@ def command(
 def _show(found: Comparison) -> None:
     has_success = all(group.success_defined for group in found.groups)
     where = f"{found.scenario}: " if found.scenario else "each run in its own scenario: "
-    terminal.say(f"{where}{found.episodes:,} held-out episodes of each run, from seed {found.seed}")
+    terminal.print_result(f"{where}{found.episodes:,} held-out episodes of each run, from seed {found.seed}")
     rows: list[Row] = []
     settings = {group.name: short(changed_settings(Record.read(group.evaluations[0].run).command)) for group in found.groups}
     for group in found.groups:
@@ -100,8 +100,8 @@ def _show(found: Comparison) -> None:
         if has_success:
             row |= {"success": f"{group.success_rate:.1%}", "success_95 %": results.between(group.success_interval, percent=True)}
         rows.append(row)
-    terminal.say(table(rows))
-    terminal.say(f"\nagainst {found.groups[0].name}")
+    terminal.print_result(table(rows))
+    terminal.print_result(f"\nagainst {found.groups[0].name}")
     rows = []
     for entry in found.differences:
         row = {"group": entry.group, "return": entry.mean_return.mean, "return_95 %": results.between(entry.mean_return.interval)}
@@ -109,13 +109,13 @@ def _show(found: Comparison) -> None:
             success = entry.success_rate
             row |= {"success": f"{success.mean:+.1%}", "success_95 %": results.between(success.interval, percent=True)}
         rows.append(row | {"probability_of_improvement" if entry.between_seeds else "episodes_better": entry.mean_return.improvement})
-    terminal.say(table(rows))
+    terminal.print_result(table(rows))
     if not all(entry.between_seeds for entry in found.differences):
-        terminal.say("episodes_better: share of the episodes with a higher return than in the first run; equal returns count half")
+        terminal.print_result("episodes_better: share of the episodes with a higher return than in the first run; equal returns count half")
     for entry in found.differences:
-        terminal.say(entry.verdict)
+        terminal.print_result(entry.verdict)
     for note in found.notes:
-        terminal.say(f"note: {note}")
+        terminal.print_result(f"note: {note}")
 
 
 def _data(found: Comparison) -> dict[str, Any]:

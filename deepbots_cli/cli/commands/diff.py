@@ -99,26 +99,28 @@ def _data(one: str, other: str, found: Sequence[Change]) -> dict[str, object]:
 
 def _show(found: Sequence[Change], one: str, other: str) -> None:
     if not found:
-        terminal.say(f"{one} and {other} have the same meaning")
+        terminal.print_result(f"{one} and {other} have the same meaning")
     for group, heading in _HEADINGS.items():
         here = [change for change in found if change.group is group]
         if here:
-            terminal.say(f"{group.value}: {heading}")
+            terminal.print_result(f"{group.value}: {heading}")
             for change in here:
                 _show_change(change)
-            terminal.say()
+            terminal.print_result()
 
 
 def _show_change(change: Change) -> None:
-    terminal.say(f"  {change.path}")
+    terminal.print_result(f"  {change.path}")
     if change.through:
-        terminal.say(f"      {change.one}\n      changed by the parameter{'s' * (len(change.through) > 1)} {', '.join(change.through)}")
+        terminal.print_result(
+            f"      {change.one}\n      changed by the parameter{'s' * (len(change.through) > 1)} {', '.join(change.through)}"
+        )
         return
     if change.kind == "changed" and not (change.one or change.other):
         return
     for mark, text, absent in (("-", change.one, "added"), ("+", change.other, "removed")):
         if change.kind != absent:
-            terminal.say(f"    {mark} {text or '(not written)'}")
+            terminal.print_result(f"    {mark} {text or '(not written)'}")
 
 
 @dataclass(frozen=True)
@@ -337,7 +339,7 @@ def values(scenario: Program) -> dict[str, str]:
 def _leaves(value: Any, path: str) -> Iterator[tuple[str, str]]:
     """The single values in a record, with their paths; numbers to twelve digits, since units are converted in floats."""
     value = value.value if isinstance(value, Const) else value
-    members = None if isinstance(value, Scalar) else identity.members(value)
+    members = None if isinstance(value, Scalar) else identity.record_members(value)
     if members is not None and "scalars" in members:
         members = {"": members["scalars"], **{name: members[name] for name in ("noise", "foreign", "redraw") if name in members}}
     elif members is not None:

@@ -18,7 +18,7 @@ from deepbots_cli.cli.commands.insight import repeat_failed
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import table
 from deepbots_cli.compiler.inputs import RESOLVED
-from deepbots_cli.engine_kinds import on_engine
+from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import check_writable
 from deepbots_cli.learning import report
@@ -218,7 +218,7 @@ def command(
         return
     known = Run.open(run)
     if robustness:
-        changed = on_engine(sets, several[0])
+        changed = with_engine(sets, several[0])
         _robustness(known, gates, changed, allow_paths or (), scenario, case, stage, as_json=as_json, seed=seed, mass_of=mass_of, **chosen)
         return
     chosen |= {"seed": seed}
@@ -280,9 +280,9 @@ class _Found:
         if self.baselines:
             names = ["the trained policy", *(other.model for other in self.baselines)]
             rows = results.rows_of("policy", [self.result, *self.baselines], names)
-            terminal.say("\nbaselines, on the same starts\n" + table(rows))
+            terminal.print_result("\nbaselines, on the same starts\n" + table(rows))
         if details:
-            terminal.say("\n" + results.drawn_text(self.result))
+            terminal.print_result("\n" + results.drawn_text(self.result))
 
 
 def _refuse(reason: str, **options: object) -> None:
@@ -307,12 +307,14 @@ def _show_engines(run: Run, found: Sequence[_Found], *, as_json: bool) -> None:
         return
     first, elsewhere = found[0].result, found[0].elsewhere
     trained = f"trained in {run.record.engine}"
-    terminal.say(f"evaluation of {first.scenario} in {len(found)} engines, {trained}" + (f"; scenario {elsewhere}" if elsewhere else ""))
-    terminal.say(f"  {first.episodes:,} held-out starts from seed {first.seed}, the same in every engine")
+    terminal.print_result(
+        f"evaluation of {first.scenario} in {len(found)} engines, {trained}" + (f"; scenario {elsewhere}" if elsewhere else "")
+    )
+    terminal.print_result(f"  {first.episodes:,} held-out starts from seed {first.seed}, the same in every engine")
     every = [result for each in found for result in (each.result, *each.cases)]
     has_cases = any(result.case for result in every)
     rows = results.case_rows(every)
-    terminal.say(
+    terminal.print_result(
         table(
             [
                 {"engine": result.engine, **{key: value for key, value in row.items() if key != "case" or has_cases}}
@@ -320,12 +322,12 @@ def _show_engines(run: Run, found: Sequence[_Found], *, as_json: bool) -> None:
             ]
         )
     )
-    terminal.say("\ndifferences on the same starts, with 95 % intervals")
-    terminal.say(table([pair.row(with_case=has_cases) for pair in pairs]))
+    terminal.print_result("\ndifferences on the same starts, with 95 % intervals")
+    terminal.print_result(table([pair.row(with_case=has_cases) for pair in pairs]))
     for each in found:
-        terminal.say(f"{each.result.engine}: {each.result.verdict}")
+        terminal.print_result(f"{each.result.engine}: {each.result.verdict}")
     for note in dict.fromkeys(note for each in found for note in each.result.notes):
-        terminal.say(f"note: {note}")
+        terminal.print_result(f"note: {note}")
 
 
 def _judged(
@@ -340,11 +342,11 @@ def _judged(
     """The scenario to evaluate in, where it is not that of the run or group in `folder`."""
     if scenario is None and not sets and engine in (None, trained_in):
         return None
-    options: dict[str, Any] = {"sets": on_engine(sets, engine), "allow_paths": allow_paths or (), "allow_code": allow_code}
+    options: dict[str, Any] = {"sets": with_engine(sets, engine), "allow_paths": allow_paths or (), "allow_code": allow_code}
     if scenario is None:
         return api.compile(api.load(folder / RESOLVED, project=folder, **options))
     compiled = api.compile(api.load(scenario, **options))
-    terminal.mention(compiled.findings, scenario)
+    terminal.note_warnings(compiled.findings, scenario)
     return compiled
 
 
@@ -460,7 +462,7 @@ def _evaluate_group(
     if as_json:
         terminal.show_json(results.group_json(found))
     else:
-        terminal.say(results.group_text(found))
+        terminal.print_result(results.group_text(found))
     _require(gates.requirements_of_group(found, planned), found.name, junit)
 
 
@@ -495,7 +497,7 @@ def _robustness(
     if as_json:
         terminal.show_json(results.robustness_json(found))
     else:
-        terminal.say(results.robustness_text(found))
+        terminal.print_result(results.robustness_text(found))
 
 
 def _elsewhere(run: Run, scenario: str | None, sets: Sequence[str], compiled: Compiled | None) -> str | None:
@@ -509,9 +511,9 @@ def _elsewhere(run: Run, scenario: str | None, sets: Sequence[str], compiled: Co
 
 def show(result: EvaluationResult, cases: Sequence[EvaluationResult], *, elsewhere: str | None = None) -> None:
     """An evaluation, and the cases beside it."""
-    terminal.say(results.evaluation_text(result, elsewhere))
+    terminal.print_result(results.evaluation_text(result, elsewhere))
     if cases:
-        terminal.say("\ncases\n" + table(results.case_rows([result, *cases])))
+        terminal.print_result("\ncases\n" + table(results.case_rows([result, *cases])))
 
 
 def with_cases(result: EvaluationResult, cases: Sequence[EvaluationResult]) -> dict[str, Any]:
@@ -527,6 +529,6 @@ def _require(requirements: Sequence[Requirement], suite: str, junit: Path | None
         if met:
             terminal.note(f"met: {words} ({reason})")
         else:
-            terminal.complain(f"not met: {words} ({reason})")
+            terminal.print_error(f"not met: {words} ({reason})")
     if not all(met for _, met, _ in requirements):
         raise typer.Exit(FAILED)

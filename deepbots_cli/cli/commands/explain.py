@@ -15,16 +15,15 @@ from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import Json
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.diagnostics import Findings, Rule, Source
-from deepbots_cli.diagnostics.nearest import is_slip, nearest
-from deepbots_cli.diagnostics.registry import unknown as unknown_finding
-from deepbots_cli.diagnostics.registry import with_prefix
+from deepbots_cli.diagnostics.nearest import is_typo, nearest
+from deepbots_cli.diagnostics.registry import matching_rules, unknown_rule_message
 from deepbots_cli.document.nodes import to_data
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.dimensions import UNITS
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.lint import pages_of
-from deepbots_cli.renames import former
+from deepbots_cli.renames import renames_of
 from deepbots_cli.scenario.base import Kinds, Section, fields, noun_of, sections
 from deepbots_cli.scenario.docs import about_kind, default_of, description, example_of, unit_of
 from deepbots_cli.scenario.fields import article
@@ -59,23 +58,23 @@ def command(
       deepbots explain domain-randomisation
       deepbots explain
     """
-    found = with_prefix(finding)
+    found = matching_rules(finding)
     if not found:
         lines = explained(finding)
         if not lines and not _FINDING.match(finding) and (meant := misspelt(finding)):
             terminal.note(f"there is no entry '{finding}'; this is the entry '{meant}'\n")
             lines = explained(meant)
         if not lines:
-            raise UsageError(unknown_finding(finding) if _FINDING.match(finding) else unknown(finding))
+            raise UsageError(unknown_rule_message(finding) if _FINDING.match(finding) else unknown(finding))
         if as_json:
             raise UsageError(f"--json prints findings, and '{finding}' is not a finding; leave it out")
-        terminal.say("\n".join(map(_wrapped, lines)))
+        terminal.print_result("\n".join(map(_wrapped, lines)))
     elif as_json:
         terminal.show_json({"version": 1, "rules": [_data(entry) for entry in found]})
     elif len(found) > 1:
-        terminal.say(table([_row(entry) for entry in found], indent=""))
+        terminal.print_result(table([_row(entry) for entry in found], indent=""))
     else:
-        terminal.say("\n".join(_lines(found[0])))
+        terminal.print_result("\n".join(_lines(found[0])))
 
 
 def _row(entry: Rule) -> Row:
@@ -176,7 +175,7 @@ def explained(word: str) -> list[str]:
     if not found and word not in _words():
         found = [topic for topic in topics() if plain in map(_plain, topic.names)]
     blocks = [*map(_of_topic, found), *blocks]
-    for new, rename in {rename.new: rename for rename in former(spelt)}.items():
+    for new, rename in {rename.new: rename for rename in renames_of(spelt)}.items():
         named = _blocks(new) or _blocks(rename.key)  # a word that is no kind is explained by its key
         blocks += [[f"{spelt}: the former name of the {rename.what} `{new}`"], *named]
     others = _others(word, {topic.name for topic in found} | {spelt}) if word.strip() else []
@@ -188,7 +187,7 @@ def explained(word: str) -> list[str]:
 def misspelt(word: str) -> str | None:
     """The concept or word of the language that differs from `word` by one letter, such as `curiculum`; None if there is none."""
     concepts = [name for topic in topics() for name in (topic.name, *topic.names)]
-    return next((name for name in (*concepts, *_words()) if is_slip(_plain(word), _plain(name))), None)
+    return next((name for name in (*concepts, *_words()) if is_typo(_plain(word), _plain(name))), None)
 
 
 def _blocks(word: str) -> list[list[str]]:

@@ -74,8 +74,8 @@ def command(
     if as_json:
         terminal.show_json({"bundle": folder, **known.model_dump(mode="json")})
         return
-    terminal.say(f"{folder}: {', '.join(f'{name} ({len(content) / 1000:,.0f} kB)' for name, content in files.items())}")
-    terminal.say(f"  {known.scenario}, {known.algorithm}: {known.result_text}")
+    terminal.print_result(f"{folder}: {', '.join(f'{name} ({len(content) / 1000:,.0f} kB)' for name, content in files.items())}")
+    terminal.print_result(f"  {known.scenario}, {known.algorithm}: {known.result_text}")
     if known.result is None and not last:
         terminal.note(f"evaluate the run first for a result in the card: deepbots eval {quote(str(source))}")
     terminal.note(f"\nnext:\n  deepbots export --check SCENARIO {quote(str(folder))}")
@@ -95,9 +95,9 @@ def _check(
     if as_json:
         terminal.show_json({"bundle": folder, "scenario": scenario, "fits": not differ, "differences": differ, "remarks": remarks})
     elif differ:
-        terminal.say(f"the policy in {folder} does not fit {scenario}:\n  " + "\n  ".join(differ))
+        terminal.print_result(f"the policy in {folder} does not fit {scenario}:\n  " + "\n  ".join(differ))
     else:
-        terminal.say(f"the policy in {folder} fits {scenario}")
+        terminal.print_result(f"the policy in {folder} fits {scenario}")
     for remark in () if as_json else remarks:
         terminal.note(f"note: {remark}")
     if differ:

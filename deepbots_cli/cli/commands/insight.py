@@ -66,13 +66,13 @@ def explain_episode(
     for note in trace.notes:
         terminal.note(f"note: {note}")
     for statement in statements:
-        terminal.say(statement.text)
+        terminal.print_result(statement.text)
 
 
 def _trace(shown: str, episode: int | None, seed: int | None, *, last: bool, allow_code: bool) -> Trace:
     from deepbots_cli.insight import trace
     from deepbots_cli.learning.run import Run
-    from deepbots_cli.runtime.streams import derive
+    from deepbots_cli.runtime.streams import derive_seed
 
     path = Path(shown)
     if path.suffix in (".mcap", ".json"):
@@ -90,7 +90,7 @@ def _trace(shown: str, episode: int | None, seed: int | None, *, last: bool, all
         chosen = kept.chosen(episode if episode is not None else failed[0] if failed else 0)
     else:
         root, number = run.record.seed if seed is None else seed, episode or 0
-        chosen = trace.Chosen(number, derive(root, "evaluation", number), "last" if last else "best")
+        chosen = trace.Chosen(number, derive_seed(root, "evaluation", number), "last" if last else "best")
     return trace.trace_run(run, chosen, allow_code=allow_code)
 
 
@@ -128,11 +128,11 @@ def repeat_failed(run: Run, video: Path | None, *, as_json: bool, allow_code: bo
             if not as_json:
                 ends = [statement.text for statement in statements if statement.cause in ("margin", "fact", "limit")]
                 filmed = f" ({films[each.number]})" if each.number in films else ""
-                terminal.say(f"episode {each.number}: '{traced.ended_by}' at {traced.time:.2f} s{filmed}\n  {' '.join(ends)}")
+                terminal.print_result(f"episode {each.number}: '{traced.ended_by}' at {traced.time:.2f} s{filmed}\n  {' '.join(ends)}")
     if as_json:
         terminal.show_json({"run": run.path, "evaluation": kept.path, "episodes": len(kept.outcomes), "failed": found})
         return
-    terminal.say(f"{len(failed)} of {len(kept.outcomes)} episodes of {kept.path} failed")
+    terminal.print_result(f"{len(failed)} of {len(kept.outcomes)} episodes of {kept.path} failed")
     if failed:
         terminal.note(f"\nnext:\n  deepbots explain-episode {quote(str(run.path))} --episode {failed[0]}")
 
@@ -176,10 +176,12 @@ def diagnose(
         if as_json:
             continue
         if not causes:
-            terminal.say(f"{folder}: no cause found after {training.steps:,} steps ({'solved' if training.solved else 'not solved'})")
+            terminal.print_result(
+                f"{folder}: no cause found after {training.steps:,} steps ({'solved' if training.solved else 'not solved'})"
+            )
             continue
-        terminal.say(f"{folder}: {len(causes)} cause{'s' * (len(causes) > 1)}, the most likely first")
+        terminal.print_result(f"{folder}: {len(causes)} cause{'s' * (len(causes) > 1)}, the most likely first")
         for number, cause in enumerate(causes, start=1):
-            terminal.say(f"\n{number}. {cause.text}\n   Try: {cause.advice}")
+            terminal.print_result(f"\n{number}. {cause.text}\n   Try: {cause.advice}")
     if as_json:
         terminal.show_json({"runs": found})

@@ -15,11 +15,11 @@ from deepbots_cli.cli.sources import is_robot, opened, opened_robot
 from deepbots_cli.cli.tables import pairs, table
 from deepbots_cli.diagnostics import Source, Span
 from deepbots_cli.document import Mapping
-from deepbots_cli.document.load import under
+from deepbots_cli.document.load import with_settings_at
 from deepbots_cli.engine_kinds import chosen
 from deepbots_cli.errors import EngineError, EvaluationError, MissingExtraError, UsageError
 from deepbots_cli.files import atomic
-from deepbots_cli.footprint import bounds, resting
+from deepbots_cli.footprint import bounds, resting_height
 from deepbots_cli.frames import add
 from deepbots_cli.program import Program
 from deepbots_cli.program.world import RobotBody, WorldModel
@@ -81,13 +81,13 @@ def command(
         _inspect_robot(scenario, picture, chosen(engine), as_json)
         return
     side = opened(scenario, sets or (), allow_paths or (), allow_code=allow_code, engine=engine)
-    terminal.mention(side.findings, scenario)
+    terminal.note_warnings(side.findings, scenario)
     program = with_case_or_stage(side.program, case, stage)
     root = side.root if isinstance(side.root, Mapping) else Mapping(Span(Source(scenario, ""), 0, 0), {})
     if case is not None:
-        root = under(root, ("evaluation", "cases", case))
+        root = with_settings_at(root, ("evaluation", "cases", case))
     elif stage is not None:
-        root = under(root, ("curriculum", [known.name for known in side.program.curriculum].index(stage)))
+        root = with_settings_at(root, ("curriculum", [known.name for known in side.program.curriculum].index(stage)))
     engine = engine or (side.run.engine_for(program) if side.run else None)
     tables = {**inspection.of_scenario(program, root, side.run), **_start(program, picture, engine, allow_code=allow_code)}
     if as_json:
@@ -139,9 +139,9 @@ def _inspect_robot(reference: str, picture: Path | None, engine: str, as_json: b
 def _rendered(model: RobotModel, engine: str) -> Image:
     """The robot on a floor, its joints at 0."""
     from deepbots_cli import engines
-    from deepbots_cli.runtime.view import around
+    from deepbots_cli.runtime.overview import around
 
-    pose = Pose((0.0, 0.0, resting(model)))
+    pose = Pose((0.0, 0.0, resting_height(model)))
     world = WorldModel(0.01, 1, robots=(RobotBody("robot", model, fixed_base=True, pose=pose),))
     low, high = bounds(model)
     view = around([(add(low, pose.xyz), add(high, pose.xyz))])
@@ -167,5 +167,5 @@ def _draw(image: Image, picture: Path) -> None:
 
 def _show(tables: inspection.Tables) -> None:
     for name, rows in tables.items():
-        terminal.say(f"{name}{f': {_CAPTIONS[name]}' if name in _CAPTIONS else ''}")
-        terminal.say((table(rows) if isinstance(rows, list) else pairs(rows)) + "\n")
+        terminal.print_result(f"{name}{f': {_CAPTIONS[name]}' if name in _CAPTIONS else ''}")
+        terminal.print_result((table(rows) if isinstance(rows, list) else pairs(rows)) + "\n")

@@ -42,7 +42,7 @@ def list_(as_json: Json = False) -> None:
     if as_json:
         terminal.show_json({"scenarios": rows})
     else:
-        terminal.say(table(rows))
+        terminal.print_result(table(rows))
 
 
 State = Literal["ok", "missing", "broken"]
@@ -84,7 +84,7 @@ def doctor(as_json: Json = False) -> None:
     if as_json:
         terminal.show_json({"ok": not broken, "checks": found})
     else:
-        terminal.say(table(found, indent=""))
+        terminal.print_result(table(found, indent=""))
         without = f" except what needs a missing extra: {', '.join(missing)}" if missing else ""
         terminal.note(f"broken: {', '.join(broken)}" if broken else f"everything works{without}")
     if broken:

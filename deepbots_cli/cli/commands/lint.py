@@ -20,9 +20,9 @@ from deepbots_cli.cli.commands import rewriting
 from deepbots_cli.cli.exits import FAILED, FAULT
 from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Edit, Finding, Severity, Source, formats
-from deepbots_cli.diagnostics.findings import failure
+from deepbots_cli.diagnostics.findings import exception_finding
 from deepbots_cli.diagnostics.render import inert, render, summary
-from deepbots_cli.diagnostics.suppress import Selection, Words
+from deepbots_cli.diagnostics.suppress import RuleSelectors, Selection
 from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
 from deepbots_cli.lint import review, simulate
 from deepbots_cli.lint.fixes import Fixer
@@ -138,27 +138,27 @@ def lint(
         findings, changes = _fixed(names, look, selection, unsafe=unsafe_fixes, show=diff)
     else:
         findings = findings_of(names, look, jobs)
-    shown = [*selection.inactive_rules(), *filter(selection.wants, findings)]
+    shown = [*selection.inactive_rules(), *filter(selection.selects, findings)]
     if diff and shown and not changes:
         _explain_empty_diff([] if unsafe_fixes else shown)
     if not diff:
         print(report(shown, format_, [look.called(name) for name in names], failing), end="")
         if format_ is Format.full:
             _sum_up(shown, names, selection, fixable=not (fix or sets), deep=deep)
-    hidden = [finding for finding in findings if finding.severity == "error" and not selection.wants(finding)]
+    hidden = [finding for finding in findings if finding.severity == "error" and not selection.selects(finding)]
     _note_hidden(hidden)
-    if any(finding.is_fault for finding in shown):
+    if any(finding.is_internal_error for finding in shown):
         raise typer.Exit(FAULT)
     if any(finding.severity in failing for finding in (*shown, *hidden)) or (diff and changes):
         raise typer.Exit(FAILED)
 
 
-def _words(option: str, given: Codes) -> Words | None:
+def _words(option: str, given: Codes) -> RuleSelectors | None:
     """The codes of an option, which may be repeated and hold several."""
     if given is None:
         return None
     text = ",".join(given)
-    return Words(tuple(word.strip() for word in text.split(",")), Source(option, text))
+    return RuleSelectors(tuple(word.strip() for word in text.split(",")), Source(option, text))
 
 
 def _check_simulator(fixing: bool) -> None:
@@ -181,7 +181,7 @@ def _check_fixing(fix: bool, diff: bool, sets: list[str] | None, names: Sequence
 def _fixed(names: Sequence[str], look: Look, selection: Selection, *, unsafe: bool, show: bool) -> tuple[list[Finding], bool]:
     """The findings that are left after fixing, and whether a file changes; `show` prints the difference and writes nothing."""
     load = partial(api.load, allow_paths=look.allow_paths, allow_code=look.allow_code)
-    fixer = Fixer(names, load, unsafe=unsafe, wanted=selection.wants, preview=look.preview)
+    fixer = Fixer(names, load, unsafe=unsafe, wanted=selection.selects, preview=look.preview)
     rewrites = fixer.fix()
     for rewrite in rewrites:
         if show:
@@ -217,9 +217,9 @@ def _sum_up(findings: list[Finding], names: list[str], selection: Selection, *, 
     if not findings:
         called = names[0] if len(names) == 1 else f"{len(names)} scenarios"
         asked = "" if selection.is_everything else " of the selected ones"
-        terminal.say(f"{called}: no findings{asked}{', including the simulation' if deep else ''}")
+        terminal.print_result(f"{called}: no findings{asked}{', including the simulation' if deep else ''}")
         return
-    terminal.say(summary(findings))
+    terminal.print_result(summary(findings))
     if fixable and any(finding.fix for finding in findings):
         terminal.note(_hint(findings) or "")
 
@@ -282,7 +282,7 @@ class Look:
             found = review(checked, preview=self.preview)
             if not self.deep:
                 return found
-            if any(finding.severity == "error" and not finding.is_fault for finding in found):
+            if any(finding.severity == "error" and not finding.is_internal_error for finding in found):
                 terminal.note(f"{called}: not simulated because it has errors")
                 return found
             with terminal.passing(f"{called}: simulating"):
@@ -334,7 +334,7 @@ def _look_at(look: Look, name: str) -> list[Finding]:
     except (DeepbotsError, OSError):
         raise
     except Exception as error:  # an internal error  # noqa: BLE001
-        return [failure("the compiler", Source(look.called(name), ""), error)]
+        return [exception_finding("the compiler", Source(look.called(name), ""), error)]
 
 
 def _in_processes(look_at: partial[list[Finding]], names: Sequence[str], jobs: int) -> list[list[Finding]]:

@@ -24,7 +24,7 @@ from deepbots_cli.compiler.inventory import known
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.document import Scalar, files, shipped, walk
-from deepbots_cli.document.files import Refused, project_root, resolve
+from deepbots_cli.document.files import UnusableFile, project_root, resolve
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
 from deepbots_cli.robots import reader
@@ -79,7 +79,7 @@ def new(
     kept = _present(made, folder)
     written = write_with_schema(made, folder) if schema else write_new(made, folder)
     if urdf:
-        terminal.mention(api.lint(written[0]), str(written[0]))
+        terminal.note_warnings(api.lint(written[0]), str(written[0]))
     if as_json:
         terminal.show_json({"scenario": written[0], "files": written})
         return
@@ -145,7 +145,7 @@ def _reference(robot: str, folder: Path) -> str:
         return robot
     path = os.path.relpath(Path(robot).resolve(), folder.resolve()).replace(os.sep, "/")
     found = resolve(path, folder.resolve(), [project_root(folder), *shipped.data_roots()])
-    if isinstance(found, Refused):
+    if isinstance(found, UnusableFile):
         raise UsageError(
             f"a scenario in {folder.resolve()} may not read {robot}, which {found.headline.partition('` ')[2]}; copy it into the folder"
         )
@@ -265,7 +265,7 @@ def _present(files: Files, folder: Path) -> set[Path]:
 def _list(written: Sequence[Path], kept: set[Path]) -> None:
     """Print the paths, with a mark at files that were there before with the same content."""
     for path in written:
-        terminal.say(f"{path} (unchanged)" if path in kept else str(path))
+        terminal.print_result(f"{path} (unchanged)" if path in kept else str(path))
 
 
 def write_new(files: Files, folder: Path) -> list[Path]:

@@ -42,4 +42,4 @@ def command(
     figure = plots.plot(logs, theme="dark" if dark else "light")
     with atomic(out) as draft:
         figure.savefig(draft, format=out.suffix[1:].lower(), dpi=130)
-    terminal.say(f"{out} ({len(logs)} run{'s' * (len(logs) > 1)})")
+    terminal.print_result(f"{out} ({len(logs)} run{'s' * (len(logs) > 1)})")

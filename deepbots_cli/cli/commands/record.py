@@ -72,6 +72,8 @@ def command(
         terminal.show_json({"recording": path, "bytes": path.stat().st_size, "episodes": ends})
         return
     for number, frame, total in zip(numbers, last, returns, strict=True):
-        terminal.say(f"episode {number}: {frame.ending or 'cut'} after {frame.time:.2f} s ({frame.step} steps), return {total:.2f}")
-    terminal.say(f"{path} ({path.stat().st_size / 1000:,.0f} kB)")
+        terminal.print_result(
+            f"episode {number}: {frame.ending or 'cut'} after {frame.time:.2f} s ({frame.step} steps), return {total:.2f}"
+        )
+    terminal.print_result(f"{path} ({path.stat().st_size / 1000:,.0f} kB)")
     terminal.note(f"\nnext:\n  deepbots view {path}\n  deepbots replay --verify {path}")

@@ -81,9 +81,9 @@ def command(
         scenario, source, seed, driver, engine = (
             found.metadata.get(name, "?") for name in ("scenario", "source", "seed", "driver", "engine")
         )
-        terminal.say(f"{scenario} ({source}), seed {seed}, driven by {driver}, engine {engine}")
+        terminal.print_result(f"{scenario} ({source}), seed {seed}, driven by {driver}, engine {engine}")
         for row in rows:
-            terminal.say(f"episode {row['episode']}: {row['ending']} after {row['steps']} steps, return {row['return']:.2f}")
+            terminal.print_result(f"episode {row['episode']}: {row['ending']} after {row['steps']} steps, return {row['return']:.2f}")
         terminal.note(f"\nnext:\n  deepbots replay --verify {recording}")
         return
     shown = opened
@@ -104,10 +104,10 @@ def command(
     elif difference is None:
         steps = sum(len(each.steps) - 1 for each in found.episodes)
         how = f"within {tolerance:g}" if tolerance else "to the bit"
-        terminal.say(f"{found.path}: {count} episode{'s' * (count > 1)} and {steps} steps are the same {how}")
+        terminal.print_result(f"{found.path}: {count} episode{'s' * (count > 1)} and {steps} steps are the same {how}")
     else:
-        terminal.say(f"{found.path}: episode {difference.episode}, step {difference.step}: {difference.quantity} differs")
-        terminal.say(f"  recorded {difference.recorded}\n  now      {difference.now}")
+        terminal.print_result(f"{found.path}: episode {difference.episode}, step {difference.step}: {difference.quantity} differs")
+        terminal.print_result(f"  recorded {difference.recorded}\n  now      {difference.now}")
     if difference is not None:
         raise typer.Exit(FAILED)
 

@@ -68,7 +68,7 @@ def command(
     if as_json:
         terminal.show_json({"report": target, "result": report.result, "figures": written, "notes": report.notes})
         return
-    terminal.say(report.result)
-    terminal.say(
+    terminal.print_result(report.result)
+    terminal.print_result(
         f"{target} ({target.stat().st_size / 1000:,.0f} kB)" + (f", {len(written)} figures in {quote(str(figures))}" if written else "")
     )

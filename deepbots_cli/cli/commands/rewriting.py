@@ -25,7 +25,7 @@ from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.document import Mapping as Tree
 from deepbots_cli.document import Scalar, files
-from deepbots_cli.document.layout import tidy
+from deepbots_cli.document.layout import canonical_text
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import ScenarioError, UsageError
 from deepbots_cli.files import atomic
@@ -83,11 +83,11 @@ def _tidied(path: Path) -> Rewrite | None:
     source, readable = files.decode(data, str(path), findings)
     root = parse(source, findings) if readable else None
     if root is None or findings.errors:
-        terminal.complain(f"{path} is not changed because it cannot be read; see: deepbots lint {quote(str(path))}")
+        terminal.print_error(f"{path} is not changed because it cannot be read; see: deepbots lint {quote(str(path))}")
         return None
-    done = tidy(source.text)
+    done = canonical_text(source.text)
     if done is None:
-        terminal.complain(f"{path} is not changed because a new layout would change its values")
+        terminal.print_error(f"{path} is not changed because a new layout would change its values")
         return None
     return Rewrite(path.resolve(), data, (BOM_UTF8 if data.startswith(BOM_UTF8) else b"") + done.encode())
 
@@ -116,7 +116,7 @@ def upgrade(
     """
     found = upgraded(file)
     if not found.rewrites:
-        terminal.say(f"{file} is up to date: version {VERSION} of the language")
+        terminal.print_result(f"{file} is up to date: version {VERSION} of the language")
     elif diff:
         for rewrite in found.rewrites:
             show(rewrite)
@@ -126,9 +126,9 @@ def upgrade(
             write(rewrite)
         if found.version != VERSION:
             was = f"version {found.version}" if found.version else "no version"
-            terminal.say(f"{file} is now in version {VERSION} of the language; before, it had {was}")
+            terminal.print_result(f"{file} is now in version {VERSION} of the language; before, it had {was}")
         for old, new in found.renamed.items():
-            terminal.say(f"{old} -> {new}")
+            terminal.print_result(f"{old} -> {new}")
         terminal.note(f"next: deepbots lint {quote(str(file))}")
 
 

@@ -17,7 +17,7 @@ from deepbots_cli import api
 from deepbots_cli.cli import results, terminal
 from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Engine, Json, Scenario, Seed, Sets, Stage, whole, with_case_or_stage
 from deepbots_cli.cli.tables import Row, table
-from deepbots_cli.engine_kinds import on_engine
+from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.episodes import Episode, EpisodeAccumulator, Summary, zero
 from deepbots_cli.program.task import ActionRange, Choices
@@ -93,8 +93,8 @@ def command(
             raise UsageError("the file of a failed episode keeps its scenario, start and actions; it takes only --json and --allow-code")
         _reproduce(Path(scenario), allow_code=allow_code, as_json=as_json)
         return
-    compiled = api.compile(scenario, sets=on_engine(sets, engine), allow_paths=allow_paths or (), allow_code=allow_code)
-    terminal.mention(compiled.findings, scenario)
+    compiled = api.compile(scenario, sets=with_engine(sets, engine), allow_paths=allow_paths or (), allow_code=allow_code)
+    terminal.note_warnings(compiled.findings, scenario)
     program = with_case_or_stage(compiled.program, case, stage)
     if script is not None:
         program.script(script)
@@ -129,7 +129,7 @@ def command(
         return
     _show(done)
     if len(done) > 1:
-        terminal.say("\n" + results.summary_text(summary, success_defined=program.defines_success))
+        terminal.print_result("\n" + results.summary_text(summary, success_defined=program.defines_success))
 
 
 def _reproduce(path: Path, *, allow_code: bool, as_json: bool) -> None:
@@ -139,8 +139,8 @@ def _reproduce(path: Path, *, allow_code: bool, as_json: bool) -> None:
     if as_json:
         terminal.show_json({**failure.model_dump(), "reproduced": error})
         return
-    terminal.say(f"{path}: {failure.error}")
-    terminal.say(f"repeated {len(failure.actions):,} actions: {'the episode does not fail' if error is None else error}")
+    terminal.print_result(f"{path}: {failure.error}")
+    terminal.print_result(f"repeated {len(failure.actions):,} actions: {'the episode does not fail' if error is None else error}")
 
 
 def _row(episode: Episode) -> Row:
@@ -156,10 +156,10 @@ def _row(episode: Episode) -> Row:
 def _show(done: list[Episode]) -> None:
     shown = done if len(done) <= MAX_SHOWN else done[:FIRST]
     rows = [{"episode": number, **_row(episode)} for number, episode in enumerate(shown)]
-    terminal.say("episodes\n" + table([{name: value for name, value in row.items() if name != "reward_terms"} for row in rows]))
+    terminal.print_result("episodes\n" + table([{name: value for name, value in row.items() if name != "reward_terms"} for row in rows]))
     if len(shown) < len(done):
-        terminal.say(f"  and {len(done) - len(shown):,} more")
-    terminal.say("\nreward terms\n" + table([_term(done, name) for name in done[0].terms]))
+        terminal.print_result(f"  and {len(done) - len(shown):,} more")
+    terminal.print_result("\nreward terms\n" + table([_term(done, name) for name in done[0].terms]))
 
 
 def _term(done: list[Episode], name: str) -> Row:

@@ -75,7 +75,7 @@ def command(
     if as_json:
         terminal.show_json([_data(run) for run in found])
     elif found:
-        terminal.say(f"{'group' if is_group(folder) else 'runs in'} {folder}\n" + table(list(map(_row, found))))
+        terminal.print_result(f"{'group' if is_group(folder) else 'runs in'} {folder}\n" + table(list(map(_row, found))))
         for run in found:
             if run.problem is not None:
                 terminal.note(f"{run.path.name}: {run.problem}")
@@ -127,12 +127,12 @@ def _show_run(folder: Path, *, as_json: bool) -> None:
         rows = [{"number": number, **({"problem": one} if isinstance(one, str) else one.model_dump())} for number, one in kept]
         terminal.show_json({**_data(run), "evaluations": rows})
         return
-    terminal.say(f"run {folder}\n" + table([_row(run)]))
+    terminal.print_result(f"run {folder}\n" + table([_row(run)]))
     if run.problem is not None:
         terminal.note(run.problem)
     readable = [(number, one) for number, one in kept if not isinstance(one, str)]
     if readable:
-        terminal.say("\nevaluations\n" + table([_evaluation(number, one) for number, one in readable]))
+        terminal.print_result("\nevaluations\n" + table([_evaluation(number, one) for number, one in readable]))
     else:
         terminal.note(f"there is no evaluation yet; next: deepbots eval {folder}")
     for number, one in kept:

@@ -18,11 +18,11 @@ from deepbots_cli.cli.commands.lint import named
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.diagnostics import Finding
-from deepbots_cli.engine_kinds import on_engine
+from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import ScenarioError, UsageError
 from deepbots_cli.learning.scenario_tests import Miss, TestResult, run_tests
 from deepbots_cli.lint.settings import settings
-from deepbots_cli.runtime.streams import derive
+from deepbots_cli.runtime.streams import derive_seed
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def command(
     if junit is not None and not junit.absolute().parent.is_dir():
         raise UsageError(f"{junit} cannot be written: there is no directory {junit.parent}")
     began, names = time.perf_counter(), named(scenarios, settings())
-    options: dict[str, Any] = {"sets": on_engine(sets, engine), "allow_paths": allow_paths or (), "allow_code": allow_code, "tests": True}
+    options: dict[str, Any] = {"sets": with_engine(sets, engine), "allow_paths": allow_paths or (), "allow_code": allow_code, "tests": True}
     given = [f"--engine {engine}"] if engine else []
     given += [f"--set {quote(text)}" for text in sets or ()]
     done = []
@@ -96,7 +96,7 @@ def _tested(name: str, only: str | None, engine: str | None, options: dict[str, 
         return _Tested(name, findings=tuple(error.findings))
     tests = [test for test in checked.tests if only is None or only in test.name]
     if tests:
-        terminal.mention(compiled.findings, name)
+        terminal.note_warnings(compiled.findings, name)
     with terminal.progress(f"episodes of {name}", always=False) as show:
         found = run_tests(compiled.program, tests, engine=engine, allow_code=compiled.allow_code, on_episode=show)
         return _Tested(name, tuple(sorted(found, key=lambda result: tests.index(result.test))))
@@ -105,16 +105,16 @@ def _tested(name: str, only: str | None, engine: str | None, options: dict[str, 
 def _show(found: _Tested, given: Sequence[str]) -> None:
     if found.findings:
         terminal.show_findings(found.findings)
-        terminal.say(f"{found.scenario}: not tested, because the file has errors\n")
+        terminal.print_result(f"{found.scenario}: not tested, because the file has errors\n")
     elif found.results:
-        terminal.say(f"{found.scenario}\n{table([_row(result) for result in found.results])}")
+        terminal.print_result(f"{found.scenario}\n{table([_row(result) for result in found.results])}")
         for result in found.results:
             if not result.passed:
-                terminal.say(f"\n  FAILED {result.test.name} ({result.test.span.where})")
+                terminal.print_result(f"\n  FAILED {result.test.name} ({result.test.span.where})")
             for miss in result.misses:
-                terminal.say(f"    expected  {miss.expected} ({miss.where})\n    measured  {miss.measured}")
-                terminal.say(f"    show it   {_command(found.scenario, result, miss, given)}")
-        terminal.say()
+                terminal.print_result(f"    expected  {miss.expected} ({miss.where})\n    measured  {miss.measured}")
+                terminal.print_result(f"    show it   {_command(found.scenario, result, miss, given)}")
+        terminal.print_result()
 
 
 def _row(result: TestResult) -> Row:
@@ -129,7 +129,7 @@ def _command(scenario: str, result: TestResult, miss: Miss, given: Sequence[str]
     where = " ".join([quote(scenario), *settings, *given])
     if isinstance(test.policy, str):
         return f"deepbots view {where} --script {test.policy} --seed {test.seed} --episode {episode}"
-    actions, seed = ",".join(action.words for action in test.policy), derive(test.seed, "evaluation", episode)
+    actions, seed = ",".join(action.words for action in test.policy), derive_seed(test.seed, "evaluation", episode)
     return f"deepbots run {where} --actions={actions} --steps {len(test.policy)} --episodes 1 --seed {seed}"
 
 
@@ -141,7 +141,7 @@ def _sum_up(done: Sequence[_Tested], seconds: float) -> None:
         terminal.note(f"no tests in {', '.join(untested[:5])}" + (f" and {len(untested) - 5} more" if len(untested) > 5 else ""))
     words = [f"{len(every) - failed} passed", *([f"{failed} failed"] if failed else [])]
     words += [f"{broken} scenario{'s' * (broken > 1)} with errors"] if broken else []
-    terminal.say(f"{', '.join(words)} in {seconds:.1f} s")
+    terminal.print_result(f"{', '.join(words)} in {seconds:.1f} s")
 
 
 def _junit(found: _Tested) -> list[results.JUnitCase]:

@@ -19,7 +19,7 @@ from deepbots_cli.cli import results, terminal
 from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Engine, Json, Sets, seed_list, whole
 from deepbots_cli.cli.commands.eval import show, with_cases
 from deepbots_cli.cli.exits import FAILED, INTERRUPTED
-from deepbots_cli.engine_kinds import on_engine
+from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning import report
 from deepbots_cli.learning.group import Group, is_group
@@ -133,8 +133,8 @@ def command(
         raise UsageError(f"--run: {run} already exists; choose another directory, because runs are not overwritten")
     else:
         listed = None if seeds is None else seed_list(seeds)
-        compiled = api.compile(scenario, sets=on_engine(sets, engine), allow_paths=allow_paths or (), allow_code=allow_code)
-        terminal.mention(compiled.findings, scenario)
+        compiled = api.compile(scenario, sets=with_engine(sets, engine), allow_paths=allow_paths or (), allow_code=allow_code)
+        terminal.note_warnings(compiled.findings, scenario)
         settings: dict[str, Any] = {
             "total_timesteps": timesteps,
             "stop_when_solved": not full,
@@ -198,7 +198,7 @@ def _announce_seed(seed: int, number: int, count: int) -> None:
 def _finish_group(group: GroupTraining, *, quiet: bool, as_json: bool, allow_code: bool) -> None:
     """Show the trainings of a group; unless it was interrupted, evaluate all of its runs and name the next commands."""
     if not as_json:
-        terminal.say(results.group_training_text(group))
+        terminal.print_result(results.group_training_text(group))
     if group.interrupted:
         if as_json:
             terminal.show_json({"training": results.group_training_json(group), "evaluation": None})
@@ -212,7 +212,7 @@ def _finish_group(group: GroupTraining, *, quiet: bool, as_json: bool, allow_cod
     if as_json:
         terminal.show_json({"training": results.group_training_json(group), "evaluation": results.group_json(evaluation)})
     else:
-        terminal.say("\n" + results.group_text(evaluation))
+        terminal.print_result("\n" + results.group_text(evaluation))
         path = quote(str(group.group))
         terminal.note(
             f"\nnext:\n"
@@ -227,7 +227,7 @@ def _finish_group(group: GroupTraining, *, quiet: bool, as_json: bool, allow_cod
 def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, allow_code: bool) -> None:
     """Show the result of the training; unless it was interrupted, evaluate the policy and name the next commands."""
     if not as_json:
-        terminal.say(results.training_text(result))
+        terminal.print_result(results.training_text(result))
     if result.interrupted:
         if as_json:
             terminal.show_json({"training": report.to_json(result), "evaluation": None})
@@ -241,7 +241,7 @@ def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, allow_code: b
     if as_json:
         terminal.show_json({"training": report.to_json(result), "evaluation": with_cases(evaluation, cases)})
         return
-    terminal.say("")
+    terminal.print_result("")
     show(evaluation, cases)
     run, film, logs = (quote(str(path)) for path in (result.run, f"{result.run.name}.mp4", result.run / "tensorboard"))
     terminal.note(

@@ -180,7 +180,7 @@ def _serve(source: Source, open_: bool, **options: Any) -> None:
 
     page = Page(source, **options)
     try:
-        terminal.say(page.address)
+        terminal.print_result(page.address)
         sys.stdout.flush()  # programs that read it wait for it
         terminal.note("Ctrl-C ends it")
         if open_:
@@ -234,7 +234,7 @@ def picture(
         image = pictures.picture(world, shot, labels=labels, rays=rays, path=trace if path else ())
     with atomic(out) as draft:
         image.save(draft, "PNG")
-    terminal.say(str(out))
+    terminal.print_result(str(out))
 
 
 def clip(
@@ -286,4 +286,6 @@ def clip(
         )
     agent = next(iter(frame.agents.values()))
     state = frame.ending or "not ended"
-    terminal.say(f"{out} ({out.stat().st_size / 1000:,.0f} kB; {state} after {frame.time:.2f} s, return {agent.episode_return:.2f})")
+    terminal.print_result(
+        f"{out} ({out.stat().st_size / 1000:,.0f} kB; {state} after {frame.time:.2f} s, return {agent.episode_return:.2f})"
+    )

@@ -13,7 +13,7 @@ from functools import cached_property
 from math import atan2, dist, hypot, pi
 
 from deepbots_cli import frames
-from deepbots_cli.footprint import Bounds, behind, bounds, bounds_of_shape, link_frames
+from deepbots_cli.footprint import Bounds, bounds, bounds_of_shape, child_frame, link_frames
 from deepbots_cli.frames import IDENTITY_ROTATION, Frame, Quaternion, Triple
 from deepbots_cli.robots import inertia
 from deepbots_cli.robots.model import Joint, Link, RobotModel
@@ -66,7 +66,7 @@ class Limb:
         """The frame of the link behind each joint."""
         here, found = self.base, {}
         for joint in self.path:
-            found[joint.name] = here = behind(joint, here, positions.get(joint.name, 0.0))
+            found[joint.name] = here = child_frame(joint, here, positions.get(joint.name, 0.0))
         return found
 
     def positions_for(self, target: Triple, using: Sequence[Joint] | None = None) -> tuple[dict[str, float], float]:
@@ -193,8 +193,8 @@ class Build:
     @property
     def weightless(self) -> list[Joint]:
         """The joints that move no mass."""
-        carried = inertia.carried(self.model)
-        return [joint for joint in self.model.moving_joints if carried[joint.child] <= 0.0]
+        subtree_mass = inertia.subtree_mass(self.model)
+        return [joint for joint in self.model.moving_joints if subtree_mass[joint.child] <= 0.0]
 
     @property
     def poles(self) -> list[Joint]:

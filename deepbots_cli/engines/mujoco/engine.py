@@ -13,7 +13,7 @@ from deepbots_cli.engines.mujoco import cameras, surfaces
 from deepbots_cli.engines.mujoco import motors as drives
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.model import Body, Builder
-from deepbots_cli.engines.mujoco.state import Kept, World
+from deepbots_cli.engines.mujoco.state import World, WorldSnapshot
 from deepbots_cli.engines.objects import Pool, find
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import STILL, Overlap
@@ -109,7 +109,7 @@ class MuJoCoEngine:
         return self._world.open().keep()
 
     def restore(self, snapshot: object) -> None:
-        if not isinstance(snapshot, Kept):
+        if not isinstance(snapshot, WorldSnapshot):
             raise EngineError("this is not a snapshot of a world in MuJoCo")
         self._world.restore(snapshot)
 
@@ -291,7 +291,7 @@ class MuJoCoEngine:
             for geom in geoms
         }
         deepest: dict[tuple[str, str], Overlap] = {}
-        for one, other, depth in surfaces.depths(self._world):
+        for one, other, depth in surfaces.penetrations(self._world):
             if one in owners and other in owners:
                 found = Overlap(owners[one], owners[other], depth)
                 known = deepest.get((found.one[0], found.other[0]))

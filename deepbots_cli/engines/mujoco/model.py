@@ -13,9 +13,9 @@ import numpy as np
 from deepbots_cli import frames
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.engines.mujoco import mujoco as mj
-from deepbots_cli.engines.objects import PALETTE, ROOT_MASS_FRACTION, Pool, as_robot, forms, held_by, moves, walls, with_explicit_masses
+from deepbots_cli.engines.objects import PALETTE, ROOT_MASS_FRACTION, Pool, as_robot, forms, moves, rigid_group, walls, with_explicit_masses
 from deepbots_cli.errors import EngineError
-from deepbots_cli.geometry import Grid, grid, triangles
+from deepbots_cli.geometry import HeightGrid, grid, triangles
 from deepbots_cli.program.world import GROUND, Colour, Line, ObjectBody, Terrain, WorldModel
 from deepbots_cli.robots import inertia
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Friction, Geometry, Joint, Link, Mesh, RobotModel, Sphere
@@ -161,7 +161,7 @@ class Builder:
         for line in world.lines if self._drawn else ():
             self._paint(line)
 
-    def _relief(self, terrain: Terrain) -> Grid:
+    def _relief(self, terrain: Terrain) -> HeightGrid:
         relief = grid(terrain.shape)
         if relief is None:
             lack = ENGINES.own["mujoco"].mesh_terrain
@@ -224,12 +224,12 @@ class Builder:
     def _add(self, body: Body, pooled: bool = False) -> Body:
         """Add the links and joints of a body to the specification."""
         model = body.model
-        carried = inertia.carried(model)
+        subtree_mass = inertia.subtree_mass(model)
         joint_of = {joint.child: joint for joint in model.joints}
         children: dict[str, list[str]] = {}
         for joint in model.joints:
             children.setdefault(joint.parent, []).append(joint.child)
-        body.still = frozenset(held_by(model, model.root)) if body.fixed else frozenset()
+        body.still = frozenset(rigid_group(model, model.root)) if body.fixed else frozenset()
         links: dict[str, Made] = {}
         joints: dict[str, Made] = {}
         geoms: dict[str, list[Made]] = {}
@@ -245,7 +245,7 @@ class Builder:
                     made.add_freejoint()
             elif above.moves:
                 joints[above.name] = self._joint(made, above)
-            self._weigh(made, link, ROOT_MASS_FRACTION * carried[name] if above is None or above.moves else 0.0)
+            self._weigh(made, link, ROOT_MASS_FRACTION * subtree_mass[name] if above is None or above.moves else 0.0)
             geoms[name] = [self._surface(made, piece, place, pooled) for piece in self._pieces(link)]
             order += children.get(name, ())
         self._made.append((body, links, joints, geoms))

@@ -46,7 +46,7 @@ Force = tuple[int, int, float]
 """Two geoms that touch, and the normal force between them in N."""
 
 
-class Kept(NamedTuple):
+class WorldSnapshot(NamedTuple):
     """A snapshot."""
 
     state: FloatArray
@@ -158,7 +158,7 @@ class World:
     def close(self) -> None:
         self.closed = self.unsettled = True
 
-    def keep(self) -> Kept:
+    def keep(self) -> WorldSnapshot:
         if self.unsettled:
             self.settle()
         state = np.empty(mj.mj_stateSize(self.model, WHOLE))
@@ -166,9 +166,9 @@ class World:
         pools = tuple((pool.present, pool.chosen) for pool in self.pools.values())
         memory = (pools, dict(self.colours), self.light, *(read() for read, _ in self.memories))
         data = self.data
-        return Kept(state, *self._keep_values(), data.qfrc_actuator.copy(), data.qacc.copy(), self.forces, memory)
+        return WorldSnapshot(state, *self._keep_values(), data.qfrc_actuator.copy(), data.qacc.copy(), self.forces, memory)
 
-    def restore(self, kept: Kept) -> None:
+    def restore(self, kept: WorldSnapshot) -> None:
         self.open()
         self._restore_values(kept.varied, kept.mean_inertia)
         mj.mj_resetData(self.model, self.data)

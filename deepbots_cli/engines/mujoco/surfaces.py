@@ -84,7 +84,7 @@ def clearance(world: World, ones: Sequence[int], others: Sequence[int]) -> Clear
     return distance
 
 
-def depths(world: World) -> Iterable[tuple[int, int, float]]:
+def penetrations(world: World) -> Iterable[tuple[int, int, float]]:
     """Geoms within each other and by how much (m), as the world stands; looked for in a state of its own, so that nothing changes."""
     model, data, spare = world.model, world.data, world.spare
     for name in ("qpos", "mocap_pos", "mocap_quat"):

@@ -34,7 +34,7 @@ from contextlib import contextmanager, suppress
 
 
 @contextmanager
-def hushed() -> Iterator[Callable[[], str]]:
+def capture_native_output() -> Iterator[Callable[[], str]]:
     """Catch what is written to the process's own stdout and stderr, below Python's; yields a way to read it."""
     _flush()
     with tempfile.TemporaryFile() as caught:
@@ -68,10 +68,10 @@ def _flush() -> None:
         ctypes.CDLL(None).fflush(None)
 
 
-with hushed():  # it prints the time of its build
+with capture_native_output():  # it prints the time of its build
     import pybullet
 
-__all__ = ["BASE", "FAINT", "GAINS", "STRONGEST", "UNREACHABLE", "hushed", "pybullet"]
+__all__ = ["BASE", "FAINT", "GAINS", "STRONGEST", "UNREACHABLE", "capture_native_output", "pybullet"]
 
 BASE = -1  # the number of a root link
 FAINT = 1e-200  # N m or N; stands for no force, at which a motor would go on reporting what it last exerted

@@ -17,7 +17,7 @@ from deepbots_cli.engines.objects import find
 from deepbots_cli.engines.pybullet import BASE, FAINT, GAINS, cameras, loading, motors, state, surfaces
 from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.engines.pybullet.cameras import Floor, lit, smoothed
-from deepbots_cli.engines.pybullet.state import Moments, Parameters
+from deepbots_cli.engines.pybullet.state import Parameters, ReadCache
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import STILL, Overlap, Sight
 from deepbots_cli.program.world import GROUND
@@ -60,7 +60,7 @@ class Substeps:
     Drives come after acts, so that they see the targets that those have just set.
     """
 
-    def __init__(self, moments: Moments) -> None:
+    def __init__(self, moments: ReadCache) -> None:
         self._moments = moments
         self._begins: list[Act] = []
         self._acts: list[Act] = []
@@ -123,7 +123,7 @@ class PyBulletEngine:
 
     def __init__(self, world: WorldModel) -> None:
         self._client = loading.create_client(world)
-        self._moments = Moments()
+        self._moments = ReadCache()
         self._substeps = Substeps(self._moments)
         self._release = weakref.finalize(self, _release, self._client, self._substeps)
         self.step = self._substeps.stepper(self._client)
@@ -243,7 +243,7 @@ class PyBulletEngine:
     def overlaps(self) -> list[Overlap]:
         bodies = {body.number: (pool.name, body) for pool in self._pools.values() if pool.present for body in (pool.chosen,)}
         deepest: dict[tuple[str, str], Overlap] = {}
-        for ((one, link), (other, other_link)), depth in surfaces.depths(self._client).items():
+        for ((one, link), (other, other_link)), depth in surfaces.penetrations(self._client).items():
             if one in bodies and other in bodies:
                 (a, first), (b, second) = bodies[one], bodies[other]
                 found = Overlap((a, first.link(link).name), (b, second.link(other_link).name), depth)

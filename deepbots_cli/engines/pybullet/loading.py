@@ -12,11 +12,11 @@ import numpy as np
 
 from deepbots_cli import frames
 from deepbots_cli.engines.objects import PALETTE, Pool, as_robot, forms, moves, walls, with_explicit_masses
-from deepbots_cli.engines.pybullet import BASE, UNREACHABLE, hushed
+from deepbots_cli.engines.pybullet import BASE, UNREACHABLE, capture_native_output
 from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.engines.pybullet.state import Body, contact_parameters
 from deepbots_cli.errors import EngineError
-from deepbots_cli.geometry import Grid, grid, triangles
+from deepbots_cli.geometry import HeightGrid, grid, triangles
 from deepbots_cli.port import STILL
 from deepbots_cli.program.world import GROUND
 from deepbots_cli.robots.meshes import checked_bytes
@@ -138,7 +138,7 @@ def _object(client: int, thing: ObjectBody, file: Path) -> Body:
 def _load(client: int, name: str, model: RobotModel, fixed: bool, file: Path, inertia_known: bool = True) -> Body:
     file.write_text(write(for_loader(model)), encoding="utf-8")
     flags = p.URDF_USE_IMPLICIT_CYLINDER | (p.URDF_USE_INERTIA_FROM_FILE if inertia_known else 0)
-    with hushed() as said:
+    with capture_native_output() as said:
         try:
             number = p.loadURDF(str(file), useFixedBase=int(fixed), flags=flags, physicsClientId=client)
         except p.error as error:
@@ -207,7 +207,7 @@ def _terrain(client: int, ground: Terrain) -> Body:
     return made
 
 
-def _heightfield(client: int, heights: Grid) -> int:
+def _heightfield(client: int, heights: HeightGrid) -> int:
     rows, columns = heights.heights.shape
     shape: int = p.createCollisionShape(
         p.GEOM_HEIGHTFIELD,

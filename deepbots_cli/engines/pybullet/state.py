@@ -11,7 +11,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from deepbots_cli import frames
-from deepbots_cli.engines.objects import find, held_by
+from deepbots_cli.engines.objects import find, rigid_group
 from deepbots_cli.engines.pybullet import BASE, GAINS
 from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.errors import EngineError
@@ -57,7 +57,7 @@ class Body:
             self.joints[info[1].decode()] = index
             self.links[info[12].decode()] = index
         self.brakes = {self.joints[joint.name]: joint.friction for joint in model.moving_joints}
-        self.still = frozenset(held_by(model, model.root) if fixed else ())
+        self.still = frozenset(rigid_group(model, model.root) if fixed else ())
         touching = [self.links[link.name] for link in model.links if link.collisions and link.name not in self.still]
         self.anchor = touching[0] if touching else None
         self._client = client
@@ -127,7 +127,7 @@ Told = TypeVar("Told")
 FEW = 3  # joints, which are read for less than it takes to ask whether they were
 
 
-class Moments:
+class ReadCache:
     """Counts the states of a world. Several sensors, a signal and a reward may ask for the same pose in one of them.
 
     `now` holds the number of the present one as its only item; whatever changes what may be read goes on to the next.
@@ -163,12 +163,12 @@ def _keeping(now: list[int], read: Callable[[], Told]) -> Callable[[], Told]:
     return reader  # type: ignore[return-value]
 
 
-def joints(client: int, number: int, indices: tuple[int, ...], moments: Moments) -> JointReader:
+def joints(client: int, number: int, indices: tuple[int, ...], moments: ReadCache) -> JointReader:
     read: JointReader = partial(p.getJointStates, number, indices, client)
     return read if len(indices) <= FEW else moments.kept(("joints", number, indices), read)
 
 
-def pose(client: int, owner: Body, index: int, moments: Moments) -> PoseReader:
+def pose(client: int, owner: Body, index: int, moments: ReadCache) -> PoseReader:
     number = owner.number
     if index != BASE:
         read_link: Callable[[], tuple[Triple, ...]] = partial(p.getLinkState, number, index, 0, 1, client)
@@ -179,7 +179,7 @@ def pose(client: int, owner: Body, index: int, moments: Moments) -> PoseReader:
     return lambda: placed()[1]
 
 
-def velocity(client: int, owner: Body, index: int, moments: Moments) -> VelocityReader:
+def velocity(client: int, owner: Body, index: int, moments: ReadCache) -> VelocityReader:
     if index == BASE and owner.centre == STILL:
         read: VelocityReader = partial(p.getBaseVelocity, owner.number, client)
         return read
@@ -187,7 +187,7 @@ def velocity(client: int, owner: Body, index: int, moments: Moments) -> Velocity
     return lambda: read_motion()[1]
 
 
-def motion(client: int, owner: Body, index: int, moments: Moments) -> MotionReader:
+def motion(client: int, owner: Body, index: int, moments: ReadCache) -> MotionReader:
     number = owner.number
     if index != BASE:
         return moments.kept(("motion", number, index), _link_motion(partial(p.getLinkState, number, index, 1, 1, client)))
@@ -205,7 +205,7 @@ def motion(client: int, owner: Body, index: int, moments: Moments) -> MotionRead
     return moments.kept(("motion", number, index), of_origin)
 
 
-def _placed(client: int, owner: Body, moments: Moments) -> Callable[[], tuple[Triple, Frame]]:
+def _placed(client: int, owner: Body, moments: ReadCache) -> Callable[[], tuple[Triple, Frame]]:
     """Where the centre of mass of a root link is, and the pose of the link."""
     read = partial(p.getBasePositionAndOrientation, owner.number, client)
 

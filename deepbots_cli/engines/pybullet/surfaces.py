@@ -15,7 +15,7 @@ from deepbots_cli.errors import EngineError
 from deepbots_cli.robots.model import Capsule, Cylinder, Sphere
 
 if TYPE_CHECKING:
-    from deepbots_cli.engines.pybullet.state import Body, Moments
+    from deepbots_cli.engines.pybullet.state import Body, ReadCache
     from deepbots_cli.frames import Frame, Triple
     from deepbots_cli.port import ClearanceReader, ContactReader, ForceReader, PoseReader, RayReader
 
@@ -101,7 +101,7 @@ class Watch:
         return self._marked(link, lambda other, other_link: other not in left_out)
 
 
-def depths(client: int) -> dict[tuple[Place, Place], float]:
+def penetrations(client: int) -> dict[tuple[Place, Place], float]:
     """How deep (m) links of two bodies lie within each other, as the world stands now; only pairs that do."""
     p.performCollisionDetection(client)
     found: dict[tuple[Place, Place], float] = {}
@@ -138,7 +138,7 @@ Round = Sphere | Cylinder | Capsule
 class Rays:
     """Casts rays in one client. The body that casts is in a collision group of its own, which its rays pass through."""
 
-    def __init__(self, client: int, bodies: Sequence[Body], moments: Moments) -> None:
+    def __init__(self, client: int, bodies: Sequence[Body], moments: ReadCache) -> None:
         self._client = client
         self._moments = moments
         self._groups: dict[int, int] = {}
@@ -239,7 +239,7 @@ def _first(a: float, b: float, c: float) -> float:
     return (-b - sqrt(discriminant)) / a if a > 0.0 and discriminant >= 0.0 else inf
 
 
-def _rounded(client: int, body: Body, index: int, moments: Moments) -> Surface | None:
+def _rounded(client: int, body: Body, index: int, moments: ReadCache) -> Surface | None:
     """The surface of a link that collides with one round shape and nothing else."""
     link = body.link(index)
     if len(link.collisions) != 1:

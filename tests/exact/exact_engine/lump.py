@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from deepbots_cli import frames
-from deepbots_cli.engines.objects import held_by
+from deepbots_cli.engines.objects import rigid_group
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import IDENTITY_FRAME, Frame, Matrix, Triple, cross, dot, rotate, scaled, subtract
 from deepbots_cli.robots import inertia
@@ -43,7 +43,7 @@ class Lump:
 
 def joined(model: RobotModel, first: str) -> Lump:
     """The link `first` and all that fixed joints hold to it."""
-    members = held_by(model, first)
+    members = rigid_group(model, first)
     parts = []
     for name, place in members.items():
         known = model.link(name).inertial

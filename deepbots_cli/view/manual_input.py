@@ -23,7 +23,7 @@ _WORDS = {
 _KEYS_OF = {"up": ("KeyW", "ArrowUp"), "down": ("KeyS", "ArrowDown"), "left": ("KeyA", "ArrowLeft"), "right": ("KeyD", "ArrowRight")}
 
 
-class Hand:
+class ManualInput:
     """What a person commands: sliders and buttons as a base, over which keys and gamepads have precedence while they are held."""
 
     def __init__(self, fields: Sequence[Field]) -> None:

@@ -220,7 +220,7 @@ class DistanceField:
     def _block(self, blocked: Mask, patch: Patch, radius: float) -> None:
         """Take away the nodes at which the disc would cut into a patch."""
         reach = radius - 1e-6
-        wide, deep = patch.extent
+        wide, deep = patch.half_extents
         columns = slice(*np.searchsorted(self._x, (patch.x - wide - reach, patch.x + wide + reach)))
         rows = slice(*np.searchsorted(self._y, (patch.y - deep - reach, patch.y + deep + reach)))
         dx, dy = self._x[columns] - patch.x, (self._y[rows] - patch.y)[:, None]

@@ -1,6 +1,6 @@
 """The entry point of the process that simulates a scenario for `lint --deep`.
 
-    echo '{"folder": ..., "allow_code": false}' | python -m deepbots_cli.lint.child CPU STEP MEMORY WALL
+    echo '{"folder": ..., "allow_code": false}' | python -m deepbots_cli.lint.simulation_process CPU STEP MEMORY WALL
 
 It writes lines to stdout: `~17` before step 17, and JSON objects, which `simulation.Report` reads. It limits itself before it imports a
 simulator or reads the scenario. On Windows, which has no such limits, the clock of the parent remains.
@@ -35,11 +35,11 @@ def main(limits: Limits) -> None:
     except (MemoryError, SystemError):  # the latter when a library in C is imported without enough memory
         os._exit(OUT_OF_MEMORY)
     except Exception as error:  # noqa: BLE001  # a fault of deepbots, which the parent reports
-        from deepbots_cli.diagnostics.findings import described
+        from deepbots_cli.diagnostics.findings import describe_exception
 
         if isinstance(error, ImportError | OSError) and re.search("failed to map segment|allocate memory", str(error)):
             os._exit(OUT_OF_MEMORY)  # no memory for a library
-        out.write(json.dumps({"fault": described(error), "traceback": traceback.format_exc()}).encode() + b"\n")
+        out.write(json.dumps({"fault": describe_exception(error), "traceback": traceback.format_exc()}).encode() + b"\n")
 
 
 def _simulate(request: dict[str, Any], out: FileIO, seconds: float) -> None:
