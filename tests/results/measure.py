@@ -165,7 +165,7 @@ def digest(program: Program) -> str:
 
 
 def _plain(value: object) -> Any:
-    inside = identity.members(value)
+    inside = identity.record_members(value)
     if inside is not None:
         defaults = _defaults(type(value))
         known = {name: _plain(given) for name, given in inside.items() if given != defaults.get(name, MISSING)}

@@ -26,7 +26,8 @@ HEAD = """\
 # Results
 
 What deepbots reaches, with the commands that produce each figure. `make results` measures what is missing or stale and writes this
-page from the records in `docs/results`; no figure in a table is typed by hand. [Contributing](../CONTRIBUTING.md) says how one gets here.
+page from the records in `docs/results`; no figure in a table is typed by hand, except in [the last section](#measured-by-hand).
+[Contributing](../CONTRIBUTING.md) says how one gets here.
 
 Simulated hours are the steps of all copies of the environment times the timestep. A seed is solved when the mean over so many
 consecutive episodes, in order of completion, first reaches what the scenario asks for. CPU times are those of all processes of a
@@ -205,6 +206,9 @@ def page(places: Places, experiments: Experiments) -> str:
     lines += ["## Not measured", "", *table(("scenario", "why"), [(f"`{name}`", why) for name, why in REASONS.items()]), ""]
     for part in PARTS:
         lines += _lines_of_part(part, tables[part.name])
+    by_hand = places.records / "by_hand.md"
+    if by_hand.is_file():
+        lines.append(by_hand.read_text("utf-8"))
     return "\n".join(lines).rstrip() + "\n"
 
 

@@ -13,7 +13,7 @@ import pytest
 from deepbots_cli import api, geometry
 from deepbots_cli.errors import EngineError
 from deepbots_cli.robots import inertia
-from deepbots_cli.robots.edits import stretch, with_density
+from deepbots_cli.robots.edits import with_density, with_scale
 from deepbots_cli.robots.model import Box, Cylinder, Geometry, Inertial, Link, Mesh, Pose, RobotModel, Shape, Sphere
 from tests.robots.meshes import ball, block
 
@@ -90,7 +90,7 @@ def test_what_has_no_volume_is_told_from_what_has(tmp_path: Path) -> None:
 
 def test_a_stretched_mesh_weighs_more(tmp_path: Path) -> None:
     model = robot(mesh(tmp_path, "block.stl", block("block.stl", (0.1, 0.2, 0.3))))
-    long = stretch(model, "a", (1.0, 1.0, 2.0))
+    long = with_scale(model, "a", (1.0, 1.0, 2.0))
     assert isinstance(long, RobotModel)
     assert weighed(long).mass == pytest.approx(2.0 * weighed(model).mass)
 

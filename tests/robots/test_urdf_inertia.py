@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepbots_cli.robots import inertia
-from deepbots_cli.robots.edits import stretch, with_friction, with_joint, with_mass
+from deepbots_cli.robots.edits import with_friction, with_joint, with_mass, with_scale
 from deepbots_cli.robots.model import (
     Box,
     Capsule,
@@ -53,7 +53,7 @@ def model_of(result: RobotModel | str) -> RobotModel:
 @settings(max_examples=50, deadline=None)
 @given(st.tuples(sizes, sizes, sizes), st.tuples(sizes, sizes, sizes), st.tuples(sizes, sizes, sizes))
 def test_a_stretched_box_is_the_box_of_the_new_size(size, scale, at):
-    stretched = model_of(stretch(robot(Box(size), Pose(at)), "a", scale))
+    stretched = model_of(with_scale(robot(Box(size), Pose(at)), "a", scale))
     new = tuple(s * f for s, f in zip(size, scale, strict=True))
     link = stretched.link("a")
     assert link.visuals[0].shape == Box(new)
@@ -65,7 +65,7 @@ def test_a_stretched_box_is_the_box_of_the_new_size(size, scale, at):
 @settings(max_examples=50, deadline=None)
 @given(sizes, sizes, sizes, sizes)
 def test_a_cylinder_may_grow_in_length_and_in_radius(radius, length, across, along):
-    stretched = model_of(stretch(robot(Cylinder(radius, length)), "a", (across, across, along)))
+    stretched = model_of(with_scale(robot(Cylinder(radius, length)), "a", (across, across, along)))
     new = Cylinder(radius * across, length * along)
     assert stretched.link("a").collisions[0].shape == new
     assert moments(stretched.link("a").inertial) == pytest.approx(
@@ -75,20 +75,20 @@ def test_a_cylinder_may_grow_in_length_and_in_radius(radius, length, across, alo
 
 @pytest.mark.parametrize("shape", [Sphere(0.3), Capsule(0.2, 0.7), Cylinder(0.3, 0.1), Box((1.0, 2.0, 3.0))])
 def test_every_shape_grows_evenly(shape):
-    stretched = model_of(stretch(robot(shape, Pose((1.0, 2.0, 3.0), (0.3, -0.2, 1.0))), "a", (2.0, 2.0, 2.0))).link("a")
+    stretched = model_of(with_scale(robot(shape, Pose((1.0, 2.0, 3.0), (0.3, -0.2, 1.0))), "a", (2.0, 2.0, 2.0))).link("a")
     assert stretched.inertial.mass == pytest.approx(8 * robot(shape).link("a").inertial.mass)
     assert moments(stretched.inertial)[4:] == pytest.approx([32 * value for value in moments(robot(shape).link("a").inertial)[4:]])
     assert stretched.inertial.origin.xyz == (2.0, 4.0, 6.0)
 
 
 def test_child_joints_move_with_the_stretch_and_keep_their_direction():
-    joint = model_of(stretch(robot(Box((1.0, 1.0, 1.0)), rpy=(0.1, 0.2, 0.3)), "a", (1.0, 2.0, 10.0))).joint("j")
+    joint = model_of(with_scale(robot(Box((1.0, 1.0, 1.0)), rpy=(0.1, 0.2, 0.3)), "a", (1.0, 2.0, 10.0))).joint("j")
     assert joint.origin == Pose((0.1, 0.4, 3.0), (0.1, 0.2, 0.3))
 
 
 def test_a_shape_turned_by_a_right_angle_is_scaled_along_its_own_axes():
     lying = Pose((0.0, 0.0, 0.0), (math.pi / 2, 0.0, 0.0))  # its z along -y of the link
-    shape = model_of(stretch(robot(Cylinder(0.1, 1.0), lying), "a", (2.0, 3.0, 2.0))).link("a").visuals[0].shape
+    shape = model_of(with_scale(robot(Cylinder(0.1, 1.0), lying), "a", (2.0, 3.0, 2.0))).link("a").visuals[0].shape
     assert shape.radius == pytest.approx(0.2)
     assert shape.length == pytest.approx(3.0)
 
@@ -96,14 +96,14 @@ def test_a_shape_turned_by_a_right_angle_is_scaled_along_its_own_axes():
 def test_the_inertia_of_a_turned_frame_is_stretched_in_the_axes_of_the_link():
     turned = Pose((0.0, 0.0, 0.0), (0.0, 0.0, math.pi / 2))
     model = robot(Box((1.0, 2.0, 3.0)), turned)
-    stretched = model_of(stretch(model, "a", (5.0, 1.0, 1.0))).link("a").inertial
+    stretched = model_of(with_scale(model, "a", (5.0, 1.0, 1.0))).link("a").inertial
     assert moments(stretched)[4:] == pytest.approx(moments(inertia.homogeneous(Box((1.0, 10.0, 3.0)), 6 * 5 * DENSITY))[4:])
 
 
 def test_a_mesh_is_stretched_by_its_scale():
     mesh = Mesh("/m.stl", "0", (1.0, 1.0, 2.0))
     model = RobotModel("r", (Link("a", None, (Geometry(mesh),)),), (), "a")
-    assert model_of(stretch(model, "a", (1.0, 2.0, 3.0))).link("a").visuals[0].shape == replace(mesh, scale=(1.0, 2.0, 6.0))
+    assert model_of(with_scale(model, "a", (1.0, 2.0, 3.0))).link("a").visuals[0].shape == replace(mesh, scale=(1.0, 2.0, 6.0))
 
 
 @pytest.mark.parametrize(
@@ -118,7 +118,7 @@ def test_a_mesh_is_stretched_by_its_scale():
     ],
 )
 def test_a_shape_that_cannot_follow_says_why(shape, origin, scale, why):
-    answer = stretch(robot(shape, origin), "a", scale)
+    answer = with_scale(robot(shape, origin), "a", scale)
     assert isinstance(answer, str)
     assert why in answer
 
@@ -173,4 +173,4 @@ def _holds(shape: Shape, x: float, y: float, z: float) -> bool:
 def test_every_real_body_is_plausible_also_when_stretched(size, scale):
     model = robot(Box(size))
     assert inertia.is_plausible(model.link("a").inertial)
-    assert inertia.is_plausible(model_of(stretch(model, "a", scale)).link("a").inertial)
+    assert inertia.is_plausible(model_of(with_scale(model, "a", scale)).link("a").inertial)
