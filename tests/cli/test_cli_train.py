@@ -62,7 +62,7 @@ def test_the_next_commands_can_be_pasted_though_the_path_has_blanks(deepbots, tm
 def test_a_run_is_never_overwritten(deepbots, trained):
     ran = deepbots(*TINY, "--run", "mine")
     assert ran.code == 2
-    assert "never overwritten" in ran.err
+    assert "not overwritten" in ran.err
 
 
 def test_a_trained_run_can_be_evaluated_listed_filmed_and_gone_on_with(deepbots, trained, tmp_path):
@@ -262,7 +262,7 @@ def test_inspect_shows_what_a_run_is_and_the_scenario_that_it_was_trained_with(d
     assert known["steps"] >= 600 == known["total_timesteps"]
     assert known["best_model"] == "mine/models/policy/best.zip"
     assert tables["training"]["evaluation_episodes"] == 4
-    assert {row["parameter"]: row["is"] for row in tables["parameters"]}["track"] == "0.39 m"
+    assert {row["parameter"]: row["value"] for row in tables["parameters"]}["track"] == "0.39 m"
     assert "abs(cart.pole_angle) > fall_angle" in deepbots("inspect", "mine").out
 
 

@@ -63,7 +63,7 @@ def test_of_thousands_of_warnings_the_first_are_told_with_the_number_of_the_othe
     unused = "".join(f"  p{index}: {index}\n" for index in range(3000))
     found = wrong_in_many_places(workshop, rail(("world:", f"signals:\n{unused}world:")))
     assert {finding.severity for finding in found} == {"warning"}
-    assert [note for finding in found for note in finding.notes if "not shown" in note] == ["2_499 more findings are not shown"]
+    assert [note for finding in found for note in finding.notes if "not shown" in note] == ["2,499 more findings are not shown"]
 
 
 def test_errors_are_told_before_warnings_where_there_are_too_many_findings(workshop, rail) -> None:

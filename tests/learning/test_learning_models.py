@@ -136,7 +136,7 @@ def test_a_pickle_inside_a_model_is_never_run(run_copy: Path, tmp_path: Path, me
         (torch.full((2, 64), math.nan), "not finite"),
         (torch.full((2, 64), math.inf), "not finite"),
         (torch.zeros(1).expand(2, 10**12), "shape"),
-        ("text", "no tensor"),
+        ("text", "is not a tensor"),
     ],
 )
 def test_a_tensor_that_does_not_fit_is_refused(run_copy: Path, tensor: Any, reason: str) -> None:

@@ -333,7 +333,7 @@ def test_a_world_that_does_not_repeat_itself_is_told_and_the_training_goes_on(tm
 
     run = train(compiled_of("PPO"), run=tmp_path / "run", total_timesteps=400, build=Moody).run
     result = resume(run, total_timesteps=800, build=Moody)
-    assert "begun anew" in result.inexact[0]
+    assert "restarted" in result.inexact[0]
     assert f"note: {result.inexact[0]}" in training_text(result)
 
 

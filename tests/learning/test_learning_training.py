@@ -123,7 +123,7 @@ def test_training_stops_when_solved_unless_told_to_go_on(tmp_path: Path) -> None
 def test_a_resumed_training_goes_on_with_its_counts_and_appends_to_its_log(run_copy: Path, trained: TrainingResult) -> None:
     before = (run_copy / "monitor.csv").read_text()
     events = set((run_copy / "tensorboard").iterdir())
-    with pytest.raises(UsageError, match="has trained"):
+    with pytest.raises(UsageError, match="is complete"):
         resume(run_copy, build=stand_in.build)
     result = resume(run_copy, total_timesteps=trained.steps + 1_500, build=stand_in.build)
     assert result.steps >= trained.steps + 1_500
@@ -412,7 +412,7 @@ def test_a_training_that_was_killed_when_it_was_done_is_finished_by_resuming_it(
     assert (result.status, result.steps, result.weights_digest) == ("finished", trained.steps, trained.weights_digest)
     assert (run_copy / "monitor.csv").read_bytes() == (trained.run / "monitor.csv").read_bytes()
     assert all((run_copy / "tensorboard" / name).read_bytes() == content for name, content in events.items())
-    with pytest.raises(UsageError, match="name a higher total"):
+    with pytest.raises(UsageError, match="is complete"):
         resume(run_copy, build=stand_in.build)
 
 

@@ -199,7 +199,7 @@ def test_a_scenario_with_a_script_does_in_a_step_what_it_does_without_but_for_wh
     plain, scripted = (api.compile("cartpole", sets=sets).code for sets in ([], [script]))
     before = scripted.partition("    def script_")[0].splitlines()[3:]
     added = [line for line in before if line.strip() not in {other.strip() for other in plain.splitlines()}]
-    assert {line.strip() for line in added} == {"self.told_cart_pole_angle = cart_pole_angle"}
+    assert {line.strip() for line in added} == {"self.last_cart_pole_angle = cart_pole_angle"}
 
 
 def test_a_script_is_asked_while_an_episode_runs(small: Small) -> None:

@@ -63,7 +63,7 @@ CONTENTS = {
     "e.obj": (b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "a vertex that is not finite"),
     "f.obj": (b"v 0 0 0\n", "the OBJ file holds no face"),
     "g.obj": (b"\0\1\2", "the OBJ file is not text"),
-    "a.stl": (stl(100_000_000, 1), "the STL file declares 100000000 triangles, but its size fits 1"),
+    "a.stl": (stl(100_000_000, 1), "the STL file declares 100,000,000 triangles, but its size fits 1"),
     "b.stl": (b"short", "the STL file is shorter than its header"),
     "c.stl": (stl(0, 0), "the STL file holds no triangle"),
     "d.stl": (stl(1, 1) + b"\n", "declares 1 triangles, but its size fits 1.02"),

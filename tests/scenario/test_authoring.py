@@ -54,7 +54,7 @@ def test_models_mappings_and_plain_values_make_a_scenario_that_compiles() -> Non
         ({"wurld": {}}, ("wurld",), "not permitted"),
         ({"world": {"timestep": 0.032j}}, ("world", "timestep"), "expected a duration"),
         ({"world": {"timestep": "10 parsec"}}, ("world", "timestep"), "unknown unit `parsec`"),
-        ({"world": {"timestep": "10 kg"}}, ("world", "timestep"), "no duration"),
+        ({"world": {"timestep": "10 kg"}}, ("world", "timestep"), "not a duration"),
         ({"world": {"timestep": "32 * (ms"}}, ("world", "timestep"), "parenthesis"),
         ({"world": {"timestep": "32 ms", "substeps": 4.5}}, ("world", "substeps"), "expected a whole number"),
         ({"world": {"timestep": "32 ms", "terrain": {"type": "hills"}}}, ("world", "terrain", "type"), "unknown type `hills`"),

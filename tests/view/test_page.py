@@ -104,7 +104,7 @@ def test_a_scenario_with_errors_opens_with_its_findings(tmp_path):
 
 
 def test_what_cannot_be_opened_is_told():
-    with pytest.raises(UsageError, match="no shipped scenario"):
+    with pytest.raises(UsageError, match="no file or shipped scenario"):
         Page(Source("nothing_here"), port=0)
     with pytest.raises(UsageError, match="no script 'nobody'"):
         Page(Source("find_ball"), port=0, driver="nobody")

@@ -138,7 +138,7 @@ def test_a_log_with_impossible_steps_is_damaged(runs, steps):
 def test_a_pipe_in_the_place_of_a_log_is_not_opened(runs, name):
     (runs / "a0" / name).unlink(missing_ok=True)
     os.mkfifo(runs / "a0" / name)
-    with pytest.raises(RunError, match="no regular file"):
+    with pytest.raises(RunError, match="not a regular file"):
         plots.read([runs / "a0"])
 
 

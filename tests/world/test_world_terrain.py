@@ -148,7 +148,7 @@ def test_a_damaged_picture_is_refused_or_read_and_nothing_worse(tail: bytes, at:
 
 
 HOSTILE = {
-    "no PNG": b"GIF89a",
+    "not a PNG": b"GIF89a",
     "1000000 x 1000000 pixels": b"\x89PNG\r\n\x1a\n" + struct.pack(">I4sIIBBBBB", 13, b"IHDR", 10**6, 10**6, 8, 0, 0, 0, 0) + bytes(20),
     "not grey": b"\x89PNG\r\n\x1a\n" + struct.pack(">I4sIIBBBBB", 13, b"IHDR", 4, 4, 8, 2, 0, 0, 0) + bytes(20),
     "fewer or more pixels than it says": grey_png([[1, 2], [3, 4]])[:33] + grey_png([[1, 2]])[33:],
