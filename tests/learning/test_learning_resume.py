@@ -200,7 +200,7 @@ def _shipped(scenario: str, section: str) -> api.Compiled:
     """A scenario with another section `train`; the stages of its curriculum end after a quarter of the steps each."""
     base = Scenario.from_yaml(api.locate(scenario)[0])
     training = yaml.safe_load(f"{{{section}}}")
-    changes: dict[str, Any] = {"train": training, "evaluation": {"episodes": 5}}
+    changes: dict[str, Any] = {"train": training, "evaluation": {"episodes": 5}, "tests": {}}
     if base.curriculum:
         stages = [stage.model_dump(exclude_unset=True) for stage in base.curriculum]
         changes["curriculum"] = [
