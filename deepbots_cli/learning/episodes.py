@@ -137,7 +137,7 @@ def read_log(path: Path, *, tail: int | None = None) -> list[dict[str, str]]:
         RunError: It is no regular file, too large to be read whole, or no table.
     """
     if path.is_symlink() or (path.exists() and not path.is_file()):  # opening a pipe waits for ever
-        raise RunError(f"{path} is no regular file, which every log of ours is")
+        raise RunError(f"{path} is not a regular file")
     try:
         with path.open("rb") as stream:
             size = os.fstat(stream.fileno()).st_size

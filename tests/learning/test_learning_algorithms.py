@@ -189,7 +189,7 @@ def test_masks_are_not_asked_for_where_nothing_is_forbidden(tmp_path: Path) -> N
 
 
 def test_what_is_not_installed_is_told_with_how_to_install_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(algorithms.ALGORITHMS["TQC"], "place", "not_there:TQC")
+    monkeypatch.setattr(algorithms.ALGORITHMS["TQC"], "import_path", "not_there:TQC")
     with pytest.raises(MissingExtraError, match=re.escape(f"training with TQC needs the 'contrib' extra; {installing('contrib')}")):
         learned(stand_in.build, tmp_path, Training("TQC", 300), continuous=True)
     assert not (tmp_path / "run").exists()
@@ -304,7 +304,7 @@ def test_the_effective_hyperparameters_are_those_that_the_library_gets(algorithm
 
 @pytest.mark.parametrize("algorithm", sorted(defaults.OURS))
 def test_the_defaults_of_the_library_are_read_from_its_signature(algorithm: str) -> None:
-    home = pytest.importorskip(algorithms.ALGORITHMS[algorithm].place.partition(":")[0])
+    home = pytest.importorskip(algorithms.ALGORITHMS[algorithm].import_path.partition(":")[0])
     signature = inspect.signature(getattr(home, algorithm).__init__)
     theirs = {name: entry.default for name, entry in signature.parameters.items() if entry.default is not entry.empty}
     assert defaults.library_defaults(algorithm) == theirs

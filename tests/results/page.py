@@ -7,6 +7,7 @@ import textwrap
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from statistics import fmean, median
 from typing import Any, Literal
 
@@ -21,6 +22,8 @@ from tests.results.parts import PARTS, Holding, Part
 Entry = Mapping[str, Any]
 Experiments = Mapping[str, Experiment]
 WIDTH = 150
+BY_HAND = Path(__file__).parent / "by_hand.md"
+"""The last section: bars that no command measures."""
 
 HEAD = """\
 # Results
@@ -206,9 +209,7 @@ def page(places: Places, experiments: Experiments) -> str:
     lines += ["## Not measured", "", *table(("scenario", "why"), [(f"`{name}`", why) for name, why in REASONS.items()]), ""]
     for part in PARTS:
         lines += _lines_of_part(part, tables[part.name])
-    by_hand = places.records / "by_hand.md"
-    if by_hand.is_file():
-        lines.append(by_hand.read_text("utf-8"))
+    lines.append(BY_HAND.read_text("utf-8"))
     return "\n".join(lines).rstrip() + "\n"
 
 
