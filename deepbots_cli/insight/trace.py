@@ -227,7 +227,8 @@ def last_evaluation(run: Run) -> Kept | None:
         if elsewhere or known.model not in ("best", "last"):
             continue
         outcomes = json.loads(path.read_text("utf-8")).get("outcomes", [])
-        if not all(isinstance(each, dict) and {"is_success", "ended_by"} <= each.keys() for each in outcomes):
+        whole = isinstance(outcomes, list) and all(isinstance(each, dict) for each in outcomes)
+        if not whole or not all({"is_success", "ended_by"} <= each.keys() for each in outcomes):
             raise RunError(f"{path} is damaged: its episodes cannot be read")
         model: Any = known.model
         return Kept(path, model, known.seed, known.deterministic, known.success_defined, outcomes)
