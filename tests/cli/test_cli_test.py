@@ -14,7 +14,7 @@ from deepbots_cli import api
 from deepbots_cli.document import shipped
 from deepbots_cli.learning.scenario_tests import run_tests
 from deepbots_cli.program.identity import digest
-from deepbots_cli.runtime.streams import derive
+from deepbots_cli.runtime.streams import derive_seed
 from tests.cli.conftest import Deepbots, Ran
 from tests.few import few
 
@@ -111,7 +111,7 @@ def test_the_command_of_a_failed_test_shows_its_episode(small, deepbots: Deepbot
         f"deepbots view small.yaml --case near --engine exact --script uncertain --seed 4 --episode {miss['episode']}"
     )
     with closing(api.make("small.yaml", engine="exact")) as environment:
-        starts = [environment.reset(seed=derive(4, "evaluation", k))[1]["drawn"]["start"] for k in range(9)]
+        starts = [environment.reset(seed=derive_seed(4, "evaluation", k))[1]["drawn"]["start"] for k in range(9)]
     assert starts[miss["episode"]] < 0
     assert all(start > 0 for start in starts[: miss["episode"]])
 
