@@ -134,7 +134,7 @@ def test_an_episode_that_breaks_off_fails_its_test_alone(small) -> None:
 def test_a_test_with_a_warning_runs(small) -> None:
     ran = small("  one: {policy: zero, max_steps: 2, expect: {always: step < 10 ^ 400}}\n", "--json")
     assert [test["test"] for test in json.loads(ran.out)["scenarios"][0]["tests"]] == ["one"]
-    assert "1 warning" in ran.err
+    assert "see: deepbots lint small.yaml" in ran.err
 
 
 def test_junit_that_cannot_be_written_is_told_before_a_test_runs(small, tmp_path: Path) -> None:
