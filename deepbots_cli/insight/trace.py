@@ -286,7 +286,7 @@ def _critic_values(model: Any, observations: Sequence[Any]) -> Array | None:
         elif hasattr(policy, "q_net"):
             values = policy.q_net(seen).max(dim=1, keepdim=True).values
         else:
-            found = policy.critic(seen, policy.actor(seen))
+            found = policy.critic(seen, policy._predict(seen, deterministic=True))  # the actor of SAC and TQC would sample
             # TQC has an array of quantiles (rows, critics, quantiles), others a tuple of columns.
             values = found.mean(dim=2) if isinstance(found, torch.Tensor) else torch.cat(found, dim=1)
         return np.asarray(values.min(dim=1).values.cpu().numpy(), float)
