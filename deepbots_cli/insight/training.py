@@ -120,7 +120,7 @@ def read(run: Run) -> Training:
     try:
         steps, returns, lengths, successes = (np.array([float(row[name]) for row in rows]) for name in ("steps", "r", "l", "is_success"))
         evaluations = [{name: [float(x) for x in line[name]] for name in ("returns", "successes")} for line in evaluations_of(run.path)]
-        numbers = [steps, returns, lengths, successes, *(values for line in evaluations for values in line.values())]
+        numbers: list[Any] = [steps, returns, lengths, successes, *(values for line in evaluations for values in line.values())]
         if not all(np.isfinite(values).all() for values in numbers) or not all(all(line.values()) for line in evaluations):
             raise ValueError("a number is not finite, or an evaluation has no episode")
         episodes = Episodes(steps, returns, lengths, successes, [row["ended_by"] for row in rows])
