@@ -54,7 +54,8 @@ def _exit_code(run: Callable[[], object]) -> int:
     except DeepbotsError as error:
         terminal.print_error(error.full)
         return WRONG if isinstance(error, UsageError) else FAILED
-    except KeyboardInterrupt:
+    except KeyboardInterrupt:  # before the command begins, or after its end; `Commands.invoke` tells of one in between
+        terminal.note("interrupted")
         return INTERRUPTED
     except OSError as error:
         # The system names no file where writing fails, in contrast to opening.

@@ -61,8 +61,8 @@ class _Reader:
         self._scope = SupervisorScope(namespace, Context.TEST)
 
     def test(self, name: str, spec: TestSpec) -> ScenarioTest | None:
-        """The test; None after a finding."""
-        known = len(self._values.findings)
+        """The test; None after an error."""
+        known = len(self._values.findings.errors)
         policy = self._actions(spec) if spec.actions is not None else self._policy(spec)
         cases, stages = self._scenario.evaluation.cases, [stage.name for stage in self._scenario.curriculum]
         for word, given, others in (("case", spec.case, list(cases)), ("stage", spec.stage, stages)):
@@ -70,7 +70,7 @@ class _Reader:
                 self._values.report_unknown(self._values.field(spec, word).span, word, given, others)
         expected = tuple(self._expected(spec.expect))
         steps = self._steps(spec, policy)
-        if len(self._values.findings) > known or policy is None:
+        if len(self._values.findings.errors) > known or policy is None:
             return None
         place = self._values.key_span(("tests", name))
         return ScenarioTest(name, place, policy, spec.episodes, spec.seed, steps, expected, spec.case, spec.stage)

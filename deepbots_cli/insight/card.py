@@ -11,11 +11,12 @@ from __future__ import annotations
 
 import hashlib
 import math
+import os
 import re
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 import deepbots_cli
 from deepbots_cli.compiler.inputs import RESOLVED
@@ -27,7 +28,9 @@ from deepbots_cli.program.task import ActionRange, Choices, policy_inputs
 
 FORMAT = 1
 NAME = "card.json"
+GRAPHS = ("policy.onnx", "policy_si.onnx")
 _LIMIT = 10_000_000
+_GRAPH_LIMIT = 1 << 31  # bytes, that of a protobuf message
 _LICENCE = re.compile(r"SPDX-License-Identifier:\s*([A-Za-z0-9][\w.+() -]*)")
 
 
@@ -76,7 +79,7 @@ class Card(BaseModel):
     training_seed: int
     training_steps: int | None
     engine: str
-    control_period_s: float
+    control_period_s: float = Field(gt=0, allow_inf_nan=False)
     control_rate_hz: float
     observation: tuple[Observed, ...]
     achieved_and_desired_goal: tuple[Observed, ...]
@@ -216,16 +219,19 @@ def read(folder: Path) -> Card:
     Raises:
         RunError: The folder is no bundle, its card is damaged or of another format, or a graph has changed.
     """
-    if not (folder / NAME).is_file():
+    if not (folder / NAME).is_file() or (folder / NAME).is_symlink():
         raise RunError(f"{folder} is not a bundle of `deepbots export`: it holds no {NAME}")
     found = read_json(folder / NAME, Format, _LIMIT).format
     if found != FORMAT:
         raise RunError(f"{folder} is a bundle of format {found}, this deepbots reads {FORMAT}; use the deepbots that wrote it")
     card = read_json(folder / NAME, Card, _LIMIT)
-    for name, digest in card.files.items():
-        path = folder / PurePosixPath(name).name
-        if not path.is_file() or hashlib.sha256(path.read_bytes()).hexdigest() != digest:
-            raise RunError(f"{path} is {'not the file that was exported' if path.is_file() else 'missing'}; export the run again")
+    for name in GRAPHS:
+        path = folder / name
+        if path.is_symlink() or not path.is_file():
+            raise RunError(f"{path} is {'missing' if not os.path.lexists(path) else 'no regular file'}; export the run again")
+        with path.open("rb") as file:
+            if path.stat().st_size > _GRAPH_LIMIT or hashlib.file_digest(file, "sha256").hexdigest() != card.files.get(name):
+                raise RunError(f"{path} is not the file that was exported; export the run again")
     return card
 
 

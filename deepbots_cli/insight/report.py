@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import io
+import math
 import platform
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
@@ -20,12 +21,14 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from pydantic import ConfigDict, Field, field_validator
 
 import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.compiler.inputs import RESOLVED
 from deepbots_cli.diagnostics import Finding
-from deepbots_cli.errors import DeepbotsError, EngineError, MissingExtraError, RunError
+from deepbots_cli.errors import DeepbotsError, EngineError, MissingExtraError, RunError, UsageError
+from deepbots_cli.files import atomic, unwritable
 from deepbots_cli.frames import Frame
 from deepbots_cli.insight import figures
 from deepbots_cli.insight.card import result_text
@@ -53,7 +56,22 @@ OnEpisode = Callable[[int, int], object]
 
 
 class _Evaluation(KeptEvaluation):
-    outcomes: tuple[Episode, ...]
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+
+    outcomes: tuple[Episode, ...] = Field(min_length=1)
+
+    @field_validator("outcomes")
+    @classmethod
+    def _comparable(cls, outcomes: tuple[Episode, ...]) -> tuple[Episode, ...]:
+        """Figures sort episodes by their returns and by each drawn value."""
+        kinds: dict[str, type] = {}
+        for episode in outcomes:
+            numbers = [value for value in episode.drawn.values() if not isinstance(value, str)]
+            if not all(map(math.isfinite, [episode.total_return, *numbers])):
+                raise ValueError("a number of an episode is not finite")
+            if any(kinds.setdefault(name, type(value)) is not type(value) for name, value in episode.drawn.items()):
+                raise ValueError("a drawn value is a number in one episode and a name in another")
+        return outcomes
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,13 +250,21 @@ class Report:
             yield "trajectories", title, figures.trajectories(self.paths, world, self.fixed, theme)
 
     def write_figures(self, folder: Path) -> list[Path]:
-        """Every figure as PNG."""
-        folder.mkdir(parents=True, exist_ok=True)
+        """Every figure as PNG.
+
+        Raises:
+            UsageError: A file cannot be written.
+        """
         written = []
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise UsageError(unwritable(folder, error)) from error
         for name, _, figure in self.figures("light"):
             if figure is not None:
                 written.append(folder / f"{name}.png")
-                figure.savefig(written[-1], dpi=150)
+                with atomic(written[-1]) as draft:
+                    figure.savefig(draft, dpi=150)
         return written
 
     # The page

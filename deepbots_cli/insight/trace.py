@@ -227,7 +227,8 @@ def last_evaluation(run: Run) -> Kept | None:
         if elsewhere or known.model not in ("best", "last"):
             continue
         outcomes = json.loads(path.read_text("utf-8")).get("outcomes", [])
-        if not all(isinstance(each, dict) and {"is_success", "ended_by"} <= each.keys() for each in outcomes):
+        whole = isinstance(outcomes, list) and all(isinstance(each, dict) for each in outcomes)
+        if not whole or not all({"is_success", "ended_by"} <= each.keys() for each in outcomes):
             raise RunError(f"{path} is damaged: its episodes cannot be read")
         model: Any = known.model
         return Kept(path, model, known.seed, known.deterministic, known.success_defined, outcomes)
@@ -285,7 +286,7 @@ def _critic_values(model: Any, observations: Sequence[Any]) -> Array | None:
         elif hasattr(policy, "q_net"):
             values = policy.q_net(seen).max(dim=1, keepdim=True).values
         else:
-            found = policy.critic(seen, policy.actor(seen))
+            found = policy.critic(seen, policy._predict(seen, deterministic=True))  # the actor of SAC and TQC would sample
             # TQC has an array of quantiles (rows, critics, quantiles), others a tuple of columns.
             values = found.mean(dim=2) if isinstance(found, torch.Tensor) else torch.cat(found, dim=1)
         return np.asarray(values.min(dim=1).values.cpu().numpy(), float)

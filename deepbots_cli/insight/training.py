@@ -5,7 +5,6 @@ Logs are `monitor.csv`, the TensorBoard files and the evaluations during the tra
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -26,7 +25,7 @@ from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionRange, Choices, Schedule, Solved
 from deepbots_cli.runtime.streams import derive_seed
-from deepbots_cli.view.plots import scalars_of
+from deepbots_cli.view.plots import evaluations_of, scalars_of
 
 Array = NDArray[np.float64]
 EPISODES, STEPS, FEW_STEPS = 4, 300, 40
@@ -120,11 +119,12 @@ def read(run: Run) -> Training:
     rows = read_log(run.path / "monitor.csv")
     try:
         steps, returns, lengths, successes = (np.array([float(row[name]) for row in rows]) for name in ("steps", "r", "l", "is_success"))
-        text = run.path / "evaluations" / "training.jsonl"
-        lines = [json.loads(line) for line in text.read_text("utf-8").splitlines()] if text.is_file() else []
-        evaluations = [{**line, "returns": [float(x) for x in line["returns"]], "successes": list(line["successes"])} for line in lines]
+        evaluations = [{name: [float(x) for x in line[name]] for name in ("returns", "successes")} for line in evaluations_of(run.path)]
+        numbers: list[Any] = [steps, returns, lengths, successes, *(values for line in evaluations for values in line.values())]
+        if not all(np.isfinite(values).all() for values in numbers) or not all(all(line.values()) for line in evaluations):
+            raise ValueError("a number is not finite, or an evaluation has no episode")
         episodes = Episodes(steps, returns, lengths, successes, [row["ended_by"] for row in rows])
-    except (KeyError, TypeError, ValueError, RecursionError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise RunError(f"{run.path} is damaged: one of its logs cannot be read") from error
     return Training(run, episodes, scalars_of(run.tensorboard), evaluations, _failure(run))
 

@@ -83,19 +83,21 @@ def _read_run(path: Path, window: int) -> Log:
         raise RunError(f"{path} holds no finished episode yet; plot it later")
     try:
         steps = np.array([float(row["steps"]) for row in rows])
-        log.returns = _averaged(steps, np.array([float(row["r"]) for row in rows]), window)
+        returns = np.array([float(row["r"]) for row in rows])
+        log.returns = _averaged(steps, returns, window)
         successes = np.array([float(row["is_success"]) for row in rows])
         log.endings = [(step, row["ended_by"]) for step, row in zip(steps, rows, strict=True)]
-        lines = [json.loads(line) for line in _text(path / "evaluations" / "training.jsonl").splitlines()]
+        lines = evaluations_of(path)
         points = [(float(line["steps"]), float(np.mean(line["returns"]))) for line in lines]
-        if not (np.isfinite(steps) & (steps >= 0)).all():
-            raise ValueError("steps")
+        if not (np.isfinite(steps) & (steps >= 0) & np.isfinite(returns) & np.isfinite(successes)).all() or not np.isfinite(points).all():
+            raise ValueError("a number that is not finite")
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise RunError(f"{path} is damaged: one of its logs cannot be read") from error
     log.successes = _averaged(steps, successes, window) if successes.any() else None
     log.evaluations = (np.array([step for step, _ in points]), np.array([value for _, value in points])) if points else None
     scalars = scalars_of(path / "tensorboard")
-    log.terms = {tag.removeprefix("reward/"): curve for tag, curve in scalars.items() if tag.startswith("reward/")}
+    finite = {tag: (at[np.isfinite(values)], values[np.isfinite(values)]) for tag, (at, values) in scalars.items()}
+    log.terms = {tag.removeprefix("reward/"): curve for tag, curve in finite.items() if tag.startswith("reward/") and len(curve[0])}
     return log
 
 
@@ -110,6 +112,17 @@ def _read_tensorboard(path: Path) -> Log:
     log = Log(path, f"{path.name} ")
     log.returns, log.successes, log.evaluations = (scalars.get(tag) for tag in names.values())
     return log
+
+
+def evaluations_of(run: Path) -> list[Any]:
+    """The evaluations during the training of a run, in order; a last line that is half written is left out.
+
+    Raises:
+        RunError: The file is no regular file, or too large.
+        ValueError, RecursionError: A line is not JSON.
+    """
+    text = _text(run / "evaluations" / "training.jsonl")
+    return [json.loads(line) for line in text[: text.rfind("\n") + 1].splitlines()]
 
 
 def _text(path: Path) -> str:

@@ -354,6 +354,8 @@ class Recording:
             RecordingError: It cannot be read; says why in one sentence.
             MissingExtraError: mcap is not installed.
         """
+        if path.exists() and not (path.is_file() or path.is_dir()):  # opening a pipe waits for ever
+            raise RecordingError(f"{path} is no regular file, which every recording is")
         try:
             data = read_at_most(path, _MAX_FILE + 1)
         except OSError as error:

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import json
 import re
+import resource
+from pathlib import PurePosixPath
 
 import pytest
 
 from deepbots_cli import api
 from deepbots_cli.cli.commands import new
-from deepbots_cli.cli.commands.new import Template
+from deepbots_cli.cli.commands.new import Template, write_new
 from deepbots_cli.document import shipped
+from deepbots_cli.errors import UsageError
 from tests.few import few
 
 
@@ -270,3 +273,14 @@ def test_a_robot_that_is_bolted_down_begins_above_the_ground(deepbots, tmp_path)
     """The cart of this one is 20 cm high, around the origin of its rail."""
     deepbots("new", "first", "--urdf", "package://pybullet_data/cartpole.urdf")
     assert "robot: {z: 0.1 m}" in (tmp_path / "first.yaml").read_text(encoding="utf-8")
+
+
+def test_no_file_is_left_where_one_cannot_be_written(tmp_path):
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10, before[1]))
+    try:
+        with pytest.raises(UsageError, match="large cannot be written: file too large"):
+            write_new({PurePosixPath("a"): b"1", PurePosixPath("large"): bytes(100), PurePosixPath("b"): b"2"}, tmp_path / "new")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert not list((tmp_path / "new").iterdir())

@@ -131,6 +131,18 @@ def test_an_episode_that_breaks_off_fails_its_test_alone(small) -> None:
     assert "step 3: no value for" in ran.out
 
 
+def test_a_test_with_a_warning_runs(small) -> None:
+    ran = small("  one: {policy: zero, max_steps: 2, expect: {always: step < 10 ^ 400}}\n", "--json")
+    assert [test["test"] for test in json.loads(ran.out)["scenarios"][0]["tests"]] == ["one"]
+    assert "see: deepbots lint small.yaml" in ran.err
+
+
+def test_junit_that_cannot_be_written_is_told_before_a_test_runs(small, tmp_path: Path) -> None:
+    ran = small("  one: {policy: zero, expect: {ends_by: max_steps}}\n", "--junit", tmp_path)
+    assert (ran.code, ran.out) == (2, "")
+    assert "it is a directory" in ran.err
+
+
 def test_k_selects_tests_by_a_part_of_their_names(small) -> None:
     tests = "  drives: {policy: onward, expect: {ends_by: back}}\n  rests: {policy: zero, expect: {ends_by: max_steps}}\n"
     assert small(tests).code == 1

@@ -15,12 +15,13 @@ pytest.importorskip("stable_baselines3")
 
 from deepbots_cli import api
 from deepbots_cli.cli import main
-from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.insight.diagnosis import CAUSES, diagnose
 from deepbots_cli.insight.episode import ROWS
 from deepbots_cli.insight.trace import last_evaluation, trace_episodes
 from deepbots_cli.insight.training import Episodes, Training, probe, read
 from deepbots_cli.learning import train
+from deepbots_cli.learning.group import GroupRecord
 from deepbots_cli.learning.run import Run
 
 DOCS = Path(__file__).parents[2] / "docs" / "diagnose.md"
@@ -129,11 +130,59 @@ def test_what_cannot_be_diagnosed_is_told_in_a_sentence(short, tmp_path, capsys)
     log.write_text(log.read_text() + "a,b,c,d,e,f,g,h,i,j\n")
     assert main(["diagnose", str(run)]) == 2
     assert "is damaged" in capsys.readouterr().err
+    shutil.copy(short / "monitor.csv", log)
+    evaluation = run / "evaluations" / "0001.json"
+    kept = {"evaluated": "", "model": "best", "seed": 2, "episodes": 1, "mean_return": 9.0, "return_interval": None, "solved": None,
+            "success_defined": False, "success_rate": 0.0, "success_interval": [0.0, 1.0], "outcomes": None}  # fmt: skip
+    evaluation.write_text(json.dumps(kept))
+    assert main(["explain-episode", str(run)]) == 2
+    assert "its episodes cannot be read" in capsys.readouterr().err
+    evaluation.unlink()
     shutil.rmtree(run / "models")
     assert main(["explain-episode", str(run)]) == 2
     assert "holds no model" in capsys.readouterr().err
     assert main(["diagnose", str(tmp_path)]) == 2
     assert "is not a run" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("line", "damaged"),
+    [
+        ('{"steps": 512, "returns": [9.0], "succ', False),  # a killed training leaves half a line
+        ('{"steps": 512, "returns": [9.0], "succ\n', True),
+        ('{"steps": 512, "returns": [], "successes": []}\n', True),
+        ('{"steps": 512, "returns": [NaN], "successes": [true]}\n', True),
+        ('{"steps": 512, "returns": [9.0], "successes": ["yes"]}\n', True),
+    ],
+)
+def test_half_a_line_of_a_log_is_left_out_and_any_other_damage_is_told(short, tmp_path, line, damaged):
+    run = Path(shutil.copytree(short, tmp_path / "run"))
+    with (run / "evaluations" / "training.jsonl").open("a") as file:
+        file.write(line)
+    if damaged:
+        with pytest.raises(RunError, match="one of its logs cannot be read"):
+            read(Run.open(run))
+    else:
+        assert len(read(Run.open(run)).evaluations) == len(read(Run.open(short)).evaluations)
+
+
+def test_a_damaged_seed_of_a_group_hides_no_other_seed(short, tmp_path, capsys):
+    group = tmp_path / "group"
+    for seed in (0, 1):
+        shutil.copytree(short, group / f"seed-{seed}")
+    (group / "seed-0" / "run.json").write_text("{")
+    record = dict.fromkeys(GroupRecord.model_fields) | {
+        "format": 1, "deepbots": "", "scenario": "", "source": "", "engine": "pybullet", "seeds": [0, 1],
+        "stop_when_solved": False, "keep_checkpoints": 0, "command": [], "started": "",
+    }  # fmt: skip
+    (group / "group.json").write_text(json.dumps(record))
+    assert main(["diagnose", str(group), "--only-logs"]) == 0
+    told = capsys.readouterr()
+    assert "seed-0/run.json is damaged" in told.err
+    assert "seed-1: " in told.out
+    (group / "seed-1" / "run.json").write_text("{")
+    assert main(["diagnose", str(group), "--only-logs", "--json"]) == 2
+    assert "holds no run that can be diagnosed" in capsys.readouterr().err
 
 
 def test_the_page_names_every_cause_and_every_planted_one_is_known():

@@ -159,11 +159,19 @@ def test_a_bundle_that_does_not_fit_is_refused_item_by_item(bundle, capsys):
     assert "0.032 s" in capsys.readouterr().err
 
 
+def _edit_card(folder: Path, **changes: object) -> None:
+    card = folder / "card.json"
+    card.write_text(json.dumps(json.loads(card.read_text()) | changes))
+
+
 @pytest.mark.parametrize(
     ("spoil", "told"),
     [
         (lambda folder: (folder / "policy.onnx").write_bytes(b"other"), "not the file that was exported"),
         (lambda folder: (folder / "policy_si.onnx").unlink(), "is missing"),
+        (lambda folder: (folder / "policy.onnx").rename(folder / "x") and (folder / "policy.onnx").symlink_to("x"), "no regular file"),
+        (lambda folder: _edit_card(folder, files={}), "not the file that was exported"),
+        (lambda folder: _edit_card(folder, control_period_s=float("nan")), "'control_period_s'"),
         (lambda folder: (folder / "card.json").write_text("{"), "is damaged"),
         (lambda folder: (folder / "card.json").write_text('{"format": 99}'), "format 99"),
         (lambda folder: (folder / "card.json").unlink(), "is not a bundle"),

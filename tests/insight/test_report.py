@@ -133,6 +133,38 @@ def test_what_cannot_be_reported_is_told_in_a_sentence(run, tmp_path, capsys, gr
     assert not (tmp_path / "x.html").exists()
 
 
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"outcomes": []}, "'outcomes'"),
+        ({"mean_return": float("nan")}, "'mean_return'"),
+        ({"total_return": float("inf")}, "a number of an episode is not finite"),
+        ({"drawn": {"mass": "heavy"}}, "a drawn value is a number in one episode and a name in another"),
+    ],
+)
+def test_an_evaluation_that_cannot_be_drawn_is_told_in_a_sentence(run, tmp_path, capsys, change, told):
+    copy = Path(shutil.copytree(run, tmp_path / "copy"))
+    path = copy / "evaluations" / "0001.json"
+    kept = json.loads(path.read_text())
+    for episode in kept["outcomes"]:
+        episode["drawn"]["mass"] = 1.0
+    kept["outcomes"][3] |= change
+    path.write_text(json.dumps(kept | change))
+    assert main(["report", str(copy), "-o", str(tmp_path / "x.html")]) == 2
+    err = capsys.readouterr().err
+    assert "0001.json is damaged" in err
+    assert told in err
+
+
+def test_a_place_that_cannot_be_written_to_is_told_before_anything_runs(run, tmp_path, capsys):
+    (tmp_path / "x.html").mkdir()
+    assert main(["report", str(run), "-o", str(tmp_path / "x.html")]) == 2
+    assert "it is a directory" in capsys.readouterr().err
+    (tmp_path / "figures").write_text("")
+    assert main(["report", str(run), "-o", str(tmp_path / "y.html"), "--figures", str(tmp_path / "figures")]) == 2
+    assert "cannot be written" in capsys.readouterr().err
+
+
 def test_only_a_named_file_is_replaced(run, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "cartpole.html").write_text("mine")

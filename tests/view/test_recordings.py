@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import lzma
+import os
 import random
 import re
 from contextlib import closing
@@ -254,6 +255,12 @@ def test_an_action_that_cannot_be_is_told_in_a_sentence(find_ball, tmp_path, cap
     )
     assert main(["replay", "--verify", str(path)]) == 2
     assert "is damaged: a step of it cannot be read" in capsys.readouterr().err
+
+
+def test_a_pipe_is_no_recording(tmp_path):
+    os.mkfifo(tmp_path / "pipe.mcap")
+    with pytest.raises(RecordingError, match="no regular file"):
+        Recording.read(tmp_path / "pipe.mcap")
 
 
 def test_a_file_that_is_a_folder_too_is_told_in_a_sentence(find_ball, tmp_path):

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import MAX_SEED, AllowCode, Json, whole
-from deepbots_cli.errors import UsageError
+from deepbots_cli.errors import RunError, UsageError
 
 if TYPE_CHECKING:
     from deepbots_cli.insight.trace import Trace
@@ -165,13 +165,20 @@ def diagnose(
     with terminal.passing("reading the logs ..."):
         from deepbots_cli.insight.diagnosis import diagnose as find_causes
         from deepbots_cli.insight.training import probe, read
-    found = []
+    found: list[dict[str, Any]] = []
     for folder in folders:
-        training = read(Run.open(folder))
-        if not only_logs and not training.solved:
-            with terminal.progress("short episodes", always=False) as show:
-                probe(training, allow_code=allow_code, on_episode=show)
-        causes = find_causes(training)
+        try:
+            training = read(Run.open(folder))
+            if not only_logs and not training.solved:
+                with terminal.progress("short episodes", always=False) as show:
+                    probe(training, allow_code=allow_code, on_episode=show)
+            causes = find_causes(training)
+        except RunError as error:
+            if folder == run:
+                raise
+            terminal.note(f"note: {error}")
+            found.append({"run": folder, "error": str(error)})
+            continue
         found.append({"run": folder, "steps": training.steps, "solved": training.solved, "causes": [cause.as_json() for cause in causes]})
         if as_json:
             continue
@@ -183,5 +190,7 @@ def diagnose(
         terminal.print_result(f"{folder}: {len(causes)} cause{'s' * (len(causes) > 1)}, the most likely first")
         for number, cause in enumerate(causes, start=1):
             terminal.print_result(f"\n{number}. {cause.text}\n   Try: {cause.advice}")
+    if all("error" in each for each in found):
+        raise RunError(f"{run} holds no run that can be diagnosed")
     if as_json:
         terminal.show_json({"runs": found})

@@ -27,6 +27,7 @@ from deepbots_cli.document import Scalar, files, shipped, walk
 from deepbots_cli.document.files import UnusableFile, project_root, resolve
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
+from deepbots_cli.files import unwritable
 from deepbots_cli.robots import reader
 from deepbots_cli.scenario.json_schema import to_text
 
@@ -272,7 +273,7 @@ def write_new(files: Files, folder: Path) -> list[Path]:
     """Write the files into `folder`; one that is already there with the same content is left alone.
 
     Raises:
-        UsageError: Other files are in the way; lists them, and nothing is written.
+        UsageError: Other files are in the way; lists them. Or a file cannot be written. No file is left in either case.
     """
     if folder.exists() and not folder.is_dir():
         raise UsageError(f"{folder} is a file; name a folder, which need not be there yet")
@@ -281,10 +282,17 @@ def write_new(files: Files, folder: Path) -> list[Path]:
     in_the_way = [path for path in present if not path.is_file() or path.read_bytes() != wanted[path]]
     if in_the_way:
         raise UsageError(f"nothing was written, since there are already: {', '.join(sorted(map(str, in_the_way)))}")
+    begun: list[Path] = []
     for path in wanted.keys() - present:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("xb") as file:
-            file.write(wanted[path])
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with path.open("xb") as file:
+                begun.append(path)
+                file.write(wanted[path])
+        except OSError as error:
+            for other in begun:
+                other.unlink(missing_ok=True)
+            raise UsageError(unwritable(path, error)) from error
     return list(wanted)
 
 

@@ -39,15 +39,16 @@ def command(
 
     Next: open the file in a browser.
     """
-    from deepbots_cli.files import atomic
-    from deepbots_cli.view import pictures
+    from deepbots_cli.files import atomic, check_writable
 
     target = out or Path(f"{run.resolve().name}.html")
     if target.suffix.lower() not in (".html", ".htm"):
         raise UsageError(f"{target} must end in .html")
     if out is None and target.exists():
         raise UsageError(f"{target} exists; name the file to write with --out")
-    pictures.check_target(target.with_suffix(".png"), (".png",))
+    check_writable(target)
+    if figures is not None and (figures.exists() or figures.is_symlink()):
+        check_writable(figures / "returns.png")
     try:
         import matplotlib  # noqa: F401
     except ModuleNotFoundError as error:
@@ -59,10 +60,9 @@ def command(
     with terminal.progress("episodes") as show:
         report.run_again(report.chosen(episodes), show or (lambda done, of: None), clips=clips, allow_code=allow_code)
     with terminal.passing("drawing ..."):
-        page = report.html()
+        with atomic(target) as draft:
+            draft.write_text(report.html(), encoding="utf-8")
         written = report.write_figures(figures) if figures is not None else []
-    with atomic(target) as draft:
-        draft.write_text(page, encoding="utf-8")
     for note in report.notes:
         terminal.note(f"note: {note}")
     if as_json:

@@ -20,6 +20,7 @@ from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import ScenarioError, UsageError
+from deepbots_cli.files import check_writable
 from deepbots_cli.learning.scenario_tests import Miss, TestResult, run_tests
 from deepbots_cli.lint.settings import settings
 from deepbots_cli.runtime.streams import derive_seed
@@ -64,8 +65,8 @@ def command(
 
     Next: `deepbots view SCENARIO` shows an episode, with the options that a failed test prints.
     """
-    if junit is not None and not junit.absolute().parent.is_dir():
-        raise UsageError(f"{junit} cannot be written: there is no directory {junit.parent}")
+    if junit is not None:
+        check_writable(junit)
     began, names = time.perf_counter(), named(scenarios, settings())
     options: dict[str, Any] = {"sets": with_engine(sets, engine), "allow_paths": allow_paths or (), "allow_code": allow_code, "tests": True}
     given = [f"--engine {engine}"] if engine else []
@@ -78,12 +79,12 @@ def command(
     if not any(found.results or found.findings for found in done):
         missing = "under `tests`" if only is None else f"whose name contains '{only}'"
         raise UsageError(f"there is no test {missing} in {', '.join(names[:5])}{' ...' if len(names) > 5 else ''}")
-    if junit is not None:
-        results.write_junit(junit, "test", {found.scenario: _junit(found) for found in done if found.results or found.findings})
     if as_json:
         terminal.show_json({"passed": all(found.passed for found in done), "scenarios": [_data(found, given) for found in done]})
     else:
         _sum_up(done, time.perf_counter() - began)
+    if junit is not None:
+        results.write_junit(junit, "test", {found.scenario: _junit(found) for found in done if found.results or found.findings})
     if not all(found.passed for found in done):
         raise typer.Exit(FAILED)
 
