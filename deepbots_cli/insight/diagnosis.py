@@ -78,13 +78,24 @@ def _per_step(traces: Sequence[Trace]) -> float:
 # Faults
 
 
+_AT_RESET = "already holds at reset"
+
+
+def ending_at_reset(t: Training) -> Numbers | None:
+    """An episode cannot start after {steps} steps of training: {error}.
+
+    Try: Change the start under `reset` or the bound of the ending. `deepbots lint --deep SCENARIO` counts the starts that end at once.
+    """
+    return {"likelihood": 1.0, "steps": t.steps, "error": t.failure.rstrip(".")} if _AT_RESET in t.failure else None
+
+
 def not_finite(t: Training) -> Numbers | None:
     """The training stopped with an error after {steps} steps: {error}.
 
     Try: Keep arguments of sqrt, log and divisions away from 0 with max(...), or lower `train.learning_rate`; explain the episode with
     `deepbots explain-episode RUN/failures/NNNN.json`.
     """
-    if not _has_failed(t):
+    if not _has_failed(t) or _AT_RESET in t.failure:
         return None
     reason = t.failure.rstrip(".") or "the last entry of its log is no number"
     return {"likelihood": 1.0, "steps": t.steps, "error": reason, "episodes": len(t.episodes.returns)}
@@ -104,7 +115,7 @@ def action_without_effect(t: Training) -> Numbers | None:
         if pairs and max(_difference(one, other, own) for one, other in pairs) < _SAME:
             dead.append(part)
             steps = min(trace.steps for trace in traces.values())
-    if not dead:
+    if not dead or not steps:
         return None
     return {"likelihood": 0.98 if len(dead) == len(t.constant) else 0.8, "parts": listed(dead), "count": len(dead), "of": len(t.constant),
             "steps": steps, "difference": 0.0}  # fmt: skip
@@ -171,9 +182,10 @@ def saturated_observation(t: Training) -> Numbers | None:
     worst = sorted((name for name, share in shares.items() if share >= 0.4), key=lambda name: -shares[name])
     if not worst:
         return None
-    part = len(worst) / len(shares)
-    return {"likelihood": 0.95 if part >= 0.75 else 0.55 * part, "count": len(worst), "of": len(shares), "names": _some(worst),
-            "share": Share(float(np.mean([shares[name] for name in worst]))), "shares": shares}  # fmt: skip
+    part, mean = len(worst) / len(shares), float(np.mean([shares[name] for name in worst]))
+    # Numbers that are almost always at an end come before the length of the training.
+    return {"likelihood": 0.95 if part >= 0.75 else 0.85 if mean >= 0.8 else 0.55 * part, "count": len(worst), "of": len(shares),
+            "names": _some(worst), "share": Share(mean), "shares": shares}  # fmt: skip
 
 
 def _some(names: Sequence[str]) -> str:
@@ -266,7 +278,7 @@ def silent_terms(t: Training) -> Numbers | None:
         else {}
     )
     silent = [name for name, value in sums.items() if value == 0 and not np.abs(logged.get(name, np.zeros(1))).max(initial=0.0)]
-    if not silent:
+    if not silent or not any(trace.steps for trace in [*t.random, *t.policy]):
         return None
     everything = len(silent) == len(sums)
     return {"likelihood": 0.9 if everything else 0.3, "names": _some(silent), "count": len(silent), "of": len(sums),
@@ -412,6 +424,7 @@ def _length(t: Training) -> dict[str, Any]:
 
 
 CAUSES: tuple[Finder[Training], ...] = (
+    ending_at_reset,
     not_finite,
     action_without_effect,
     ending_at_once,

@@ -252,6 +252,8 @@ def trace_episodes(
     from deepbots_cli.learning import algorithms, evaluation, video
 
     model = episodes[0].model
+    if not run.model(model).is_file() and run.record.status == "failed":
+        raise RunError(f"the training of {run.path} failed before it kept a model; its causes: deepbots diagnose {run.path}")
     if not run.model(model).is_file():
         raise RunError(f"{run.path} holds no model '{model}'; train it first, with: deepbots train --resume {run.path}")
     watch = measured(run.program)

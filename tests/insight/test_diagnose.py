@@ -56,6 +56,16 @@ def test_logs_alone_tell_some_causes(short):
     assert "exploration_collapsed" in _causes(_logs(short, 30 + noise, train__entropy_loss=[-0.6] * 4 + [-0.001] * 10))
 
 
+def test_a_training_that_stops_at_a_reset_has_this_cause_alone(tmp_path, capsys):
+    with pytest.raises(EvaluationError):
+        train(api.compile(api.load("cartpole", sets=["fall_angle=0.15 deg"])), total_timesteps=64, run=tmp_path / "run")
+    training = read(Run.open(tmp_path / "run"))
+    probe(training)
+    assert _causes(training) == ["ending_at_reset"]
+    assert main(["explain-episode", str(tmp_path / "run")]) == 2
+    assert "deepbots diagnose" in capsys.readouterr().err
+
+
 def test_a_training_that_solves_its_task_has_no_causes(short):
     """The same logs as a collapsed exploration, and an evaluation that meets `solved`."""
     training = _logs(short, np.full(200, 200.0), ending="max_steps", train__entropy_loss=[-0.001] * 20)

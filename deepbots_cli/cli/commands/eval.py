@@ -152,7 +152,7 @@ def command(
     further engine from the first, with its 95 % interval over pairs of episodes. The requirements then apply to every engine.
 
     --episodes failed repeats the failed episodes of the last evaluation that the run keeps, prints what ended each of them and by how much,
-    and films the first 10: in RUN-failed-K.mp4 for episode K, or as --video names them.
+    and counts the endings. With --video failed.mp4, it films the first 10, episode K in failed-K.mp4.
 
     \b
       deepbots eval runs/cartpole-0-1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
@@ -94,11 +95,12 @@ def _trace(shown: str, episode: int | None, seed: int | None, *, last: bool, all
     return trace.trace_run(run, chosen, allow_code=allow_code)
 
 
-MAX_FILMS = 10
+MAX_SHOWN = 10
+"""Failed episodes of which `eval --episodes failed` prints the margin and makes a film."""
 
 
 def repeat_failed(run: Run, video: Path | None, *, as_json: bool, allow_code: bool) -> None:
-    """Repeat the failed episodes of the last evaluation of a run, explain the end of each, and film the first ones."""
+    """Repeat the failed episodes of the last evaluation of a run, count their endings, and show the first; `video` names films."""
     from deepbots_cli.insight import trace
     from deepbots_cli.insight.episode import explain, explanation_json
     from deepbots_cli.learning.video import check
@@ -109,12 +111,10 @@ def repeat_failed(run: Run, video: Path | None, *, as_json: bool, allow_code: bo
             f"{run.path} keeps no evaluation in its own scenario and engine; make one with: deepbots eval {quote(str(run.path))}"
         )
     failed = kept.failed(run.program)
-    base = video or Path(f"{run.path.name}-failed.mp4")
-    films = {number: base.with_name(f"{base.stem}-{number}{base.suffix}") for number in failed[:MAX_FILMS]}
+    first = failed[:MAX_SHOWN]
+    films = {number: video.with_name(f"{video.stem}-{number}{video.suffix}") for number in first} if video is not None else {}
     for film in films.values():
         check(film)
-        if video is None and film.exists():
-            raise UsageError(f"{film} exists; name the films with --video, such as --video failed.mp4")
     found = []
     with terminal.progress("episodes", always=False) as show:
         chosen = [kept.chosen(number) for number in failed]
@@ -125,14 +125,18 @@ def repeat_failed(run: Run, video: Path | None, *, as_json: bool, allow_code: bo
             found.append({"number": each.number, "film": films.get(each.number), **explanation_json(traced, statements)})
             if show is not None:
                 show(len(found), len(failed))
-            if not as_json:
+            if not as_json and each.number in first:
                 ends = [statement.text for statement in statements if statement.cause in ("margin", "fact", "limit")]
                 filmed = f" ({films[each.number]})" if each.number in films else ""
                 terminal.print_result(f"episode {each.number}: '{traced.ended_by}' at {traced.time:.2f} s{filmed}\n  {' '.join(ends)}")
     if as_json:
         terminal.show_json({"run": run.path, "evaluation": kept.path, "episodes": len(kept.outcomes), "failed": found})
         return
+    if len(failed) > len(first):
+        terminal.print_result(f"and {len(failed) - len(first)} more; --json shows all")
     terminal.print_result(f"{len(failed)} of {len(kept.outcomes)} episodes of {kept.path} failed")
+    for ending, count in Counter(each["ended_by"] for each in found).most_common():
+        terminal.print_result(f"  '{ending}' ended {count}")
     if failed:
         terminal.note(f"\nnext:\n  deepbots explain-episode {quote(str(run.path))} --episode {failed[0]}")
 
