@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import base64
 import io
-import math
 import platform
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
@@ -63,12 +62,9 @@ class _Evaluation(KeptEvaluation):
     @field_validator("outcomes")
     @classmethod
     def _comparable(cls, outcomes: tuple[Episode, ...]) -> tuple[Episode, ...]:
-        """Figures sort episodes by their returns and by each drawn value."""
+        """Figures sort episodes by each drawn value."""
         kinds: dict[str, type] = {}
         for episode in outcomes:
-            numbers = [value for value in episode.drawn.values() if not isinstance(value, str)]
-            if not all(map(math.isfinite, [episode.total_return, *numbers])):
-                raise ValueError("a number of an episode is not finite")
             if any(kinds.setdefault(name, type(value)) is not type(value) for name, value in episode.drawn.items()):
                 raise ValueError("a drawn value is a number in one episode and a name in another")
         return outcomes

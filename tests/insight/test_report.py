@@ -138,7 +138,7 @@ def test_what_cannot_be_reported_is_told_in_a_sentence(run, tmp_path, capsys, gr
     [
         ({"outcomes": []}, "'outcomes'"),
         ({"mean_return": float("nan")}, "'mean_return'"),
-        ({"total_return": float("inf")}, "a number of an episode is not finite"),
+        ({"total_return": float("inf")}, "'outcomes.3.total_return'"),
         ({"drawn": {"mass": "heavy"}}, "a drawn value is a number in one episode and a name in another"),
     ],
 )
