@@ -177,6 +177,9 @@ class Commands(TyperGroup):
     def invoke(self, ctx: Any) -> Any:
         try:
             return super().invoke(ctx)
+        except typer.BadParameter as error:
+            error.message = error.message.removeprefix("Value error, ")  # pydantic's name of the exception
+            raise
         except KeyboardInterrupt:
             terminal.note("interrupted")
             raise typer.Exit(130) from None
