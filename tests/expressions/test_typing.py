@@ -216,6 +216,11 @@ def test_a_field_says_its_name_and_what_it_needs(bench):
     assert bench.said[0].headline == "the timestep must be a duration (s); this is a length (m)"
 
 
+def test_a_value_out_of_range_is_shown_with_its_sign(bench):
+    expect(bench.clean("-5000 km"), bench.report, "the field", dimension=LENGTH)
+    assert bench.said[0].headline == "the field is -5e+06 m"
+
+
 def test_a_field_takes_the_shape_and_stage_that_it_declares(bench):
     expect(bench.clean("1 2 3 m"), bench.report, "the size", dimension=LENGTH, components=("x", "y"))
     assert [said.code for said in bench.said] == ["DB106"]
