@@ -117,7 +117,7 @@ def grid(terrain_shape: TerrainShape) -> HeightGrid | None:
         case _:
             return None
     if not np.all(np.abs(found.heights) < _HIGHEST):  # which NaN is not
-        raise EngineError("the terrain has no height, or one beyond 10 km, somewhere within its size")
+        raise EngineError("the terrain has no height, or one that is not between -10 km and 10 km, somewhere within its size")
     return found
 
 

@@ -84,10 +84,10 @@ def seed_list(text: str) -> tuple[int, ...]:
             high = whole(0, MAX_SEED)(last.strip()) if dots else low
         except typer.BadParameter as error:
             raise typer.BadParameter(f"--seeds: {error.message}") from None
-        if not low <= high < low + MAX_SEEDS:
-            raise typer.BadParameter(
-                f"--seeds: '{part}' is not a range of 1 to {MAX_SEEDS} seeds; write the smaller seed first, such as 0..4"
-            )
+        if high < low:
+            raise typer.BadParameter(f"--seeds: '{part}' ends before it begins; write {high}..{low}")
+        if high - low >= MAX_SEEDS:
+            raise typer.BadParameter(f"--seeds: '{part}' has {high - low + 1:,} seeds; the limit is {MAX_SEEDS:,}")
         seeds += range(low, high + 1)
         if len(seeds) > MAX_SEEDS:
             raise typer.BadParameter(f"--seeds: a group has at most {MAX_SEEDS} seeds")
@@ -177,6 +177,9 @@ class Commands(TyperGroup):
     def invoke(self, ctx: Any) -> Any:
         try:
             return super().invoke(ctx)
+        except typer.BadParameter as error:
+            error.message = error.message.removeprefix("Value error, ")  # pydantic's name of the exception
+            raise
         except KeyboardInterrupt:
             terminal.note("interrupted")
             raise typer.Exit(130) from None

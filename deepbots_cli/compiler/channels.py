@@ -83,8 +83,9 @@ def _check_burst(burst: float, loss: Expression, span: Span, values: Values) -> 
     """Losses in runs of mean length b with at least one message between make up b / (b + 1) of all, at most."""
     highest = loss.typed.type.interval.high
     if burst / (burst + 1.0) < min(highest, 1.0) < 1.0:
-        headline = f"bursts of {burst:g} lost messages cannot give a loss of {highest:g}"
-        values.findings.add("DB105", span, headline, help=f"give a `burst` of at least {highest / (1.0 - highest):.3g}")
+        least = f"{highest / (1.0 - highest):.3g}"
+        headline = f"a loss of {100.0 * highest:g} % needs bursts of at least {least} messages on average; `burst` is {burst:g}"
+        values.findings.add("DB105", span, headline, help=f"give a `burst` of at least {least}")
 
 
 def is_repeated_as_a_whole(typed: Typed, redraw: Redraw | None, text: Text, values: Values) -> bool:

@@ -534,9 +534,10 @@ class RobotScope(_Scope):
             if not arrives:
                 return Symbol(name, None, refused=f"the robot cannot know a drawn parameter; send it: `receive: {{{name}: {name}}}`")
         if arrives:
-            return Symbol(name, None, refused="it arrives with a message; use it in `apply`")
+            return Symbol(name, None, refused="a robot cannot send back a value that it receives; use the value in `apply`")
         if name in _BUILT_IN or origin in (Origin.AUGMENT, Origin.SIGNAL, Origin.ENDING, Origin.FIELD):
-            return Symbol(name, None, refused=f"robot `{self.robot}` sees only its own sensors; send it under `receive` if it must know")
+            known = f"robot `{self.robot}` knows only its sensors and messages"
+            return Symbol(name, None, refused=f"{known}; to send it `{name}`, write `receive: {{{name}: {name}}}`")
         return self.namespace.symbol(name)
 
     def names(self) -> Iterable[str]:

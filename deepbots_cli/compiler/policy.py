@@ -57,8 +57,8 @@ def copies(namespace: Namespace) -> RobotCopies | None:
     name, values = spec.agent.each, namespace.values
     for robot, given in spec.robots.items():
         if "count" in given.model_fields_set and robot != name and not values.is_invalid("each"):
-            headline = f"copies of `{robot}` without a policy for each are not supported yet"
-            help = f"write `agent: {{each: {robot}}}`, which lets one policy act for every copy"
+            headline = f"copies of `{robot}` need `agent: {{each: {robot}}}`"
+            help = f"write `agent: {{each: {robot}}}`: one policy then acts for every copy"
             values.findings.add("DB108", values.key_span(("robots", robot, "count")), headline, help=help)
     if name is None:
         return None
@@ -155,7 +155,9 @@ class Actions:
         """What the agent itself gave last: numbers in [-1, 1], and each choice as one-hot."""
         name = "previous_action"
         if context is Context.RECEIVE:
-            return Symbol(name, None, refused="it arrives with the action; use the action variable")
+            variable = next(iter(self._namespace.names_of(Origin.ACTION)), None)
+            example = f", such as `{variable}`" if variable else ""
+            return Symbol(name, None, refused=f"the robot receives the action itself: use the action variable{example}")
         parts = self.parts()
         if not parts:
             written = self._values.root.get("action")  # of which findings may have left nothing

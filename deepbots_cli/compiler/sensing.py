@@ -207,8 +207,9 @@ def _rays(namespace: Namespace, spec: RayScan) -> dict[str, Pose] | None:
     values = namespace.values
     if isinstance(spec.rays, dict):
         if spec.angle_range is not None:
-            span, headline = values.key_span((*spec.path, "angle_range")), "`angle_range`, although the rays are given by name"
-            values.findings.add("DB101", span, headline, help="give the number of rays under `rays`")
+            span, headline = values.key_span((*spec.path, "angle_range")), "`angle_range` does not apply to rays with names"
+            help = "remove it, or write a number of rays, as in `rays: 5`, to spread them over the range"
+            values.findings.add("DB101", span, headline, help=help)
         return {name: _frame(namespace, ray) for name, ray in spec.rays.items()}
     count = spec.rays or 1
     if spec.angle_range is None:
@@ -246,12 +247,12 @@ def _lookup(namespace: Namespace, spec: TableSpec) -> tuple[CalibrationTable, Di
         if len(column) != len(distance):
             headline = f"`{key}` has {len(column)} numbers, and `distance` has {len(distance)}"
             values.findings.add("DB106", values.span((*spec.path, key)), headline, help="give one for each distance")
-    falling = [b for a, b in pairwise(distance) if b <= a]
+    falling = [(a, b) for a, b in pairwise(distance) if b <= a]
     distances, noises = values.span((*spec.path, "distance")), columns.get("noise", ())
     if falling:
-        values.findings.add(
-            "DB105", distances, f"the distances do not increase at {falling[0]:g} m", help="give the smallest distance first"
-        )
+        before, after = falling[0]
+        headline = f"the distances must increase: {after:g} m follows {before:g} m"
+        values.findings.add("DB105", distances, headline, help="sort the distances, and their values with them")
     elif distance[0] < 0.0 or distance[-1] <= 0.0:
         headline = f"the distance {min(distance[0], distance[-1]):g} m is not allowed"
         help = "give distances of at least 0; the last one must be greater than 0"

@@ -285,7 +285,7 @@ class Values:
         if not isinstance(kind, Quantity) or not kind.components or kind.stage == "fixed" or value.type.components is not None:
             return True
         help = f"write `vector(x, y, z)`, or draw three: `uniform(-1 -1 0 .. 1 1 0 {value.type.dimension})`"
-        self.findings.add("DB404", text.span, f"{what} is a single value, not a vector", help=help)
+        self.findings.add("DB404", text.span, f"{what} must be a vector; this is a single value", help=help)
         return False
 
     def _is_within(self, value: Typed, text: Text, what: str) -> bool:

@@ -266,10 +266,13 @@ def _formula(given: world_spec.Formula, size: tuple[float, float], namespace: Na
     for x, y in ((along_x * size[0], along_y * size[1]) for along_y in steps for along_x in steps):
         found = _at(heights, {"x": x, "y": y})
         if not (isinstance(found, Const) and abs(found.value) < _HIGHEST):
-            headline = f"the ground has no height, or one beyond 10 km, at x = {x:g} m, y = {y:g} m"
-            values.findings.add(
-                "DB105", text.span, headline, help="correct `heights`: it divides by zero, leaves the domain of a function, or is too large"
-            )
+            place = f"at x = {x:g} m, y = {y:g} m"
+            if isinstance(found, Const) and math.isfinite(found.value):
+                headline, help = f"the ground is {found.value:g} m high {place}", "give heights between -10 km and 10 km"
+            else:
+                headline = f"the ground has no height {place}"
+                help = "correct `heights`: it divides by zero, leaves the domain of a function, or is too large"
+            values.findings.add("DB105", text.span, headline, help=help)
             return None
     return Formula(heights, size)
 

@@ -124,7 +124,9 @@ class _Painter:
         lines = [f"{head}: {self.paint('bold', shortened(finding.headline))}"]
         for source in dict.fromkeys(label.span.source for label in labels):
             first = next(label.span for label in labels if label.span.source is source)
-            lines.append(f"{' ' * gutter}{self.paint('frame', '-->')} {escaped(first.where)}")
+            is_option = source.name.startswith("--set ")  # its text is a single value, in which a line says nothing
+            where = f"--set {shortened(source.text)}" if is_option else first.where
+            lines.append(f"{' ' * gutter}{self.paint('frame', '-->')} {escaped(where)}")
             lines.extend(f"{' ' * gutter}    included from {escaped(span.where)}" for span in source.chain)
             lines.extend(self.snippet(source, finding, gutter))
         frame = f"{' ' * gutter} {self.paint('frame', '=')} "

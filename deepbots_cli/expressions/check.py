@@ -71,7 +71,7 @@ _FAMILY_HELP = {
 }
 _CONTEXT_HELP = {
     **{(Context.FORBID, family): "compute it under `augment`, and use that name here" for family in Family},
-    (Context.FIXED, Family.DRAW): "it must be the same in every episode; write a fixed value",
+    (Context.FIXED, Family.DRAW): "write a number: it is the same in every episode",
     (Context.SCRIPT, Family.STATEFUL): "define it as a signal, and use the signal here",
     (Context.TEST, Family.STATEFUL): "define it as a signal, and use the signal here",
     (Context.TEST, Family.MESSAGE): "define it as a signal, and use the signal here",
@@ -175,7 +175,7 @@ class _Checker:
         value = self.visit(tree)
         if value.type.copies:
             help = "the number of copies varies: reduce the value with `min`, `max`, `sum`, `norm`, `any` or `all`"
-            raise self._fault("DB404", tree, "a value for each copy of a group", help)
+            raise self._fault("DB404", tree, "this has one value per copy of a group, and a single value is needed", help)
         if size(value) > MAX_SIZE:
             headline = f"an expression of more than {MAX_SIZE} operations on single numbers"
             raise self._fault("DB005", tree, headline, "name parts of it, as signals or parameters")
@@ -353,7 +353,7 @@ class _Checker:
         if len(node.items) == 2:
             missing, help = "an operator", f"to multiply, write `*` before `{written}`"
             if symbol.type is not None and symbol.type.boolean:
-                missing, help = "`when`", f"write a conditional reward as `5 when {written}`"
+                missing, help = "`when`", f"put `when` before `{written}` if it is the condition of a reward"
             raise self._fault("DB401", node, f"{missing} is missing before `{written}`", help)
 
     # operators
@@ -455,7 +455,10 @@ class _Checker:
         is_allowed = function.family in ALLOWED[context]
         if not is_allowed:
             help = _CONTEXT_HELP.get((context, function.family)) or _FAMILY_HELP.get(function.family)
-            self._fault("DB407", called, f"`{function.name}` cannot be used in {context.value}", help)
+            headline = f"`{function.name}` cannot be used in {context.value}"
+            if context is Context.FIXED and function.family is Family.DRAW:
+                headline = f"this value must be fixed, but `{function.name}` draws a random number"
+            self._fault("DB407", called, headline, help)
         subjects, bound = self._arguments(node, function)
         values = tuple(value for _, value in bound)
         result = self._result(node, function, subjects, bound)

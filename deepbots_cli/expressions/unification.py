@@ -115,7 +115,7 @@ def require_dimension(value: Typed, dimension: Dimension, what: str, report: Rep
     if is_bare_number(value):
         raise missing_unit(value, dimension, report, unit)
     help = _plain_name(value) or _remedy(value, dimension)
-    raise report_at(report, "DB503", value, f"{what} is {value.type.words}, not {dimension.words}", help)
+    raise report_at(report, "DB503", value, f"{what} must be {dimension.words}; this is {value.type.words}", help)
 
 
 def missing_unit(value: Typed | TypedRange, dimension: Dimension, report: Report, unit: str | None = None) -> Stop:
@@ -262,7 +262,7 @@ def _require_shape(value: Typed, components: Components | None, what: str, repor
         return
     if components is None:
         help = f"pick a component, or reduce it with {'`any` or `all`' if value.type.boolean else '`norm`, `sum`, `max` ...'}"
-        raise report_at(report, "DB404", value, f"{what} is {value.type.shape_words}, not a single value", help)
+        raise report_at(report, "DB404", value, f"{what} must be a single value; this is {value.type.shape_words}", help)
     if len(found) != len(components) and found[0] in ("x", "1"):
         headline = f"{what} has {len(found)} values, not {len(components)}"
         raise report_at(report, "DB106", value, headline, f"give {' and '.join(components)}")
@@ -271,17 +271,19 @@ def _require_shape(value: Typed, components: Components | None, what: str, repor
 
 def _require_size(value: Typed, stage: Stage, what: str, report: Report) -> None:
     """Warn of implausible values; refuse values beyond an engine's precision that are settled before the episode."""
-    dimension = value.type.dimension
-    largest = max(map(abs, value.type.interval))
+    dimension, interval = value.type.dimension, value.type.interval
+    farthest = max(interval, key=abs)
+    largest, is_or_reaches = abs(farthest), "is" if interval.single else "reaches"
     plausible = quantity(dimension).plausible
     limit = _LARGEST if plausible == math.inf else _BEYOND * plausible
     if largest > limit and stage is not Stage.STEP:
         unit = "" if dimension == NUMBER else f" {dimension}"
-        raise report_at(report, "DB105", value, f"{what} is {largest:g}{unit}", f"give at most {limit:g}{unit}")
+        help = f"give at most {limit:g}{unit}" if farthest > 0.0 else f"give at least {-limit:g}{unit}"
+        raise report_at(report, "DB105", value, f"{what} {is_or_reaches} {farthest:g}{unit}", help)
     if dimension == ANGLE:
         warn_of_degrees(value, report)
     if largest > plausible:
-        report_at(report, "DB505", value, f"{what} is {largest:g} {dimension}", "check the unit")
+        report_at(report, "DB505", value, f"{what} {is_or_reaches} {farthest:g} {dimension}", "check the unit")
 
 
 def negated(value: Typed) -> Callable[[str], str]:

@@ -51,7 +51,7 @@ def never_true(context: RuleContext) -> Iterator[Finding]:
         if all(ending.value.name in names for names in silent):
             headline = f"`{ending.value.name}` can never hold"
             notes = tuple(_reasons(context.analysis, ending))
-            yield Finding("DB801", ending.value.span, headline, help="write a limit that can be reached, or remove the ending", notes=notes)
+            yield Finding("DB801", ending.value.span, headline, help="correct the condition, or remove the ending", notes=notes)
 
 
 def _truth_over_episode(analysis: Analysis, ending: Ending) -> Interval:
@@ -486,7 +486,9 @@ def idle_test(context: RuleContext) -> Iterator[Finding]:
         for expected in test.expected:
             outcome = _only_outcome(analysis, test, expected)
             if outcome is not None:
-                headline = f"`{expected.key}` of the test `{test.name}` {'holds in every episode' if outcome else 'can never hold'}"
+                headline = f"the test `{test.name}` cannot pass: `{expected.key}` never holds"
+                if outcome:
+                    headline = f"`{expected.key}` of the test `{test.name}` checks nothing: it holds whatever happens"
                 help = "expect something that a wrong scenario misses" if outcome else "expect something that can be reached"
                 yield Finding("DB813", expected.span, headline, help=help)
 

@@ -129,9 +129,9 @@ class _PoleSearch:
 def term_dominates(context: RuleContext) -> Iterator[Finding]:
     """DB702: over an episode a term adds up to more than a hundred times what any ending pays.
 
-    The agent cannot learn to reach the goal or to avoid failure, because both have a negligible share of the return. The rule uses the
-    smallest sum of the term over an episode that runs to its limit. A term that is the same in every step, such as `alive: 1`, is not
-    reported.
+    The agent cannot learn to reach the goal or to avoid failure, because both have a negligible share of the return. For the sum, the
+    rule takes an episode that lasts until the time limit, and the smallest absolute value that the term can add up to. A term that is the
+    same in every step, such as `alive: 1`, is not reported.
 
     Example::
 

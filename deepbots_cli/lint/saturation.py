@@ -201,7 +201,7 @@ def _goal_out_of_range(context: RuleContext) -> Iterator[Finding]:
         drawn = analysis.start.initial(meant) if isinstance(meant, World) else drawn
         slack = _ROUNDING * (high - low)
         if drawn is not None and drawn.finite and (drawn.low < low - slack or drawn.high > high + slack):
-            headline = f"`desired` begins beyond its range: it is {between(drawn, goal.desired.typed.type.dimension)}"
+            headline = f"`desired` can begin outside its range: it is drawn {between(drawn, goal.desired.typed.type.dimension)}"
             yield Finding(
                 "DB611", context.values.span(("goal", "range")), headline, help="widen the range of the goal, or draw from a smaller one"
             )

@@ -115,9 +115,7 @@ def _around(start: StartRanges, thing: ObjectBody, kind: Variant, robots: _Robot
     width = 2.0 * footprint.of_shape(kind.shape).inradius
     for robot, size in robots:
         if width >= _DWARFS * size and _is_within(start, robot, thing, kind.shape):
-            headline = (
-                f"`{path[-1]}` is {with_unit(width, LENGTH)} across, and `{robot.name}`, {with_unit(size, LENGTH)} in size, begins inside"
-            )
+            headline = f"`{path[-1]}` is {with_unit(width, LENGTH)} across, and `{robot.name}` ({with_unit(size, LENGTH)}) begins inside it"
             return Finding("DB507", _span(path, ("radius", "size"), values), headline, help=_in_centimetres(path, values))
     return None
 
@@ -363,7 +361,9 @@ def requirement_not_redrawn(context: RuleContext) -> Iterator[Finding]:
     sources = sorted((analysis.sources(node) | names) & drawn)
     bent = {subject.partition(".")[0] for fact in facts if not _is_of_root(program, fact) for subject in fact.subjects}
     if sources and not _is_drawn_again(program, places, bent) and analysis.start.of(node) != ALWAYS:
-        headline = f"a new attempt cannot meet the requirement: `{sources[0]}` is drawn once per episode"
+        headline = (
+            f"if `require` fails, drawing the places again does not help: it depends on `{sources[0]}`, which is drawn once per episode"
+        )
         yield Finding(
             "DB812", require.span, headline, help=f"draw `{sources[0]}` from values that meet it, or draw places under `reset.place`"
         )

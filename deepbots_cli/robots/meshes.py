@@ -197,7 +197,7 @@ class MeshReader:
         if data.startswith(_ARCHIVES):
             return UnusableMesh("the mesh is an archive", "unpack it")
         wrong = mesh_problem(path.suffix.lower(), data)
-        return UnusableMesh(wrong) if wrong else hashlib.sha256(data).hexdigest()
+        return UnusableMesh(wrong, "export the mesh again") if wrong else hashlib.sha256(data).hexdigest()
 
 
 def checked_bytes(mesh: Mesh) -> bytes:
@@ -277,7 +277,7 @@ def _stl(data: bytes) -> str | None:
         return "the STL file is shorter than its header"
     triangles = int.from_bytes(data[80:84], "little")
     if len(data) != 84 + 50 * triangles:
-        return f"the STL file declares {triangles:,} triangles, but its size fits {(len(data) - 84) / 50:,g}"
+        return f"the STL file declares {triangles:,} triangles, but its length is that of {(len(data) - 84) / 50:,g} triangles"
     if not triangles:
         return "the STL file holds no triangle"
     # A sum is finite only if every summand is, and finite 32-bit floats cannot overflow it.

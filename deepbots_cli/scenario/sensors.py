@@ -354,8 +354,8 @@ class Camera(LinkSensor):
     perceives = True
 
     type: Literal["camera"]
-    resolution: Annotated[Scalar, Quantity("number", components=2, minimum=1, maximum=1024, whole=True)]
-    """Columns and rows, such as `64 64`."""
+    resolution: Annotated[Scalar, Quantity("number", components=2, minimum=1, maximum=1024, whole=True, like="64 48")]
+    """Columns and rows, such as `64 48`."""
     fov: Annotated[Scalar, Quantity("angle", minimum=0, exclusive=True)] = "60 deg"
     """Angle of view from top to bottom."""
     channels: Literal["rgb", "grayscale", "depth", "segmentation"] = "rgb"

@@ -34,6 +34,11 @@ def test_every_verb_explains_itself_with_examples(deepbots, verb):
     assert f"  deepbots {verb} " in shown.out or f"  deepbots {verb}\n" in shown.out
 
 
+def test_the_help_of_test_names_a_test_of_the_scenario(deepbots):
+    (example,) = [line.split() for line in deepbots("test", "--help").out.splitlines() if " -k " in line and "deepbots test" in line]
+    assert any(example[example.index("-k") + 1] in test.name for test in api.load("cartpole", tests=True).tests)
+
+
 @pytest.mark.parametrize("verb", COMMANDS)
 def test_every_example_in_the_help_is_a_command_line_that_parses(deepbots, verb):
     command = Commands().get_command(None, verb)
@@ -120,6 +125,19 @@ def test_a_seed_that_no_record_could_hold_is_refused_and_does_not_fill_the_help(
     assert (ran.code, ran.out) == (2, "")
     assert "is too large" in ran.err
     assert "9223372036854775807" not in deepbots(words[0], "--help").out
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["train", "cartpole", "--seeds", "4..0"], "'4..0' ends before it begins; write 0..4"),
+        (["train", "cartpole", "--seeds", "0..5000"], "'0..5000' has 5,001 seeds; the limit is 1,000"),
+        (["run", "cartpole", "--policy", "best"], "Invalid value for '--policy': 'best' is not one of 'random', 'zero'."),
+        (["inspect", "cartpole", "--set", "fall_angel=10deg"], " --> --set fall_angel=10deg\n"),
+    ],
+)
+def test_a_wrong_option_is_shown_as_it_was_typed(deepbots, words, said):
+    assert said in deepbots(*words).err
 
 
 def test_a_fault_of_ours_is_told_apart_and_its_traceback_kept(deepbots, monkeypatch, tmp_path):

@@ -213,7 +213,12 @@ def test_a_field_takes_what_it_declares(bench, text, dimension, code):
 
 def test_a_field_says_its_name_and_what_it_needs(bench):
     expect(bench.clean("3 m"), bench.report, "the timestep", dimension=TIME)
-    assert bench.said[0].headline == "the timestep is a length (m), not a duration (s)"
+    assert bench.said[0].headline == "the timestep must be a duration (s); this is a length (m)"
+
+
+def test_a_value_out_of_range_is_shown_with_its_sign(bench):
+    expect(bench.clean("-5000 km"), bench.report, "the field", dimension=LENGTH)
+    assert bench.said[0].headline == "the field is -5e+06 m"
 
 
 def test_a_field_takes_the_shape_and_stage_that_it_declares(bench):

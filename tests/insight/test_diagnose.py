@@ -15,7 +15,7 @@ pytest.importorskip("stable_baselines3")
 
 from deepbots_cli import api
 from deepbots_cli.cli import main
-from deepbots_cli.errors import DeepbotsError, RunError
+from deepbots_cli.errors import DeepbotsError, EvaluationError, RunError
 from deepbots_cli.insight.diagnosis import CAUSES, diagnose
 from deepbots_cli.insight.episode import ROWS
 from deepbots_cli.insight.trace import last_evaluation, trace_episodes

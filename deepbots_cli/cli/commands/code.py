@@ -34,7 +34,7 @@ def compile_(
     ] = None,
     program: Annotated[bool, typer.Option("--program", help="Print the compiled scenario as canonical JSON instead of Python.")] = False,
     target: Annotated[
-        str, typer.Option("--target", metavar="TARGET", help="What the module is for: scalar (a world) or batch (many worlds as arrays).")
+        str, typer.Option("--target", metavar="TARGET", help="scalar: one world; batch: many worlds, each number an array.")
     ] = "scalar",
     as_json: Json = False,
     allow_paths: AllowPaths = None,

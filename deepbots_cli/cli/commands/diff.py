@@ -66,7 +66,8 @@ def command(
     The command compiles both scenarios and compares the values, so layout, comments and units make no difference. For a run directory
     it uses the scenario of the training. --set overrides values of the second scenario.
 
-    The exit code is 0 if all differences are cosmetic or there are none, 1 if there are others, and 2 if a scenario cannot be compiled.
+    Differences in names, summary, colours, order of keys or last digits are cosmetic. The exit code is 0 if there are no other
+    differences, 1 if there are, and 2 if a scenario cannot be compiled.
 
     \b
       deepbots diff pit_escape pit_escape_as_printed

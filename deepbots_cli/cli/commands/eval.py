@@ -102,7 +102,8 @@ def command(
     details: Annotated[
         bool,
         typer.Option(
-            "--details", help="Also show the results by the random values of the episodes, and the results of each curriculum stage."
+            "--details",
+            help="Also show the result for each part of the range of every drawn value, and in each stage of the curriculum.",
         ),
     ] = False,
     engine: Annotated[
@@ -138,21 +139,20 @@ def command(
     --require-solved, --min-success and --min-return check the result in the scenario itself. With --case or --stage, they check the result
     in that case or stage. For a group, every seed is evaluated on the same starts, and the requirements apply to the means over the seeds.
 
-    --min-success and --min-return stop the evaluation of a run early when the remaining episodes cannot change the answer, or when the
-    answer is certain at 95 %.
-    The evaluation of a group stops when the remaining episodes of all seeds cannot change the answer to --min-success.
+    With --min-success or --min-return, the evaluation of a run stops as soon as it is certain whether the requirement is met: the
+    remaining episodes cannot change it, or a 95 % confidence sequence excludes the required value. The evaluation of a group stops early
+    only for --min-success, and only if the remaining episodes of all seeds cannot change it.
 
-    --robustness changes one condition at a time by several amounts, and shows the level at which the result falls below the bar. The bar
-    is --min-success or --min-return. If neither is given, it is `solved` of the scenario. Without `solved`, it is 80 % of the result
-    without a change.
+    --robustness changes one condition at a time by several amounts. It shows the level at which the result falls below a bar:
+    --min-success or --min-return; if neither is given, `solved` of the scenario; without `solved`, 80 % of the result without a change.
 
     --set overrides values of the scenario of the run, or of the scenario that --scenario names. This scenario must have the
     observation, action and messages of the training; its world may differ. --engine runs the episodes in another engine. With several
     engines, such as --engine mujoco,pybullet, every engine runs episodes from the same starts. The table shows the difference of each
     further engine from the first, with its 95 % interval over pairs of episodes. The requirements then apply to every engine.
 
-    --episodes failed repeats the failed episodes of the last evaluation that the run keeps, prints what ended each of them and by how much,
-    and counts the endings. With --video failed.mp4, it films the first 10, episode K in failed-K.mp4.
+    --episodes failed runs the failed episodes of the last kept evaluation again, and counts their endings. For the first 10, it prints the
+    ending, and how far its value was beyond the bound. With --video FILE.mp4, it films these as FILE-K.mp4 for episode K.
 
     \b
       deepbots eval runs/cartpole-0-1

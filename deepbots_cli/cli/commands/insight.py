@@ -29,7 +29,7 @@ def explain_episode(
             "--episode",
             metavar="K",
             parser=whole(0),
-            help="Episode of the evaluation or of the recording; by default the first that failed in the last evaluation, or the first.",
+            help="Episode of the evaluation or of the recording; by default the first failed one of the last evaluation, or 0.",
         ),
     ] = None,
     seed: Annotated[
@@ -44,9 +44,9 @@ def explain_episode(
 ) -> None:
     """Explain why an episode ended as it did.
 
-    The episode runs again, from its seed or with its recorded actions. The command prints the ending and its time, the margin between the
-    value of the ending and its bound, the reward terms in the return, the largest drop of the critic's value, and the observations and
-    actions at the ends of their ranges. --json holds the same numbers in SI units.
+    The episode runs again, from its seed or with its recorded actions. The command prints the ending and its time, how far the value in
+    the condition of the ending is beyond its bound, the part of each reward term in the return, the largest drop of the critic's value,
+    and the observations and actions that reached an end of their range. --json holds the same numbers in SI units.
 
     \b
       deepbots explain-episode runs/cartpole-0-1

@@ -32,8 +32,8 @@ _CAPTIONS = {
     "observation": "low .. high is mapped to the range in `seen_as`; values outside are clipped",
     "poses": "end links of the robots at the start of the episode with seed 0, in the world frame",
     "drawn": "values that each reset draws anew, in SI units",
-    "hyperparameters": "`from`: the scenario, or the default of deepbots or of the library",
-    "timing": "in step n of the agent, n = 0, 1, ...; physics steps count from 1",
+    "hyperparameters": "`from` names the source of each value: the scenario, or the default of deepbots or of the library",
+    "timing": "the physics step of each action and measurement, for step n = 0, 1, ... of the agent; the first physics step is 1",
 }
 
 

@@ -155,4 +155,4 @@ def _threads() -> Check:
         import torch
     except (ImportError, OSError) as error:
         return Check("learning", "broken", str(error))
-    return Check("learning", "ok", f"torch with {torch.get_num_threads()} threads; training uses one")
+    return Check("learning", "ok", f"torch can use {torch.get_num_threads()} threads; training uses 1")

@@ -16,7 +16,8 @@ def command(
     runs: Annotated[list[Path], typer.Argument(metavar="RUN", help="Run directories, folders of runs, or folders of TensorBoard files.")],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="File to write, .png or .svg.")] = Path("plot.png"),
     window: Annotated[
-        int, typer.Option("--window", metavar="N", parser=whole(1, 100_000), help="Episodes that returns and successes are averaged over.")
+        int,
+        typer.Option("--window", metavar="N", parser=whole(1, 100_000), help="Average returns and successes over this number of episodes."),
     ] = 100,
     dark: Annotated[bool, typer.Option("--dark", help="Light lines on a dark ground.")] = False,
 ) -> None:

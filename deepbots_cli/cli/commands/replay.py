@@ -29,7 +29,7 @@ def command(
     tolerance: Annotated[
         float,
         typer.Option(
-            "--tolerance", metavar="X", min=0.0, max=1.0, help="With --verify, allow differences of X (relative for numbers over 1)."
+            "--tolerance", metavar="X", min=0.0, max=1.0, help="With --verify, allow differences up to X (relative for numbers above 1)."
         ),
     ] = 0.0,
     scenario: Annotated[
@@ -42,10 +42,10 @@ def command(
 ) -> None:
     """Show a recording, or run it again and compare.
 
-    With --verify, the scenario in the recording is compiled, each episode starts from its seed and takes its recorded actions. The command
+    --verify compiles the scenario in the recording, and runs each episode again from its seed with its recorded actions. The command
     names the first step and the first quantity that differ, with exit code 1. On the machine of the recording, with the same
-    versions, nothing differs. For another machine or other versions, --tolerance compares numbers within a tolerance (relative for numbers
-    over 1), and leaves out hashes, images and contact forces.
+    versions, nothing differs. On another machine or with other versions, use --tolerance X: numbers may then differ by X, or by the
+    fraction X if they are above 1. Hashes, images and contact forces are not compared.
 
     --scenario runs the episodes in another scenario with the same observation, action and messages, such as a later state of the same file,
     and names the settings that differ. --set overrides its values.

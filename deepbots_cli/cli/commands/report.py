@@ -26,11 +26,12 @@ def command(
 ) -> None:
     """Write a report about a run or a group: one HTML file.
 
-    The file holds the result with its interval, learning curves, reward terms, endings, starts against outcomes, trajectories, clips of the
-    best, the median and the worst episode, the scenario with the findings of lint, and versions. It loads nothing from elsewhere, needs no
-    scripts, and can be sent and archived as it is. It follows the light or dark setting of the reader.
+    The file holds the result with its interval, learning curves, reward terms, endings, the return over each drawn value, trajectories,
+    and clips of the best, the median and the worst episode. It also holds the scenario, the findings of lint and the versions. It loads
+    nothing from elsewhere, needs no scripts, and can be sent and archived as it is. It follows the light or dark setting of the reader.
 
-    Results are those of the last evaluation of the best model; `deepbots eval RUN` makes a new one. Clips need the engine to draw.
+    Results are those of the last evaluation of the best model; `deepbots eval RUN` makes a new one. Clips need an engine that can draw;
+    --no-clips leaves them out.
 
     \b
       deepbots report runs/cartpole-0-1

@@ -78,7 +78,7 @@ def command(
 
     Commas separate actions, and colons separate the numbers of one action: --actions 0.5:0.5,0.5:-0.5
 
-    Training and evaluation save an episode that raised an error in the run directory. To repeat it, give its file:
+    If an episode raises an error, training and evaluation save this episode in the run directory. To repeat it, give its file:
 
     \b
       deepbots run runs/cartpole-0-1/failures/0001.json
@@ -165,7 +165,7 @@ def _show(done: list[Episode]) -> None:
 def _term(done: list[Episode], name: str) -> Row:
     sums = [episode.terms[name] for episode in done]
     steps = sum(episode.length for episode in done)
-    return {"term": name, "per_episode": fmean(sums), "per_step": sum(sums) / steps, "min": min(sums), "max": max(sums)}
+    return {"term": name, "per_episode": fmean(sums), "min_episode": min(sums), "max_episode": max(sums), "per_step": sum(sums) / steps}
 
 
 # Policies

@@ -61,7 +61,7 @@ def command(
     \b
       deepbots test cartpole
       deepbots test scenarios/ --junit tests.xml
-      deepbots test cartpole.yaml -k falls --engine mujoco
+      deepbots test cartpole.yaml -k fails --engine mujoco
 
     Next: `deepbots view SCENARIO` shows an episode, with the options that a failed test prints.
     """
