@@ -100,11 +100,11 @@ def test_a_misspelt_scenario_is_suggested(deepbots):
     [
         (("pygls",), "everything works except what needs a missing extra: the language server"),
         ((), "everything works"),
-        (("torch",), "everything works except what needs a missing extra: training, MaskablePPO, RecurrentPPO and TQC"),
+        (("torch",), "everything works except what needs a missing extra: training, MaskablePPO, RecurrentPPO and TQC, policies as ONNX"),
         (
             ("pybullet",),
             "everything works except what needs a missing extra:"
-            " simulation, training, MaskablePPO, RecurrentPPO and TQC, the page of view and play",
+            " simulation, training, MaskablePPO, RecurrentPPO and TQC, the page of view and play, policies as ONNX",
         ),
     ],
 )

@@ -15,7 +15,6 @@ import pytest
 from deepbots_cli.lsp.diagnostics import Checker
 from deepbots_cli.lsp.server import Server
 from deepbots_cli.lsp.workspace import Analysis, Document, Workspace, analyse, path_of
-from tests.few import few
 from tests.fuzz.mutations import SEEDS
 from tests.lsp.client import Client
 
@@ -87,7 +86,8 @@ def test_nothing_is_kept_of_changes_that_came_and_went():
     assert after <= before + 1  # an analysis may be under way
 
 
-@pytest.mark.parametrize("seed", few(range(3), "0"))
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
 def test_after_changes_in_any_order_each_file_shows_what_a_first_look_at_it_would(tmp_path, seed):
     folder = tmp_path / "project"
     shutil.copytree(SEEDS, folder)
