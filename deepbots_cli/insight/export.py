@@ -125,7 +125,7 @@ def networks(model: BaseAlgorithm, program: Program) -> dict[str, bytes]:
 
 
 def takes_masks(model: BaseAlgorithm, program: Program) -> bool:
-    """Whether the graph has the input `action_mask`: the algorithm heeds forbidden options, and the scenario forbids some."""
+    """Whether the graph has the input `action_mask`: the algorithm uses action masks, and the scenario forbids options."""
     choices = [part for part in program.policy.action if isinstance(part, Choices)]
     return algorithms.takes_masks(model) and any(option.forbidden is not None for part in choices for option in part.options)
 

@@ -1,4 +1,4 @@
-"""The figures of a report, each drawn for a light or a dark ground."""
+"""The figures of a report, each drawn for a light or a dark background."""
 
 from __future__ import annotations
 
