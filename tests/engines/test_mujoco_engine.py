@@ -83,7 +83,8 @@ def test_a_wheel_is_a_cylinder_to_everything_but_flat_ground(build):
     for _ in range(10):
         drive([50.0])
         engine.step(1)
-    assert touches() and force() > 0.0
+    assert touches()
+    assert force() > 0.0
     assert speed()[0][1] < 0.1  # it grips
     assert engine.clearance(("robot", "wheel"), ("ball", None))() == pytest.approx(0.02, abs=1e-6)
     assert see() == pytest.approx([0.47], abs=1e-6)
