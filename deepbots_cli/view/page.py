@@ -373,7 +373,8 @@ class Page:
             margin = 0.03 * (limits[1] - limits[0]) or 1.0
             scales["y"] = {"range": (limits[0] - margin, limits[1] + margin)}
         series: Any = ({"label": "step"}, *lines)
-        return self.server.gui.add_uplot((np.zeros(1),) * len(series), series, scales=scales, height=height)
+        room = (12, 8, 0, 0)  # px, above for the uppermost number
+        return self.server.gui.add_uplot((np.zeros(1),) * len(series), series, scales=scales, height=height, padding=room)
 
     def _add_drive(self) -> None:
         gui, layout, hand = self.server.gui, self.shown[0].player.reader.layout, self._hand
