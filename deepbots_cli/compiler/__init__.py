@@ -35,7 +35,7 @@ from deepbots_cli.compiler.robots import RobotScene, load_robot
 from deepbots_cli.compiler.scoring import Signals, reward_terms, solved, truncation, with_reading_ages
 from deepbots_cli.compiler.tests import scenario_tests
 from deepbots_cli.compiler.values import Values, invalid_names
-from deepbots_cli.compiler.variants import training
+from deepbots_cli.compiler.variants import training, with_cases
 from deepbots_cli.compiler.world import define_bodies, lines, world
 from deepbots_cli.diagnostics import Finding, Findings, TooManyFindings
 from deepbots_cli.document import Document
@@ -96,8 +96,6 @@ def _with_cases(document: Document) -> Checked:
     checked = _check(document)
     if checked.program is None or checked.spec is None or not (checked.spec.evaluation.cases or checked.spec.curriculum):
         return checked
-    from deepbots_cli.compiler.variants import with_cases  # brings the back end, which most linting does without
-
     variants, program = with_cases(checked.document, checked.spec, checked.program, checked.findings, _check)
     own = {test.name: test.expected for variant in variants for test in variant.tests}
     tests = tuple(replace(test, expected=own.get(test.name, test.expected)) for test in checked.tests)

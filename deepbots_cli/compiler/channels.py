@@ -8,8 +8,8 @@ from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.values import Text, Values
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.expressions import unification
-from deepbots_cli.expressions.functions import FUNCTIONS, Family
-from deepbots_cli.expressions.types import Context, Invocation, Kind, Redraw, Stage, Symbol, Typed, walk
+from deepbots_cli.expressions.functions import draws
+from deepbots_cli.expressions.types import Context, Kind, Redraw, Stage, Symbol, Typed
 from deepbots_cli.expressions.unification import expect
 from deepbots_cli.program.resets import Disturbance
 from deepbots_cli.program.robots import Direction, Route
@@ -90,7 +90,7 @@ def _check_burst(burst: float, loss: Expression, span: Span, values: Values) -> 
 
 def is_repeated_as_a_whole(typed: Typed, redraw: Redraw | None, text: Text, values: Values) -> bool:
     """Whether a value that changes within an episode says how often its own draws are repeated."""
-    if redraw is not None or typed.type.stage is not Stage.STEP or not _draws(typed):
+    if redraw is not None or typed.type.stage is not Stage.STEP or not draws(typed):
         return _has_period(redraw, text, values)
     headline = "a random value combined with a value that changes within the episode"
     help = "write when it is drawn again (`every 5 s` or `each step`), or define it under `parameters`"
@@ -109,10 +109,6 @@ def _has_period(redraw: Redraw | None, text: Text, values: Values) -> bool:
         return True
     values.report(text)("DB105", period.start, period.end, f"a period that can be {low:g} s", "give more than 0")
     return False
-
-
-def _draws(value: Typed) -> bool:
-    return any(isinstance(node, Invocation) and FUNCTIONS[node.function].family is Family.DRAW for node in walk(value))
 
 
 _PUSHED = frozenset({Kind.ROBOT, Kind.LINK, Kind.OBJECT})

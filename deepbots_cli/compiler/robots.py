@@ -254,7 +254,6 @@ class Overrides:
         contact = {
             field: self.namespace.scalar_or_randomized(change, key, what, of, None, scope=self._scope())
             for key, (field, what) in _CONTACT.items()
-            for key, (field, what) in _CONTACT.items()
         }
         model, paint = edits.with_friction(model, link.name, **contact), self.namespace.colour(change, of)
         return edits.with_colour(model, link.name, paint) if paint else model

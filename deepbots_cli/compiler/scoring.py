@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -16,7 +16,7 @@ from deepbots_cli.expressions.types import Constant, Context, Invocation, Stage,
 from deepbots_cli.expressions.unification import expect
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Robot
-from deepbots_cli.program.task import Choices, Ending, Outcome, Solved, Truncation
+from deepbots_cli.program.task import Ending, Outcome, Solved, Truncation
 from deepbots_cli.program.values import Expression, Foreign
 from deepbots_cli.scenario.task import Measured, PythonTerm
 
@@ -174,28 +174,10 @@ def with_reading_ages(program: Program) -> Program:
     """
     if all(sensor.is_direct for robot in program.robots for sensor in robot.sensors):
         return program
-    judged = (value for value in _judged(program) if "age" in value.text)
-    calls = (node for value in judged for node in walk(value.typed) if isinstance(node, Invocation) and node.function == "age")
+    timed = (value for value in program.computed if "age" in value.text)
+    calls = (node for value in timed for node in walk(value.typed) if isinstance(node, Invocation) and node.function == "age")
     asked = dict.fromkeys(call.subjects[0].name for call in calls)
     return replace(program, robots=tuple(_with_ages(robot, asked) for robot in program.robots)) if asked else program
-
-
-def _judged(program: Program) -> Iterator[Expression]:
-    """What the supervisor computes in a step."""
-    for part in program.policy.action:
-        if isinstance(part, Choices):
-            yield from (option.forbidden for option in part.options if option.forbidden is not None)
-    yield from program.signals
-    yield from (entry.value for entry in program.policy.observation)
-    yield from program.policy.reward
-    yield from (ending.value for ending in program.endings)
-    if program.policy.goal is not None:
-        yield from (program.policy.goal.achieved, program.policy.goal.desired)
-    for script in program.policy.scripts:
-        for decided in script.parts:
-            yield from decided.values
-    for robot in program.robots:
-        yield from robot.receive
 
 
 def _with_ages(robot: Robot, asked: dict[str, None]) -> Robot:

@@ -27,7 +27,7 @@ from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.dimensions import ANGLE, FORCE, LENGTH, NUMBER, TIME, TORQUE, UNITS, Dimension
 from deepbots_cli.expressions.intervals import EVERYTHING, INF, Interval
 from deepbots_cli.expressions.scalar import Const, Draw, Op, Scalar, State, World
-from deepbots_cli.expressions.types import QUATERNION, SPACE, Components, Context, Kind
+from deepbots_cli.expressions.types import QUATERNION, SPACE, Components, Context, Invocation, Kind, Typed, walk
 from deepbots_cli.plugins import PluginTable
 
 GROUP = "deepbots.functions"
@@ -551,6 +551,11 @@ def operation(name: str) -> Function:
         KeyError: There is none.
     """
     return OPERATORS[name] if name in OPERATORS else FUNCTIONS[name]
+
+
+def draws(tree: Typed) -> bool:
+    """Whether an expression holds a random draw; one behind a name does not count."""
+    return any(isinstance(node, Invocation) and FUNCTIONS[node.function].family is Family.DRAW for node in walk(tree))
 
 
 def interval_of(node: Scalar, of: Callable[[Scalar], Interval]) -> Interval:

@@ -90,7 +90,6 @@ def _is_same_on_columns(node: ast.AST) -> bool:
 
 BATCH = Target("batch", _on_columns)
 """For many worlds at once: each value is a column with one number per world."""
-TARGETS = (SCALAR, BATCH)
 
 
 def python(scalar: Scalar, leaf: Leaf, target: Target = SCALAR) -> str:
