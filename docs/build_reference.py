@@ -14,13 +14,13 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from deepbots_cli.cli.commands.explain import topics
+from deepbots_cli.diagnostics.nearest import RENAMES
 from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, TIME, UNITS
 from deepbots_cli.expressions.functions import ALLOWED, FUNCTIONS, Family, Function
 from deepbots_cli.expressions.types import Context, Kind
 from deepbots_cli.learning.defaults import OURS, library_defaults, library_of
 from deepbots_cli.lint import Page, every_page
-from deepbots_cli.renames import RENAMES
 from deepbots_cli.scenario.base import Forms, Kinds, ListOf, MappingOf, Section, Shape, fields
 from deepbots_cli.scenario.docs import about, default_of, description, example_of, unit_of
 from deepbots_cli.scenario.fields import Expression, FieldType, Quantity

@@ -23,7 +23,7 @@ from pygls.workspace import PositionCodec
 from deepbots_cli.compiler import Checked, check
 from deepbots_cli.compiler.values import Reading
 from deepbots_cli.diagnostics import Finding, Findings, Source, Span
-from deepbots_cli.diagnostics.suppress import Selection
+from deepbots_cli.diagnostics.findings import Selection
 from deepbots_cli.document import Mapping, descend, files, load, to_data
 from deepbots_cli.document.files import project_root
 from deepbots_cli.document.load import Drafts
