@@ -26,8 +26,7 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.resets import Placement
 from deepbots_cli.program.robots import Route, Sensor
 from deepbots_cli.program.world import ARENA_WALLS, GROUND, ObjectBody, RobotBody, Variant
-from deepbots_cli.robots.inertia import volume
-from deepbots_cli.robots.model import Capsule, Cylinder, Mesh, Shape, Sphere
+from deepbots_cli.robots.model import Capsule, Cylinder, Mesh, Shape, Sphere, volume
 
 _LIGHTEST, _HEAVIEST = 0.1, 25_000.0
 """kg/m^3; air has 1.2, osmium 22 600, and a toy balloon weighs 0.2 for each m^3."""
