@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from deepbots_cli.codegen.layout import quoted
-from deepbots_cli.codegen.names import VARIABLES, Constants, Names
+from deepbots_cli.codegen.text import VARIABLES, Constants, Names, quoted
 from deepbots_cli.expressions.scalar import World
 
 Key = tuple[str, str]

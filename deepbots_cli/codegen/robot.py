@@ -5,10 +5,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from deepbots_cli import frames
-from deepbots_cli.codegen.layout import block, docstring, filled, quoted, quoted_tuple, repeated, sentence_list, targets_code, tuple_code
-from deepbots_cli.codegen.names import Constants, Names, class_name
 from deepbots_cli.codegen.printer import Printer, outer_states
 from deepbots_cli.codegen.readers import Needs, Readers
+from deepbots_cli.codegen.text import (
+    Constants,
+    Names,
+    block,
+    class_name,
+    docstring,
+    filled,
+    quoted,
+    quoted_tuple,
+    repeated,
+    sentence_list,
+    targets_code,
+    tuple_code,
+)
 from deepbots_cli.codegen.workspace import root_links, whole_vector
 from deepbots_cli.compiler.robots import rigid_root
 from deepbots_cli.expressions.printer import SCALAR, Target

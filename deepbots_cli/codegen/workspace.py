@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
 
-from deepbots_cli.codegen.names import Constants, Names
 from deepbots_cli.codegen.printer import Printer
 from deepbots_cli.codegen.readers import ARRIVALS, Needs, Readers
+from deepbots_cli.codegen.text import Constants, Names
 from deepbots_cli.expressions.printer import SCALAR, Target
 from deepbots_cli.expressions.scalar import Name, Scalar, World, is_drawn, names_in, walk
 from deepbots_cli.program import Program

@@ -1,0 +1,308 @@
+"""The text of generated code: identifiers for the names of a scenario and constants; blocks, quotes, comments, templates; long lines.
+
+Identifiers are readable, unique, and never a word that is taken. Long lines are broken as a formatter would break them.
+"""
+
+from __future__ import annotations
+
+import builtins
+import json
+import keyword
+import math
+import re
+import textwrap
+from collections.abc import Iterable, Iterator, Sequence
+
+from deepbots_cli.expressions.functions import FUNCTIONS, OPERATORS
+from deepbots_cli.expressions.printer import number
+from deepbots_cli.expressions.scalar import NamedFloat
+
+FORMULAS = frozenset(function.name for function in FUNCTIONS.values() if function.tree) | frozenset(
+    function.helper for function in (*OPERATORS.values(), *FUNCTIONS.values()) if function.helper
+)
+RUNTIME = (
+    *("Arrangement", "Cartesian", "Follower", "Motor", "Push", "RobotController", "Supervisor", "Thrust", "Ways"),
+    *(function.memory for function in FUNCTIONS.values() if function.memory),
+    *sorted(FORMULAS),
+    *("clip", "foreign", "to_body_frame", "quaternion", "scale", "scale_each", "scale_freely", "total"),
+)
+"""What a printed module may import from `deepbots_cli.runtime`."""
+COLUMNS = (
+    *("all_of", "any_of", "atan2", "cos", "exp", "hypot", "log", "maximum", "minimum", "pick", "pow", "scale", "scale_each"),
+    *("scale_freely", "sin", "tan", "to_body_frame", "total"),
+    *sorted(FORMULAS),
+)
+"""What a module for a batch may import from `deepbots_cli.runtime.columns`."""
+
+VARIABLES = "abcdefgh"
+"""The variables of comprehensions."""
+
+_TAKEN = frozenset(
+    {*keyword.kwlist, *keyword.softkwlist, *dir(builtins), *(n for n in dir(math) if not n.startswith("_"))}
+    | {"self", "engine", "action", "message", "reward", "terminated", "truncated", "ended", "Any", "Iterator", "previous_reward"}
+    | {*RUNTIME, *VARIABLES, "copysign", "ranges"}
+    | {"bodies", "body", "layout", "spot", "spots"}
+)
+
+
+class Names:
+    """Hands out one identifier per key, the same for the same key."""
+
+    def __init__(self) -> None:
+        self._given: dict[str, str] = {}
+        self._used: set[str] = set(_TAKEN)
+
+    def __call__(self, *parts: str | None) -> str:
+        """The identifier of a dotted name, such as `cart_pole_angle` for ("cart.pole_angle",)."""
+        return self.called("\0".join(part for part in parts if part), *parts)
+
+    def called(self, key: str, *parts: str | None) -> str:
+        """The identifier for `key`, made of these parts."""
+        if key not in self._given:
+            wanted = re.sub(r"\W", "_", "_".join(part for part in parts if part))
+            self._given[key] = _unused(f"_{wanted}" if wanted[0].isdigit() else wanted, self._used)
+            self._used.add(self._given[key])
+        return self._given[key]
+
+
+def _unused(wanted: str, used: set[str]) -> str:
+    name, number = wanted, 1
+    while name in used:
+        name, number = f"{wanted}_{number}", number + 1
+    return name
+
+
+class Constants:
+    """The constants of a module: fixed parameters of the scenario under their names, and lists of joints."""
+
+    def __init__(self) -> None:
+        self._lines: dict[str, str] = {}
+        self._names: dict[tuple[str, str], str] = {}
+        self._known: dict[tuple[str, ...], str] = {}
+
+    @property
+    def lines(self) -> list[str]:
+        """The statements that define those that were asked for."""
+        return list(self._lines.values())
+
+    def know(self, name: str, items: tuple[str, ...]) -> None:
+        """Let a list of names, such as the joints of an actuator, be called so."""
+        self._known.setdefault(items, name)
+
+    def number(self, value: NamedFloat) -> str:
+        """The constant of a fixed parameter."""
+        return self._defined(value.name, repr(float(value)), value.text)
+
+    def vector(self, values: Sequence[float | bool]) -> str:
+        """The code of a tuple of numbers: a constant where a fixed parameter names them."""
+        code = repeated([number(value).text for value in values])
+        named = [value for value in values if isinstance(value, NamedFloat)]
+        if len({value.name for value in named}) != 1 or len(values) < 3:
+            return code
+        return self._defined(named[0].name, code, named[0].text)
+
+    def strings(self, items: tuple[str, ...]) -> str:
+        """The code of a tuple of names: a constant where it is known and not short."""
+        code = tuple_code([quoted(item) for item in items])
+        return self._defined(self._known[items], code, "") if items in self._known and len(items) > 2 else code
+
+    def _defined(self, wanted: str, code: str, text: str) -> str:
+        if (wanted, code) not in self._names:
+            upper = re.sub(r"\W", "_", wanted).upper()
+            name = _unused(f"_{upper}" if upper[0].isdigit() else upper, set(self._lines))
+            said = comment(text) if text and comment(text).isprintable() and len(text) < 60 else ""
+            self._lines[name] = f"{name} = {code}" + (f"  {said}" if said and said[2:] != code else "")
+            self._names[wanted, code] = name
+        return self._names[wanted, code]
+
+
+def class_name(text: str) -> str:
+    """`line_follower` or `Line follower` to `LineFollower`."""
+    words = re.findall(r"[A-Za-z0-9]+", text)
+    name = "".join(word[:1].upper() + word[1:] for word in words) or "Scenario"
+    return f"S{name}" if name[0].isdigit() else name
+
+
+WIDTH = 120
+_DEPTH = 8
+"""The indent of a statement in a method."""
+
+
+def indent(lines: Iterable[str], depth: int = 1) -> list[str]:
+    return [f"{'    ' * depth}{line}" if line else "" for line in lines]
+
+
+def block(head: str, body: Sequence[str]) -> list[str]:
+    """A function or class with its body, and an empty line after it."""
+    return [head, *indent(body), ""]
+
+
+def tuple_code(items: Sequence[str]) -> str:
+    return f"({', '.join(items)}{',' if len(items) == 1 else ''})"
+
+
+def targets_code(names: Sequence[str]) -> str:
+    """The left side of an assignment that takes a sequence apart."""
+    return ", ".join(names) if len(names) > 1 else tuple_code(names)
+
+
+def quoted(text: str) -> str:
+    """A string literal in double quotes and ASCII.
+
+    The escapes of JSON are a subset of Python's, but for what lies beyond 16 bits: there JSON writes two halves, which Python
+    does not join.
+    """
+    return json.dumps(text, ensure_ascii=False).encode("ascii", "backslashreplace").decode()
+
+
+def docstring(text: str) -> list[str]:
+    """A string in triple quotes, over as many lines as it needs; the escapes leave no quote and no backslash of its own."""
+    lines = textwrap.wrap(quoted(text)[1:-1], 100, break_long_words=False, break_on_hyphens=False) or [""]
+    return [f'"""{lines[0]}"""'] if len(lines) == 1 else [f'"""{lines[0]}', *lines[1:], '"""']
+
+
+def quoted_tuple(names: Sequence[str]) -> str:
+    return tuple_code([quoted(name) for name in names])
+
+
+def sentence_list(words: Sequence[str], last: str = "and") -> str:
+    """`a`, `a and b`, `a, b and c`."""
+    return f" {last} ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
+
+
+def filled(template: str, **gaps: str | Sequence[str]) -> list[str]:
+    """The lines of a template; `{name}` alone on a line is replaced by lines, which take its indent, and vanishes for none."""
+    lines: list[str] = []
+    for line in template.strip("\n").split("\n"):
+        alone = re.fullmatch(r"( *)\{(\w+)\}", line)
+        given = gaps[alone[2]] if alone else None
+        if alone and given is not None and not isinstance(given, str):
+            lines += [f"{alone[1]}{inner}" if inner else "" for inner in given]
+        else:
+            lines.append(line.format(**gaps))
+    return lines
+
+
+def comment(text: str) -> str:
+    """A text of the scenario as a comment: on one line, in ASCII."""
+    return "# " + " ".join(text.split()).encode("ascii", "backslashreplace").decode()
+
+
+def noted(line: str, text: str) -> list[str]:
+    """A statement of a method with a text of the scenario beside it, or above it where it is long."""
+    said = comment(text)
+    if not said[2:] or not said.isprintable() or line.partition(" = ")[2] == said[2:]:
+        return [line]
+    if _DEPTH + len(line) + 2 + len(said) <= WIDTH:
+        return [f"{line}  {said}"]
+    return [said, line] if _DEPTH + len(said) <= WIDTH else [line]
+
+
+def repeated(items: Sequence[str]) -> str:
+    """A tuple of constants; runs of equal ones are written as a product where that is shorter."""
+    runs: list[list[str]] = []
+    for item in items:
+        if runs and runs[-1][0] == item:
+            runs[-1].append(item)
+        else:
+            runs.append([item])
+    whole = tuple_code(items)
+    short = " + ".join(f"({run[0]},) * {len(run)}" if len(run) > 1 else f"({run[0]},)" for run in runs)
+    return short if len(items) > 3 and len(short) < len(whole) else whole
+
+
+# Long lines
+
+# From loose to tight; a line is broken at all operators of the first group that it has.
+_OPERATORS = ((" if ", " else "), (" or ",), (" and ",), (" < ", " <= ", " > ", " >= ", " == ", " != "), (" + ", " - "), (" * ", " / "))
+# Of a statement, or of the piece of a line that was broken before: the operator in front, the comma behind.
+_STATEMENT = re.compile(r"(?P<head>(?:(?:if|elif|else|return|or|and|[-+*/]) )?)(?P<body>.*?)(?P<tail>[:,]?)", re.DOTALL)
+
+
+def wrapped(line: str) -> list[str]:
+    """The line, as several where it is longer than `WIDTH` and can be broken."""
+    code = line.lstrip()
+    pad = line[: len(line) - len(code)]
+    if len(line) <= WIDTH or code.startswith(("#", '"')):
+        return [line]
+    if code.startswith("from "):
+        head, names = code.split(" import ")
+        return [f"{head} import (", *(f"    {name}," for name in names.split(", ")), ")"]
+    if comments := list(_places(code, "  # ")):
+        return [pad + code[comments[-1] + 2 :], *wrapped(pad + code[: comments[-1]])]
+    equals = list(_places(code, " = "))
+    if equals and ", " in code[: equals[0]] and equals[0] > WIDTH // 2:
+        return [f"{pad}(", *_one_each(pad, _split(code[: equals[0]], ", ")), f"{pad}){code[equals[0] :]}"]
+    added = list(_places(code, " += "))
+    start = equals[-1] + 3 if equals else added[-1] + 4 if added else 0
+    statement = _STATEMENT.fullmatch(code[start:])
+    if statement is None or code.startswith("def "):
+        return _at_brackets(pad, code)
+    head, body, tail = f"{pad}{code[:start]}{statement['head']}(", statement["body"], f"{pad}){statement['tail']}"
+    if code.startswith("for ") and " = " not in code and list(_places(code, " in ")):
+        return _at_brackets(pad, code)
+    if list(_places(body, ", ")):
+        return [head, *_one_each(pad, _split(body, ", ")), tail]
+    operators = next((group for group in _OPERATORS if any(list(_places(body, sign)) for sign in group)), None)
+    if operators is None:
+        return _at_brackets(pad, code)
+    if len(pad) + 4 + len(body) <= WIDTH:
+        return [head, f"{pad}    {body}", tail]
+    return [head, *(piece for part in _broken(body, operators) for piece in wrapped(f"{pad}    {part}")), tail]
+
+
+def _at_brackets(pad: str, code: str) -> list[str]:
+    """Broken inside the last brackets that stand in no others; for a definition, those around its arguments."""
+    groups = list(_groups(code))
+    if not groups:
+        return [pad + code]
+    start, end = groups[0] if code.startswith("def ") else groups[-1]
+    head, inner, tail = pad + code[: start + 1], code[start + 1 : end], pad + code[end:]
+    is_call = code[start] == "(" and re.search(r"[\w\])]$", code[:start]) is not None
+    whole = len(pad) + 4 + len(inner) <= WIDTH and not inner.endswith(",")
+    if whole and (is_call or not list(_places(inner, ", "))):
+        return [head, f"{pad}    {inner}", tail]
+    if list(_places(inner, " for ")):
+        return [head, *(piece for part in _broken(inner, (" for ",)) for piece in wrapped(f"{pad}    {part}")), tail]
+    items = _split(inner.removesuffix(","), ", ")
+    if len(items) == 1 and not inner.endswith(","):  # a comma would make a tuple of a mere group
+        return [head, *wrapped(f"{pad}    {inner}"), tail]
+    return [head, *_one_each(pad, items), tail]
+
+
+def _one_each(pad: str, items: list[str]) -> list[str]:
+    return [piece for item in items for piece in wrapped(f"{pad}    {item},")]
+
+
+def _broken(code: str, operators: tuple[str, ...]) -> list[str]:
+    """The operands, each but the first with its operator before it."""
+    places = sorted(place for sign in operators for place in _places(code, sign))
+    return [code[a:b].strip() for a, b in zip([0, *places], [*places, len(code)], strict=True)]
+
+
+def _split(code: str, sign: str) -> list[str]:
+    return [part.removeprefix(sign.strip()).strip() for part in _broken(code, (sign,))]
+
+
+def _places(code: str, sign: str) -> Iterator[int]:
+    """Where `sign` stands outside of brackets and quotes."""
+    return (index for index, depth in _depths(code) if depth == 0 and code.startswith(sign, index))
+
+
+def _groups(code: str) -> Iterator[tuple[int, int]]:
+    """Where brackets that stand in no others open and close."""
+    start = 0
+    for index, depth in _depths(code):
+        if depth == 0 and code[index] in "([{":
+            start = index
+        elif depth == 1 and code[index] in ")]}":
+            yield start, index
+
+
+def _depths(code: str) -> Iterator[tuple[int, int]]:
+    """Every character outside of quotes, and how many brackets are open before it."""
+    depth = 0
+    for found in re.finditer(r'"(?:[^"\\]|\\.)*"|(?P<other>.)', code, re.DOTALL):
+        if found["other"]:
+            yield found.start(), depth
+            depth += (found["other"] in "([{") - (found["other"] in ")]}")
