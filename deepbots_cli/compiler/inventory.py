@@ -6,9 +6,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
 from deepbots_cli.compiler import Checked
+from deepbots_cli.compiler.evaluation import PLAIN_POLICIES
 from deepbots_cli.compiler.namespace import Namespace, Origin, SupervisorScope
 from deepbots_cli.compiler.robots import RobotScene
-from deepbots_cli.compiler.tests import PLAIN_POLICIES
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.document.nodes import Mapping as MappingNode
 from deepbots_cli.document.nodes import Path, descend
