@@ -40,10 +40,10 @@ from deepbots_cli.program.task import Ending, Outcome, Solved, Truncation
 from deepbots_cli.program.values import Expression, Foreign
 from deepbots_cli.program.world import MAX_SETTLING_STEPS, ObjectBody, WorldModel
 from deepbots_cli.scenario.fields import Quantity, choose_from
-from deepbots_cli.scenario.robot import Route as RouteSpec
-from deepbots_cli.scenario.task import Disturbance as DisturbanceSpec
-from deepbots_cli.scenario.task import JointState, Measured, PythonTerm
-from deepbots_cli.scenario.task import Reset as ResetSpec
+from deepbots_cli.scenario.scenario import Disturbance as DisturbanceSpec
+from deepbots_cli.scenario.scenario import JointState, Measured, PythonTerm
+from deepbots_cli.scenario.scenario import Reset as ResetSpec
+from deepbots_cli.scenario.scenario import Route as RouteSpec
 
 
 class Parameters:

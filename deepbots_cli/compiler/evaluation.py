@@ -44,9 +44,8 @@ from deepbots_cli.program.task import (
 )
 from deepbots_cli.program.values import Expression
 from deepbots_cli.scenario.fields import read_schedule, read_until
-from deepbots_cli.scenario.scenario import Scenario
-from deepbots_cli.scenario.task import DiscreteAction, Expectation
-from deepbots_cli.scenario.task import ScenarioTest as TestSpec
+from deepbots_cli.scenario.scenario import DiscreteAction, Expectation, Scenario
+from deepbots_cli.scenario.scenario import ScenarioTest as TestSpec
 from deepbots_cli.scenario.training import ActionNoise as ActionNoiseSpec
 from deepbots_cli.scenario.training import Hindsight as HindsightSpec
 

@@ -16,8 +16,7 @@ from deepbots_cli.expressions.types import Context, Kind
 from deepbots_cli.robots.model import Joint
 from deepbots_cli.scenario.fields import article
 from deepbots_cli.scenario.json_schema import Known, Names, Offer
-from deepbots_cli.scenario.scenario import Scenario
-from deepbots_cli.scenario.task import DiscreteAction
+from deepbots_cli.scenario.scenario import DiscreteAction, Scenario
 
 _OF_ROBOTS = {
     "joint": ("joints",),

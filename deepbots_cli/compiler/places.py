@@ -21,9 +21,9 @@ from deepbots_cli.program.resets import MAX_SPOTS, Cells, Group, Layout, Placeme
 from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import MAX_BODIES, WALL_COLOUR, ObjectBody, WorldModel
 from deepbots_cli.robots.model import Box, Cylinder, Mesh
-from deepbots_cli.scenario.task import MapLayout
-from deepbots_cli.scenario.task import Placement as PlacementSpec
-from deepbots_cli.scenario.task import Region as RegionSpec
+from deepbots_cli.scenario.scenario import MapLayout
+from deepbots_cli.scenario.scenario import Placement as PlacementSpec
+from deepbots_cli.scenario.scenario import Region as RegionSpec
 from deepbots_cli.scenario.world import Pose
 
 _DWARFS = 16.0

@@ -39,8 +39,8 @@ from deepbots_cli.program.task import (
 )
 from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import MAX_BODIES
-from deepbots_cli.scenario.task import ContinuousAction, DiscreteAction, Observed
-from deepbots_cli.scenario.task import Goal as GoalSpec
+from deepbots_cli.scenario.scenario import ContinuousAction, DiscreteAction, Observed
+from deepbots_cli.scenario.scenario import Goal as GoalSpec
 
 _NOT_YET = 'remove it; docs/language.md lists under "Not yet" what is not supported'
 _TOGETHER: tuple[tuple[Path, str], ...] = (

@@ -28,8 +28,8 @@ from deepbots_cli.robots.model import Joint, Limit, Link, RobotModel
 from deepbots_cli.robots.reader import RobotFile, read
 from deepbots_cli.scenario.base import Section
 from deepbots_cli.scenario.fields import choose_from
-from deepbots_cli.scenario.robot import JointOverride, LinkOverride
-from deepbots_cli.scenario.robot import Robot as RobotSpec
+from deepbots_cli.scenario.scenario import JointOverride, LinkOverride
+from deepbots_cli.scenario.scenario import Robot as RobotSpec
 from deepbots_cli.scenario.sensors import Camera
 
 if TYPE_CHECKING:

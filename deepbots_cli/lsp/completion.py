@@ -34,9 +34,8 @@ from deepbots_cli.lsp.lookup import (
     summary,
 )
 from deepbots_cli.lsp.workspace import Analysis, View
-from deepbots_cli.scenario.base import Kinds, MappingOf, Section, fields
-from deepbots_cli.scenario.docs import about_kind, example_of
-from deepbots_cli.scenario.docs import hover as hover_text
+from deepbots_cli.scenario.base import Kinds, MappingOf, Section, about_kind, example_of, fields
+from deepbots_cli.scenario.base import hover as hover_text
 from deepbots_cli.scenario.fields import (
     COLOURS,
     MEASURES,

@@ -30,9 +30,8 @@ from deepbots_cli.lsp.cursor import value_at
 from deepbots_cli.lsp.diagnostics import Locator
 from deepbots_cli.lsp.workspace import Document, View, uri_of
 from deepbots_cli.robots import meshes
-from deepbots_cli.scenario.base import Forms, Kinds, ListOf, MappingOf, Section, Shape, fields, noun_of
-from deepbots_cli.scenario.docs import about_kind
-from deepbots_cli.scenario.docs import hover as hover_text
+from deepbots_cli.scenario.base import Forms, Kinds, ListOf, MappingOf, Section, Shape, about_kind, fields, noun_of
+from deepbots_cli.scenario.base import hover as hover_text
 from deepbots_cli.scenario.fields import FieldType, FilePath, Pattern, Reference
 from deepbots_cli.scenario.scenario import Scenario
 

@@ -26,11 +26,25 @@ from pathlib import Path
 from typing import Any
 
 from deepbots_cli.document import shipped
-from deepbots_cli.scenario.base import Forms, Kinds, ListOf, MappingOf, Section, Shape, fields, noun_of
-from deepbots_cli.scenario.docs import about, about_kind, default_of, description, example_of, example_text, unit_of
+from deepbots_cli.scenario.base import (
+    Forms,
+    Kinds,
+    ListOf,
+    MappingOf,
+    Section,
+    Shape,
+    about,
+    about_kind,
+    default_of,
+    description,
+    example_of,
+    example_text,
+    fields,
+    noun_of,
+    unit_of,
+)
 from deepbots_cli.scenario.fields import COLOURS, Color, Expression, FieldType, FilePath, Name, Pattern, Range, Reference, Word
-from deepbots_cli.scenario.robot import Robot
-from deepbots_cli.scenario.scenario import VERSION, Scenario
+from deepbots_cli.scenario.scenario import VERSION, Robot, Scenario
 
 Json = dict[str, Any]
 

@@ -348,7 +348,7 @@ def _keys_of(shape: Shape | None) -> str | None:
 
 def about_key(data: object, path: Path) -> str | None:
     """The sentence about the innermost known key of a path."""
-    from deepbots_cli.scenario.docs import description, example_of  # only on the way to a finding
+    from deepbots_cli.scenario.base import description, example_of  # only on the way to a finding
 
     steps = next((path[:depth] for depth in range(len(path), 0, -1) if isinstance(path[depth - 1], str)), ())
     section = shape_at(Scenario, data, steps[:-1]) if steps else None

@@ -164,7 +164,7 @@ def test_explain_knows_the_words(answers, word, told):
 def test_editors_are_offered_kinds_and_parameters(site):
     script = """
 from deepbots_cli.scenario.base import fields, shape_at
-from deepbots_cli.scenario.docs import about_kind, hover
+from deepbots_cli.scenario.base import about_kind, hover
 from deepbots_cli.scenario.scenario import Scenario
 data = {"robots": {"r": {"sensors": {"s": {"type": "tachometer"}}, "actuators": {"a": {"type": "throttle"}}}}}
 for section, name, kind, key in (("sensors", "s", "tachometer", "spacing"), ("actuators", "a", "throttle", "stall_torque")):

@@ -23,8 +23,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.dimensions import UNITS
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.lint import pages_of
-from deepbots_cli.scenario.base import Kinds, Section, fields, noun_of, sections
-from deepbots_cli.scenario.docs import about_kind, default_of, description, example_of, unit_of
+from deepbots_cli.scenario.base import Kinds, Section, about_kind, default_of, description, example_of, fields, noun_of, sections, unit_of
 from deepbots_cli.scenario.fields import article
 from deepbots_cli.scenario.scenario import Scenario
 
