@@ -27,8 +27,7 @@ from deepbots_cli.expressions.intervals import EVERYTHING, Interval
 from deepbots_cli.expressions.types import Kind, Symbol, Type, Typed, children, shown
 from deepbots_cli.lint import pages_of
 from deepbots_cli.lsp.cursor import value_at
-from deepbots_cli.lsp.diagnostics import Locator
-from deepbots_cli.lsp.workspace import Document, View, uri_of
+from deepbots_cli.lsp.workspace import Document, Locator, View, uri_of
 from deepbots_cli.robots import meshes
 from deepbots_cli.scenario.base import Forms, Kinds, ListOf, MappingOf, Section, Shape, about_kind, fields, noun_of
 from deepbots_cli.scenario.base import hover as hover_text
