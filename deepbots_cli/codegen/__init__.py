@@ -4,8 +4,8 @@
              ->  supervisor.py  the supervisor class: what it binds, the paper's methods, hand-written policies
                    reset.py     what an episode draws and varies, and how it begins
                    step.py      a step and its ticks, and `_observe`, which computes everything once per tick
-workspace.py   what the methods of a supervisor share
-printer.py     numbers, vectors and the memories of stateful functions; readers.py what is read from the engine
+workspace.py   what the methods of a supervisor share; what is read from the engine
+printer.py     numbers, vectors and the memories of stateful functions
 text.py        identifiers, constants, templates, long lines
 
 Bindings and imports are collected while the methods are printed, and written before them.

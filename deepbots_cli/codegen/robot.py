@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 from deepbots_cli import frames
 from deepbots_cli.codegen.printer import Printer, outer_states
-from deepbots_cli.codegen.readers import Needs, Readers
 from deepbots_cli.codegen.text import (
     Constants,
     Names,
@@ -21,7 +20,7 @@ from deepbots_cli.codegen.text import (
     targets_code,
     tuple_code,
 )
-from deepbots_cli.codegen.workspace import root_links, whole_vector
+from deepbots_cli.codegen.workspace import Needs, Readers, root_links, whole_vector
 from deepbots_cli.compiler.robots import rigid_root
 from deepbots_cli.expressions.printer import SCALAR, Target
 from deepbots_cli.expressions.scalar import Draw, Name, Op, Scalar, State, World, names_in, walk
