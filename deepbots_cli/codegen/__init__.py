@@ -28,7 +28,7 @@ from deepbots_cli.codegen.supervisor import batch_supervisor, supervisor
 from deepbots_cli.codegen.text import COLUMNS, RUNTIME, Constants, class_name, filled, wrapped
 from deepbots_cli.errors import BatchError
 from deepbots_cli.expressions.functions import math_names
-from deepbots_cli.expressions.printer import BATCH, SCALAR, Target
+from deepbots_cli.expressions.lower import BATCH, SCALAR, Target
 from deepbots_cli.program import Program
 from deepbots_cli.program.identity import digest
 from deepbots_cli.program.task import Choices

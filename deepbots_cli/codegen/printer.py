@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from deepbots_cli.codegen.text import VARIABLES, Constants, Names, noted, quoted, tuple_code
 from deepbots_cli.expressions.functions import FUNCTIONS, Family, rotation
-from deepbots_cli.expressions.printer import SCALAR, Code, Target, applied, number
+from deepbots_cli.expressions.lower import SCALAR, Code, Target, applied, number
 from deepbots_cli.expressions.scalar import Const, Draw, Name, NamedFloat, Op, Scalar, State, World, is_drawn
 
 if TYPE_CHECKING:

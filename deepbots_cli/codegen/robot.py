@@ -22,7 +22,7 @@ from deepbots_cli.codegen.text import (
 )
 from deepbots_cli.codegen.workspace import Needs, Readers, root_links, whole_vector
 from deepbots_cli.compiler.robots import rigid_root
-from deepbots_cli.expressions.printer import SCALAR, Target
+from deepbots_cli.expressions.lower import SCALAR, Target
 from deepbots_cli.expressions.scalar import Draw, Name, Op, Scalar, State, World, names_in, walk
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Actuator, Cartesian, CustomActuator, Motor, Robot, Sensor, Thrust

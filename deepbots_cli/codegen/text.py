@@ -14,7 +14,7 @@ import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 
 from deepbots_cli.expressions.functions import FUNCTIONS, OPERATORS
-from deepbots_cli.expressions.printer import number
+from deepbots_cli.expressions.lower import number
 from deepbots_cli.expressions.scalar import NamedFloat
 
 FORMULAS = frozenset(function.name for function in FUNCTIONS.values() if function.tree) | frozenset(

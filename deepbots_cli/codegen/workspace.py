@@ -11,7 +11,7 @@ from copy import copy
 
 from deepbots_cli.codegen.printer import Printer
 from deepbots_cli.codegen.text import VARIABLES, Constants, Names, quoted
-from deepbots_cli.expressions.printer import SCALAR, Target
+from deepbots_cli.expressions.lower import SCALAR, Target
 from deepbots_cli.expressions.scalar import Name, Scalar, World, is_drawn, names_in, walk
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Direction, Robot

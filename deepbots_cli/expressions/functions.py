@@ -208,7 +208,7 @@ def whole_exponent(exponent: float) -> int | None:
 
 
 def _power(base: float, exponent: float) -> float:
-    """As `printer` prints powers: `x * x`, `x ** n`, `pow(x, y)`."""
+    """As `lower` prints powers: `x * x`, `x ** n`, `pow(x, y)`."""
     whole = whole_exponent(exponent)
     if whole == 2:
         return base * base
@@ -521,7 +521,7 @@ def _require_usable(function: object) -> None:
         raise ValueError(f"the name {name!r} is taken or no identifier")
     if function.family is not Family.PURE or not function.python or not function.params or not function.doc:
         raise ValueError(f"{name!r} needs the family PURE, params, doc and python")
-    from deepbots_cli.expressions.printer import require_printable  # it imports this module
+    from deepbots_cli.expressions.lower import require_printable  # it imports this module
 
     require_printable(function)
     names = _names_in(function.python)
