@@ -10,9 +10,8 @@ import pytest
 from deepbots_cli.compiler.robots import match
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.robots.meshes import mesh_resolver
-from deepbots_cli.robots.model import Box, Cylinder, Sphere, homogeneous
+from deepbots_cli.robots.model import Box, Cylinder, Sphere, homogeneous, write
 from deepbots_cli.robots.reader import RobotFile, read, read_bytes
-from deepbots_cli.robots.writer import write
 
 SHIPPED = Path(__file__).parents[2] / "robots/urdf"
 PUBLISHED = {
