@@ -482,11 +482,6 @@ def about(section: type[Section]) -> str:
     return " ".join(inspect.cleandoc(section.__doc__ or "").partition("\n\n")[0].split())
 
 
-def about_kind(kinds: Kinds, name: str) -> str:
-    """What the kind of this name is, in a sentence."""
-    return about(kinds.models[name])
-
-
 def unit_of(shape: Shape) -> str:
     """The SI unit of a value, `1` for a plain number; empty for other values."""
     match shape:

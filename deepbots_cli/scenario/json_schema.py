@@ -34,7 +34,6 @@ from deepbots_cli.scenario.base import (
     Section,
     Shape,
     about,
-    about_kind,
     default_of,
     description,
     example_of,
@@ -261,7 +260,7 @@ class _Writer:
         ]
         for mark, model in shape.marked.items():
             branches.append({"if": {"required": [mark], "not": {"required": [key]}}, "then": self.reference(model)})
-        kinds = {"enum": list(shape.models), "enumDescriptions": [about_kind(shape, name) for name in shape.models]}
+        kinds = {"enum": list(shape.models), "enumDescriptions": [about(shape.models[name]) for name in shape.models]}
         first = shape.models[shape.names[0]]
         properties: Json = {key: kinds | {"description": _text(first, key, shape.names[0])}}
         properties |= {mark: {"description": _text(model, mark)} for mark, model in shape.marked.items()}

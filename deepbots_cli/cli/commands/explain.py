@@ -23,7 +23,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.dimensions import UNITS
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.lint import pages_of
-from deepbots_cli.scenario.base import Kinds, Section, about_kind, default_of, description, example_of, fields, noun_of, sections, unit_of
+from deepbots_cli.scenario.base import Kinds, Section, about, default_of, description, example_of, fields, noun_of, sections, unit_of
 from deepbots_cli.scenario.fields import article
 from deepbots_cli.scenario.scenario import Scenario
 
@@ -278,7 +278,7 @@ def _explained_in(part: type[Section] | Kinds, mark: str, word: str) -> Iterator
 
 
 def _of_kind(kinds: Kinds, name: str) -> Iterator[str]:
-    yield about_kind(kinds, name)
+    yield about(kinds.models[name])
     model = kinds.models[name]
     keys = {key: info.is_required() for key, info in model.model_fields.items() if key != kinds.key}
     needed, others = ([key for key, required in keys.items() if required is wanted] for wanted in (True, False))
