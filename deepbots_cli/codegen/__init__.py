@@ -4,9 +4,9 @@
              ->  supervisor.py  the supervisor class: what it binds, the paper's methods, hand-written policies
                    reset.py     what an episode draws and varies, and how it begins
                    step.py      a step and its ticks, and `_observe`, which computes everything once per tick
-workspace.py   what the methods of a supervisor share
-printer.py     numbers, vectors and the memories of stateful functions; readers.py what is read from the engine
-names.py       identifiers and constants; layout.py templates, and long lines
+workspace.py   what the methods of a supervisor share; what is read from the engine
+printer.py     numbers, vectors and the memories of stateful functions
+text.py        identifiers, constants, templates, long lines
 
 Bindings and imports are collected while the methods are printed, and written before them.
 Only scalar trees and checked names are printed; no text of the user's reaches the code but names that
@@ -23,13 +23,12 @@ from functools import lru_cache
 from types import CodeType, ModuleType
 from typing import Any
 
-from deepbots_cli.codegen.layout import filled, wrapped
-from deepbots_cli.codegen.names import COLUMNS, RUNTIME, Constants, class_name
 from deepbots_cli.codegen.robot import Controller
 from deepbots_cli.codegen.supervisor import batch_supervisor, supervisor
+from deepbots_cli.codegen.text import COLUMNS, RUNTIME, Constants, class_name, filled, wrapped
 from deepbots_cli.errors import BatchError
 from deepbots_cli.expressions.functions import math_names
-from deepbots_cli.expressions.printer import BATCH, SCALAR, Target
+from deepbots_cli.expressions.lower import BATCH, SCALAR, Target
 from deepbots_cli.program import Program
 from deepbots_cli.program.identity import digest
 from deepbots_cli.program.task import Choices

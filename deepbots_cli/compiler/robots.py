@@ -28,8 +28,8 @@ from deepbots_cli.robots.model import Joint, Limit, Link, RobotModel
 from deepbots_cli.robots.reader import RobotFile, read
 from deepbots_cli.scenario.base import Section
 from deepbots_cli.scenario.fields import choose_from
-from deepbots_cli.scenario.robot import JointOverride, LinkOverride
-from deepbots_cli.scenario.robot import Robot as RobotSpec
+from deepbots_cli.scenario.scenario import JointOverride, LinkOverride
+from deepbots_cli.scenario.scenario import Robot as RobotSpec
 from deepbots_cli.scenario.sensors import Camera
 
 if TYPE_CHECKING:
@@ -253,7 +253,6 @@ class Overrides:
             model = self._change_mass(model, model.link(link.name), change)
         contact = {
             field: self.namespace.scalar_or_randomized(change, key, what, of, None, scope=self._scope())
-            for key, (field, what) in _CONTACT.items()
             for key, (field, what) in _CONTACT.items()
         }
         model, paint = edits.with_friction(model, link.name, **contact), self.namespace.colour(change, of)

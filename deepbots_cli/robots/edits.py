@@ -9,7 +9,6 @@ import math
 from dataclasses import replace
 
 from deepbots_cli.frames import Matrix, diagonal, product, rotate_tensor, rotation_matrix, transposed
-from deepbots_cli.robots.inertia import from_second_moments, homogeneous, matrix, scaled, second_moments, volume
 from deepbots_cli.robots.model import (
     Box,
     Capsule,
@@ -25,6 +24,11 @@ from deepbots_cli.robots.model import (
     Shape,
     Sphere,
     Vector,
+    from_second_moments,
+    homogeneous,
+    scaled,
+    second_moments,
+    volume,
 )
 
 _ALIGNED = 1e-6
@@ -42,7 +46,7 @@ def with_mass(model: RobotModel, link: str, mass: float) -> RobotModel | str:
         return f"link {link!r} has no mass in its robot file that could be changed"
     if not (math.isfinite(mass) and mass > 0):
         return f"the mass of link {link!r} must be above 0"
-    tensor = scaled(matrix(old.inertial), mass / old.inertial.mass)
+    tensor = scaled(old.inertial.matrix, mass / old.inertial.mass)
     return with_link(model, replace(old, inertial=_with_matrix(replace(old.inertial, mass=mass), tensor)))
 
 
@@ -127,7 +131,7 @@ def _stretched_inertial(old: Inertial, scale: Vector) -> Inertial:
     """J' = m'/m S J S with S in the axes of the link; the inertial keeps its own axes."""
     growth = scale[0] * scale[1] * scale[2]
     axes = rotation_matrix(old.origin.rpy)
-    moments = rotate_tensor(second_moments(matrix(old)), axes)
+    moments = rotate_tensor(second_moments(old.matrix), axes)
     stretched = scaled(product(product(diagonal(scale), moments), diagonal(scale)), growth)
     tensor = from_second_moments(rotate_tensor(stretched, transposed(axes)))
     return _with_matrix(replace(old, mass=old.mass * growth, origin=replace(old.origin, xyz=_along(old.origin.xyz, scale))), tensor)
