@@ -115,7 +115,7 @@ GOAL: dict[str, Any] = {
     "more": "goal: {achieved: x, desired: 0.1 m, tolerance: 2 cm, range: -0.4 .. 0.4 m}\n",
 }
 REACH = Training(
-    "SAC", 1_500, 2, hyper(learning_starts=200, buffer_size=1_000, learning_rate=3e-3, gamma=0.9), Network((32,)), None, Hindsight()
+    "DDPG", 1_500, 2, hyper(learning_starts=200, buffer_size=1_000, learning_rate=3e-3, gamma=0.9), Network((32,)), None, Hindsight()
 )
 
 
