@@ -46,6 +46,7 @@ def training_text(result: TrainingResult) -> str:
     at = result.solved_at
     if at is not None:
         rows["solved"] = f"in episode {at.episode:,}, after {at.simulated_hours:.3f} simulated h and {at.cpu_seconds:.1f} s of CPU time"
+    rows["stopped by"] = result.stopped_by and f"the callback {result.stopped_by}"
     rows["initialized from"] = result.initialized_from
     lines = [f"training {result.status}", pairs(rows), *(f"note: {reason}" for reason in result.inexact)]
     if result.interrupted:

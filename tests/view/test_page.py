@@ -140,6 +140,24 @@ def test_two_worlds_begin_alike_and_go_on_until_both_have_ended():
         assert "B: cartpole" in page._banner.content
 
 
+def test_a_page_shows_one_world_of_a_batch_after_another():
+    batch = Source("cartpole", engine="mujoco", worlds=4)
+    with closing(Page(batch, port=0, driver="zero", world=3)) as page, closing(Page(Source("cartpole", engine="mujoco"), port=0)) as single:
+        single.episode = 3
+        single._begin()
+        assert page.player.frame.links == single.player.frame.links
+        assert "episode 3, step 0" in page._banner.content
+        assert "world 3 of 4 (running 4)" in page._banner.content
+        third = page.player.frame
+        page._choose_world(1)
+        assert page.player.frame.links != third.links
+        assert len(page.shown[0].past) == 1
+        _run(page, lambda: page.player.frame.step > 3)
+        assert page.player.batch.step_count.min() > 3
+        page._begin(1)
+        assert "episode 5, step 0" in page._banner.content
+
+
 def test_a_changed_parameter_counts_at_the_same_seed():
     with closing(Page(Source("find_ball"), port=0)) as page:
         start, panel = page.player.frame.links, page._values
