@@ -12,6 +12,7 @@ import queue
 import re
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -105,7 +106,8 @@ class Page:
         self._controls: Any = None
         self.seed, self.episode, self.paused, self.speed = seed, episode, False, 1.0
         self._number = world
-        self._message, self._best, self._successes, self._played = "", -math.inf, 0, 0
+        self._trouble, self._message = "", ""
+        self._best, self._successes, self._played = -math.inf, 0, 0
         opened = source.open()
         if playing and opened.recording is not None:
             raise UsageError(f"`play` does not accept a recording; use: deepbots view {source.reference}")
@@ -173,12 +175,13 @@ class Page:
 
     def _show_findings(self, findings: Sequence[Finding]) -> None:
         self.paused = True
+        self._trouble = "the scenario has errors"
         self._message = (
             f"<pre style='overflow-x:auto;font-size:0.75em;line-height:1.35'>{html.escape(render(findings, 'full', width=46))}</pre>"
         )
         if self.player is None:
             self._clear()
-            self._banner = self.server.gui.add_html(panel.framed("the scenario has errors", self._message, "#D55E00"))
+            self._banner = self.server.gui.add_html(panel.framed(self._trouble, self._message, "#D55E00"))
         else:
             self._tell()
 
@@ -198,7 +201,7 @@ class Page:
     def _fail(self, error: DeepbotsError) -> None:
         """Show an error that ends the episode."""
         self.paused = True
-        self._message = f"<p>{html.escape(str(error))}</p>"
+        self._trouble, self._message = "stopped", f"<p>{html.escape(str(error))}</p>"
         if self.player is not None:
             self._tell()
 
@@ -254,19 +257,15 @@ class Page:
         gui.set_panel_label(player.program.name)
         self._banner = gui.add_html("")
         self._add_time(player)
-        tabs = gui.add_tab_group()
-        with tabs.add_tab("Values"):
-            self._values = gui.add_html("")
-        with tabs.add_tab("Plots"):
-            self._add_plots()
+        tabs: dict[str, Callable[[], None]] = {"Values": self._add_values, "Plots": self._add_plots}
         if not isinstance(player, Replayed):
-            with tabs.add_tab("Drive"):
-                self._add_drive()
+            tabs = {"Drive": self._add_drive, **tabs} if self._playing else {**tabs, "Drive": self._add_drive}
         if player.opened.parameters and self._compare is None:
-            with tabs.add_tab("Parameters"):
-                self._add_parameters(player.opened.parameters)
-        with tabs.add_tab("Show"):
-            self._add_switches()
+            tabs["Parameters"] = partial(self._add_parameters, player.opened.parameters)
+        group = gui.add_tab_group()
+        for title, add_content in {**tabs, "Show": self._add_switches}.items():
+            with group.add_tab(title):
+                add_content()
         self._cameras: dict[str, Any] = {}
         if any(sensor.optics for each in players for robot in each.program.robots for sensor in robot.sensors):
             self._camera_folder = gui.add_folder("Cameras")
@@ -335,6 +334,9 @@ class Page:
     def _change(self, name: str, text: str) -> None:
         self._changed[name], self._changed_at = text, time.monotonic()
 
+    def _add_values(self) -> None:
+        self._values = self.server.gui.add_html("")
+
     def _add_plots(self) -> None:
         gui, layout = self.server.gui, self._lane.player.reader.layout
         self._groups: dict[str, list[tuple[int, Field]]] = {}
@@ -371,7 +373,8 @@ class Page:
             margin = 0.03 * (limits[1] - limits[0]) or 1.0
             scales["y"] = {"range": (limits[0] - margin, limits[1] + margin)}
         series: Any = ({"label": "step"}, *lines)
-        return self.server.gui.add_uplot((np.zeros(1),) * len(series), series, scales=scales, height=height)
+        room = (12, 8, 0, 0)  # px, above for the uppermost number
+        return self.server.gui.add_uplot((np.zeros(1),) * len(series), series, scales=scales, height=height, padding=room)
 
     def _add_drive(self) -> None:
         gui, layout, hand = self.server.gui, self.shown[0].player.reader.layout, self._hand
@@ -532,7 +535,7 @@ class Page:
             self._tell()
 
     def run(self, until: Callable[[], bool] = lambda: False) -> None:
-        """Serve the page until `until` says so, or Ctrl-C."""
+        """Serve the page until `until` says so, or Ctrl-C; time goes on while a browser shows the page."""
         period, drawn, due, checked = 1 / RATE, 0, time.perf_counter(), time.monotonic()
         while not until():
             while not self._todo.empty():
@@ -546,15 +549,15 @@ class Page:
             if self._changed_at and time.monotonic() - self._changed_at > _SETTLED:
                 self._changed_at = 0.0
                 self._reload()
-            self._advance(period)
-            if self.player is not None and self.server.get_clients():
+            if self.player is not None and self.server.get_clients():  # while nobody looks, the world stands still
+                self._advance(period)
                 self._draw(texts=drawn % SLOW == 0)
             drawn, due = drawn + 1, max(due + period, time.perf_counter() - _BUSY)
             time.sleep(max(0.0, due - time.perf_counter()))
 
     def _advance(self, period: float) -> None:
         """Make the steps that fall into the next picture."""
-        if self.player is None or self.paused:
+        if self.paused:
             return
         if self._ended_at:
             if self._goes_on.value and time.monotonic() - self._ended_at > _PAUSE_AT_END:
@@ -594,7 +597,7 @@ class Page:
     def _tell(self) -> None:
         """The banner and the values."""
         if self._message:
-            self._put(self._banner, panel.framed("stopped", self._message, "#D55E00"))
+            self._put(self._banner, panel.framed(self._trouble, self._message, "#D55E00"))
         else:
             self._put(self._banner, "".join(self._state(number) for number in range(len(self.shown))))
         number, name = self._agent

@@ -62,7 +62,7 @@ def _head(text: str) -> str:
 
 
 def _row(name: str, value: str, bar: str = "") -> str:
-    cells = f"<td style='overflow-wrap:anywhere'>{html.escape(name)}</td><td style='{_NUMBER}'>{html.escape(value)}</td>"
+    cells = f"<td style='overflow-wrap:break-word'>{html.escape(name)}</td><td style='{_NUMBER}'>{html.escape(value)}</td>"
     return f"<tr>{cells}<td style='width:35%'>{bar}</td></tr>"
 
 

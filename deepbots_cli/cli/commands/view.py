@@ -99,11 +99,10 @@ def view(
         str | None, typer.Option("--compare", metavar="OTHER", help="Show another run or scenario beside it, from the same seeds.")
     ] = None,
     worlds: Annotated[
-        int, typer.Option("--worlds", metavar="N", parser=whole(1, 4096), help="Step a batch of N worlds in MuJoCo, and show one of them.")
-    ] = 0,
-    world: Annotated[
-        int, typer.Option("--world", metavar="K", parser=whole(0), help="With --worlds, the world to show first, from 0.")
-    ] = 0,
+        int | None,
+        typer.Option("--worlds", metavar="N", parser=whole(1, 4096), help="Step a batch of N worlds in MuJoCo, and show one of them."),
+    ] = None,
+    world: Annotated[int, typer.Option("--world", metavar="K", parser=whole(0), help="The world to show first, with --worlds.")] = 0,
     sets: Sets = None,
     case: Case = None,
     stage: Stage = None,
@@ -136,10 +135,11 @@ def view(
 
     Next: `deepbots play SCENARIO` lets you drive.
     """
-    if world >= max(1, worlds):
-        reason = f"a batch of {worlds} has worlds 0 to {worlds - 1}" if worlds else "add --worlds N"
+    if world >= (worlds or 1):
+        reason = f"a batch of {worlds} worlds has worlds 0 to {worlds - 1}" if worlds else "add --worlds N"
         raise UsageError(f"there is no world {world}; {reason}")
-    source = replace(_source(shown, sets, case, stage, engine or ("mujoco" if worlds else None), allow_paths, allow_code), worlds=worlds)
+    engine = engine or ("mujoco" if worlds else None)
+    source = replace(_source(shown, sets, case, stage, engine, allow_paths, allow_code), worlds=worlds or 0)
     other = replace(source, reference=compare) if compare else None
     _serve(source, open_, compare=other, host=host, port=port, driver=driver, seed=seed, episode=episode, world=world, watch=watch)
 
