@@ -132,8 +132,7 @@ class Opened:
         if self.program is None:
             raise ScenarioError(self.findings)
         engine = self.source.engine or (self.run.engine_for(self.program) if self.run else None)
-        code = self.compiled.code if self.compiled and self.compiled.program is self.program else None
-        return api.build(self.program, engine=engine, allow_code=self.source.allow_code, code=code)
+        return api.build(self.program, engine=engine, allow_code=self.source.allow_code)
 
     def make_batch(self) -> BatchSupervisor:
         """A batch of worlds of the program.

@@ -25,7 +25,7 @@ from deepbots_cli.learning.statistics import interquartile_mean, mean_interval
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Hyperparameter, Solved, Training
 
-SHORT = Training("PPO", 400, 2, tuple(Hyperparameter(name, 32) for name in ("n_steps", "batch_size")))
+SHORT = Training("PPO", 400, 2, tuple(Hyperparameter(*pair) for pair in (("n_steps", 32), ("batch_size", 32), ("n_epochs", 1))))
 SCENARIO = stand_in.compiled(training=SHORT, solved=Solved(10, mean_return=195.0))
 
 
