@@ -242,7 +242,7 @@ def build_batch(program: Program, count: int, *, engine: str = "mujoco", fixed: 
     except ModuleNotFoundError as error:
         raise MissingExtraError("sim", "running a scenario") from error
     from deepbots_cli.codegen import emit, load_module
-    from deepbots_cli.codegen.names import class_name
+    from deepbots_cli.codegen.text import class_name
     from deepbots_cli.program.identity import digest
 
     name, mark = class_name(program.name), digest(program)[:12]
@@ -307,7 +307,7 @@ def build(
     except ModuleNotFoundError as error:
         raise MissingExtraError("sim", "running a scenario") from error
     from deepbots_cli.codegen import emit, load_module
-    from deepbots_cli.codegen.names import class_name
+    from deepbots_cli.codegen.text import class_name
     from deepbots_cli.program.identity import digest
 
     engine = engine_kinds.chosen(engine or program.engine)

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from deepbots_cli.compiler.inputs import RESOLVED
 from deepbots_cli.errors import RunError
 from deepbots_cli.insight.statements import Finder, Numbers, Share, Statement, listed, state_all
 from deepbots_cli.insight.trace import Array, Trace
@@ -20,15 +21,18 @@ from deepbots_cli.insight.training import Training
 from deepbots_cli.learning.defaults import longest_episode, ours
 from deepbots_cli.program.task import Choices
 
-_SHOWN = 4
 _SAME = 1e-6  # numbers of the observation, from -1 to 1, that differ by less are equal
 _ENOUGH = 8  # episodes, below which the returns of a training tell nothing
+_UNLEARNABLE = {"DB705", "DB711", "DB807", "DB810"}
+"""Lint proves of these that no policy, or the wrong one, reaches what the scenario asks for."""
 _CERTAIN, _SYMPTOMS = 0.9, {"too_few_steps", "short_training", "one_ending"}
 """Beside a cause that is as likely as this, the length of the training and its most frequent ending are no causes of their own."""
 
 
 def diagnose(training: Training) -> list[Statement]:
     """The causes that apply, the most likely first; none for a training that solves its task.
+
+    A policy that solves it in evaluations, which act without exploration, and not in the training may still be random there.
 
     Raises:
         RunError: The training has finished no episode, and has not failed either.
@@ -37,9 +41,10 @@ def diagnose(training: Training) -> list[Statement]:
         raise RunError(
             f"{training.run.path} holds no finished episode yet; train it longer, with: deepbots train --resume {training.run.path}"
         )
-    if training.solved or _succeeds(training):
+    if training.solved_while_exploring or _succeeds(training):
         return []
-    found = sorted(state_all(CAUSES, training), key=lambda statement: -statement.evidence["likelihood"])
+    causes = (exploration_too_large,) if training.solved else CAUSES
+    found = sorted(state_all(causes, training), key=lambda statement: -statement.evidence["likelihood"])
     certain = bool(found) and found[0].evidence["likelihood"] >= _CERTAIN
     return [statement for statement in found if not (certain and statement.cause in _SYMPTOMS)]
 
@@ -146,6 +151,19 @@ def ending_at_once(t: Training) -> Numbers | None:
             "longest": longest}  # fmt: skip
 
 
+def lint_warns(t: Training) -> Numbers | None:
+    """Lint has {count} about the scenario: {findings}.
+
+    Try: `deepbots lint {path}` shows the lines and what to write instead.
+    """
+    found = sorted(t.findings, key=lambda finding: finding.code not in _UNLEARNABLE)
+    if not found:
+        return None
+    shown = _some([f"{finding.headline} ({finding.code})" for finding in found], 2)
+    return {"likelihood": 0.91 if found[0].code in _UNLEARNABLE else 0.3, "count": f"{len(found)} warning{'s' * (len(found) > 1)}",
+            "findings": shown, "codes": [finding.code for finding in found], "path": str(t.run.path / RESOLVED)}  # fmt: skip
+
+
 # Observations
 
 
@@ -188,9 +206,9 @@ def saturated_observation(t: Training) -> Numbers | None:
             "names": _some(worst), "share": Share(mean), "shares": shares}  # fmt: skip
 
 
-def _some(names: Sequence[str]) -> str:
-    rest = len(names) - _SHOWN
-    return listed([*names[:_SHOWN], *([f"{rest} more"] if rest > 0 else [])])
+def _some(names: Sequence[str], most: int = 4) -> str:
+    rest = len(names) - most
+    return listed([*names[:most], *([f"{rest} more"] if rest > 0 else [])])
 
 
 # Reward
@@ -319,7 +337,7 @@ def learning_rate_too_high(t: Training) -> Numbers | None:
 
 def exploration_too_large(t: Training) -> Numbers | None:
     """The policy is still random: after {updates} updates its entropy is {entropy}, {share} of that at the start, with `ent_coef`
-    {weight}.
+    {weight}. Its late training episodes have a mean return of {late}{evaluated}.
 
     Try: Lower `train.ent_coef`, such as to 0.01 or 0.
     """
@@ -337,8 +355,10 @@ def exploration_too_large(t: Training) -> Numbers | None:
         return None
     else:
         share = float(spread[-1] / spread[0])
+    last = float(np.mean(t.evaluations[-1]["returns"])) if t.evaluations else None
     return {"likelihood": 0.93 if weight >= 0.1 else 0.5, "weight": weight, "entropy": _late(entropy), "share": Share(share),
-            "updates": len(entropy)}  # fmt: skip
+            "updates": len(entropy), "late": _late(t.episodes.returns), "last_evaluation": last,
+            "evaluated": "" if last is None else f", and the last evaluation, without exploration, one of {last:.3g}"}  # fmt: skip
 
 
 def exploration_collapsed(t: Training) -> Numbers | None:
@@ -428,6 +448,7 @@ CAUSES: tuple[Finder[Training], ...] = (
     not_finite,
     action_without_effect,
     ending_at_once,
+    lint_warns,
     constant_observation,
     saturated_observation,
     term_dominates,

@@ -203,6 +203,11 @@ class Statistics:
         self.recent: deque[Episode] = deque(maxlen=solved.episodes if solved else WINDOW)
 
     @property
+    def next_episode(self) -> int:
+        """The number of the episode that will end next, from 1."""
+        return self.episodes + 1
+
+    @property
     def simulated_hours(self) -> float:
         return self.steps * self.period / 3600
 

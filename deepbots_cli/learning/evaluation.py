@@ -337,7 +337,7 @@ def rollout(
     episodes: list[Episode] = []
     if has_copies(worlds[0]):
         for seed in seeds:
-            episodes.append(_team_episode(model, worlds[0], seed, deterministic=deterministic))
+            episodes.append(repeat(model, worlds[0], seed, 0, deterministic=deterministic))
             on_episode(len(episodes), len(seeds))
             if until(episodes):
                 break
@@ -429,23 +429,38 @@ def batch_rollout(
 
 
 def repeat(model: BaseAlgorithm, world: World, seed: int, number: int, *, deterministic: bool) -> Episode:
-    """One episode of an evaluation once more, to the bit: the one of this number, whose reset has this seed."""
-    if has_copies(world):
-        return _team_episode(model, world, seed, deterministic=deterministic)
-    forward = _Pass(world.observation_space, _choices(world) if algorithms.takes_masks(model) else None)
-    lane = _Lane(world, number % ROWS, [0], [seed])
-    lane.begin(forward)
+    """One episode of an evaluation once more, to the bit: the one of this number, whose reset has this seed.
+
+    Of all copies of a robot, it has the mean of their rewards.
+    """
+    torch.manual_seed(derive_seed(seed, "policy"))
+    observation, info = world.reset(seed=seed)
+    accumulator, act = EpisodeAccumulator(), acting(model, world, deterministic=deterministic, number=number)
+    accumulator.begin(seed, info)
     while True:
-        episode = lane.step(forward.answer(model, deterministic=deterministic)[lane.row], forward)
-        if episode is not None:
-            return episode
+        observation, reward, terminated, truncated, info = world.step(act(observation))
+        accumulator.add(float(reward), info)
+        if terminated or truncated:
+            return accumulator.close(info)
 
 
-def acting(model: BaseAlgorithm, world: World, *, deterministic: bool = True) -> Callable[[Any], Any]:
-    """A function that returns the action of a policy for each observation of one episode."""
+def acting(model: BaseAlgorithm, world: World, *, deterministic: bool = True, number: int | None = None) -> Callable[[Any], Any]:
+    """A function that returns the action of a policy for each observation of one episode, which has begun.
+
+    With `number`, the actions are to the bit those of the episode of this number in an evaluation. For copies of a robot they always are:
+    each forward pass has a row for each copy.
+    """
     size = len(world.get_wrapper_attr("agents")) if has_copies(world) else 0
-    memory, starts = None, np.ones(size or 1, dtype=bool)
     takes_masks = algorithms.takes_masks(model) and world.has_wrapper_attr("action_masks")
+    if number is not None and not size:
+        forward, row = _Pass(world.observation_space, _choices(world) if takes_masks else None), number % ROWS
+
+        def act_in_row(observation: Any) -> Any:
+            forward.put(row, observation, world)
+            return forward.answer(model, deterministic=deterministic)[row]
+
+        return act_in_row
+    memory, starts = None, np.ones(size or 1, dtype=bool)
 
     def act(observation: Any) -> Any:
         nonlocal memory, starts
@@ -456,19 +471,6 @@ def acting(model: BaseAlgorithm, world: World, *, deterministic: bool = True) ->
         return action
 
     return act
-
-
-def _team_episode(model: BaseAlgorithm, world: World, seed: int, *, deterministic: bool) -> Episode:
-    """An episode of all copies of a robot, with the mean of their rewards; each forward pass has a row for each copy."""
-    torch.manual_seed(derive_seed(seed, "policy"))
-    observation, info = world.reset(seed=seed)
-    accumulator, act = EpisodeAccumulator(), acting(model, world, deterministic=deterministic)
-    accumulator.begin(seed, info)
-    while True:
-        observation, reward, terminated, truncated, info = world.step(act(observation))
-        accumulator.add(float(reward), info)
-        if terminated or truncated:
-            return accumulator.close(info)
 
 
 class _Pass:

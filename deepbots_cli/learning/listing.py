@@ -164,15 +164,20 @@ def evaluations(run: Path) -> list[tuple[int, KeptEvaluation | str]]:
     return found
 
 
-def last_evaluation(path: Path, record: Record) -> tuple[Path, KeptEvaluation] | None:
-    """The last evaluation of the best model in the scenario of the training, since the training ended, and its file."""
+def last_evaluation(path: Path, record: Record, *, plain: bool = True) -> tuple[Path, KeptEvaluation] | None:
+    """The last evaluation in the scenario of the training, since the training ended, and its file.
+
+    Args:
+        plain: Only one of the best model without sampled actions.
+    """
     for _, kept in reversed(kept_evaluations(path)):
         try:
             found = read_evaluation(kept)
         except RunError:
             continue
-        plain = found.model == "best" and found.deterministic and not (found.set or found.elsewhere or found.case or found.stage)
-        if plain and found.engine in (None, record.engine) and found.evaluated >= record.updated:
+        own = not (found.set or found.elsewhere or found.case or found.stage) and found.engine in (None, record.engine)
+        acts = found.model == "best" and found.deterministic if plain else found.model in ("best", "last")
+        if own and acts and found.evaluated >= record.updated:
             return kept, found
     return None
 

@@ -19,8 +19,6 @@ from deepbots_cli.program.values import Expression
 
 _DOMINATES = 100.0
 """A term that is so many times what an ending pays makes that invisible."""
-_DISCOUNT = 0.99
-"""The default of every algorithm."""
 _ROUNDING = 1e-9
 _MIN_STEPS = 200
 """Fewer simulated steps allow no conclusion."""
@@ -404,9 +402,7 @@ def _staying_outside(ranges: Ranges, threshold: Threshold) -> Ranges:
 
 def discounted_ticks(reward: RewardTerms) -> float:
     """The timesteps that count: half an episode, or the horizon of the discount factor if it is shorter."""
-    training = reward.program.policy.training
-    found = [entry.value for entry in training.hyperparameters if entry.name == "gamma"] if training else []
-    gamma = found[0] if found and isinstance(found[0], float) else _DISCOUNT
+    gamma = reward.program.policy.discount
     seen = INF if gamma >= 1.0 else 1.0 / (1.0 - gamma)
     return min(reward.analysis.last / 2, seen) * reward.program.action_repeat
 

@@ -461,6 +461,12 @@ class Policy:
         return tuple(number for entry in self.observation for number in entry.numbers)
 
     @property
+    def discount(self) -> float:
+        """The discount factor of the training, per step; 0.99 is the default of every algorithm."""
+        known = self.training.hyperparameters if self.training else ()
+        return next((float(entry.value) for entry in known if entry.name == "gamma" and isinstance(entry.value, int | float)), 0.99)
+
+    @property
     def images(self) -> tuple[ImageObservation, ...]:
         return tuple(entry for entry in self.observation if isinstance(entry, ImageObservation))
 

@@ -12,8 +12,7 @@ from typing import Any
 
 import pytest
 
-from deepbots_cli.lsp.diagnostics import Checker
-from deepbots_cli.lsp.server import Server
+from deepbots_cli.lsp.server import Checker, Server
 from deepbots_cli.lsp.workspace import Analysis, Document, Workspace, analyse, path_of
 from tests.fuzz.mutations import SEEDS
 from tests.lsp.client import Client

@@ -164,13 +164,13 @@ def test_explain_knows_the_words(answers, word, told):
 def test_editors_are_offered_kinds_and_parameters(site):
     script = """
 from deepbots_cli.scenario.base import fields, shape_at
-from deepbots_cli.scenario.docs import about_kind, hover
+from deepbots_cli.scenario.base import about, hover
 from deepbots_cli.scenario.scenario import Scenario
 data = {"robots": {"r": {"sensors": {"s": {"type": "tachometer"}}, "actuators": {"a": {"type": "throttle"}}}}}
 for section, name, kind, key in (("sensors", "s", "tachometer", "spacing"), ("actuators", "a", "throttle", "stall_torque")):
     path = ("robots", "r", section, name)
     kinds = shape_at(Scenario, data, path, choose=False)
-    print(kind in kinds.names, about_kind(kinds, kind))
+    print(kind in kinds.names, about(kinds.models[kind]))
     print(hover(shape_at(Scenario, data, path), key))
 """
     told = python(site, "-c", script).stdout
