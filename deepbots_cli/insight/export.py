@@ -185,13 +185,13 @@ def _features(graph: _Graph, model: BaseAlgorithm, program: Program, *, si: bool
 
 
 def _extractor(model: BaseAlgorithm) -> nn.Module:
+    """Raises: UsageError: The policy has no modules of torch."""
     policy: Any = model.policy
-    return next(
-        found
-        for owner in (policy, getattr(policy, "actor", None), getattr(policy, "q_net", None))
-        for name in ("pi_features_extractor", "features_extractor")
-        if isinstance(found := getattr(owner, name, None), nn.Module)
-    )
+    for owner in (policy, getattr(policy, "actor", None), getattr(policy, "q_net", None)):
+        for name in ("pi_features_extractor", "features_extractor"):
+            if isinstance(found := getattr(owner, name, None), nn.Module):
+                return found
+    raise UsageError(f"the policy of {type(model).__name__} has no networks in torch, and cannot be exported")
 
 
 def _extracted(graph: _Graph, extractor: Any, value: str) -> str:

@@ -268,7 +268,8 @@ def trace_episodes(
             trace = world.trace(f"episode {each.number} of {run.path}", notes=run.notes())
             row = list(world.world.agents).index(trace.agent) if trace.agent else None
             trace.critic = _critic_values(policy, [seen if row is None else _row(seen, row) for seen in world.seen[:-1]])
-            trace.critic_absent = "" if trace.critic is not None else "the critic has a memory"
+            absent = "the critic has a memory" if hasattr(policy.policy, "lstm_actor") else "the critic is no network of torch"
+            trace.critic_absent = "" if trace.critic is not None else absent
             yield trace
 
 
@@ -278,7 +279,7 @@ def _critic_values(model: Any, observations: Sequence[Any]) -> Array | None:
     from stable_baselines3.common.policies import ActorCriticPolicy
 
     policy = model.policy
-    if not observations or hasattr(policy, "lstm_actor"):
+    if not observations or hasattr(policy, "lstm_actor") or next(policy.parameters(), None) is None:
         return None
     parts = observations[0].keys() if isinstance(observations[0], dict) else None
     stacked = {key: np.stack([each[key] for each in observations]) for key in parts} if parts else np.stack(observations)

@@ -8,6 +8,7 @@ This, and the same starts for every policy, is what `evaluate_policy` of Stable-
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack, closing
@@ -23,12 +24,15 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 
 from deepbots_cli.api import Compiled, build_batch
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
+from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.learning import algorithms, batch, models, video
 from deepbots_cli.learning.environments import BuildWorld, VectorEnvironment, World, compiled_of, default_build, has_copies
 from deepbots_cli.learning.episodes import DrawnBin, Episode, EpisodeAccumulator, Summary, by_drawn_value, meets, statistics_of, zero
 from deepbots_cli.learning.failures import FailureRecorder
 from deepbots_cli.learning.run import ModelName, Run
 from deepbots_cli.learning.statistics import gate_rate
+from deepbots_cli.lint.analysis import Analysis
+from deepbots_cli.lint.rewards import return_range
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Solved
 from deepbots_cli.runtime.batch import BatchSupervisor
@@ -55,8 +59,9 @@ class EvaluationResult(Summary):
 
     `engine` is None for worlds that `build` made. `model` is `best` or `last`, or the name of a baseline: `random`, `zero`, `script
     NAME`. `case` and `stage` are None for the scenario itself. `solved` is None where the scenario says nothing, or asks for more
-    episodes than there were; `verdict` puts it in words. `outcomes` are the episodes, in the order of their seeds. Where the scenario
-    defines no success (`success_defined`), the success rate is 0 and means nothing.
+    episodes than there were; `verdict` puts it in words. `return_bounds` are the least and the largest possible return of an episode where
+    rewards and time limit imply them, at which intervals are cut. `outcomes` are the episodes, in the order of their seeds. Where the
+    scenario defines no success (`success_defined`), the success rate is 0 and means nothing.
     """
 
     run: Path
@@ -72,12 +77,19 @@ class EvaluationResult(Summary):
     verdict: str
     video: Path | None
     notes: tuple[str, ...]
+    return_bounds: tuple[float | None, float | None]
     outcomes: tuple[Episode, ...] = field(repr=False)
+
+    @property
+    def possible_returns(self) -> tuple[float, float]:
+        """`return_bounds` with infinities."""
+        low, high = self.return_bounds
+        return -math.inf if low is None else low, math.inf if high is None else high
 
     @property
     def by_drawn_value(self) -> dict[str, tuple[DrawnBin, ...]]:
         """Success and return by each value that the episodes drew, by its place in the scenario, in a few bins of its range."""
-        return by_drawn_value(self.outcomes)
+        return by_drawn_value(self.outcomes, self.possible_returns)
 
 
 def evaluate(
@@ -265,7 +277,8 @@ def _setting(
 
 
 def _result(run: Run, program: Program, model: str, done: Sequence[Episode], **where: Any) -> EvaluationResult:
-    found = statistics_of(done)
+    known = return_range(Analysis(program)) if where["engine"] else Interval()  # a world of the caller may pay anything
+    found = statistics_of(done, known)
     solved, verdict = judge(program.solved, found["episodes"], found["mean_return"], found["success_rate"])
     return EvaluationResult(
         run=run.path,
@@ -276,6 +289,7 @@ def _result(run: Run, program: Program, model: str, done: Sequence[Episode], **w
         verdict=verdict,
         notes=(*run.notes(), *identity.timing_differences(run.program, program)),
         outcomes=tuple(done),
+        return_bounds=(known.low if known.low > -math.inf else None, known.high if known.high < math.inf else None),
         **where,
         **found,
     )

@@ -38,6 +38,7 @@ class ListedRun:
     path: Path
     state: State
     scenario: str = "?"
+    source: str = ""
     digest: str = ""
     settings: tuple[str, ...] = ()
     engine: str = ""
@@ -100,6 +101,7 @@ def _of_run(path: Path) -> ListedRun:
         path,
         state,
         scenario=record.scenario,
+        source=record.source,
         digest=record.digest,
         settings=changed_settings(record.command),
         engine=record.engine,
@@ -133,6 +135,7 @@ def _of_group(path: Path) -> ListedRun:
         path,
         state,
         scenario=group.record.scenario,
+        source=group.record.source,
         digest=readable[0].digest if readable else "",
         settings=changed_settings(group.record.command),
         engine=group.record.engine,

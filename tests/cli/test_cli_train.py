@@ -174,6 +174,10 @@ def test_a_group_is_trained_listed_evaluated_and_compared_as_one(deepbots):
     assert deepbots("runs", "--live").err == "no run in runs is so; without options, `deepbots runs` lists all\n"
     group = "runs/cartpole-seeds-1"
     assert deepbots("eval", group, "--episodes", "2", "--min-return", "1000").code == 1
+    found = json.loads(deepbots("eval", group, "--episodes", "2", "--engine", "pybullet,mujoco", "--json").out)
+    assert [[run["engine"] for run in one["runs"]] for one in found["groups"]] == [["pybullet"] * 2, ["mujoco"] * 2]
+    before, after = ([run["mean_return"] for run in one["runs"]] for one in found["groups"])
+    assert found["differences"][0]["mean_return"]["mean"] == pytest.approx(sum(after) / 2 - sum(before) / 2)
     refused = deepbots("eval", group, "--baselines")
     assert (refused.code, "name one of its runs, such as runs/cartpole-seeds-1/seed-0" in refused.err) == (2, True)
     shutil.copytree(group, "runs/other")
@@ -238,6 +242,7 @@ def test_engines_are_compared_from_the_same_starts(deepbots, trained):
     assert difference["mean_return"]["mean"] == pytest.approx(other["mean_return"] - one["mean_return"])
     low, high = difference["mean_return"]["interval"]
     assert low <= difference["mean_return"]["mean"] <= high
+    assert one["return_bounds"] == [1.0, 200.0]
     alone = json.loads(deepbots("eval", "mine", "--engine", "mujoco", "--json").out)
     assert alone["mean_return"] == other["mean_return"]
     told = deepbots("eval", "mine", "--engine", "pybullet,mujoco").out

@@ -234,15 +234,24 @@ def test_an_actuator_of_a_plugin_drives_with_strength_and_delay(driven, strength
     assert 0.5 < share < 0.8 if strength == "1" else 0.25 < share < 0.5
 
 
-def test_the_algorithm_of_a_plugin_trains_with_its_default(site):
+def test_the_algorithm_of_a_plugin_trains_with_its_default_and_one_without_tensors_is_refused(site):
     script = """
 from deepbots_cli import api
+from deepbots_cli.errors import UsageError
+from deepbots_cli.learning import train
 from deepbots_cli.learning import algorithms, defaults
 program = api.compile("acme_spin").program
 print({entry.name: entry.value for entry in program.policy.training.hyperparameters}, algorithms.check(program.policy.training))
 print([entry.value for entry in defaults.effective(program, 1000) if entry.name == "n_epochs"])
+try:
+    train(api.compile("acme_spin", sets=["train.algorithm=NoTensors"]), run="refused")
+except UsageError as error:
+    print(error)
 """
-    assert python(site, "-c", script).stdout == "{'n_epochs': 3} None\n[3]\n"
+    first, second, refusal = python(site, "-c", script).stdout.splitlines()
+    assert (first, second) == ("{'n_epochs': 3} None", "[3]")
+    assert refusal.startswith("NoTensors (acme.training:Elsewhere) does not keep its networks as PPO of Stable-Baselines3 does")
+    assert not (site / "refused").exists()
 
 
 BROKEN = [
