@@ -190,8 +190,7 @@ def _acted(program: Program) -> list[Acted]:
     found = []
     for part in program.policy.action:
         if isinstance(part, ActionRange):
-            names = [f"{part.name}.{component}" for component in part.components] or [part.name]
-            found += [Acted(name=name, unit=part.unit.removeprefix("1"), low=part.low, high=part.high) for name in names]
+            found += [Acted(name=name, unit=part.unit.removeprefix("1"), low=part.low, high=part.high) for name in part.names]
         else:
             options = {option.name: dict(zip(part.variables, option.values, strict=True)) for option in part.options}
             found.append(Acted(name=part.name, options=options))

@@ -145,7 +145,7 @@ def ending_at_once(t: Training) -> Numbers | None:
     if len(lengths) < _ENOUGH:
         return None
     long, (name, count) = float(np.quantile(lengths, 0.9)), Counter(t.episodes.endings).most_common(1)[0]
-    if long > min(12, 0.2 * longest) or not any(ending.name == name and ending.outcome == "failure" for ending in t.program.endings):
+    if long > min(12, 0.2 * longest) or name not in t.program.failures:
         return None
     return {"likelihood": 0.96, "ending": name, "share": Share(count / len(lengths)), "length": float(np.median(lengths)), "long": long,
             "longest": longest}  # fmt: skip
@@ -239,11 +239,10 @@ def ending_early_pays(t: Training) -> Numbers | None:
     Try: Let a step that goes well earn a positive reward (check the signs of the terms), or let a failure cost more than the steps
     that it saves.
     """
-    failing = {ending.name for ending in t.program.endings if ending.outcome == "failure"}
     late = t.episodes.part(0.75, 1.0)
     if len(late.returns) < _ENOUGH:
         return None
-    failed = float(np.mean([ending in failing for ending in late.endings]))
+    failed = float(np.mean([ending in t.program.failures for ending in late.endings]))
     per_step = float(late.returns.sum() / max(1.0, late.lengths.sum()))
     if failed < 0.5 or per_step >= 0 or late.successes.mean() > 0.2 or np.ptp(t.episodes.lengths) == 0:
         return None
@@ -343,12 +342,11 @@ def exploration_too_large(t: Training) -> Numbers | None:
     """
     weight = t.setting("ent_coef")
     entropy = -t.curve("train/entropy_loss")
-    options = [len(part.options) for part in t.program.policy.action if isinstance(part, Choices)]
-    spread = t.curve("train/std")
+    random, spread = _random_entropy(t), t.curve("train/std")
     if not weight or not len(entropy):
         return None
-    if options and len(options) == len(t.program.policy.action):
-        share = _late(entropy) / float(np.log(options).sum())
+    if random is not None:
+        share = _late(entropy) / random
         if share < 0.97:
             return None
     elif not len(spread) or spread[-1] < 1.2 * spread[0]:
@@ -361,6 +359,13 @@ def exploration_too_large(t: Training) -> Numbers | None:
             "evaluated": "" if last is None else f", and the last evaluation, without exploration, one of {last:.3g}"}  # fmt: skip
 
 
+def _random_entropy(t: Training) -> float | None:
+    """The entropy of a random policy; None where not all parts of the action are choices."""
+    parts = t.program.policy.action
+    options = [len(part.options) for part in parts if isinstance(part, Choices)]
+    return float(np.log(options).sum()) if len(options) == len(parts) else None
+
+
 def exploration_collapsed(t: Training) -> Numbers | None:
     """The policy hardly explores: {measure} is {value} after {steps} steps, and below {least} it finds little new.
 
@@ -370,23 +375,14 @@ def exploration_collapsed(t: Training) -> Numbers | None:
     sigma = getattr(getattr(noise, "sigma", None), "start", None)
     if sigma == 0:
         return {"likelihood": 0.85, "measure": "the standard deviation of the action noise", "value": 0.0, "least": 0.1, "steps": t.steps}
-    entropy, spread = -t.curve("train/entropy_loss"), t.curve("train/std")
-    options = [len(part.options) for part in t.program.policy.action if isinstance(part, Choices)]
-    half = len(entropy) // 2
+    entropy, spread, random = -t.curve("train/entropy_loss"), t.curve("train/std"), _random_entropy(t)
     if len(entropy) < _ENOUGH:
         return None
-    if options and len(options) == len(t.program.policy.action) and entropy[half] < 0.05 * float(np.log(options).sum()):
-        least = 0.05 * float(np.log(options).sum())
-        return {
-            "likelihood": 0.6,
-            "measure": "the entropy of the policy",
-            "value": float(entropy[half]),
-            "least": least,
-            "steps": t.steps // 2,
-        }
-    if len(spread) and spread[len(spread) // 2] < 0.05:
-        value = float(spread[len(spread) // 2])
-        return {"likelihood": 0.6, "measure": "the standard deviation of the actions", "value": value, "least": 0.05, "steps": t.steps // 2}
+    known = {"likelihood": 0.6, "steps": t.steps // 2}
+    if random is not None and (value := float(entropy[len(entropy) // 2])) < 0.05 * random:
+        return {**known, "measure": "the entropy of the policy", "value": value, "least": 0.05 * random}
+    if len(spread) and (value := float(spread[len(spread) // 2])) < 0.05:
+        return {**known, "measure": "the standard deviation of the actions", "value": value, "least": 0.05}
     return None
 
 
@@ -396,12 +392,11 @@ def one_ending(t: Training) -> Numbers | None:
     Try: `deepbots explain-episode RUN` shows the value and the bound of this ending in one of them.
     """
     late = t.episodes.part(0.75, 1.0)
-    failing = {ending.name for ending in t.program.endings if ending.outcome == "failure"}
     if len(late.returns) < _ENOUGH:
         return None
     name, count = Counter(late.endings).most_common(1)[0]
     share = count / len(late.returns)
-    if name not in failing or share < 0.9 or len(t.program.endings) < 2:
+    if name not in t.program.failures or share < 0.9 or len(t.program.endings) < 2 or too_few_steps(t) is not None:
         return None
     return {"likelihood": 0.25, "ending": name, "share": Share(share), "episodes": len(late.returns), "length": float(late.lengths.mean())}
 

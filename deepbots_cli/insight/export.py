@@ -237,7 +237,7 @@ def _gates(weight: torch.Tensor) -> torch.Tensor:
 def _ranges(graph: _Graph, value: str, program: Program, *, si: bool) -> None:
     value = graph.add("Clip", value, graph.constant(-1.0), graph.constant(1.0))
     parts = [part for part in program.policy.action if isinstance(part, ActionRange)]
-    ends = np.array([(part.low, part.high) for part in parts for _ in part.components or (part.name,)])
+    ends = np.array([(part.low, part.high) for part in parts for _ in part.names])
     if si:
         half = (ends[:, 1] - ends[:, 0]) / 2
         value = graph.add("Add", graph.add("Mul", value, graph.constant(half)), graph.constant(ends.mean(axis=1)))

@@ -89,6 +89,11 @@ class Shown:
         return self.member.evaluation.outcomes[self.number]
 
     @property
+    def is_success(self) -> bool:
+        """Also where the scenario defines no success."""
+        return self.outcome.is_success or not self.member.evaluation.success_defined
+
+    @property
     def title(self) -> str:
         seed = f"seed {self.member.run.record.seed}, " if self.label else ""
         return f"{self.label}: {seed}episode {self.number}, return {self.outcome.total_return:.2f}, {self.outcome.ended_by}"
@@ -189,8 +194,7 @@ class Report:
         self.link = _traced_link(player, next(iter(traces.values())))
         body, _, link = self.link.partition("/")
         self.paths = [
-            figures.Path(each.title, [links[body, link][0] for links in traces[each]], each.outcome.is_success, bool(each.label))
-            for each in shown
+            figures.Path(each.title, [links[body, link][0] for links in traces[each]], each.is_success, bool(each.label)) for each in shown
         ]
 
     def _film(self, player: Player, shown: Shown) -> None:
@@ -226,7 +230,8 @@ class Report:
         )
         yield "starts", caption, figures.starts(outcomes, theme, success_defined=defined)
         if self.paths:
-            title = f"{len(self.paths)} evaluation episodes from above: {self.link}. Ring: start, disc: success, cross: none."
+            marks = "disc: success, cross: none" if defined else "disc: end"
+            title = f"{len(self.paths)} evaluation episodes from above: {self.link}. Ring: start, {marks}."
             world = self.members[0].run.program.world
             yield "trajectories", title, figures.trajectories(self.paths, world, self.fixed, theme)
 

@@ -101,7 +101,7 @@ class Trace:
     def ranges(self) -> dict[str, Array]:
         """For each number of the ranges of the action, its values in [-1, 1] in the steps."""
         parts = [part for part in self.program.policy.action if isinstance(part, ActionRange)]
-        names = [f"{part.name}.{name}" if name else part.name for part in parts for name in part.components or ("",)]
+        names = [name for part in parts for name in part.names]
         rows = np.array([np.asarray(_part(action, "ranges"), float).reshape(-1) for action in self.actions if names])
         return {name: rows[:, place] for place, name in enumerate(names)} if len(rows) else {}
 
@@ -214,8 +214,7 @@ class KeptEpisodes(KeptEvaluation):
 
     def failed(self, program: Program) -> list[int]:
         """The numbers of the episodes that failed: without a success, or where none is defined, ended by a failure."""
-        failing = {ending.name for ending in program.endings if ending.outcome == "failure"}
-        bad = [not each.is_success if self.success_defined else each.ended_by in failing for each in self.outcomes]
+        bad = [not each.is_success if self.success_defined else each.ended_by in program.failures for each in self.outcomes]
         return [number for number, is_bad in enumerate(bad) if is_bad]
 
     def chosen(self, number: int) -> Chosen:

@@ -205,7 +205,7 @@ def _constant(world: Traced) -> dict[str, dict[str, Any]]:
     env, policy = world.world, world.watch.program.policy
     choices = [part for part in policy.action if isinstance(part, Choices)]
     ranges = [part for part in policy.action if isinstance(part, ActionRange)]
-    names = [f"{part.name}.{name}" if name else part.name for part in ranges for name in part.components or ("",)]
+    names = [name for part in ranges for name in part.names]
     found: dict[str, dict[str, Any]] = {}
     for place, choice in enumerate(choices):
         picks = [[number if other == place else 0 for other in range(len(choices))] for number in range(min(4, len(choice.options)))]

@@ -230,8 +230,7 @@ def composed(env: Supervisor, values: dict[str, float]) -> Any:
         if isinstance(part, Choices):
             choices.append(int(values.get(part.name, 0)))
         else:
-            names = [f"{part.name}.{component}" for component in part.components] or [part.name]
-            ranges += [float(values.get(name, 0.0)) for name in names]
+            ranges += [float(values.get(name, 0.0)) for name in part.names]
     return env.acting(choices, ranges)
 
 
