@@ -297,7 +297,7 @@ def robustness_json(found: Robustness) -> dict[str, Any]:
 
 
 def keep(run: Run, evaluation: dict[str, Any]) -> None:
-    """Keep an evaluation in its run, or print_result why it is not kept: it is shown all the same."""
+    """Keep an evaluation in its run, or say why it is not kept; it is shown all the same."""
     try:
         run.keep_evaluation(evaluation)
     except RunError as error:

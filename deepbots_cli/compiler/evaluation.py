@@ -56,6 +56,9 @@ _ONE_CHOICE = frozenset({"DQN"})
 _CHOICES = frozenset({"DQN", "MaskablePPO"})
 _INTERVALS = frozenset({"SAC", "TD3", "DDPG", "TQC"})
 
+_MAX_LEARNING_RATE = 0.05
+"""Largest usual learning rate. The highest default is 3e-3, and Adam moves every weight by about the rate in each update."""
+
 Action = tuple[Choices | ActionRange, ...]
 
 
@@ -74,6 +77,9 @@ def training(namespace: Namespace, action: Action, copies: RobotCopies | None, l
         if name != "replay" and (isinstance(given, (bool, int, float, str)) or given is None):
             ramp = read_schedule(given) if isinstance(given, str) else None
             hyperparameters.append(Hyperparameter(name, Schedule(*ramp) if ramp else given))
+            if name == "learning_rate" and isinstance(rate := max(ramp) if ramp else given, int | float) and rate > _MAX_LEARNING_RATE:
+                headline = f"a learning rate of {rate:g}, at which a network rarely learns"
+                values.findings.add("DB505", values.span(("train", name)), headline, help="usual rates are 1e-5 to 1e-2, such as `3e-4`")
     replay = _hindsight(own.get("replay"), namespace)
     starts = own.get("learning_starts")
     if replay is not None and starts is not None and longest_episode is not None:

@@ -177,8 +177,8 @@ class Actions:
         rows = {option: self._numbers(part, option, variables, named=bool(named)) for option in part.choices}
         for index, variable in enumerate(variables):
             column = [row[index] for row in rows.values()]
-            type = Type(NUMBER, interval=Interval(min(column, default=0.0), max(column, default=0.0)), stage=Stage.STEP)
-            self._namespace.define(variable, Origin.ACTION, ("action", name), partial(Symbol, variable, type))
+            known = Type(NUMBER, interval=Interval(min(column, default=0.0), max(column, default=0.0)), stage=Stage.STEP)
+            self._namespace.define(variable, Origin.ACTION, ("action", name), partial(Symbol, variable, known))
         self._parts[name] = Choices(name, variables, tuple(Option(option, row) for option, row in rows.items()))
 
     def _numbers(self, part: DiscreteAction, option: str, variables: tuple[str, ...], *, named: bool) -> tuple[float, ...]:

@@ -10,8 +10,7 @@ from deepbots_cli import frames
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import IDENTITY_FRAME, Frame
 from deepbots_cli.program.world import ARENA_WALLS, WALL_COLOUR, Arena, ObjectBody
-from deepbots_cli.robots.edits import with_link
-from deepbots_cli.robots.model import Box, Friction, Geometry, Inertial, Link, Pose, RobotModel, homogeneous
+from deepbots_cli.robots.model import Box, Friction, Geometry, Inertial, Link, Pose, RobotModel, homogeneous, with_link
 
 # Of links that state no colour, in turn.
 PALETTE = ((0.84, 0.44, 0.24, 1.0), (0.27, 0.45, 0.66, 1.0), (0.30, 0.32, 0.36, 1.0), (0.86, 0.70, 0.32, 1.0), (0.42, 0.60, 0.46, 1.0))

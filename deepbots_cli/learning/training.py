@@ -32,7 +32,7 @@ from deepbots_cli.learning.curriculum import Curriculum
 from deepbots_cli.learning.defaults import longest_episode
 from deepbots_cli.learning.environments import BuildWorld, VectorEnvironment, World, compiled_of, default_build
 from deepbots_cli.learning.episodes import Episode, EpisodeLog, Statistics
-from deepbots_cli.learning.failures import FailureRecorder
+from deepbots_cli.learning.failures import BatchRecorder, FailureRecorder
 from deepbots_cli.learning.report import Reporter, reporter
 from deepbots_cli.learning.run import (
     FORMAT,
@@ -270,7 +270,7 @@ def _learn(run: Run, training: Training, checkpoints: Checkpoints, build: BuildW
         with ExitStack() as stack:
             stack.enter_context(algorithms.torch_settings())
             stack.callback(callback.evaluator.close)
-            env = _environment(stack, run, training, build, callback, checkpoints)
+            env = _environment(stack, run, training, build, callback, checkpoints, reporter)
             model: Any = algorithms.create(
                 training,
                 env,
@@ -351,7 +351,13 @@ def _explained(error: DeepbotsError | OSError, run: Run, checkpoints: Checkpoint
 
 
 def _environment(
-    stack: ExitStack, run: Run, training: Training, build: BuildWorld, callback: TrainingCallback, checkpoints: Checkpoints
+    stack: ExitStack,
+    run: Run,
+    training: Training,
+    build: BuildWorld,
+    callback: TrainingCallback,
+    checkpoints: Checkpoints,
+    reporter: Reporter,
 ) -> VecEnv:
     """The worlds, which report to the statistics and the episode log; all closed with `stack`."""
     statistics, curriculum = callback.statistics, callback.curriculum
@@ -366,9 +372,8 @@ def _environment(
 
     def count_episode(index: int, episode: Episode) -> None:
         present = stages[index] == curriculum.index
-        stage = curriculum.stages[stages[index]].name if curriculum.stages else None
         statistics.add(episode, present=present)
-        log.write(episode, statistics, stage, env.drawn[index])
+        log.write(episode, statistics, curriculum.name_of(stages[index]), env.drawn[index])
         if present and curriculum.add(episode, statistics.steps, statistics.episodes):
             callback.begin_stage()
 
@@ -381,10 +386,9 @@ def _environment(
         worlds[index] = guarded(curriculum.index)
         return worlds[index], seed
 
-    def guarded(stage: int) -> World:
+    def guarded(stage: int) -> FailureRecorder:
         scenario = curriculum.scenario_of(stage)
-        name = curriculum.stages[stage].name if curriculum.stages else None
-        return FailureRecorder(build(scenario), run, scenario, episode=lambda: statistics.episodes + 1, stage=name)
+        return FailureRecorder(build(scenario), run, scenario, episode=lambda: statistics.next_episode, stage=curriculum.name_of(stage))
 
     def close() -> None:
         for world in worlds:
@@ -396,7 +400,10 @@ def _environment(
     env: VectorEnvironment
     if not batch.reasons_against(run.program, len(stages), run.record.engine, build):
         build_stage = partial(_batch_of_stage, run, curriculum, len(stages))
-        env = batch.BatchedWorlds(build_stage, seeds, stages, on_step=count_step, on_episode=count_episode, next_seed=next_seed)
+        recorder = BatchRecorder(run, guarded, statistics, curriculum, reporter)
+        env = batch.BatchedWorlds(
+            build_stage, seeds, stages, on_step=count_step, on_episode=count_episode, next_seed=next_seed, recorder=recorder
+        )
         stack.callback(env.close)
     else:
         for stage in stages:

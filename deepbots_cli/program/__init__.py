@@ -131,6 +131,11 @@ class Program:
         """Simulated time of one step, in s."""
         return self.world.timestep * self.action_repeat
 
+    @cached_property
+    def failures(self) -> frozenset[str]:
+        """The names of the endings that are failures."""
+        return frozenset(ending.name for ending in self.endings if ending.outcome == "failure")
+
     @property
     def defines_success(self) -> bool:
         """Whether an episode can be a success at all."""

@@ -55,6 +55,11 @@ class ActionRange:
     high: float
     unit: str
 
+    @property
+    def names(self) -> list[str]:
+        """`speed.left` and `speed.right`, or `speed` without components."""
+        return [f"{self.name}.{component}" for component in self.components] or [self.name]
+
 
 ActionPart = Choices | ActionRange
 

@@ -132,8 +132,7 @@ class Opened:
         if self.program is None:
             raise ScenarioError(self.findings)
         engine = self.source.engine or (self.run.engine_for(self.program) if self.run else None)
-        code = self.compiled.code if self.compiled and self.compiled.program is self.program else None
-        return api.build(self.program, engine=engine, allow_code=self.source.allow_code, code=code)
+        return api.build(self.program, engine=engine, allow_code=self.source.allow_code)
 
     def make_batch(self) -> BatchSupervisor:
         """A batch of worlds of the program.
@@ -246,8 +245,7 @@ def composed(env: Supervisor, values: dict[str, float]) -> Any:
         if isinstance(part, Choices):
             choices.append(int(values.get(part.name, 0)))
         else:
-            names = [f"{part.name}.{component}" for component in part.components] or [part.name]
-            ranges += [float(values.get(name, 0.0)) for name in names]
+            ranges += [float(values.get(name, 0.0)) for name in part.names]
     return env.acting(choices, ranges)
 
 

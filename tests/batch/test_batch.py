@@ -106,7 +106,8 @@ def test_a_world_that_becomes_infinite_begins_anew_and_leaves_the_others_alone(b
     assert truncated.tolist() == [False, False, True, False]
     assert infos["final_info"]["ended_by"][2] == "not_finite"
     assert rewards[2] == 0.0
-    assert batch.batch.losses == [(2, 1)]
+    assert [(loss.world, loss.seed, loss.step) for loss in batch.batch.losses] == [(2, 2, 1)]
+    assert batch.batch.losses[0].error == "the pose of 'cart' left the range of numbers"
     single.reset(seed=3)
     assert_same(observations[3], single.step(0)[0])
     single.reset(seed=2)

@@ -12,8 +12,21 @@ import pytest
 
 from deepbots_cli import api, geometry
 from deepbots_cli.errors import EngineError
-from deepbots_cli.robots.edits import with_density, with_scale
-from deepbots_cli.robots.model import Box, Cylinder, Geometry, Inertial, Link, Mesh, Pose, RobotModel, Shape, Sphere, homogeneous
+from deepbots_cli.robots.model import (
+    Box,
+    Cylinder,
+    Geometry,
+    Inertial,
+    Link,
+    Mesh,
+    Pose,
+    RobotModel,
+    Shape,
+    Sphere,
+    homogeneous,
+    with_density,
+    with_scale,
+)
 from tests.robots.meshes import ball, block
 
 DENSITY = 700.0  # kg/m^3

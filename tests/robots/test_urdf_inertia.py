@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deepbots_cli.robots.edits import with_friction, with_joint, with_mass, with_scale
 from deepbots_cli.robots.model import (
     Box,
     Capsule,
@@ -27,6 +26,10 @@ from deepbots_cli.robots.model import (
     Sphere,
     homogeneous,
     volume,
+    with_friction,
+    with_joint,
+    with_mass,
+    with_scale,
 )
 
 sizes = st.floats(0.1, 10)

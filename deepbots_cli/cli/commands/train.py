@@ -248,10 +248,11 @@ def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, allow_code: b
         raise typer.Exit(INTERRUPTED)
     if not quiet:
         terminal.note("evaluating on held-out episodes, without the exploration of the training, so returns differ ...")
+    trained = Run.open(result.run)
     with terminal.progress(always=False) as show_episode:
-        evaluation = learning.evaluate(result.run, allow_code=allow_code, on_episode=show_episode)
-        cases = learning.evaluate_cases(result.run, allow_code=allow_code, on_episode=show_episode)
-    results.keep(Run.open(result.run), with_cases(evaluation, cases))
+        evaluation = learning.evaluate(trained, allow_code=allow_code, on_episode=show_episode)
+        cases = learning.evaluate_cases(trained, allow_code=allow_code, on_episode=show_episode)
+    results.keep(trained, with_cases(evaluation, cases))
     if as_json:
         terminal.show_json({"training": report.to_json(result), "evaluation": with_cases(evaluation, cases)})
         return
