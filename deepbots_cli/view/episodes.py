@@ -206,6 +206,21 @@ class Scripted:
         return self._next()
 
 
+class Repeated:
+    """The actions of an earlier episode."""
+
+    note = ""
+
+    def __init__(self, actions: Iterable[Any]) -> None:
+        self._actions = iter(actions)
+
+    def begin(self, seed: int) -> None:
+        """Nothing."""
+
+    def act(self, observation: Any) -> Any:
+        return next(self._actions)
+
+
 class ManualDriver:
     """A person: `values` holds an option by its index for each choice, and a number from -1 to 1 for each component of a range."""
 
@@ -306,6 +321,8 @@ class Player:
         self.observation: Any = None
         self.action: Any = None
         """What the last step of the environment gave and took."""
+        self.actions: list[Any] = []
+        """Those of the episode."""
         try:
             self.reader = self._reader()
             self.drive(driver or opened.drivers[0])
@@ -336,7 +353,7 @@ class Player:
 
     def start(self, seed: int) -> WorldFrame:
         """Reset to the episode of a seed; its first frame."""
-        self.seed, self.action = seed, None
+        self.seed, self.action, self.actions = seed, None, []
         self.driver.begin(seed)
         self.observation, _ = self.env.reset(seed=seed)
         self.frame = self.reader.read(self.observation)
@@ -349,6 +366,7 @@ class Player:
     def step(self, *, by_hand: bool = False) -> WorldFrame:
         """The frame after the next step of an episode that has not ended; `by_hand` lets a person act instead of the driver."""
         self.action = (self.hand if by_hand else self.driver).act(self.observation)
+        self.actions.append(self.action)
         self.observation, *_ = self.env.step(self.action)
         self.frame = self.reader.read(self.observation, self.action)
         return self.frame

@@ -81,6 +81,23 @@ def test_keys_drive_and_let_go():
         assert "onward" in page._banner.content or page._rival.driver_name == "onward"
 
 
+def test_an_episode_that_was_driven_is_recorded_to_the_bit(tmp_path, monkeypatch):
+    pytest.importorskip("mcap")
+    monkeypatch.chdir(tmp_path)
+    with closing(Page(Source("find_ball"), port=0, playing=True, seed=4)) as page:
+        assert "press a key to begin" in page._banner.content
+        for keys in ({"KeyW"}, {"KeyW", "KeyD"}, {"KeyA"}):
+            page._hand.hold(frozenset(keys), ())
+            page.step_once()
+        page._record(None)
+        page._record(None)
+        driven = page.player.frame
+    with closing(Source("find_ball-4-0-played1.mcap").open().player()) as replayed:
+        *_, last = replayed.episode(4, 0, 3)
+        assert last.links == driven.links
+        assert replayed.recording.metadata["driver"] == HAND
+
+
 def test_hands_know_options_by_their_names():
     hand = ManualInput([Field("move", "move", 0, 2, "", ("left", "right", "stop"))])
     assert hand.values() == {"move": 2.0}
