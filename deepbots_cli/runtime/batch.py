@@ -193,6 +193,7 @@ class BatchController(_Part):
 
     def __init__(self, singles: Sequence[RobotController], batch: BatchSupervisor) -> None:
         super().__init__(singles, batch)
+        self.devices: dict[str, Devices] = {}
         self.bind(batch.engine)
 
     def bind(self, engine: Any) -> None:
@@ -203,6 +204,7 @@ class BatchController(_Part):
         sensor: Sensor = next(sensor for sensor in self._singles[0].spec.sensors if sensor.name == name)
         made = Devices([single.devices[name] for single in self._singles], sensor, self._singles[0].spec.name, self._batch)
         self._loaded.append(made)
+        self.devices[name] = made
         return made
 
     def observe(self) -> None:
@@ -225,6 +227,7 @@ class BatchSupervisor(_Part, ABC):
         self.singles, self.engine, self.scenario, self.count = singles, engine, first.scenario, len(singles)
         self.observation_space, self.action_space = first.observation_space, first.action_space
         self.controllers: dict[str, BatchController] = {}
+        self.channels: dict[tuple[str, str], Direct | Lossy] = {}
         self.losses: list[Loss] = []
         """The worlds that were no longer finite, in the order in which it was noticed."""
         self._errors: dict[int, str] = {}
@@ -270,12 +273,14 @@ class BatchSupervisor(_Part, ABC):
 
     def channel(self, name: str, direction: Direction) -> Direct:
         """The paths of messages to or from a robot, where they are direct."""
-        return Direct()
+        made = self.channels[name, direction] = Direct()
+        return made
 
     def lossy_channel(self, name: str, direction: Direction) -> Lossy:
         """The paths of messages to or from a robot, where messages come late or may be lost."""
         attribute = f"{'to' if direction == 'to_robot' else 'from'}_{name}"
-        return Lossy([getattr(single, attribute) for single in self.singles], self)
+        made = self.channels[name, direction] = Lossy([getattr(single, attribute) for single in self.singles], self)
+        return made
 
     # Course
 

@@ -34,9 +34,3 @@ EXPERIMENTS: dict[str, Callable[[], Iterable[Row]]] = {
         contact.heights,
     )
 }
-
-EXCEPTIONS = {
-    # A cylinder touches the ground along its width, and in MuJoCo at both ends of it, which slip against each other in an arc.
-    ("mujoco", "wheels that roll in an arc: turning rate"): 5.0,
-}
-"""Bars (%) of what an engine cannot hold, instead of those of the experiments."""

@@ -233,11 +233,11 @@ class MuJoCoBatch:
             position = self._of(f"xpos{link}", lambda world: world.data.xpos[link]).T
             origins, directions = position[:, None] + starts @ axes.transpose(0, 2, 1), ways @ axes.transpose(0, 2, 1)
             for world, group, met, origin, direction in zip(self._worlds, groups, free, origins, directions, strict=True):
-                model, data, usual = world.model, world.data, int(group[0]) if len(group) else 0
+                model, data, usual = world.model, world.data, group.copy()
                 group.fill(HIDDEN)
                 for number in range_:
                     met[number] = ray(model, data, origin[number], direction[number], seen, True, -1, None, None)
-                group.fill(usual)
+                group[:] = usual
             return np.where((free < 0.0) | (free > reach), reach, free).T
 
         return read

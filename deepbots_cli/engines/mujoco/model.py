@@ -17,7 +17,6 @@ from deepbots_cli.engines.objects import PALETTE, ROOT_MASS_FRACTION, Pool, as_r
 from deepbots_cli.errors import EngineError
 from deepbots_cli.geometry import HeightGrid, grid, triangles
 from deepbots_cli.program.world import GROUND, Colour, Line, ObjectBody, Terrain, WorldModel
-from deepbots_cli.robots import inertia
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Friction, Geometry, Joint, Link, Mesh, RobotModel, Sphere
 
 if TYPE_CHECKING:
@@ -36,6 +35,13 @@ MuJoCo's contacts are springs. With these a crate rests 27 um deep at steps of 1
 says within 0.4 %. Stiffer ones (2 steps, impedance 0.95 to 0.99) are ten times less deep, and a crate that slides hops: 4 % off.
 """
 IMPEDANCE = (0.9, 0.95, 0.001, 0.5, 2.0)
+TYRE_IMPEDANCE = (2 * 0.9 / (1 + 0.9), 2 * 0.95 / (1 + 0.95), *IMPEDANCE[2:])
+"""A tyre touches in one point where a cylinder touches in two: it gives way half as much as one of them, and sinks as deep as both.
+
+A contact gives way by (1 - impedance) / impedance.
+"""
+ALIGNED = 1e-6
+"""By how much the axis of a wheel may be off that of its joint: as a part of the radius, and in rad."""
 NEAREST, FARTHEST = 0.01, 2000.0  # m; what is drawn
 EARTH = (0.72, 0.63, 0.48, 1.0)
 
@@ -93,6 +99,9 @@ class Builder:
         spec.visual.map.znear, spec.visual.map.zfar = NEAREST, FARTHEST
         self._response = (max(RESPONSE, RESPONSE_STEPS * step), 1.0)
         self._made: list[tuple[Body, dict[str, Made], dict[str, Made], dict[str, list[Made]]]] = []
+        self._flat = world.terrain is None and world.ground is not None and not drawn
+        self._wheels: set[str] = set()
+        self._tyres: set[str] = set()
         self._elements = self._absent = 0
         self.pools: list[Pool[Body]] = []
         if drawn:
@@ -224,7 +233,7 @@ class Builder:
     def _add(self, body: Body, pooled: bool = False) -> Body:
         """Add the links and joints of a body to the specification."""
         model = body.model
-        subtree_mass = inertia.subtree_mass(model)
+        subtree_mass = model.subtree_mass()
         joint_of = {joint.child: joint for joint in model.joints}
         children: dict[str, list[str]] = {}
         for joint in model.joints:
@@ -247,6 +256,8 @@ class Builder:
                 joints[above.name] = self._joint(made, above)
             self._weigh(made, link, ROOT_MASS_FRACTION * subtree_mass[name] if above is None or above.moves else 0.0)
             geoms[name] = [self._surface(made, piece, place, pooled) for piece in self._pieces(link)]
+            if self._flat and above is not None:
+                geoms[name] += self._add_tyres(made, link, above, geoms[name])
             order += children.get(name, ())
         self._made.append((body, links, joints, geoms))
         return body
@@ -261,7 +272,7 @@ class Builder:
         if known is None or mass <= 0.0:
             mass, tensor, at = trace, frames.diagonal((trace, trace, trace)), (0.0, 0.0, 0.0)
         else:
-            tensor = frames.rotate_tensor(inertia.matrix(known), frames.rotation_matrix(known.origin.rpy))
+            tensor = frames.rotate_tensor(known.matrix, frames.rotation_matrix(known.origin.rpy))
             at = known.origin.xyz
             if max(known.ixx, known.iyy, known.izz) <= 0.0:
                 tensor = self._made_up(link, mass)
@@ -323,6 +334,22 @@ class Builder:
             case Mesh():
                 return self._geom(made, group, type=kinds.mjGEOM_MESH, meshname=self._mesh(piece.shape), **about)
 
+    def _add_tyres(self, made: Made, link: Link, axle: Joint, cylinders: list[Made]) -> list[Made]:
+        """For each wheel of a link, the surface that meets flat ground: an ellipsoid within the wheel, which touches in the middle of it.
+
+        A cylinder touches flat ground at both ends of its width, which doubles the constraints and makes a wheel slip in an arc.
+        """
+        tyres = []
+        for piece, cylinder in zip(link.collisions, cylinders, strict=True):
+            if isinstance(piece.shape, Cylinder) and _is_wheel(piece.shape, frames.frame(piece.origin), axle):
+                radius, half = piece.shape.radius, piece.shape.length / 2
+                kind, size = mj.mjtGeom.mjGEOM_ELLIPSOID, (radius, radius, half)
+                tyre = self._geom(made, HIDDEN, type=kind, size=size, pos=cylinder.pos, quat=cylinder.quat)
+                self._wheels.add(cylinder.name)
+                self._tyres.add(tyre.name)
+                tyres.append(tyre)
+        return tyres
+
     def _mesh(self, mesh: Mesh) -> str:
         """The triangles of a mesh; MuJoCo lets its convex hull collide, as PyBullet does with meshes that move."""
         corners = triangles(mesh).reshape(-1, 3)
@@ -346,7 +373,7 @@ class Builder:
         for one, other in combinations(surfaces, 2):
             for first, stays in one:
                 for second, stays_too in other:
-                    if not (stays and stays_too):
+                    if not (stays and stays_too) and self._meet(first, second) and self._meet(second, first):
                         self._spec.add_pair(
                             geomname1=first.name,
                             geomname2=second.name,
@@ -355,8 +382,13 @@ class Builder:
                             gap=0.0,
                             solref=self._response,
                             solreffriction=(0.0, 0.0),
-                            solimp=IMPEDANCE,
+                            solimp=TYRE_IMPEDANCE if self._tyres & {first.name, second.name} else IMPEDANCE,
                         )
+
+    def _meet(self, surface: Made, other: Made) -> bool:
+        """Whether a surface may touch another: a wheel touches flat ground with its tyre, and anything else with its cylinder."""
+        ground = self._flat and other.type == mj.mjtGeom.mjGEOM_PLANE
+        return surface.name not in (self._wheels if ground else self._tyres)
 
     def _surfaces(self, pool: Pool[Body]) -> Iterator[tuple[Made, bool]]:
         """The geoms of a body in all its forms, and whether they never move."""
@@ -365,6 +397,16 @@ class Builder:
             if id(body) in owned:
                 for link, made in geoms.items():
                     yield from ((geom, link in body.still) for geom in made)
+
+
+def _is_wheel(shape: Cylinder, at: Frame, axle: Joint) -> bool:
+    """Whether a cylinder turns about its own axis on a joint, and is no wider than its radius."""
+    if axle.type not in ("continuous", "revolute") or shape.length > shape.radius:
+        return False
+    position, turned = at
+    axis = frames.rotate(turned, (0.0, 0.0, 1.0))
+    off = np.linalg.norm(np.cross(axis, axle.axis)) / np.linalg.norm(axle.axis)
+    return bool(off < ALIGNED and np.linalg.norm(np.cross(axis, position)) < ALIGNED * shape.radius)
 
 
 def _wxyz(q: frames.Quaternion) -> tuple[float, float, float, float]:

@@ -143,33 +143,42 @@ class Motor:
 
     def _pursuit(self, rate: float) -> MotorWriter:
         """A velocity motor, or a servo with a `rate` (1/s)."""
-        data, model, acts, dofs, at = self._world.data, self._world.model, self._acts, self._dofs, self._places
+        data, model = self._world.data, self._world.model
         step, servos = model.opt.timestep, self._motors.limited_servos
-        ctrl, bias, armature = data.ctrl, model.actuator_biasprm, model.dof_armature
-        velocity, position = live(data.qvel, dofs), live(data.qpos, at)
-        usual, inertias = self._motors.usual_armature[dofs].tolist(), model.dof_M0[dofs].tolist()
-        moved = [1.0 / inverse for inverse in self._motors.usual_inverse[dofs].tolist()]
-        inverses = model.dof_invweight0  # by which MuJoCo scales the stiffness of joint limits
+        velocity, position = live(data.qvel, self._dofs), live(data.qpos, self._places)
+        usual, inertias = self._motors.usual_armature[self._dofs].tolist(), model.dof_M0[self._dofs].tolist()
+        moved = [1.0 / inverse for inverse in self._motors.usual_inverse[self._dofs].tolist()]
         stiff = [STIFFEST * inertia / step for inertia in inertias]
         bounds = [(stiffest, limit, limit / stiffest) for stiffest, limit in zip(stiff, self._limits, strict=True)]  # the last: an error
         damped = [4.0 * inertia * rate for inertia in inertias]
+        # A number is written through a memoryview in 0.04 us, a list into a slice of an array in 0.6 us.
+        ctrl: Any = memoryview(data.ctrl)
+        bias: Any = memoryview(model.actuator_biasprm.reshape(-1))
+        armature: Any = memoryview(model.dof_armature)
+        inverses: Any = memoryview(model.dof_invweight0)  # by which MuJoCo scales the stiffness of joint limits
+        width = model.actuator_biasprm.shape[1]
+        acts = [self._motors.actuators[joint] for joint in self.joints]
+        dofs = model.jnt_dofadr[list(self.joints)].tolist()
+        by_joint = list(zip(acts, [width * act for act in acts], dofs, usual, moved, strict=True))
 
         def aim(targets: Sequence[float]) -> None:
             wanted = [(target - now) * rate for target, now in zip(targets, position(), strict=True)] if rate else targets
-            errors = [max(abs(target - now), SLACK * abs(target)) for target, now in zip(wanted, velocity(), strict=True)]
-            gains = [limit / off if off > near else stiffest for off, (stiffest, limit, near) in zip(errors, bounds, strict=True)]
+            gains = pursuing(wanted, velocity(), bounds)
             targets = tuple(targets)
             if gains == self.gains and targets == self.targets:
                 return
             if gains != self.gains:
                 self.gains = gains
-                bias[acts, 2] = [-gain for gain in gains]
-                armature[dofs] = [own + gain * step for own, gain in zip(usual, gains, strict=True)]
-                inverses[dofs] = [1.0 / (own + gain * step) for own, gain in zip(moved, gains, strict=True)]
-                if rate:
-                    bias[acts, 1] = [-gain * rate for gain in gains]
+                for gain, (_, place, dof, own, inertia) in zip(gains, by_joint, strict=True):
+                    added = gain * step
+                    bias[place + 2] = -gain
+                    armature[dof] = own + added
+                    inverses[dof] = 1.0 / (inertia + added)
+                    if rate:
+                        bias[place + 1] = -gain * rate
             self.targets = targets
-            ctrl[acts] = [gain * (rate or 1.0) * target for gain, target in zip(gains, targets, strict=True)]
+            for gain, target, (act, *_) in zip(gains, targets, by_joint, strict=True):
+                ctrl[act] = gain * (rate or 1.0) * target
 
         def write(targets: Sequence[float]) -> None:
             if not self.drives:
@@ -183,6 +192,17 @@ class Motor:
                     servos.pop(self, None)
 
         return write
+
+
+def pursuing(targets: Sequence[float], velocities: Sequence[float], bounds: Sequence[tuple[float, float, float]]) -> list[float]:
+    """The gains of a velocity motor; `bounds` are the largest gain, the limit, and the error at which this gain exerts the limit."""
+    gains = []
+    for target, now, (stiffest, limit, near) in zip(targets, velocities, bounds, strict=True):
+        off, least = abs(target - now), SLACK * abs(target)
+        if least > off:
+            off = least
+        gains.append(limit / off if off > near else stiffest)
+    return gains
 
 
 def places(numbers: Sequence[int]) -> Any:

@@ -251,8 +251,7 @@ class World:
         spinning, rolling = (one[kind] * other[LATERAL] + other[kind] * one[LATERAL] for kind in (SPINNING, ROLLING))
         model.pair_friction[:] = np.stack([sliding, sliding, spinning, rolling, rolling], axis=1)
         model.pair_dim[:] = np.where(rolling > 0.0, 6, np.where(spinning > 0.0, 4, np.where(sliding > 0.0, 3, 1)))
-        usual_reference = self._usual[2 + VARIED.index("pair_solref")]
-        model.pair_solref[:], model.pair_solimp[:] = usual_reference, IMPEDANCE
+        model.pair_solref[:], model.pair_solimp[:] = (self._usual[2 + VARIED.index(name)] for name in ("pair_solref", "pair_solimp"))
         bounces = one[RESTITUTION] * other[RESTITUTION]
         for place in np.flatnonzero(bounces > 0.0):
             model.pair_solref[place] = spring(float(bounces[place]), model.opt.timestep)

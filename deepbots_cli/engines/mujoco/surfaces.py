@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     FloatArray = NDArray[np.float64]
 
 FAR = 1e6  # m; the distance between surfaces is asked for up to here
+ELLIPSOID = int(mj.mjtGeom.mjGEOM_ELLIPSOID)  # the shape of tyres, and of nothing else
 MET = 1e-9  # m; by how much lines that meet in a point may miss it
 
 
@@ -72,13 +73,19 @@ def force(world: World, geoms: Iterable[int]) -> ForceReader:
 
 
 def clearance(world: World, ones: Sequence[int], others: Sequence[int]) -> ClearanceReader:
-    model, data, pairs = world.model, world.data, [(one, other) for one in ones for other in others]
+    """Tyres, which are within their wheels, are left out."""
+    model, data = world.model, world.data
+    pairs = [(one, other) for one in ones for other in others if ELLIPSOID not in (model.geom_type[one], model.geom_type[other])]
+
+    between = mj.mj_geomDistance
 
     def distance() -> float:
         world.pose()
         found = FAR
         for one, other in pairs:
-            found = min(found, mj.mj_geomDistance(model, data, one, other, found, None))
+            apart = between(model, data, one, other, found, None)
+            if apart < found:
+                found = apart
         return max(0.0, found) if found < FAR else inf
 
     return distance
@@ -118,15 +125,19 @@ def rays(world: World, body: Body, link: int, given: Sequence[Frame], reach: flo
         return reach if length < 0.0 or length > reach else length
 
     if centre is None:
+        origins, ways = np.empty_like(starts), np.empty_like(directions)
+        each, turned = list(zip(origins, ways, strict=True)), axes.T  # views of arrays that keep their memory
 
         def read_each() -> list[float]:
             world.pose()
-            kept = groups[:1].copy()
+            kept = groups.copy()
             groups.fill(HIDDEN)
-            origins, ways = position + starts @ axes.T, directions @ axes.T
-            lengths = [ray(model, data, origin, way, seen, True, -1, None, None) for origin, way in zip(origins, ways, strict=True)]
+            np.matmul(starts, turned, origins)
+            np.add(origins, position, origins)
+            np.matmul(directions, turned, ways)
+            lengths = [ray(model, data, origin, way, seen, True, -1, None, None) for origin, way in each]
             groups[:] = kept
-            return [free_of(length) for length in lengths]
+            return [reach if length < 0.0 or length > reach else length for length in lengths]
 
         return read_each
 
@@ -135,7 +146,7 @@ def rays(world: World, body: Body, link: int, given: Sequence[Frame], reach: flo
 
     def read() -> list[float]:
         world.pose()
-        kept = groups[:1].copy()
+        kept = groups.copy()
         groups.fill(HIDDEN)
         mj.mj_multiRay(model, data, position + axes @ centre, (axes @ aside).T.ravel(), seen, True, -1, geoms, met, None, count, far)
         lengths = met.tolist()
