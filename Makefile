@@ -24,6 +24,10 @@ dev: $(VENV)/ready-to-develop ## what tests and checks need too
 train: setup ## train and evaluate the CartPole
 	$(BIN)/deepbots train cartpole
 
+.PHONY: view
+view: $(VENV)/ready-to-view ## a robot in the browser, and how it finds a ball
+	$(BIN)/deepbots view find_ball --script around --open
+
 .PHONY: test
 test: dev ## the tests, with a few of many cases that show one fact
 	$(PYTEST) -m "not slow and not editors and not browser"
@@ -71,6 +75,11 @@ $(VENV)/made:
 $(VENV)/ready-to-train: pyproject.toml | $(VENV)/made
 	@echo "installing what training needs; this takes a few minutes the first time"
 	@$(PIP) -e '.[train]'
+	@touch $@
+
+$(VENV)/ready-to-view: pyproject.toml | $(VENV)/made
+	@echo "installing what the page in the browser needs; this takes a few minutes the first time"
+	@$(PIP) -e '.[view]'
 	@touch $@
 
 $(VENV)/ready-to-develop: pyproject.toml | $(VENV)/made

@@ -15,8 +15,6 @@ api.py        from scenario to environment
 envs.py       shipped scenarios for Gymnasium
 errors.py     the exceptions, as a tree   files.py      files read up to a limit, or written whole
 plugins.py    what other packages add     message_formats.py  how messages may be written
-progress.py   a bar or lines on standard error
-renames.py    former names of the language
 
 The documented Python API is `Scenario`, `load`, `compile`, `make`, `train`, `resume`, `evaluate`, `compare` and `load_policy`; each is
 imported when it is first asked for, so that importing this package costs nothing.

@@ -41,21 +41,33 @@ if TYPE_CHECKING:
 class Compiled:
     """A compiled scenario with all that a run records of it.
 
-    `inputs` maps a relative path for the copy of every file that was read to its bytes, the scenario
-    first; `resolved` is the merged scenario as YAML, which compiles to the same beside a folder `inputs`
+    `code` is printed, and `digest` computed, when first asked for. `inputs` maps a relative path for the copy of every file that was
+    read to its bytes, the scenario first; `resolved` is the merged scenario as YAML, which compiles to the same beside a folder `inputs`
     of those copies; `findings` is what `lint` says of it: warnings, and rules that failed (DB903); `allow_code` whether its terms
     in Python may run; `fixed` are the parameters that no episode draws.
     """
 
     program: Program
-    code: str
-    digest: str
     source: Path
     inputs: Mapping[str, bytes]
     resolved: str
     findings: tuple[Finding, ...]
     allow_code: bool = False
     fixed: tuple[str, ...] = ()
+
+    @property
+    def code(self) -> str:
+        """The generated Python module."""
+        from deepbots_cli.codegen import emit
+
+        return emit(self.program)
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the program as canonical JSON, in hexadecimal."""
+        from deepbots_cli.program.identity import digest
+
+        return digest(self.program)
 
 
 def locate(source: str | Path) -> tuple[Path, str]:
@@ -148,9 +160,6 @@ def compile(
         ScenarioError: The scenario has findings at error level.
         UsageError: There is no such file.
     """
-    from deepbots_cli.codegen import emit
-    from deepbots_cli.program.identity import digest
-
     checked = source if isinstance(source, Checked) else load(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code)
     findings = review(checked)
     if checked.program is None or any(finding.severity == "error" and not finding.is_internal_error for finding in findings):
@@ -160,8 +169,6 @@ def compile(
     drawn = {entry.name for entry in program.parameters}
     return Compiled(
         program,
-        emit(program),
-        digest(program),
         checked.document.path,
         inputs.contents(),
         inputs.resolved(),
@@ -197,7 +204,7 @@ def make(
         source = compile(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code)
     if isinstance(source, Compiled):
         allowed = allow_code or source.allow_code
-        return build(source.program, engine=engine, render_mode=render_mode, allow_code=allowed, fixed=source.fixed, code=source.code)
+        return build(source.program, engine=engine, render_mode=render_mode, allow_code=allowed, fixed=source.fixed)
     return build(source, engine=engine, render_mode=render_mode, allow_code=allow_code)
 
 
@@ -242,7 +249,7 @@ def build_batch(program: Program, count: int, *, engine: str = "mujoco", fixed: 
     except ModuleNotFoundError as error:
         raise MissingExtraError("sim", "running a scenario") from error
     from deepbots_cli.codegen import emit, load_module
-    from deepbots_cli.codegen.names import class_name
+    from deepbots_cli.codegen.text import class_name
     from deepbots_cli.program.identity import digest
 
     name, mark = class_name(program.name), digest(program)[:12]
@@ -288,13 +295,11 @@ def build(
     render_mode: str | None = None,
     allow_code: bool = False,
     fixed: tuple[str, ...] = (),
-    code: str | None = None,
 ) -> Supervisor:
     """The environment of a compiled scenario; see `make`.
 
     Args:
         fixed: The parameters that no episode draws.
-        code: What `emit` returns for the program; None to call it.
     """
     if program.foreign and not allow_code:
         names = ", ".join(map(str, program.foreign))
@@ -307,12 +312,12 @@ def build(
     except ModuleNotFoundError as error:
         raise MissingExtraError("sim", "running a scenario") from error
     from deepbots_cli.codegen import emit, load_module
-    from deepbots_cli.codegen.names import class_name
+    from deepbots_cli.codegen.text import class_name
     from deepbots_cli.program.identity import digest
 
     engine = engine_kinds.chosen(engine or program.engine)
     name = class_name(program.name)
-    module = load_module(code or emit(program), f"deepbots_generated_{name}", f"<deepbots {name} {digest(program)[:12]}>")
+    module = load_module(emit(program), f"deepbots_generated_{name}", f"<deepbots {name} {digest(program)[:12]}>")
     environment = make_environment(vars(module)[f"{name}Supervisor"], program, partial(engines.create, engine), render_mode)
     environment.fixed = fixed
     builder = Builder(program, allow_code, fixed)

@@ -8,6 +8,7 @@
     │   └── RunError            a run directory cannot be used: missing, damaged, or of another version
     ├── MessageError            a message between robot and supervisor is malformed, short or foreign
     ├── EvaluationError         an expression has no value in the present state of the world
+    ├── PluginError             the code of a callback or logger of another package failed
     └── EngineError             the physics failed: a pose is not finite, a body cannot be loaded
 
 Any other exception that reaches the user is a bug of deepbots.
@@ -90,6 +91,10 @@ class MessageError(DeepbotsError):
 
 class EvaluationError(DeepbotsError):
     """An expression of the scenario has no value in the present state of the world; shows the line."""
+
+
+class PluginError(DeepbotsError):
+    """The code of a callback or a logger of another package failed; names it and the line."""
 
 
 class EngineError(DeepbotsError):

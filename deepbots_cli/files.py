@@ -71,6 +71,18 @@ def check_writable(path: Path) -> None:
         raise UsageError(unwritable(path, error)) from error
 
 
+def check_folder(folder: Path) -> None:
+    """Find out before long work whether files can be written into a folder, which need not be there yet.
+
+    Raises:
+        UsageError: As `check_writable`.
+    """
+    present = next(parent for parent in (folder, *folder.absolute().parents) if os.path.lexists(parent))
+    if not present.is_dir():
+        raise UsageError(f"{folder} cannot be written: {present} is not a directory")
+    check_writable(present / "file")
+
+
 @contextmanager
 def atomic(path: Path, refused: type[UsageError] = UsageError) -> Iterator[Path]:
     """Yield an empty file beside `path` to write to, which replaces `path` at the end and takes over its permissions.

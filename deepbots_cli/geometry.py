@@ -25,10 +25,8 @@ from deepbots_cli.errors import DeepbotsError, EngineError
 from deepbots_cli.expressions.scalar import Name
 from deepbots_cli.files import MAX_PICTURE_BYTES, picture_problem
 from deepbots_cli.program.world import Formula, Picture, Pit, Terrain, TerrainShape
-from deepbots_cli.robots.edits import with_link
 from deepbots_cli.robots.meshes import checked_bytes
-from deepbots_cli.robots.model import Inertial, Link, Mesh, Pose, RobotModel
-from deepbots_cli.robots.writer import write
+from deepbots_cli.robots.model import Inertial, Link, Mesh, Pose, RobotModel, with_link, write
 
 if TYPE_CHECKING:
     import trimesh

@@ -14,18 +14,29 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from deepbots_cli.cli.commands.explain import topics
+from deepbots_cli.diagnostics.nearest import RENAMES
 from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, TIME, UNITS
 from deepbots_cli.expressions.functions import ALLOWED, FUNCTIONS, Family, Function
 from deepbots_cli.expressions.types import Context, Kind
 from deepbots_cli.learning.defaults import OURS, library_defaults, library_of
 from deepbots_cli.lint import Page, every_page
-from deepbots_cli.renames import RENAMES
-from deepbots_cli.scenario.base import Forms, Kinds, ListOf, MappingOf, Section, Shape, fields
-from deepbots_cli.scenario.docs import about, default_of, description, example_of, unit_of
+from deepbots_cli.scenario.base import (
+    Forms,
+    Kinds,
+    ListOf,
+    MappingOf,
+    Section,
+    Shape,
+    about,
+    default_of,
+    description,
+    example_of,
+    fields,
+    unit_of,
+)
 from deepbots_cli.scenario.fields import Expression, FieldType, Quantity
-from deepbots_cli.scenario.scenario import Scenario
-from deepbots_cli.scenario.task import PythonTerm
+from deepbots_cli.scenario.scenario import PythonTerm, Scenario
 from deepbots_cli.scenario.training import ALGORITHMS
 
 FOLDER = Path(__file__).parent / "reference"

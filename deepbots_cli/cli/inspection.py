@@ -210,7 +210,7 @@ def _run(run: Run) -> Row:
         "best_return": result and result.best_return,
         "solved": (f"in episode {result.solved_at.episode:,}" if result and result.solved_at else "not yet")
         if run.program.solved
-        else "the scenario does not print_result what counts as solved",
+        else "the scenario does not say what counts as solved",
         "notes": run.notes(),
     }
 

@@ -46,6 +46,7 @@ def training_text(result: TrainingResult) -> str:
     at = result.solved_at
     if at is not None:
         rows["solved"] = f"in episode {at.episode:,}, after {at.simulated_hours:.3f} simulated h and {at.cpu_seconds:.1f} s of CPU time"
+    rows["stopped by"] = result.stopped_by and f"the callback {result.stopped_by}"
     rows["initialized from"] = result.initialized_from
     lines = [f"training {result.status}", pairs(rows), *(f"note: {reason}" for reason in result.inexact)]
     if result.interrupted:
@@ -296,7 +297,7 @@ def robustness_json(found: Robustness) -> dict[str, Any]:
 
 
 def keep(run: Run, evaluation: dict[str, Any]) -> None:
-    """Keep an evaluation in its run, or print_result why it is not kept: it is shown all the same."""
+    """Keep an evaluation in its run, or say why it is not kept; it is shown all the same."""
     try:
         run.keep_evaluation(evaluation)
     except RunError as error:

@@ -31,24 +31,33 @@ class Opened:
 
     def wording(self, path: str) -> str:
         """What is written at a path, on one line; empty where nothing is. A stage of the curriculum goes by its name."""
+        node = self._written(path)
+        return one_line(node) if node is not None else ""
+
+    def names(self, path: str) -> list[str]:
+        """The keys that are written at a path."""
+        node = self._written(path)
+        return list(node.entries) if isinstance(node, Mapping) else []
+
+    def _written(self, path: str) -> Node | None:
         words = path.split(".")
         if words[0] == "curriculum" and len(words) > 1:
             names = [stage.name for stage in self.program.curriculum]
-            return wording(self.root, "curriculum", names.index(words[1])) if words[1] in names else ""
+            return written(self.root, "curriculum", names.index(words[1])) if words[1] in names else None
         # A name may hold dots: `observation.cart.pole_angle`, `reset.set.cart.pole_hinge`.
         splits = ((*words[: first - 1], ".".join(words[first - 1 :])) for first in range(len(words), 0, -1))
-        return next((text for keys in splits if (text := wording(self.root, *keys))), "")
+        return next((node for keys in splits if (node := written(self.root, *keys)) is not None), None)
 
-    def names(self, section: str) -> list[str]:
-        """The keys that are written in a section."""
-        node = self.root.get(section) if isinstance(self.root, Mapping) else None
-        return list(node.entries) if isinstance(node, Mapping) else []
+
+def written(root: Node | None, *path: str | int) -> Node | None:
+    node, _, reached = descend(root, path) if root else (None, None, 0)
+    return node if reached == len(path) else None
 
 
 def wording(root: Node | None, *path: str | int) -> str:
     """What is written at `path`, on one line; empty where nothing is."""
-    node, _, reached = descend(root, path) if root else (None, None, 0)
-    return one_line(node) if node is not None and reached == len(path) else ""
+    node = written(root, *path)
+    return one_line(node) if node is not None else ""
 
 
 def opened(source: str, sets: Sequence[str], allow_paths: Iterable[Path], *, allow_code: bool, engine: str | None = None) -> Opened:

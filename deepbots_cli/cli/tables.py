@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.expressions.printer import python
+from deepbots_cli.expressions.lower import python
 from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar, State, World
 
 Row = Mapping[str, object]

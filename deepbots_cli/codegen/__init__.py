@@ -4,9 +4,9 @@
              ->  supervisor.py  the supervisor class: what it binds, the paper's methods, hand-written policies
                    reset.py     what an episode draws and varies, and how it begins
                    step.py      a step and its ticks, and `_observe`, which computes everything once per tick
-workspace.py   what the methods of a supervisor share
-printer.py     numbers, vectors and the memories of stateful functions; readers.py what is read from the engine
-names.py       identifiers and constants; layout.py templates, and long lines
+workspace.py   what the methods of a supervisor share; what is read from the engine
+printer.py     numbers, vectors and the memories of stateful functions
+text.py        identifiers, constants, templates, long lines
 
 Bindings and imports are collected while the methods are printed, and written before them.
 Only scalar trees and checked names are printed; no text of the user's reaches the code but names that
@@ -23,62 +23,51 @@ from functools import lru_cache
 from types import CodeType, ModuleType
 from typing import Any
 
-from deepbots_cli.codegen.layout import filled, wrapped
-from deepbots_cli.codegen.names import COLUMNS, RUNTIME, Constants, class_name
 from deepbots_cli.codegen.robot import Controller
 from deepbots_cli.codegen.supervisor import batch_supervisor, supervisor
+from deepbots_cli.codegen.text import COLUMNS, RUNTIME, Constants, class_name, filled, wrapped
 from deepbots_cli.errors import BatchError
 from deepbots_cli.expressions.functions import math_names
-from deepbots_cli.expressions.printer import BATCH, SCALAR, Target
+from deepbots_cli.expressions.lower import BATCH, SCALAR, Target
 from deepbots_cli.program import Program
 from deepbots_cli.program.identity import digest
 from deepbots_cli.program.task import Choices
 
 _MODULE = '''
-"""{name}, compiled by deepbots; scenario {digest}.
+"""{name}, compiled by deepbots{purpose}; scenario {digest}.
 
+{about}
+"""
+
+from __future__ import annotations
+
+{standard}
+from typing import Any
+
+{runtime}
+
+{constants}
+
+{classes}
+'''
+_OF_ONE_WORLD = """
 SI units. Each robot has a controller class, which knows its sensors and its messages only; the
 supervisor is a Gymnasium environment. Its `reset` calls `_begin` and `_start`, its `step` calls `_advance`;
 both observe. The methods after `_observe` read what that left and change nothing.
 """
-
-from __future__ import annotations
-
-{standard}
-from typing import Any
-
-{runtime}
-
-{constants}
-
-{classes}
-'''
-_NAME = re.compile(r"[a-z_][a-z0-9_]*", re.ASCII)
-
-
-_BATCH_MODULE = '''
-"""{name}, compiled by deepbots for a batch of worlds; scenario {digest}.
-
+_OF_BATCH = """
 SI units. Each number is a column: an array with one number per world. A vector is a sequence of columns. Episodes
 begin in single worlds, and what they begin with is taken over. `step` calls `_advance`, which observes. What is bound
 by `each` is asked of the single worlds in turn.
 """
-
-from __future__ import annotations
-
-{standard}
-from typing import Any
-
-{runtime}
-
-{constants}
-
-{classes}
-'''
+_NAME = re.compile(r"[a-z_][a-z0-9_]*", re.ASCII)
 
 
+@lru_cache(maxsize=16)
 def emit(scenario: Program, target: str = "scalar") -> str:
     """The module that runs `scenario`: one controller class per robot and the supervisor class.
+
+    It is kept for the next copy of the environment: printing PandaReach takes 50 ms.
 
     Args:
         target: `scalar` for single worlds, or `batch` for many at once.
@@ -99,8 +88,10 @@ def emit(scenario: Program, target: str = "scalar") -> str:
     used = {node.id for node in ast.walk(ast.parse("\n".join([*constants.lines, *classes]))) if isinstance(node, ast.Name)}
     used_math = sorted((math_names() if on_floats else _NUMBERS) & used)
     lines = filled(
-        _MODULE if on_floats else _BATCH_MODULE,
+        _MODULE,
         name=class_name(scenario.name),
+        purpose="" if on_floats else " for a batch of worlds",
+        about=(_OF_ONE_WORLD if on_floats else _OF_BATCH).strip().split("\n"),
         digest=digest(scenario)[:12],
         standard=[
             *(["from collections.abc import Iterator"] if "Iterator" in used else []),

@@ -9,14 +9,15 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
-from deepbots_cli.codegen.layout import noted, quoted, tuple_code
-from deepbots_cli.codegen.names import VARIABLES, Constants, Names
-from deepbots_cli.codegen.readers import Needs, Readers
+from deepbots_cli.codegen.text import VARIABLES, Constants, Names, noted, quoted, tuple_code
 from deepbots_cli.expressions.functions import FUNCTIONS, Family, rotation
-from deepbots_cli.expressions.printer import SCALAR, Code, Target, applied, number
+from deepbots_cli.expressions.lower import SCALAR, Code, Target, applied, number
 from deepbots_cli.expressions.scalar import Const, Draw, Name, NamedFloat, Op, Scalar, State, World, is_drawn
+
+if TYPE_CHECKING:
+    from deepbots_cli.codegen.workspace import Needs, Readers
 
 NOTHING: Mapping[int, str] = MappingProxyType({})
 NO_NAMES: Mapping[str, str] = MappingProxyType({})

@@ -5,13 +5,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from deepbots_cli import frames
-from deepbots_cli.codegen.layout import block, docstring, filled, quoted, quoted_tuple, repeated, sentence_list, targets_code, tuple_code
-from deepbots_cli.codegen.names import Constants, Names, class_name
 from deepbots_cli.codegen.printer import Printer, outer_states
-from deepbots_cli.codegen.readers import Needs, Readers
-from deepbots_cli.codegen.workspace import root_links, whole_vector
+from deepbots_cli.codegen.text import (
+    Constants,
+    Names,
+    block,
+    class_name,
+    docstring,
+    filled,
+    quoted,
+    quoted_tuple,
+    repeated,
+    sentence_list,
+    targets_code,
+    tuple_code,
+)
+from deepbots_cli.codegen.workspace import Needs, Readers, root_links, whole_vector
 from deepbots_cli.compiler.robots import rigid_root
-from deepbots_cli.expressions.printer import SCALAR, Target
+from deepbots_cli.expressions.lower import SCALAR, Target
 from deepbots_cli.expressions.scalar import Draw, Name, Op, Scalar, State, World, names_in, walk
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Actuator, Cartesian, CustomActuator, Motor, Robot, Sensor, Thrust
@@ -177,13 +188,9 @@ class Controller:
 def devices(scenario: Program, robot: Robot) -> dict[str, Sensor]:
     """The sensors that are sampled once per timestep, by name: those that something reads, and that are no facts."""
     on_board = [value for entry in (*robot.emitted, *robot.commands) for value in entry.scalars]
-    sent = [entry for other in scenario.robots for entry in other.receive]
-    judged = [value for entry in (*scenario.signals, *sent) for value in entry.scalars]
-    judged += [*(ending.value.scalar for ending in scenario.endings), *(term.scalar for term in scenario.policy.reward)]
-    judged += [value for script in scenario.policy.scripts for value in script.scalars]
-    judged += [*scenario.policy.goal.achieved.scalars, *scenario.policy.goal.targets] if scenario.policy.goal is not None else []
+    computed = [value for entry in scenario.computed for value in entry.scalars]
     read = {leaf.name for value in on_board for leaf in names_in(value)}
-    asked = {node.subjects[0] for value in (*on_board, *judged) for node in walk(value) if isinstance(node, World)}
+    asked = {node.subjects[0] for value in (*on_board, *computed) for node in walk(value) if isinstance(node, World)}
     used = [sensor for sensor in robot.sensors if sensor.name in read or f"{robot.name}.{sensor.name}" in asked]
     return {sensor.name: sensor for sensor in used if not sensor.is_direct}
 

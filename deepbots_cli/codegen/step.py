@@ -11,12 +11,12 @@ import math
 import re
 from collections.abc import Sequence
 
-from deepbots_cli.codegen.layout import block, indent, noted, quoted, targets_code, tuple_code
 from deepbots_cli.codegen.printer import Printer, outer_states
 from deepbots_cli.codegen.reset import print_draws_of_message, print_redraws, std_attribute
 from deepbots_cli.codegen.robot import observes
+from deepbots_cli.codegen.text import block, indent, noted, quoted, targets_code, tuple_code
 from deepbots_cli.codegen.workspace import Workspace, zeros
-from deepbots_cli.expressions.printer import number
+from deepbots_cli.expressions.lower import number
 from deepbots_cli.expressions.scalar import Const, Name, names_in
 from deepbots_cli.program.robots import Robot, Route
 from deepbots_cli.program.task import Ending, Observation, Option

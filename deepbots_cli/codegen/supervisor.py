@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import re
 
-from deepbots_cli.codegen.layout import block, docstring, filled, quoted, quoted_tuple, sentence_list, tuple_code
-from deepbots_cli.codegen.names import Constants, class_name
 from deepbots_cli.codegen.printer import Printer
 from deepbots_cli.codegen.reset import begin, bind_pushes, drawing, is_arranged
 from deepbots_cli.codegen.robot import controller_name
 from deepbots_cli.codegen.step import advance, bind_foreign, choice_tables, observe, redraw, start
+from deepbots_cli.codegen.text import Constants, block, class_name, docstring, filled, quoted, quoted_tuple, sentence_list, tuple_code
 from deepbots_cli.codegen.workspace import Workspace
-from deepbots_cli.expressions.lower import op
-from deepbots_cli.expressions.printer import BATCH
+from deepbots_cli.expressions.lower import BATCH, op
 from deepbots_cli.expressions.scalar import Const, Scalar
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionRange, Choices, Script, ScriptedChoice, ScriptedRange

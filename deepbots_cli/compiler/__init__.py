@@ -9,13 +9,10 @@ world.py        timestep, ground, arena, terrain, painted lines, walls and objec
 robots.py       robot files and their changes, patterns and groups, what joints measure, limits of the robot file
 controllers.py  actuators and their limits, poses, commands and messages of a robot
 sensing.py      its sensors: kinds, frames on links, rays, cameras, errors
-channels.py     parameters and repeated draws; latency, loss and range of messages; disturbances
 policy.py       action, observation, goal, scripts, copies of a robot
-scoring.py      signals, reward, endings, limits; the age of readings
 places.py       placements, layouts, maps, and whether there is room
-resets.py       how an episode begins: arrangements, groups, joints
-tests.py        tests of the scenario
-variants.py     training; cases of the evaluation and stages of the curriculum
+episodes.py     what an episode draws: parameters, channels, disturbances; how it begins; signals, reward, endings, limits
+evaluation.py   training; cases of the evaluation and stages of the curriculum; tests of the scenario
 inputs.py       the files that the scenario was made from, as a run keeps copies of them
 inventory.py    the names of a scenario by kind, for editors and its JSON Schema
 """
@@ -25,17 +22,26 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from deepbots_cli.compiler.channels import Parameters, disturbances, route
 from deepbots_cli.compiler.controllers import RobotBuilder
+from deepbots_cli.compiler.episodes import (
+    Parameters,
+    Signals,
+    arrangement,
+    disturbances,
+    joint_starts,
+    reward_terms,
+    route,
+    settling_time,
+    solved,
+    truncation,
+    with_reading_ages,
+)
+from deepbots_cli.compiler.evaluation import scenario_tests, training, with_cases
 from deepbots_cli.compiler.inputs import Inputs
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.policy import Actions, Goals, Observations, copies, scripts
-from deepbots_cli.compiler.resets import arrangement, joint_starts, settling_time
 from deepbots_cli.compiler.robots import RobotScene, load_robot
-from deepbots_cli.compiler.scoring import Signals, reward_terms, solved, truncation, with_reading_ages
-from deepbots_cli.compiler.tests import scenario_tests
 from deepbots_cli.compiler.values import Values, invalid_names
-from deepbots_cli.compiler.variants import training
 from deepbots_cli.compiler.world import define_bodies, lines, world
 from deepbots_cli.diagnostics import Finding, Findings, TooManyFindings
 from deepbots_cli.document import Document
@@ -96,8 +102,6 @@ def _with_cases(document: Document) -> Checked:
     checked = _check(document)
     if checked.program is None or checked.spec is None or not (checked.spec.evaluation.cases or checked.spec.curriculum):
         return checked
-    from deepbots_cli.compiler.variants import with_cases  # brings the back end, which most linting does without
-
     variants, program = with_cases(checked.document, checked.spec, checked.program, checked.findings, _check)
     own = {test.name: test.expected for variant in variants for test in variant.tests}
     tests = tuple(replace(test, expected=own.get(test.name, test.expected)) for test in checked.tests)

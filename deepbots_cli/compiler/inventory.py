@@ -6,9 +6,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
 from deepbots_cli.compiler import Checked
+from deepbots_cli.compiler.evaluation import PLAIN_POLICIES
 from deepbots_cli.compiler.namespace import Namespace, Origin, SupervisorScope
 from deepbots_cli.compiler.robots import RobotScene
-from deepbots_cli.compiler.tests import PLAIN_POLICIES
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.document.nodes import Mapping as MappingNode
 from deepbots_cli.document.nodes import Path, descend
@@ -16,8 +16,7 @@ from deepbots_cli.expressions.types import Context, Kind
 from deepbots_cli.robots.model import Joint
 from deepbots_cli.scenario.fields import article
 from deepbots_cli.scenario.json_schema import Known, Names, Offer
-from deepbots_cli.scenario.scenario import Scenario
-from deepbots_cli.scenario.task import DiscreteAction
+from deepbots_cli.scenario.scenario import DiscreteAction, Scenario
 
 _OF_ROBOTS = {
     "joint": ("joints",),

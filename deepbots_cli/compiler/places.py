@@ -12,7 +12,7 @@ from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.values import Text
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.document.nodes import Path
-from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER
+from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, Dimension
 from deepbots_cli.expressions.intervals import TURN, exact
 from deepbots_cli.expressions.lower import constant
 from deepbots_cli.expressions.types import PLANE, SPACE, ComponentSelection, Constant, Context, Invocation, Stage, Type
@@ -21,9 +21,9 @@ from deepbots_cli.program.resets import MAX_SPOTS, Cells, Group, Layout, Placeme
 from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import MAX_BODIES, WALL_COLOUR, ObjectBody, WorldModel
 from deepbots_cli.robots.model import Box, Cylinder, Mesh
-from deepbots_cli.scenario.task import MapLayout
-from deepbots_cli.scenario.task import Placement as PlacementSpec
-from deepbots_cli.scenario.task import Region as RegionSpec
+from deepbots_cli.scenario.scenario import MapLayout
+from deepbots_cli.scenario.scenario import Placement as PlacementSpec
+from deepbots_cli.scenario.scenario import Region as RegionSpec
 from deepbots_cli.scenario.world import Pose
 
 _DWARFS = 16.0
@@ -235,11 +235,12 @@ def _size(covered: Footprint) -> str:
 _TURNS = ("roll", "pitch", "yaw")
 
 
-def _turn(angle: float) -> Constant:
-    return Constant(Type(ANGLE, interval=exact(angle)), 0, 0, (angle,))
+def _fixed(value: float, dimension: Dimension) -> Constant:
+    """A number in SI units that stands nowhere in the text."""
+    return Constant(Type(dimension, interval=exact(value)), 0, 0, (value,))
 
 
-_ANYWHERE = Invocation(Type(ANGLE, interval=TURN, stage=Stage.EPISODE), 0, 0, "uniform", (), (_turn(-pi), _turn(pi)), 0)
+_ANYWHERE = Invocation(Type(ANGLE, interval=TURN, stage=Stage.EPISODE), 0, 0, "uniform", (), (_fixed(-pi, ANGLE), _fixed(pi, ANGLE)), 0)
 """`any`: a turn drawn from the whole circle."""
 
 
@@ -332,7 +333,7 @@ class Places:
             return place
         self._namespace.mark_used(line)
         first, second = stroke.pieces[0]
-        here = {axis: Expression(axis, span, line, _length(first[index]), place.owner) for index, axis in enumerate(PLANE)}
+        here = {axis: Expression(axis, span, line, _fixed(first[index], LENGTH), place.owner) for index, axis in enumerate(PLANE)}
         return replace(place, coordinates={**place.coordinates, **here}, heading=atan2(second[1] - first[1], second[0] - first[0]))
 
     def _top(self, name: str, pose: PlacementSpec) -> Top | None:
@@ -404,10 +405,6 @@ class Places:
 def owner_of(path: Path) -> str:
     """The place of an item in the scenario, after which its draws are named."""
     return ".".join(map(str, path))
-
-
-def _length(value: float) -> Constant:
-    return Constant(Type(LENGTH, interval=exact(value)), 0, 0, (value,))
 
 
 _NOTHING = "."
@@ -527,14 +524,13 @@ class Layouts:
     def _build(self, name: str, cell: float, count: int) -> None:
         arena = self._world.arena
         height, colour = (arena.wall_height, arena.colour or WALL_COLOUR) if arena else (0.1, WALL_COLOUR)
-        number = Constant(Type(NUMBER, interval=exact(float(count))), 0, 0, (float(count),))
         span = self._values.key_span(("reset", "layouts"))
         bodies = len(self._world.robots) + sum(thing.bodies for thing in self._world.objects) + len(self.walls) + count
         if bodies > MAX_BODIES:
             headline = f"the world has {bodies:,} bodies, including the walls of maps; the limit is {MAX_BODIES}"
             self._values.findings.add("DB005", span, headline, help="write long walls under `world.walls`, or use larger cells")
             return
-        group = Group(name, count, Expression("count", span, "", number, name))
+        group = Group(name, count, Expression("count", span, "", _fixed(float(count), NUMBER), name))
         self._namespace.groups[name] = group
         self.walls += [ObjectBody(copy, Box((cell, cell, height)), colour=colour, fixed=True, pooled=True) for copy in group.copies]
 

@@ -39,8 +39,8 @@ from deepbots_cli.program.task import (
 )
 from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import MAX_BODIES
-from deepbots_cli.scenario.task import ContinuousAction, DiscreteAction, Observed
-from deepbots_cli.scenario.task import Goal as GoalSpec
+from deepbots_cli.scenario.scenario import ContinuousAction, DiscreteAction, Observed
+from deepbots_cli.scenario.scenario import Goal as GoalSpec
 
 _NOT_YET = 'remove it; docs/language.md lists under "Not yet" what is not supported'
 _TOGETHER: tuple[tuple[Path, str], ...] = (
@@ -177,8 +177,8 @@ class Actions:
         rows = {option: self._numbers(part, option, variables, named=bool(named)) for option in part.choices}
         for index, variable in enumerate(variables):
             column = [row[index] for row in rows.values()]
-            symbol = Symbol(variable, Type(NUMBER, interval=Interval(min(column, default=0.0), max(column, default=0.0)), stage=Stage.STEP))
-            self._namespace.define(variable, Origin.ACTION, ("action", name), partial(_itself, symbol))
+            known = Type(NUMBER, interval=Interval(min(column, default=0.0), max(column, default=0.0)), stage=Stage.STEP)
+            self._namespace.define(variable, Origin.ACTION, ("action", name), partial(Symbol, variable, known))
         self._parts[name] = Choices(name, variables, tuple(Option(option, row) for option, row in rows.items()))
 
     def _numbers(self, part: DiscreteAction, option: str, variables: tuple[str, ...], *, named: bool) -> tuple[float, ...]:
@@ -229,10 +229,6 @@ class Actions:
             known = dict.fromkeys(f"{scene.name}.{part}" for scene in scenes for part in (*scene.groups, *scene.spec.actuators))
             self._values.report_unknown(self._values.span(place), "group or actuator", reference, list(known))
         return None
-
-
-def _itself(symbol: Symbol) -> Symbol:
-    return symbol
 
 
 Bounds = tuple[tuple[float, ...], tuple[float, ...]]

@@ -23,13 +23,24 @@ from deepbots_cli.frames import IDENTITY_FRAME, Frame, compose
 from deepbots_cli.frames import frame as pose_frame
 from deepbots_cli.program.resets import OfJoint, OfLink
 from deepbots_cli.program.world import JointParameter, LinkParameter
-from deepbots_cli.robots import edits, meshes
-from deepbots_cli.robots.model import Joint, Limit, Link, RobotModel
+from deepbots_cli.robots import meshes
+from deepbots_cli.robots.model import (
+    Joint,
+    Limit,
+    Link,
+    RobotModel,
+    with_colour,
+    with_density,
+    with_friction,
+    with_joint,
+    with_mass,
+    with_scale,
+)
 from deepbots_cli.robots.reader import RobotFile, read
 from deepbots_cli.scenario.base import Section
 from deepbots_cli.scenario.fields import choose_from
-from deepbots_cli.scenario.robot import JointOverride, LinkOverride
-from deepbots_cli.scenario.robot import Robot as RobotSpec
+from deepbots_cli.scenario.scenario import JointOverride, LinkOverride
+from deepbots_cli.scenario.scenario import Robot as RobotSpec
 from deepbots_cli.scenario.sensors import Camera
 
 if TYPE_CHECKING:
@@ -192,7 +203,7 @@ def _rounded(limit: float, inwards: Callable[[float], int]) -> float:
 
 # Overrides
 
-# Keys of an override: what `edits.with_friction` and the table of variations call them.
+# Keys of an override: what `with_friction` and the table of variations call them.
 _CONTACT: Mapping[str, tuple[str, LinkParameter]] = {
     "friction": ("lateral", "lateral_friction"),
     "spinning_friction": ("spinning", "spinning_friction"),
@@ -246,7 +257,7 @@ class Overrides:
         of = OfLink(self.robot, link.name)
         factors = self.namespace.triple(change, "scale", stage=Stage.EPISODE)
         if factors:
-            model = self._accepted(model, edits.with_scale(model, link.name, factors), change, "scale")
+            model = self._accepted(model, with_scale(model, link.name, factors), change, "scale")
         if change.density is not None:
             model = self._change_density(model, link.name, change)
         elif change.mass is not None:
@@ -254,10 +265,9 @@ class Overrides:
         contact = {
             field: self.namespace.scalar_or_randomized(change, key, what, of, None, scope=self._scope())
             for key, (field, what) in _CONTACT.items()
-            for key, (field, what) in _CONTACT.items()
         }
-        model, paint = edits.with_friction(model, link.name, **contact), self.namespace.colour(change, of)
-        return edits.with_colour(model, link.name, paint) if paint else model
+        model, paint = with_friction(model, link.name, **contact), self.namespace.colour(change, of)
+        return with_colour(model, link.name, paint) if paint else model
 
     def _change_density(self, model: RobotModel, link: str, change: LinkOverride) -> RobotModel:
         if change.mass is not None:
@@ -265,7 +275,7 @@ class Overrides:
             self.values.findings.add("DB202", span, "`mass` and `density` both set the mass", help="give one of the two")
             return model
         density = self.namespace.fixed(change, "density", scope=self._scope(), stage=Stage.EPISODE)
-        return self._accepted(model, edits.with_density(model, link, density), change, "density") if density else model
+        return self._accepted(model, with_density(model, link, density), change, "density") if density else model
 
     def _change_mass(self, model: RobotModel, link: Link, change: LinkOverride) -> RobotModel:
         if link.inertial is None and link.name != change.path[-1]:
@@ -275,7 +285,7 @@ class Overrides:
         if mass == 0 and not self.namespace.is_randomized("mass", of):
             span = self.values.field(change, "mass").span
             self.values.findings.add("DB105", span, "`mass` is 0 kg", help="give more than 0 kg")
-        return self._accepted(model, edits.with_mass(model, link.name, mass), change, "mass") if mass else model
+        return self._accepted(model, with_mass(model, link.name, mass), change, "mass") if mass else model
 
     def _accepted(self, old: RobotModel, new: RobotModel | str, change: LinkOverride, key: str) -> RobotModel:
         """The changed model, or the old one and a finding that says why it cannot be changed so."""
@@ -302,7 +312,7 @@ class Overrides:
         limit = replace(limit, effort=torque, velocity=velocity)
         if change.range is not None:
             limit = self._range(joint, limit, change)
-        return edits.with_joint(model, joint.name, damping=damping, friction=friction, limit=limit)
+        return with_joint(model, joint.name, damping=damping, friction=friction, limit=limit)
 
     def _range(self, joint: Joint, limit: Limit, change: JointOverride) -> Limit:
         """`limit` with both ends as the scenario gives them."""

@@ -44,9 +44,8 @@ from deepbots_cli.program.world import (
     WorldParameter,
 )
 from deepbots_cli.robots import meshes
-from deepbots_cli.robots.inertia import volume
 from deepbots_cli.robots.meshes import mesh_size
-from deepbots_cli.robots.model import Box, Capsule, Cylinder, Mesh, Pose, Shape, Sphere
+from deepbots_cli.robots.model import Box, Capsule, Cylinder, Mesh, Pose, Shape, Sphere, volume
 from deepbots_cli.scenario import world as world_spec
 from deepbots_cli.scenario.fields import COLOURS
 

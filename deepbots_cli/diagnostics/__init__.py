@@ -1,11 +1,10 @@
 """Findings as data, and how they are shown.
 
 registry.py  the catalogue of rules: code, name, severity
-findings.py  Source, Span, Finding: what is wrong and where; Fix, Edit: what to write instead
-suppress.py  comments that suppress warnings; `--select` and `--ignore`
-render.py    findings as text with source lines, as concise lines, as JSON
-formats.py   findings for other programs: GitHub, JUnit, SARIF
-nearest.py   "did you mean"
+findings.py  Source, Span, Finding: what is wrong and where; Fix, Edit: what to write instead; `--select` and `--ignore`;
+             comments that suppress warnings
+render.py    findings as text with source lines, as concise lines, as JSON; for GitHub, JUnit, SARIF
+nearest.py   "did you mean"; former words of the language
 """
 
 from deepbots_cli.diagnostics.findings import (

@@ -14,13 +14,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from deepbots_cli.diagnostics import MAX_FINDINGS, Findings, Fix, Label, Source, Span, TooManyFindings
-from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.diagnostics.nearest import nearest, renames_of
 from deepbots_cli.document import files, nodes, shipped
 from deepbots_cli.document.nodes import Entry, Mapping, Node, Scalar, Sequence, count_and_depth, descend, follow_dotted, without
 from deepbots_cli.document.nodes import Path as NodePath
 from deepbots_cli.document.parse import MAX_DEPTH, MAX_EXPANDED, Budget, parse
 from deepbots_cli.errors import UsageError
-from deepbots_cli.renames import headline, renames_of
 
 MAX_CHAIN = 32
 TESTS = "tests"
@@ -293,7 +292,7 @@ class _Reader:
             end = len(item.text) - len(below) - bool(below)
             span = item.part(end - len(name), end)
             fix = Fix.replacing(span, name, rename.new, safe=True)
-            self.findings.add("DB109", span, headline(rename), help=f"write `{rename.new}`", fix=fix)
+            self.findings.add("DB109", span, rename.headline, help=f"write `{rename.new}`", fix=fix)
             path = ".".join(filter(None, (path[: len(path) - len(rest)].rstrip("."), rename.new, below)))
 
 

@@ -12,6 +12,5 @@ functions.py    the table of functions and operators; intervals of scalar trees;
 unification.py  agreement of values with each other and with their field
 check.py        syntax tree to typed tree
 scalar.py       scalar trees: one tree per SI number, as the compiled scenario holds them
-lower.py        typed tree to scalar trees; folds constants
-printer.py      scalar trees to Python text, for a target
+lower.py        typed tree to scalar trees, with constants folded; scalar trees to Python text, for a target
 """

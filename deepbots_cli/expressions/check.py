@@ -12,8 +12,7 @@ from fractions import Fraction
 from functools import partial
 from typing import NamedTuple, TypeVar
 
-from deepbots_cli import renames
-from deepbots_cli.diagnostics.nearest import Replacement, suggest_replacement
+from deepbots_cli.diagnostics.nearest import FORMER_FUNCTIONS, Replacement, suggest_replacement
 from deepbots_cli.expressions import syntax
 from deepbots_cli.expressions.dimensions import ANGLE, NUMBER, TIME, Dimension, multiple, suggest_unit
 from deepbots_cli.expressions.functions import ALLOWED, FUNCTIONS, OPERATORS, Family, Form, Function, Param
@@ -439,8 +438,8 @@ class _Checker:
     def _call(self, node: syntax.Call) -> Typed:
         function = FUNCTIONS.get(node.function)
         called = syntax.Name(node.start, node.name_end, (node.function,))
-        if function is None and (rename := renames.FUNCTIONS.get(node.function)):
-            self._fault("DB109", called, renames.headline(rename), f"write `{rename.new}`", Replacement(rename.new, safe=True))
+        if function is None and (rename := FORMER_FUNCTIONS.get(node.function)):
+            self._fault("DB109", called, rename.headline, f"write `{rename.new}`", Replacement(rename.new, safe=True))
             function = FUNCTIONS[rename.new]
         if function is None:
             if help := _CALLED_ELSEWHERE.get(node.function):

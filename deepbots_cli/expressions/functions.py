@@ -27,7 +27,7 @@ from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.dimensions import ANGLE, FORCE, LENGTH, NUMBER, TIME, TORQUE, UNITS, Dimension
 from deepbots_cli.expressions.intervals import EVERYTHING, INF, Interval
 from deepbots_cli.expressions.scalar import Const, Draw, Op, Scalar, State, World
-from deepbots_cli.expressions.types import QUATERNION, SPACE, Components, Context, Kind
+from deepbots_cli.expressions.types import QUATERNION, SPACE, Components, Context, Invocation, Kind, Typed, walk
 from deepbots_cli.plugins import PluginTable
 
 GROUP = "deepbots.functions"
@@ -208,7 +208,7 @@ def whole_exponent(exponent: float) -> int | None:
 
 
 def _power(base: float, exponent: float) -> float:
-    """As `printer` prints powers: `x * x`, `x ** n`, `pow(x, y)`."""
+    """As `lower` prints powers: `x * x`, `x ** n`, `pow(x, y)`."""
     whole = whole_exponent(exponent)
     if whole == 2:
         return base * base
@@ -521,7 +521,7 @@ def _require_usable(function: object) -> None:
         raise ValueError(f"the name {name!r} is taken or no identifier")
     if function.family is not Family.PURE or not function.python or not function.params or not function.doc:
         raise ValueError(f"{name!r} needs the family PURE, params, doc and python")
-    from deepbots_cli.expressions.printer import require_printable  # it imports this module
+    from deepbots_cli.expressions.lower import require_printable  # it imports this module
 
     require_printable(function)
     names = _names_in(function.python)
@@ -551,6 +551,11 @@ def operation(name: str) -> Function:
         KeyError: There is none.
     """
     return OPERATORS[name] if name in OPERATORS else FUNCTIONS[name]
+
+
+def draws(tree: Typed) -> bool:
+    """Whether an expression holds a random draw; one behind a name does not count."""
+    return any(isinstance(node, Invocation) and FUNCTIONS[node.function].family is Family.DRAW for node in walk(tree))
 
 
 def interval_of(node: Scalar, of: Callable[[Scalar], Interval]) -> Interval:

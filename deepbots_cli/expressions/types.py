@@ -171,24 +171,6 @@ class Scope(Protocol):
         """Every name that `subject` knows, for suggestions."""
 
 
-class NoNames(NamedTuple):
-    """The empty scope, for literals."""
-
-    context: Context = Context.FIXED
-
-    def lookup(self, name: str) -> Symbol | None:
-        return None
-
-    def subject(self, name: str, kinds: frozenset[Kind] | None = None) -> Subject | None:
-        return None
-
-    def names(self) -> Iterable[str]:
-        return ()
-
-    def subjects(self) -> Iterable[str]:
-        return ()
-
-
 class Report(Protocol):
     """Takes a finding at the offsets `[start, end)` of the text; `meant` is the text to write there instead."""
 

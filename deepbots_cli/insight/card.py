@@ -4,7 +4,7 @@ policy.onnx       the observation of the environment in, its action out
 policy_si.onnx    the same observation in SI units in, commands in SI units out
 card.json         names, units, ranges and rates, the result with its interval, versions
 README.md         the same for people
-scenario.yaml     what the names mean; the robot files that it names are not in the bundle
+scenario.yaml     what the names mean, with its robot files in the folder inputs
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from pathlib import Path, PurePosixPath
 from pydantic import BaseModel, ConfigDict, Field
 
 import deepbots_cli
-from deepbots_cli.compiler.inputs import RESOLVED
+from deepbots_cli.compiler.inputs import FOLDER, RESOLVED
 from deepbots_cli.errors import MissingExtraError, RunError
 from deepbots_cli.learning.listing import last_evaluation
 from deepbots_cli.learning.run import Format, KeptEvaluation, ModelName, Run, read_json
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import ActionRange, Choices, policy_inputs
 
-FORMAT = 1
+FORMAT = 2
 NAME = "card.json"
 GRAPHS = ("policy.onnx", "policy_si.onnx")
 _LIMIT = 10_000_000
@@ -73,6 +73,7 @@ class Card(BaseModel):
     scenario: str
     summary: str
     scenario_digest: str
+    task_digest: str
     licences: Mapping[str, str]
     algorithm: str
     model: str
@@ -134,7 +135,8 @@ def bundle(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
         scenario=program.name,
         summary=program.summary,
         scenario_digest=run.digest,
-        licences=_licences(run.path / "inputs"),
+        task_digest=identity.task_digest(program),
+        licences=_licences(run.path / FOLDER),
         algorithm=program.policy.training.algorithm if program.policy.training else "",
         model=name,
         training_seed=record.seed,
@@ -158,7 +160,13 @@ def bundle(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
     )
     scenario = (run.path / RESOLVED).read_text(encoding="utf-8")
     texts = {NAME: card.model_dump_json(indent=2) + "\n", "README.md": readme(card), "scenario.yaml": scenario}
-    return {PurePosixPath(name): content for name, content in [*graphs.items(), *((name, text.encode()) for name, text in texts.items())]}
+    # The scenario names the copies of its robot files; the YAML files that it was put together from are in it.
+    robots = {name: (run.path / FOLDER / name).read_bytes() for name in record.inputs if not name.endswith((".yaml", ".yml"))}
+    return {
+        **{PurePosixPath(name): content for name, content in graphs.items()},
+        **{PurePosixPath(name): text.encode() for name, text in texts.items()},
+        **{PurePosixPath(FOLDER, name): content for name, content in robots.items()},
+    }
 
 
 def _observed(program: Program) -> list[Observed]:
@@ -182,8 +190,7 @@ def _acted(program: Program) -> list[Acted]:
     found = []
     for part in program.policy.action:
         if isinstance(part, ActionRange):
-            names = [f"{part.name}.{component}" for component in part.components] or [part.name]
-            found += [Acted(name=name, unit=part.unit.removeprefix("1"), low=part.low, high=part.high) for name in names]
+            found += [Acted(name=name, unit=part.unit.removeprefix("1"), low=part.low, high=part.high) for name in part.names]
         else:
             options = {option.name: dict(zip(part.variables, option.values, strict=True)) for option in part.options}
             found.append(Acted(name=part.name, options=options))
@@ -240,13 +247,13 @@ def differences(card: Card, program: Program) -> list[str]:
     return identity.compare_interfaces(card.interface, identity.interface(program), words=("bundle", "scenario"))
 
 
-def remarks(card: Card, program: Program, digest: str) -> list[str]:
-    """What differs although the policy fits, a sentence each."""
+def remarks(card: Card, program: Program, diff: str) -> list[str]:
+    """What differs although the policy fits, a sentence each; `diff` is the command that shows all differences."""
     found = []
     if not math.isclose(card.control_period_s, program.period):
         found.append(
             f"the policy acted every {card.control_period_s:g} s in its training, the scenario takes an action every {program.period:g} s"
         )
-    if card.scenario_digest != digest:
-        found.append("the scenario differs from that of the training in something else than the interface; `deepbots diff` shows it")
+    if card.task_digest != identity.task_digest(program):
+        found.append(f"rewards, endings, starts or the world differ from those of the training; to see them: {diff}")
     return found

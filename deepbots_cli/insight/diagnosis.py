@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from deepbots_cli.compiler.inputs import RESOLVED
 from deepbots_cli.errors import RunError
 from deepbots_cli.insight.statements import Finder, Numbers, Share, Statement, listed, state_all
 from deepbots_cli.insight.trace import Array, Trace
@@ -23,12 +24,16 @@ from deepbots_cli.program.task import Choices
 _SHOWN = 4
 _SAME = 1e-6  # numbers of the observation, from -1 to 1, that differ by less are equal
 _ENOUGH = 8  # episodes, below which the returns of a training tell nothing
+_UNLEARNABLE = {"DB705", "DB711", "DB807", "DB810"}
+"""Lint shows by these that failing at once earns most, that all policies earn the same, or that what is required is out of reach."""
 _CERTAIN, _SYMPTOMS = 0.9, {"too_few_steps", "short_training", "one_ending"}
 """Beside a cause that is as likely as this, the length of the training and its most frequent ending are no causes of their own."""
 
 
 def diagnose(training: Training) -> list[Statement]:
     """The causes that apply, the most likely first; none for a training that solves its task.
+
+    A policy that solves it in evaluations, which act without exploration, and not in the training may still be random there.
 
     Raises:
         RunError: The training has finished no episode, and has not failed either.
@@ -37,9 +42,10 @@ def diagnose(training: Training) -> list[Statement]:
         raise RunError(
             f"{training.run.path} holds no finished episode yet; train it longer, with: deepbots train --resume {training.run.path}"
         )
-    if training.solved or _succeeds(training):
+    if training.solved_while_exploring or _succeeds(training):
         return []
-    found = sorted(state_all(CAUSES, training), key=lambda statement: -statement.evidence["likelihood"])
+    causes = (exploration_too_large,) if training.solved else CAUSES
+    found = sorted(state_all(causes, training), key=lambda statement: -statement.evidence["likelihood"])
     certain = bool(found) and found[0].evidence["likelihood"] >= _CERTAIN
     return [statement for statement in found if not (certain and statement.cause in _SYMPTOMS)]
 
@@ -140,10 +146,23 @@ def ending_at_once(t: Training) -> Numbers | None:
     if len(lengths) < _ENOUGH:
         return None
     long, (name, count) = float(np.quantile(lengths, 0.9)), Counter(t.episodes.endings).most_common(1)[0]
-    if long > min(12, 0.2 * longest) or not any(ending.name == name and ending.outcome == "failure" for ending in t.program.endings):
+    if long > min(12, 0.2 * longest) or name not in t.program.failures:
         return None
     return {"likelihood": 0.96, "ending": name, "share": Share(count / len(lengths)), "length": float(np.median(lengths)), "long": long,
             "longest": longest}  # fmt: skip
+
+
+def lint_warns(t: Training) -> Numbers | None:
+    """Lint has {count} about the scenario: {findings}.
+
+    Try: `deepbots lint {path}` shows the lines and what to write instead.
+    """
+    found = sorted(t.findings, key=lambda finding: finding.code not in _UNLEARNABLE)
+    if not found:
+        return None
+    shown = "; ".join([f"{finding.headline} ({finding.code})" for finding in found[:2]] + [f"{len(found) - 2} more"] * (len(found) > 2))
+    return {"likelihood": 0.91 if found[0].code in _UNLEARNABLE else 0.3, "count": f"{len(found)} warning{'s' * (len(found) > 1)}",
+            "findings": shown, "codes": [finding.code for finding in found], "path": str(t.run.path / RESOLVED)}  # fmt: skip
 
 
 # Observations
@@ -221,11 +240,10 @@ def ending_early_pays(t: Training) -> Numbers | None:
     Try: Let a step that goes well earn a positive reward (check the signs of the terms), or let a failure cost more than the steps
     that it saves.
     """
-    failing = {ending.name for ending in t.program.endings if ending.outcome == "failure"}
     late = t.episodes.part(0.75, 1.0)
     if len(late.returns) < _ENOUGH:
         return None
-    failed = float(np.mean([ending in failing for ending in late.endings]))
+    failed = float(np.mean([ending in t.program.failures for ending in late.endings]))
     per_step = float(late.returns.sum() / max(1.0, late.lengths.sum()))
     if failed < 0.5 or per_step >= 0 or late.successes.mean() > 0.2 or np.ptp(t.episodes.lengths) == 0:
         return None
@@ -319,26 +337,34 @@ def learning_rate_too_high(t: Training) -> Numbers | None:
 
 def exploration_too_large(t: Training) -> Numbers | None:
     """The policy is still random: after {updates} updates its entropy is {entropy}, {share} of that at the start, with `ent_coef`
-    {weight}.
+    {weight}. Its late training episodes have a mean return of {late}{evaluated}.
 
     Try: Lower `train.ent_coef`, such as to 0.01 or 0.
     """
     weight = t.setting("ent_coef")
     entropy = -t.curve("train/entropy_loss")
-    options = [len(part.options) for part in t.program.policy.action if isinstance(part, Choices)]
-    spread = t.curve("train/std")
+    random, spread = _random_entropy(t), t.curve("train/std")
     if not weight or not len(entropy):
         return None
-    if options and len(options) == len(t.program.policy.action):
-        share = _late(entropy) / float(np.log(options).sum())
+    if random is not None:
+        share = _late(entropy) / random
         if share < 0.97:
             return None
     elif not len(spread) or spread[-1] < 1.2 * spread[0]:
         return None
     else:
         share = float(spread[-1] / spread[0])
+    last = float(np.mean(t.evaluations[-1]["returns"])) if t.evaluations else None
     return {"likelihood": 0.93 if weight >= 0.1 else 0.5, "weight": weight, "entropy": _late(entropy), "share": Share(share),
-            "updates": len(entropy)}  # fmt: skip
+            "updates": len(entropy), "late": _late(t.episodes.returns), "last_evaluation": last,
+            "evaluated": "" if last is None else f", and the last evaluation, without exploration, one of {last:.3g}"}  # fmt: skip
+
+
+def _random_entropy(t: Training) -> float | None:
+    """The entropy of a random policy; None where not all parts of the action are choices."""
+    parts = t.program.policy.action
+    options = [len(part.options) for part in parts if isinstance(part, Choices)]
+    return float(np.log(options).sum()) if len(options) == len(parts) else None
 
 
 def exploration_collapsed(t: Training) -> Numbers | None:
@@ -350,23 +376,14 @@ def exploration_collapsed(t: Training) -> Numbers | None:
     sigma = getattr(getattr(noise, "sigma", None), "start", None)
     if sigma == 0:
         return {"likelihood": 0.85, "measure": "the standard deviation of the action noise", "value": 0.0, "least": 0.1, "steps": t.steps}
-    entropy, spread = -t.curve("train/entropy_loss"), t.curve("train/std")
-    options = [len(part.options) for part in t.program.policy.action if isinstance(part, Choices)]
-    half = len(entropy) // 2
+    entropy, spread, random = -t.curve("train/entropy_loss"), t.curve("train/std"), _random_entropy(t)
     if len(entropy) < _ENOUGH:
         return None
-    if options and len(options) == len(t.program.policy.action) and entropy[half] < 0.05 * float(np.log(options).sum()):
-        least = 0.05 * float(np.log(options).sum())
-        return {
-            "likelihood": 0.6,
-            "measure": "the entropy of the policy",
-            "value": float(entropy[half]),
-            "least": least,
-            "steps": t.steps // 2,
-        }
-    if len(spread) and spread[len(spread) // 2] < 0.05:
-        value = float(spread[len(spread) // 2])
-        return {"likelihood": 0.6, "measure": "the standard deviation of the actions", "value": value, "least": 0.05, "steps": t.steps // 2}
+    known = {"likelihood": 0.6, "steps": t.steps // 2}
+    if random is not None and (value := float(entropy[len(entropy) // 2])) < 0.05 * random:
+        return {**known, "measure": "the entropy of the policy", "value": value, "least": 0.05 * random}
+    if len(spread) and (value := float(spread[len(spread) // 2])) < 0.05:
+        return {**known, "measure": "the standard deviation of the actions", "value": value, "least": 0.05}
     return None
 
 
@@ -376,12 +393,11 @@ def one_ending(t: Training) -> Numbers | None:
     Try: `deepbots explain-episode RUN` shows the value and the bound of this ending in one of them.
     """
     late = t.episodes.part(0.75, 1.0)
-    failing = {ending.name for ending in t.program.endings if ending.outcome == "failure"}
     if len(late.returns) < _ENOUGH:
         return None
     name, count = Counter(late.endings).most_common(1)[0]
     share = count / len(late.returns)
-    if name not in failing or share < 0.9 or len(t.program.endings) < 2:
+    if name not in t.program.failures or share < 0.9 or len(t.program.endings) < 2 or too_few_steps(t) is not None:
         return None
     return {"likelihood": 0.25, "ending": name, "share": Share(share), "episodes": len(late.returns), "length": float(late.lengths.mean())}
 
@@ -428,6 +444,7 @@ CAUSES: tuple[Finder[Training], ...] = (
     not_finite,
     action_without_effect,
     ending_at_once,
+    lint_warns,
     constant_observation,
     saturated_observation,
     term_dominates,

@@ -175,15 +175,24 @@ def terms(about: Explained) -> Numbers | None:
 
 
 def critic(about: Explained) -> Numbers | None:
-    """The critic's value {changed} at {seconds} (step {step}), from {before} to {after}, {left} steps before the end."""
+    """The critic's value fell most at {seconds} (step {step}), from {before} to {after}, {left} steps before the end."""
     trace, critic = about.trace, about.trace.critic
     if critic is None or len(critic) < 2:
         return None
     changes = np.diff(critic)
     step = int(np.argmin(changes)) + 1
+    if changes[step - 1] >= 0:
+        return None
     return {"step": step, "at": trace.at(step), "seconds": _seconds(trace.at(step)), "before": float(critic[step - 1]),
-            "after": float(critic[step]), "drop": float(-changes[step - 1]), "left": trace.steps - step,
-            "changed": "fell most" if changes[step - 1] < 0 else "never fell, and rose least"}  # fmt: skip
+            "after": float(critic[step]), "drop": float(-changes[step - 1]), "left": trace.steps - step}  # fmt: skip
+
+
+def unforeseen(about: Explained) -> Numbers | None:
+    """The critic did not foresee this failure: its value fell in none of {steps} steps, and rose from {first} to {last}."""
+    trace, critic = about.trace, about.trace.critic
+    if trace.outcome != "failure" or critic is None or len(critic) < 2 or np.diff(critic).min() < 0:
+        return None
+    return {"steps": trace.steps, "first": float(critic[0]), "last": float(critic[-1])}
 
 
 def no_critic(about: Explained) -> Numbers | None:
@@ -248,6 +257,7 @@ ROWS: tuple[Finder[Explained], ...] = (
     nearest,
     terms,
     critic,
+    unforeseen,
     no_critic,
     saturation,
     choices,

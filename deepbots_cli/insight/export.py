@@ -185,13 +185,13 @@ def _features(graph: _Graph, model: BaseAlgorithm, program: Program, *, si: bool
 
 
 def _extractor(model: BaseAlgorithm) -> nn.Module:
+    """Raises: UsageError: The policy has no modules of torch."""
     policy: Any = model.policy
-    return next(
-        found
-        for owner in (policy, getattr(policy, "actor", None), getattr(policy, "q_net", None))
-        for name in ("pi_features_extractor", "features_extractor")
-        if isinstance(found := getattr(owner, name, None), nn.Module)
-    )
+    for owner in (policy, getattr(policy, "actor", None), getattr(policy, "q_net", None)):
+        for name in ("pi_features_extractor", "features_extractor"):
+            if isinstance(found := getattr(owner, name, None), nn.Module):
+                return found
+    raise UsageError(f"the policy of {type(model).__name__} has no networks in torch, and cannot be exported")
 
 
 def _extracted(graph: _Graph, extractor: Any, value: str) -> str:
@@ -237,7 +237,7 @@ def _gates(weight: torch.Tensor) -> torch.Tensor:
 def _ranges(graph: _Graph, value: str, program: Program, *, si: bool) -> None:
     value = graph.add("Clip", value, graph.constant(-1.0), graph.constant(1.0))
     parts = [part for part in program.policy.action if isinstance(part, ActionRange)]
-    ends = np.array([(part.low, part.high) for part in parts for _ in part.components or (part.name,)])
+    ends = np.array([(part.low, part.high) for part in parts for _ in part.names])
     if si:
         half = (ends[:, 1] - ends[:, 0]) / 2
         value = graph.add("Add", graph.add("Mul", value, graph.constant(half)), graph.constant(ends.mean(axis=1)))

@@ -34,6 +34,7 @@ class Path:
     title: str
     points: Sequence[Triple]
     is_success: bool
+    """Also where the scenario defines no success."""
     shown: bool
     """Whether it is one of the best, the median and the worst, which are drawn thicker."""
 
@@ -187,7 +188,7 @@ def _limits(paths: Sequence[Path], world: WorldModel) -> tuple[Any, Any]:
     low, high = points.min(axis=0), points.max(axis=0)
     if world.arena is not None and ((high - low) > np.array(world.arena.size) / 3).any():
         low, high = np.minimum(low, -np.array(world.arena.size) / 2), np.maximum(high, np.array(world.arena.size) / 2)
-    margin = np.maximum(0.05 * (high - low).max(), (0.15 * (high - low).max() + 0.1 - (high - low)) / 2)
+    margin = np.maximum(0.05 * (high - low).max(), (0.15 * (high - low).max() + 0.02 - (high - low)) / 2)
     return low - margin, high + margin
 
 

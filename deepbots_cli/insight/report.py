@@ -20,22 +20,19 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydantic import ConfigDict, Field, field_validator
 
 import deepbots_cli
-from deepbots_cli import api
 from deepbots_cli.compiler.inputs import RESOLVED
-from deepbots_cli.diagnostics import Finding
 from deepbots_cli.errors import DeepbotsError, EngineError, MissingExtraError, RunError, UsageError
 from deepbots_cli.files import atomic, unwritable
 from deepbots_cli.frames import Frame
 from deepbots_cli.insight import figures
 from deepbots_cli.insight.card import result_text
+from deepbots_cli.insight.trace import KeptEpisodes, last_evaluation
+from deepbots_cli.insight.training import findings
 from deepbots_cli.learning.episodes import Episode
 from deepbots_cli.learning.group import Group, is_group
-from deepbots_cli.learning.listing import last_evaluation
-from deepbots_cli.learning.run import KeptEvaluation, Record, Run, is_training, read_json
-from deepbots_cli.lint import review
+from deepbots_cli.learning.run import Record, Run, is_training
 from deepbots_cli.view import pictures, plots
 from deepbots_cli.view.episodes import Player, Source
 from deepbots_cli.view.frames import LinkName
@@ -44,8 +41,9 @@ from deepbots_cli.view.plots import Log
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from deepbots_cli.runtime import Supervisor
+
 LABELS = ("best", "median", "worst")
-_EVALUATION_LIMIT = 200_000_000
 _TRACED = 12
 _CLIP_SECONDS, _CLIP_RATE = 10.0, 10.0
 _SHOT = pictures.Shot(420, 300, samples=1)  # 60 instead of 200 ms a picture
@@ -54,29 +52,13 @@ Trace = list[Mapping[LinkName, Frame]]
 OnEpisode = Callable[[int, int], object]
 
 
-class _Evaluation(KeptEvaluation):
-    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
-
-    outcomes: tuple[Episode, ...] = Field(min_length=1)
-
-    @field_validator("outcomes")
-    @classmethod
-    def _comparable(cls, outcomes: tuple[Episode, ...]) -> tuple[Episode, ...]:
-        """Figures sort episodes by each drawn value."""
-        kinds: dict[str, type] = {}
-        for episode in outcomes:
-            if any(kinds.setdefault(name, type(value)) is not type(value) for name, value in episode.drawn.items()):
-                raise ValueError("a drawn value is a number in one episode and a name in another")
-        return outcomes
-
-
 @dataclass(frozen=True, eq=False)
 class Member:
     """A run of a report: its files, its log, and its last evaluation."""
 
     run: Run
     log: Log
-    evaluation: _Evaluation
+    evaluation: KeptEpisodes
 
     @staticmethod
     def read(path: Path, window: int) -> Member:
@@ -86,11 +68,11 @@ class Member:
             RunError: It is damaged, or lacks one of the two; says what to do.
         """
         run = Run.open(path)
-        found = last_evaluation(path, run.record)
+        found = last_evaluation(run)
         if found is None:
             raise RunError(f"{path} holds no evaluation of its best model since its training ended; next: deepbots eval {quote(str(path))}")
         (log,) = plots.read([path], window)
-        return Member(run, log, read_json(found[0], _Evaluation, _EVALUATION_LIMIT))
+        return Member(run, log, found[1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +87,11 @@ class Shown:
     @property
     def outcome(self) -> Episode:
         return self.member.evaluation.outcomes[self.number]
+
+    @property
+    def is_success(self) -> bool:
+        """Also where the scenario defines no success."""
+        return self.outcome.is_success or not self.member.evaluation.success_defined
 
     @property
     def title(self) -> str:
@@ -168,8 +155,11 @@ class Report:
         """Episodes at equal distances in the order of their returns, of which the first, the middle and the last have a label."""
         every = [Shown(member, number) for member in self.members for number in range(len(member.evaluation.outcomes))]
         every.sort(key=lambda shown: -shown.outcome.total_return)
-        places = {round(place) for place in np.linspace(0, len(every) - 1, count)} | {len(every) // 2}
-        labels = dict(zip((len(every) - 1, len(every) // 2, 0), reversed(LABELS), strict=True))
+        places, middle = {round(place) for place in np.linspace(0, len(every) - 1, count)}, len(every) // 2
+        if middle not in places:
+            places.remove(min(places, key=lambda place: abs(place - middle)))
+            places.add(middle)
+        labels = dict(zip((len(every) - 1, middle, 0), reversed(LABELS), strict=True))
         return [Shown(every[place].member, every[place].number, labels.get(place, "")) for place in sorted(places)]
 
     def run_again(self, shown: Sequence[Shown], on_episode: OnEpisode, *, clips: bool = True, allow_code: bool = False) -> None:
@@ -188,7 +178,7 @@ class Report:
             model = loaded(member.run, "best")
             with closing(Player(source.open(), "zero")) as player:
                 for each in mine:
-                    player.driver = _AsEvaluated(model, player, each.number)
+                    player.driver = _AsEvaluated(model, player.env, each.number)
                     traces[each] = [frame.links for frame in player.episode(member.evaluation.seed, each.number)]
                     again = fmean(agent.episode_return for agent in player.frame.agents.values())
                     if abs(again - each.outcome.total_return) > 1e-6 * max(1.0, abs(again)):
@@ -204,8 +194,7 @@ class Report:
         self.link = _traced_link(player, next(iter(traces.values())))
         body, _, link = self.link.partition("/")
         self.paths = [
-            figures.Path(each.title, [links[body, link][0] for links in traces[each]], each.outcome.is_success, bool(each.label))
-            for each in shown
+            figures.Path(each.title, [links[body, link][0] for links in traces[each]], each.is_success, bool(each.label)) for each in shown
         ]
 
     def _film(self, player: Player, shown: Shown) -> None:
@@ -241,7 +230,8 @@ class Report:
         )
         yield "starts", caption, figures.starts(outcomes, theme, success_defined=defined)
         if self.paths:
-            title = f"{len(self.paths)} evaluation episodes from above: {self.link}. Ring: start, disc: success, cross: none."
+            marks = "disc: success, cross: none" if defined else "disc: end"
+            title = f"{len(self.paths)} evaluation episodes from above: {self.link}. Ring: start, {marks}."
             world = self.members[0].run.program.world
             yield "trajectories", title, figures.trajectories(self.paths, world, self.fixed, theme)
 
@@ -279,7 +269,7 @@ class Report:
         ]
         run = self.members[0].run
         lines = (run.path / RESOLVED).read_text("utf-8").splitlines()
-        found = _findings(run)
+        found = findings(run)
         here = {finding.span.begin.line for finding in found if finding.span.source.name.endswith(RESOLVED)}
         ordered = ((label, self.clips[label]) for label in LABELS if label in self.clips)
         clips = {label: (caption, _uri("video/mp4", data)) for label, (caption, data) in ordered}
@@ -302,30 +292,20 @@ def _over(values: Sequence[float], interval: Callable[[Sequence[float]], Any], f
 
 
 class _AsEvaluated:
-    """Acts to the bit as the evaluation did, whose forward passes have a fixed number of rows with a fixed place for each episode."""
+    """The driver that acts to the bit as the evaluation did in the episode of this number."""
 
     note = ""
 
-    def __init__(self, model: Any, player: Player, number: int) -> None:
-        from deepbots_cli.learning.algorithms import takes_masks
-        from deepbots_cli.learning.evaluation import ROWS
-
-        self._model, self._env, self._masked = model, player.env, takes_masks(model)
-        self._team = len(player.env.agents) if next(iter(player.env.agents.values())) is not player.env else 0
-        self._rows, self._row = self._team or ROWS, number % ROWS
+    def __init__(self, model: Any, env: Supervisor, number: int) -> None:
+        self._model, self._env, self._number = model, env, number
 
     def begin(self, seed: int) -> None:
-        self._memory, self._starts = None, np.ones(self._rows, dtype=bool)
+        from deepbots_cli.learning.evaluation import acting
+
+        self._acting = acting(self._model, self._env, number=self._number)
 
     def act(self, observation: Any) -> Any:
-        def stacked(value: Any) -> Any:
-            return value if self._team else np.repeat(np.asarray(value)[None], self._rows, axis=0)
-
-        rows = {name: stacked(part) for name, part in observation.items()} if isinstance(observation, dict) else stacked(observation)
-        masks = {"action_masks": stacked(self._env.action_masks()).reshape(self._rows, -1)} if self._masked else {}
-        actions, self._memory = self._model.predict(rows, state=self._memory, episode_start=self._starts, deterministic=True, **masks)
-        self._starts = np.zeros_like(self._starts)
-        return actions if self._team else actions[self._row]
+        return self._acting(observation)
 
 
 def _traced_link(player: Player, trace: Trace) -> str:
@@ -350,11 +330,6 @@ def _standing(player: Player, traces: dict[Shown, Trace]) -> dict[str, list[Any]
         if pose is not None and not thing.variants:
             found[thing.name] = figures.outline(thing.shape, pose)
     return found
-
-
-def _findings(run: Run) -> list[Finding]:
-    """What lint says of the scenario of a run."""
-    return review(api.load(run.path / RESOLVED, allow_code=True, project=run.path))
 
 
 def _svg(figure: Any) -> str:

@@ -5,11 +5,10 @@ Runs keep the seeds of their evaluations, recordings their actions, failures bot
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
@@ -18,12 +17,14 @@ from typing import Any, Literal
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ConfigDict, Field, field_validator
 
 from deepbots_cli import api
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.insight.conditions import Values, Watch, measured
-from deepbots_cli.learning import failures
-from deepbots_cli.learning.run import ModelName, Run, kept_evaluations, read_evaluation
+from deepbots_cli.learning import failures, listing
+from deepbots_cli.learning.episodes import Episode
+from deepbots_cli.learning.run import KeptEvaluation, ModelName, Run, read_json
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionRange, Choices, ObservedNumber, policy_inputs
 from deepbots_cli.runtime import Supervisor
@@ -33,6 +34,7 @@ from deepbots_cli.view.recordings import Recorded, Recording, observation_hash
 from deepbots_cli.view.replay import Actions, changes
 
 Array = NDArray[np.float64]
+_EVALUATION_LIMIT = 200_000_000
 
 
 @dataclass(eq=False)
@@ -99,7 +101,7 @@ class Trace:
     def ranges(self) -> dict[str, Array]:
         """For each number of the ranges of the action, its values in [-1, 1] in the steps."""
         parts = [part for part in self.program.policy.action if isinstance(part, ActionRange)]
-        names = [f"{part.name}.{name}" if name else part.name for part in parts for name in part.components or ("",)]
+        names = [name for part in parts for name in part.names]
         rows = np.array([np.asarray(_part(action, "ranges"), float).reshape(-1) for action in self.actions if names])
         return {name: rows[:, place] for place, name in enumerate(names)} if len(rows) else {}
 
@@ -185,54 +187,52 @@ def newest(program: Program, observations: Sequence[Any]) -> Array:
 
 @dataclass(frozen=True)
 class Chosen:
-    """An episode of a run: its number, the seed of its reset, and how the policy acts. `evaluation` is the one that it is of."""
+    """An episode of a run: its number, the seed of its reset, and how the policy acts."""
 
     number: int
     seed: int
     model: ModelName = "best"
     deterministic: bool = True
-    evaluation: str = ""
 
 
-@dataclass(frozen=True)
-class Kept:
-    """The last evaluation of a run in the scenario, engine and seed of which its episodes can be repeated."""
+class KeptEpisodes(KeptEvaluation):
+    """An evaluation that a run keeps, with its episodes."""
 
-    path: Path
-    model: ModelName
-    seed: int
-    deterministic: bool
-    success_defined: bool
-    outcomes: Sequence[Mapping[str, Any]] = field(repr=False)
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+
+    outcomes: tuple[Episode, ...] = Field(min_length=1)
+
+    @field_validator("outcomes")
+    @classmethod
+    def _comparable(cls, outcomes: tuple[Episode, ...]) -> tuple[Episode, ...]:
+        """Figures sort episodes by each drawn value."""
+        kinds: dict[str, type] = {}
+        for episode in outcomes:
+            if any(kinds.setdefault(name, type(value)) is not type(value) for name, value in episode.drawn.items()):
+                raise ValueError("a drawn value is a number in one episode and a name in another")
+        return outcomes
 
     def failed(self, program: Program) -> list[int]:
         """The numbers of the episodes that failed: without a success, or where none is defined, ended by a failure."""
-        failing = {ending.name for ending in program.endings if ending.outcome == "failure"}
-        bad = [not outcome["is_success"] if self.success_defined else outcome["ended_by"] in failing for outcome in self.outcomes]
+        bad = [not each.is_success if self.success_defined else each.ended_by in program.failures for each in self.outcomes]
         return [number for number, is_bad in enumerate(bad) if is_bad]
 
     def chosen(self, number: int) -> Chosen:
-        return Chosen(number, derive_seed(self.seed, "evaluation", number), self.model, self.deterministic, self.path.name)
+        model: Any = self.model
+        return Chosen(number, derive_seed(self.seed, "evaluation", number), model, self.deterministic)
 
 
-def last_evaluation(run: Run) -> Kept | None:
-    """The last evaluation that a run keeps of its own scenario and engine; None without one.
+def last_evaluation(run: Run, *, plain: bool = True) -> tuple[Path, KeptEpisodes] | None:
+    """The file and content of the last evaluation in the scenario of a run since its training ended; None without one.
+
+    Args:
+        plain: Only one of the best model without sampled actions.
 
     Raises:
         RunError: It is damaged.
     """
-    for _, path in reversed(kept_evaluations(run.path)):
-        known = read_evaluation(path)
-        elsewhere = known.case or known.stage or known.set or known.elsewhere or known.engine not in (None, run.record.engine)
-        if elsewhere or known.model not in ("best", "last"):
-            continue
-        outcomes = json.loads(path.read_text("utf-8")).get("outcomes", [])
-        whole = isinstance(outcomes, list) and all(isinstance(each, dict) for each in outcomes)
-        if not whole or not all({"is_success", "ended_by"} <= each.keys() for each in outcomes):
-            raise RunError(f"{path} is damaged: its episodes cannot be read")
-        model: Any = known.model
-        return Kept(path, model, known.seed, known.deterministic, known.success_defined, outcomes)
-    return None
+    found = listing.last_evaluation(run.path, run.record, plain=plain)
+    return None if found is None else (found[0], read_json(found[0], KeptEpisodes, _EVALUATION_LIMIT))
 
 
 def trace_run(run: Run, chosen: Chosen, *, allow_code: bool = False) -> Trace:
@@ -267,7 +267,8 @@ def trace_episodes(
             trace = world.trace(f"episode {each.number} of {run.path}", notes=run.notes())
             row = list(world.world.agents).index(trace.agent) if trace.agent else None
             trace.critic = _critic_values(policy, [seen if row is None else _row(seen, row) for seen in world.seen[:-1]])
-            trace.critic_absent = "" if trace.critic is not None else "the critic has a memory"
+            absent = "the critic has a memory" if hasattr(policy.policy, "lstm_actor") else "the critic is no network of torch"
+            trace.critic_absent = "" if trace.critic is not None else absent
             yield trace
 
 
@@ -277,7 +278,7 @@ def _critic_values(model: Any, observations: Sequence[Any]) -> Array | None:
     from stable_baselines3.common.policies import ActorCriticPolicy
 
     policy = model.policy
-    if not observations or hasattr(policy, "lstm_actor"):
+    if not observations or hasattr(policy, "lstm_actor") or next(policy.parameters(), None) is None:
         return None
     parts = observations[0].keys() if isinstance(observations[0], dict) else None
     stacked = {key: np.stack([each[key] for each in observations]) for key in parts} if parts else np.stack(observations)

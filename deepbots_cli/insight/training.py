@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli import api
+from deepbots_cli.compiler.inputs import RESOLVED
+from deepbots_cli.diagnostics import Finding
 from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.insight.conditions import measured
 from deepbots_cli.insight.trace import Trace, Traced
@@ -22,6 +24,7 @@ from deepbots_cli.learning import failures
 from deepbots_cli.learning.defaults import effective
 from deepbots_cli.learning.episodes import read_log
 from deepbots_cli.learning.run import Run
+from deepbots_cli.lint import review
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionRange, Choices, Schedule, Solved
 from deepbots_cli.runtime.streams import derive_seed
@@ -87,13 +90,21 @@ class Training:
         result = self.run.record.result
         return result.steps if result is not None else int(self.episodes.steps[-1]) if len(self.episodes.steps) else 0
 
+    @cached_property
+    def findings(self) -> list[Finding]:
+        return findings(self.run)
+
+    @property
+    def solved_while_exploring(self) -> bool:
+        """Whether the episodes of the training met what `solved` asks for."""
+        result = self.run.record.result
+        return result is not None and result.solved_at is not None
+
     @property
     def solved(self) -> bool:
-        """Whether the training met what `solved` asks for, or its best evaluation did."""
-        result, solved = self.run.record.result, self.program.solved
-        if result is not None and result.solved_at is not None:
-            return True
-        return solved is not None and any(_meets(solved, each) for each in self.evaluations)
+        """Whether the episodes of the training or one of its evaluations met what `solved` asks for."""
+        solved = self.program.solved
+        return self.solved_while_exploring or (solved is not None and any(_meets(solved, each) for each in self.evaluations))
 
     def curve(self, tag: str) -> Array:
         """The values of a curve; none where TensorBoard has no such tag."""
@@ -108,6 +119,11 @@ def _meets(solved: Solved, evaluation: Mapping[str, Any]) -> bool:
     return (solved.mean_return is None or float(np.mean(returns)) >= solved.mean_return) and (
         solved.success_rate is None or float(np.mean(successes)) >= solved.success_rate
     )
+
+
+def findings(run: Run) -> list[Finding]:
+    """What lint says of the scenario of a run."""
+    return review(api.load(run.path / RESOLVED, allow_code=True, project=run.path))
 
 
 def read(run: Run) -> Training:
@@ -189,7 +205,7 @@ def _constant(world: Traced) -> dict[str, dict[str, Any]]:
     env, policy = world.world, world.watch.program.policy
     choices = [part for part in policy.action if isinstance(part, Choices)]
     ranges = [part for part in policy.action if isinstance(part, ActionRange)]
-    names = [f"{part.name}.{name}" if name else part.name for part in ranges for name in part.components or ("",)]
+    names = [name for part in ranges for name in part.names]
     found: dict[str, dict[str, Any]] = {}
     for place, choice in enumerate(choices):
         picks = [[number if other == place else 0 for other in range(len(choices))] for number in range(min(4, len(choice.options)))]

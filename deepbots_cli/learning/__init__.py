@@ -5,6 +5,7 @@ evaluation.py    evaluate: episodes of a policy on held-out starts, intervals, t
 run.py           the run directory: what is kept, written atomically, read with suspicion
 models.py        models as Stable-Baselines3's zip files, read without unpickling
 checkpoints.py   the whole state of a training, from which it goes on to the bit
+plugins.py       callbacks and loggers of other packages
 callbacks.py     what happens during training: evaluations, the best model, scalars, when to stop
 algorithms.py    algorithms made for a scenario, action noise
 defaults.py      the hyperparameters that a training takes: the scenario's, our defaults, the library's

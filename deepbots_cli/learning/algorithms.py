@@ -103,7 +103,20 @@ def create(
     except (AssertionError, MemoryError, RuntimeError, TypeError, ValueError) as error:
         reason = " ".join(str(error).split())
         raise UsageError(f"{training.algorithm} refuses the settings under 'train': {reason}") from error
+    except Exception as error:
+        if training.algorithm == algorithm.base():
+            raise
+        raise UsageError(_no_torch(algorithm, f"it fails with {type(error).__name__}: {' '.join(str(error).split())[:200]}")) from error
+    if not models[0]._get_torch_save_params()[0] or not models[0].policy.state_dict():
+        raise UsageError(_no_torch(algorithm, "its runs could be neither evaluated nor resumed"))
     return models[0]
+
+
+def _no_torch(algorithm: type[Model], reason: str) -> str:
+    return (
+        f"{algorithm.__name__} ({algorithm.import_path}) does not keep its networks as {algorithm.base()} of Stable-Baselines3 does, in"
+        f" modules of torch: {reason}; docs/extending.md shows an adapter for algorithms in JAX"
+    )
 
 
 def _device(wanted: str, *, to_learn: bool) -> str:

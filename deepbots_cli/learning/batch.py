@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import partial
 from typing import Any, cast
 
@@ -12,8 +13,10 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepR
 
 from deepbots_cli import api, engines
 from deepbots_cli.codegen import not_batched
+from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.learning.environments import BuildWorld, VectorEnvironment, last_info
 from deepbots_cli.learning.episodes import Episode
+from deepbots_cli.learning.failures import BatchRecorder
 from deepbots_cli.program import Program
 from deepbots_cli.runtime.batch import BatchStep, BatchSupervisor, Running
 
@@ -79,6 +82,7 @@ class BatchedWorlds(VectorEnvironment):
         on_step: Called after the step of each row.
         on_episode: Called after each episode of a row with the number of its world.
         next_seed: Called before a world begins another episode; gives a seed if it begins one of another stage.
+        recorder: Keeps the episodes of worlds that fail.
     """
 
     def __init__(
@@ -90,8 +94,9 @@ class BatchedWorlds(VectorEnvironment):
         on_step: Callable[[], None] = lambda: None,
         on_episode: Callable[[int, Episode], None] = lambda world, episode: None,
         next_seed: Callable[[int], int | None] = lambda world: None,
+        recorder: BatchRecorder | None = None,
     ) -> None:
-        self._build, self._next_seed = build, next_seed
+        self._build, self._next_seed, self._recorder = build, next_seed, recorder
         self.stages = [0] * len(seeds) if stages is None else stages
         self._batches: dict[int, tuple[BatchSupervisor, Sums]] = {}
         first = self._batch_of(self.stages[0])
@@ -110,7 +115,8 @@ class BatchedWorlds(VectorEnvironment):
 
     def reset(self) -> VecEnvObs:
         for stage in dict.fromkeys(self.stages):
-            self._batch_of(stage).reset(self.starts)
+            with self._recorded(stage):
+                self._batch_of(stage).reset(self.starts)
         for _, sums in self._batches.values():
             sums.clear()
         self.drawn = [self._batch_of(stage).singles[world].drawn() for world, stage in enumerate(self.stages)]
@@ -133,8 +139,12 @@ class BatchedWorlds(VectorEnvironment):
         ended: dict[int, tuple[int, BatchStep, Sums]] = {}
         for stage, (worlds, sums) in self._batches.items():
             acting = self._in(stage)
-            outcome = worlds.advance(self._actions, None if acting.all() else ~acting)
-            worlds.warn_of_losses(stacklevel=3)
+            known = len(worlds.losses)
+            with self._recorded(stage):
+                outcome = worlds.advance(self._actions, None if acting.all() else ~acting)
+            if self._recorder is not None:
+                for loss in worlds.losses[known:]:
+                    self._recorder.lost(stage, loss, worlds.snapshot()[loss.world])
             sums.add(outcome.rewards, outcome.terms, acting)
             rewards[acting] = outcome.rewards[acting]
             dones[outcome.done] = True
@@ -153,12 +163,26 @@ class BatchedWorlds(VectorEnvironment):
         self.last_observations = self._observations()
         return self.last_observations, rewards, dones, infos
 
+    @contextmanager
+    def _recorded(self, stage: int) -> Iterator[None]:
+        """Within, an error of the batch becomes that of the episode which fails, if this is found."""
+        try:
+            yield
+        except UsageError:
+            raise
+        except DeepbotsError:
+            if self._recorder is not None:
+                histories = self._batch_of(stage).snapshot()
+                self._recorder.failed(stage, [histories[world] for world, own in enumerate(self.stages) if own == stage])
+            raise
+
     def _begin_in(self, stage: int, beginning: Sequence[tuple[int, int | None]]) -> None:
         """Let worlds begin an episode in a stage; the first ones that enter it find the others at rest there."""
-        if stage not in self._batches:
-            self._batch_of(stage).reset(self.starts)
-        worlds = self._batch_of(stage)
-        worlds.begin(*zip(*beginning, strict=True))
+        is_new, worlds = stage not in self._batches, self._batch_of(stage)
+        with self._recorded(stage):
+            if is_new:
+                worlds.reset(self.starts)
+            worlds.begin(*zip(*beginning, strict=True))
         for world, _ in beginning:
             self.drawn[world] = worlds.singles[world].drawn()
 

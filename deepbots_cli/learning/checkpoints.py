@@ -163,6 +163,7 @@ class Checkpoints:
 
     def _logs(self) -> list[Path]:
         found = [self.run.monitor, self.run.evaluations / "training.jsonl", *self.run.tensorboard.glob("events.out.tfevents.*")]
+        found += (self.run.path / "logs").glob("*")
         return [path for path in found if path.is_file()]
 
     # Taking one

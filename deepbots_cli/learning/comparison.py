@@ -28,8 +28,8 @@ MIN_SEEDS = 3
 class GroupResult:
     """The evaluations of runs that differ by their seeds only, on the same starts.
 
-    Statistics are over the seeds, with one score per run: its mean return, or its success rate. Intervals are Student's at 95 %, None for
-    a single run. `waiting` are the seeds of the group that have no model yet.
+    Statistics are over the seeds, with one score per run: its mean return, or its success rate. Intervals are Student's at 95 %, cut at
+    the bounds of the score, None for a single run. `waiting` are the seeds of the group that have no model yet.
     """
 
     name: str
@@ -56,7 +56,7 @@ class GroupResult:
 
     @property
     def return_interval(self) -> Interval | None:
-        return mean_interval(self.returns)
+        return mean_interval(self.returns, self.evaluations[0].possible_returns)
 
     @property
     def interquartile_mean(self) -> float:
@@ -69,9 +69,7 @@ class GroupResult:
 
     @property
     def success_interval(self) -> Interval | None:
-        """Student's interval, cut at 0 and 1."""
-        found = mean_interval(self.success_rates)
-        return found and (max(0.0, found[0]), min(1.0, found[1]))
+        return mean_interval(self.success_rates, (0.0, 1.0))
 
 
 @dataclass(frozen=True)
@@ -218,6 +216,14 @@ def across_engines(one: EvaluationResult, other: EvaluationResult) -> AcrossEngi
     return AcrossEngines(other.case, one.engine, other.engine, returns, successes)
 
 
+def group_across_engines(one: GroupResult, other: GroupResult) -> AcrossEngines:
+    """Compare the evaluations of a group in two engines, run by run: the interval is one over the seeds, None for a single run."""
+    has_success = one.success_defined and other.success_defined
+    successes = compare_episodes(one.success_rates, other.success_rates) if has_success else None
+    first, second = one.evaluations[0], other.evaluations[0]
+    return AcrossEngines(second.case, first.engine, second.engine, compare_episodes(one.returns, other.returns), successes)
+
+
 def _paired(one: EvaluationResult, other: EvaluationResult) -> tuple[Difference, Difference | None]:
     """Differences of return and success, episode by episode; no success where one of the two defines none."""
     before, after = one.outcomes, other.outcomes
@@ -286,9 +292,11 @@ def _members(paths: Sequence[Path]) -> list[_Members]:
             if run.path not in [other.path for other in alike]:
                 alike.append(run)
             found[run.record.digest, run.record.engine] = _Members(_name(alike), alike)
+    groups = list(found.values())
     if len(found) == 1 and single:
-        return [_Members(run.path.name, (run,)) for runs in single.values() for run in runs]
-    return list(found.values())
+        groups = [_Members(run.path.name, (run,)) for runs in single.values() for run in runs]
+    names = [group.name for group in groups]
+    return [group._replace(name=str(group.runs[0].path)) if names.count(group.name) > 1 else group for group in groups]
 
 
 def _opened(group: Group) -> _Members:

@@ -63,7 +63,11 @@ class Curriculum:
     @property
     def name(self) -> str | None:
         """Of the present stage; None without stages."""
-        return self.stages[self.index].name if self.stages else None
+        return self.name_of(self.index)
+
+    def name_of(self, index: int) -> str | None:
+        """The name of a stage; None without stages."""
+        return self.stages[index].name if self.stages else None
 
     @property
     def is_last(self) -> bool:

@@ -29,6 +29,7 @@ MAX_LOG = 1 << 28
 _LINE = 64_000
 
 Interval = tuple[float, float]
+UNBOUNDED: Interval = (-math.inf, math.inf)
 
 
 @dataclass(frozen=True)
@@ -202,6 +203,11 @@ class Statistics:
         self.recent: deque[Episode] = deque(maxlen=solved.episodes if solved else WINDOW)
 
     @property
+    def next_episode(self) -> int:
+        """The number of the episode that will end next, from 1."""
+        return self.episodes + 1
+
+    @property
     def simulated_hours(self) -> float:
         return self.steps * self.period / 3600
 
@@ -304,8 +310,8 @@ class Summary:
         return solved is not None and meets(solved, self.mean_return, self.success_rate)
 
 
-def statistics_of(done: Sequence[Episode]) -> dict[str, Any]:
-    """The fields of the summary of at least one episode."""
+def statistics_of(done: Sequence[Episode], bounds: Interval = UNBOUNDED) -> dict[str, Any]:
+    """The fields of the summary of at least one episode; `bounds` are those of a return."""
     # scipy is imported here: commands that only read runs work without it.
     from deepbots_cli.learning.statistics import interquartile_mean, mean_interval, wilson
 
@@ -316,7 +322,7 @@ def statistics_of(done: Sequence[Episode]) -> dict[str, Any]:
         "episodes": len(done),
         "mean_return": fmean(returns),
         "std_return": stdev(returns) if len(returns) > 1 else None,
-        "return_interval": mean_interval(returns),
+        "return_interval": mean_interval(returns, bounds),
         "interquartile_mean": interquartile_mean(returns),
         "least_return": min(returns),
         "greatest_return": max(returns),
@@ -350,14 +356,14 @@ MAX_OPTIONS, BINS = 6, 4
 """A value with at most 6 different outcomes has a bin for each of them, any other value 4 bins with as many episodes each."""
 
 
-def by_drawn_value(done: Sequence[Episode]) -> dict[str, tuple[DrawnBin, ...]]:
+def by_drawn_value(done: Sequence[Episode], bounds: Interval = UNBOUNDED) -> dict[str, tuple[DrawnBin, ...]]:
     """Success and return by each value that the episodes draw, by its place in the scenario; values that do not vary are left out."""
     names = {name: None for episode in done for name in episode.drawn}
-    found = {name: _bins([episode for episode in done if name in episode.drawn], name) for name in names}
+    found = {name: _bins([episode for episode in done if name in episode.drawn], name, bounds) for name in names}
     return {name: bins for name, bins in found.items() if len(bins) > 1}
 
 
-def _bins(done: Sequence[Episode], name: str) -> tuple[DrawnBin, ...]:
+def _bins(done: Sequence[Episode], name: str, bounds: Interval) -> tuple[DrawnBin, ...]:
     ordered = sorted(done, key=lambda episode: episode.drawn[name])
     options = {episode.drawn[name] for episode in ordered}
     if len(options) <= MAX_OPTIONS:
@@ -366,8 +372,8 @@ def _bins(done: Sequence[Episode], name: str) -> tuple[DrawnBin, ...]:
         edges = [len(ordered) * part // BINS for part in range(BINS + 1)]
         parts = [ordered[first:end] for first, end in pairwise(edges)]
     kept = {entry.name for entry in fields(DrawnBin)}
+    found = [(part, statistics_of(part, bounds)) for part in parts if part]
     return tuple(
-        DrawnBin(part[0].drawn[name], part[-1].drawn[name], **{key: value for key, value in statistics_of(part).items() if key in kept})
-        for part in parts
-        if part
+        DrawnBin(part[0].drawn[name], part[-1].drawn[name], **{key: value for key, value in statistics.items() if key in kept})
+        for part, statistics in found
     )

@@ -8,6 +8,7 @@ This, and the same starts for every policy, is what `evaluate_policy` of Stable-
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack, closing
@@ -23,12 +24,15 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 
 from deepbots_cli.api import Compiled, build_batch
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
+from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.learning import algorithms, batch, models, video
 from deepbots_cli.learning.environments import BuildWorld, VectorEnvironment, World, compiled_of, default_build, has_copies
 from deepbots_cli.learning.episodes import DrawnBin, Episode, EpisodeAccumulator, Summary, by_drawn_value, meets, statistics_of, zero
 from deepbots_cli.learning.failures import FailureRecorder
 from deepbots_cli.learning.run import ModelName, Run
 from deepbots_cli.learning.statistics import gate_rate
+from deepbots_cli.lint.analysis import Analysis
+from deepbots_cli.lint.rewards import return_range
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Solved
 from deepbots_cli.runtime.batch import BatchSupervisor
@@ -55,8 +59,9 @@ class EvaluationResult(Summary):
 
     `engine` is None for worlds that `build` made. `model` is `best` or `last`, or the name of a baseline: `random`, `zero`, `script
     NAME`. `case` and `stage` are None for the scenario itself. `solved` is None where the scenario says nothing, or asks for more
-    episodes than there were; `verdict` puts it in words. `outcomes` are the episodes, in the order of their seeds. Where the scenario
-    defines no success (`success_defined`), the success rate is 0 and means nothing.
+    episodes than there were; `verdict` puts it in words. `return_bounds` are the least and the largest possible return of an episode where
+    rewards and time limit imply them, at which intervals are cut. `outcomes` are the episodes, in the order of their seeds. Where the
+    scenario defines no success (`success_defined`), the success rate is 0 and means nothing.
     """
 
     run: Path
@@ -72,12 +77,19 @@ class EvaluationResult(Summary):
     verdict: str
     video: Path | None
     notes: tuple[str, ...]
+    return_bounds: tuple[float | None, float | None]
     outcomes: tuple[Episode, ...] = field(repr=False)
+
+    @property
+    def possible_returns(self) -> tuple[float, float]:
+        """`return_bounds` with infinities."""
+        low, high = self.return_bounds
+        return -math.inf if low is None else low, math.inf if high is None else high
 
     @property
     def by_drawn_value(self) -> dict[str, tuple[DrawnBin, ...]]:
         """Success and return by each value that the episodes drew, by its place in the scenario, in a few bins of its range."""
-        return by_drawn_value(self.outcomes)
+        return by_drawn_value(self.outcomes, self.possible_returns)
 
 
 def evaluate(
@@ -265,7 +277,8 @@ def _setting(
 
 
 def _result(run: Run, program: Program, model: str, done: Sequence[Episode], **where: Any) -> EvaluationResult:
-    found = statistics_of(done)
+    known = return_range(Analysis(program)) if where["engine"] else Interval()  # a world of the caller may pay anything
+    found = statistics_of(done, known)
     solved, verdict = judge(program.solved, found["episodes"], found["mean_return"], found["success_rate"])
     return EvaluationResult(
         run=run.path,
@@ -276,6 +289,7 @@ def _result(run: Run, program: Program, model: str, done: Sequence[Episode], **w
         verdict=verdict,
         notes=(*run.notes(), *identity.timing_differences(run.program, program)),
         outcomes=tuple(done),
+        return_bounds=(known.low if known.low > -math.inf else None, known.high if known.high < math.inf else None),
         **where,
         **found,
     )
@@ -323,7 +337,7 @@ def rollout(
     episodes: list[Episode] = []
     if has_copies(worlds[0]):
         for seed in seeds:
-            episodes.append(_team_episode(model, worlds[0], seed, deterministic=deterministic))
+            episodes.append(repeat(model, worlds[0], seed, 0, deterministic=deterministic))
             on_episode(len(episodes), len(seeds))
             if until(episodes):
                 break
@@ -415,23 +429,38 @@ def batch_rollout(
 
 
 def repeat(model: BaseAlgorithm, world: World, seed: int, number: int, *, deterministic: bool) -> Episode:
-    """One episode of an evaluation once more, to the bit: the one of this number, whose reset has this seed."""
-    if has_copies(world):
-        return _team_episode(model, world, seed, deterministic=deterministic)
-    forward = _Pass(world.observation_space, _choices(world) if algorithms.takes_masks(model) else None)
-    lane = _Lane(world, number % ROWS, [0], [seed])
-    lane.begin(forward)
+    """One episode of an evaluation once more, to the bit: the one of this number, whose reset has this seed.
+
+    Of all copies of a robot, it has the mean of their rewards.
+    """
+    torch.manual_seed(derive_seed(seed, "policy"))
+    observation, info = world.reset(seed=seed)
+    accumulator, act = EpisodeAccumulator(), acting(model, world, deterministic=deterministic, number=number)
+    accumulator.begin(seed, info)
     while True:
-        episode = lane.step(forward.answer(model, deterministic=deterministic)[lane.row], forward)
-        if episode is not None:
-            return episode
+        observation, reward, terminated, truncated, info = world.step(act(observation))
+        accumulator.add(float(reward), info)
+        if terminated or truncated:
+            return accumulator.close(info)
 
 
-def acting(model: BaseAlgorithm, world: World, *, deterministic: bool = True) -> Callable[[Any], Any]:
-    """A function that returns the action of a policy for each observation of one episode."""
+def acting(model: BaseAlgorithm, world: World, *, deterministic: bool = True, number: int | None = None) -> Callable[[Any], Any]:
+    """A function that returns the action of a policy for each observation of one episode, which has begun.
+
+    With `number`, the actions are to the bit those of the episode of this number in an evaluation. For copies of a robot they always are:
+    each forward pass has a row for each copy.
+    """
     size = len(world.get_wrapper_attr("agents")) if has_copies(world) else 0
-    memory, starts = None, np.ones(size or 1, dtype=bool)
     takes_masks = algorithms.takes_masks(model) and world.has_wrapper_attr("action_masks")
+    if number is not None and not size:
+        forward, row = _Pass(world.observation_space, _choices(world) if takes_masks else None), number % ROWS
+
+        def act_in_row(observation: Any) -> Any:
+            forward.put(row, observation, world)
+            return forward.answer(model, deterministic=deterministic)[row]
+
+        return act_in_row
+    memory, starts = None, np.ones(size or 1, dtype=bool)
 
     def act(observation: Any) -> Any:
         nonlocal memory, starts
@@ -442,19 +471,6 @@ def acting(model: BaseAlgorithm, world: World, *, deterministic: bool = True) ->
         return action
 
     return act
-
-
-def _team_episode(model: BaseAlgorithm, world: World, seed: int, *, deterministic: bool) -> Episode:
-    """An episode of all copies of a robot, with the mean of their rewards; each forward pass has a row for each copy."""
-    torch.manual_seed(derive_seed(seed, "policy"))
-    observation, info = world.reset(seed=seed)
-    accumulator, act = EpisodeAccumulator(), acting(model, world, deterministic=deterministic)
-    accumulator.begin(seed, info)
-    while True:
-        observation, reward, terminated, truncated, info = world.step(act(observation))
-        accumulator.add(float(reward), info)
-        if terminated or truncated:
-            return accumulator.close(info)
 
 
 class _Pass:

@@ -2,12 +2,14 @@
 
     failures/0001.json      the start of the episode, its actions, and the error
 
-`FailureRecorder` wraps each world of a training or an evaluation of a run. `reproduce` repeats the episode of a file.
+`FailureRecorder` wraps each single world of a training or an evaluation of a run; `BatchRecorder` does the same for a batch of worlds.
+`reproduce` repeats the episode of a file.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -19,15 +21,20 @@ import numpy as np
 from pydantic import BaseModel, NonNegativeInt, PositiveInt
 
 from deepbots_cli import api
-from deepbots_cli.errors import DeepbotsError, EvaluationError, RunError, UsageError
+from deepbots_cli.errors import DeepbotsError, EngineError, EvaluationError, RunError, UsageError
+from deepbots_cli.learning.curriculum import Curriculum
+from deepbots_cli.learning.episodes import Statistics
+from deepbots_cli.learning.report import Reporter
 from deepbots_cli.learning.run import Run, read_json, write_numbered
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import policy_inputs
-from deepbots_cli.runtime.batch import Running
+from deepbots_cli.runtime.batch import Loss, Running
 
 FOLDER = "failures"
 _LIMIT = 100_000_000
 """Bytes of a file; one of 100 MB that holds empty lists takes 3 GB of memory."""
+MAX_LOSSES, OF_EPISODES = 10, 100
+"""A training stops when so many of so many episodes in a row were lost."""
 
 
 class Failure(BaseModel, strict=True):
@@ -119,23 +126,77 @@ class FailureRecorder(gym.Wrapper[Any, Any, Any, Any]):
         """
         if isinstance(error, UsageError):
             raise error
-        history, start = self.history, self.history.start
+        start = self.history.start
         number = 1 + self._seeds.index(start) if isinstance(start, int) and start in self._seeds else self._episode()
-        root = start if isinstance(start, int) else start.get("root")
-        text = f"episode {number:,}{'' if root is None else f' (seed {root})'}, {error}"
-        if self._run is not None:
-            failure = Failure(
-                error=str(error),
-                step=len(history.actions),
-                episode=number,
-                case=self._case,
-                stage=self._stage,
-                start=start,
-                actions=[_plain(action) for action in history.actions],
-            )
-            path = keep(self._run, failure)
-            text += "" if path is None else f"\nreproduce it with: deepbots run {quote(str(path))}"
+        text = _kept(str(error), number, self.history, run=self._run, case=self._case, stage=self._stage)
         raise type(error)(text) from error
+
+
+class BatchRecorder:
+    """The failures of a batch of worlds in a training.
+
+    A world that is no longer finite begins anew: its episode is `lost`. A batch that raises an error has `failed`.
+
+    Args:
+        run: The run that keeps a file of each failure.
+        guarded: Builds a single world of a stage of the curriculum, by its number, in a `FailureRecorder`.
+        statistics: Number the episodes.
+        curriculum: Names the stages.
+        reporter: Tells the user of a lost episode.
+    """
+
+    def __init__(
+        self, run: Run, guarded: Callable[[int], FailureRecorder], statistics: Statistics, curriculum: Curriculum, reporter: Reporter
+    ) -> None:
+        self._run, self._guarded, self._statistics, self._curriculum, self._reporter = run, guarded, statistics, curriculum, reporter
+        self._losses: deque[int] = deque(maxlen=MAX_LOSSES)
+        self._files = 0
+
+    def lost(self, stage: int, loss: Loss, history: Running) -> None:
+        """Keep a lost episode and tell the user. There are files of the first ten, and of the one that ends the training.
+
+        Raises:
+            EngineError: Ten of the last hundred episodes were lost.
+        """
+        number = self._statistics.next_episode
+        self._losses.append(number)
+        again_and_again = len(self._losses) == MAX_LOSSES and number - self._losses[0] < OF_EPISODES
+        if not again_and_again and self._files == MAX_LOSSES:
+            return
+        self._files += 1
+        error = f"step {loss.step}: {loss.error}"
+        text = _kept(error, number, history, run=self._run, stage=self._curriculum.name_of(stage))
+        if again_and_again:
+            raise EngineError(
+                f"in {MAX_LOSSES} of the last {min(number, OF_EPISODES)} episodes a world was no longer finite; the last is {text}"
+            )
+        self._reporter.note(f"{text}\nworld {loss.world} begins anew")
+
+    def failed(self, stage: int, histories: Sequence[Running]) -> None:
+        """Find the episode that fails: repeat the running episodes of a stage in a single world, until one fails.
+
+        Raises:
+            DeepbotsError: An episode failed. It is kept.
+        """
+        with closing(self._guarded(stage)) as world:
+            for history in histories:
+                if isinstance(history.start, dict):
+                    set_random_state(world, history.start)
+                world.reset(seed=history.start if isinstance(history.start, int) else None)
+                for action in history.actions:
+                    world.step(action)
+
+
+def _kept(error: str, number: int, history: Running, *, run: Run | None, case: str | None = None, stage: str | None = None) -> str:
+    """The error with its episode, and with the command that repeats it if a file could be written."""
+    start = history.start
+    root = start if isinstance(start, int) else start.get("root")
+    text = f"episode {number:,}{'' if root is None else f' (seed {root})'}, {error}"
+    if run is None:
+        return text
+    actions = [_plain(action) for action in history.actions]
+    path = keep(run, Failure(error=error, step=len(actions), episode=number, case=case, stage=stage, start=start, actions=actions))
+    return text if path is None else f"{text}\nreproduce it with: deepbots run {quote(str(path))}"
 
 
 def is_finite(observation: Any) -> bool:

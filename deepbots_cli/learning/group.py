@@ -62,6 +62,8 @@ class GroupRecord(BaseModel):
     stage: str | None
     keep_checkpoints: NonNegativeInt
     initialize_from: str | None
+    callbacks: tuple[str, ...] = ()
+    loggers: tuple[str, ...] = ()
     command: tuple[str, ...]
     started: str
 
@@ -148,6 +150,8 @@ def train_group(
     stage: str | None = None,
     keep_checkpoints: int = 0,
     initialize_from: str | Path | None = None,
+    callbacks: Sequence[str] = (),
+    loggers: Sequence[str] = (),
     progress: bool | Reporter = False,
     command: Sequence[str] = (),
     engine: str | None = None,
@@ -184,6 +188,8 @@ def train_group(
         stage=stage,
         keep_checkpoints=keep_checkpoints,
         initialize_from=None if initialize_from is None else str(Path(initialize_from).absolute()),
+        callbacks=tuple(callbacks),
+        loggers=tuple(loggers),
         command=tuple(command),
         started=now(),
     )
@@ -270,6 +276,8 @@ def _train_seeds(
                     stage=record.stage,
                     keep_checkpoints=record.keep_checkpoints,
                     initialize_from=record.initialize_from,
+                    callbacks=record.callbacks,
+                    loggers=record.loggers,
                     progress=progress,
                     command=record.command,
                     engine=record.engine,

@@ -38,6 +38,7 @@ class ListedRun:
     path: Path
     state: State
     scenario: str = "?"
+    source: str = ""
     digest: str = ""
     settings: tuple[str, ...] = ()
     engine: str = ""
@@ -100,6 +101,7 @@ def _of_run(path: Path) -> ListedRun:
         path,
         state,
         scenario=record.scenario,
+        source=record.source,
         digest=record.digest,
         settings=changed_settings(record.command),
         engine=record.engine,
@@ -133,6 +135,7 @@ def _of_group(path: Path) -> ListedRun:
         path,
         state,
         scenario=group.record.scenario,
+        source=group.record.source,
         digest=readable[0].digest if readable else "",
         settings=changed_settings(group.record.command),
         engine=group.record.engine,
@@ -161,15 +164,20 @@ def evaluations(run: Path) -> list[tuple[int, KeptEvaluation | str]]:
     return found
 
 
-def last_evaluation(path: Path, record: Record) -> tuple[Path, KeptEvaluation] | None:
-    """The last evaluation of the best model in the scenario of the training, since the training ended, and its file."""
+def last_evaluation(path: Path, record: Record, *, plain: bool = True) -> tuple[Path, KeptEvaluation] | None:
+    """The last evaluation in the scenario of the training, since the training ended, and its file.
+
+    Args:
+        plain: Only one of the best model without sampled actions.
+    """
     for _, kept in reversed(kept_evaluations(path)):
         try:
             found = read_evaluation(kept)
         except RunError:
             continue
-        plain = found.model == "best" and found.deterministic and not (found.set or found.elsewhere or found.case or found.stage)
-        if plain and found.engine in (None, record.engine) and found.evaluated >= record.updated:
+        own = not (found.set or found.elsewhere or found.case or found.stage) and found.engine in (None, record.engine)
+        acts = found.model == "best" and found.deterministic if plain else found.model in ("best", "last")
+        if own and acts and found.evaluated >= record.updated:
             return kept, found
     return None
 

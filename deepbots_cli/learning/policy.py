@@ -159,8 +159,7 @@ class _Spaces(gym.Env[Any, Any]):
 def _values(part: Choices | ActionRange) -> list[ActionValue]:
     if isinstance(part, Choices):
         return [ActionValue(part.name, tuple(option.name for option in part.options))]
-    names = [f"{part.name}.{component}" for component in part.components] or [part.name]
-    return [ActionValue(name, (), part.unit.removeprefix("1"), part.low, part.high) for name in names]
+    return [ActionValue(name, (), part.unit.removeprefix("1"), part.low, part.high) for name in part.names]
 
 
 @contextmanager

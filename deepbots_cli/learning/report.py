@@ -58,7 +58,7 @@ class Reporter:
     """Follows a training: `start` once, `update` from time to time, `stop` once, also after a failure. This one reports nothing."""
 
     def note(self, text: str) -> None:
-        """Called before `start` with what the user should know."""
+        """Called with what the user should know, before `start` or during the training."""
 
     def start(self, progress: TrainingProgress) -> None:
         pass
@@ -79,7 +79,10 @@ class ProgressReporter(Reporter):
         self._first, self._began, self._shown, self._tenth = 0, 0.0, 0.0, 0
 
     def note(self, text: str) -> None:
-        print(f"note: {text}", file=self._stream)
+        if self._live is None:
+            print(f"note: {text}", file=self._stream)
+        else:
+            self._live.console.out(f"note: {text}", highlight=False)  # above the table
 
     def start(self, progress: TrainingProgress) -> None:
         self._first, self._began = progress.steps, time.perf_counter()

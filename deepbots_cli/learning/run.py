@@ -9,6 +9,7 @@
     ├── tensorboard/
     ├── models/policy/       best.zip, last.zip: models of Stable-Baselines3; step-000020000.zip with --keep-checkpoints
     ├── evaluations/         training.jsonl, and a file for each later evaluation, with its episodes
+    ├── logs/                what callbacks and loggers append
     └── checkpoints/         what a resumed training goes on from
 
 A directory is made once and never overwritten. All files are replaced whole, so a killed process leaves a usable run.
@@ -58,7 +59,7 @@ _LIMIT = 4_000_000
 _EVALUATION_LIMIT = 200_000_000
 _DISTRIBUTIONS = ("gymnasium", "mujoco", "numpy", "pybullet", "stable-baselines3", "torch")
 _FILES = (NAME, RESOLVED, "monitor.csv", ".lock")
-_FOLDERS = (FOLDER, "tensorboard", "models", "evaluations", "checkpoints", "failures")
+_FOLDERS = (FOLDER, "tensorboard", "models", "evaluations", "logs", "checkpoints", "failures")
 
 
 class Result(BaseModel):
@@ -68,7 +69,8 @@ class Result(BaseModel):
     Steps count over all rows of the environment; the means are over the recent episodes (None: none has ended).
     `best_return` is the mean return of the best model in its evaluation (None: too few episodes for one); `evaluation_steps` are those
     of all evaluations, from which nothing is learned and which are not among `steps`. `stage` is the one of the curriculum that it
-    ended in, `stages` are those before. `inexact` says why a resumed training differs from one that was never interrupted.
+    ended in, `stages` are those before. `stopped_by` names the callback that ended it. `inexact` says why a resumed
+    training differs from one that was never interrupted.
     """
 
     model_config = ConfigDict(frozen=True, strict=True)
@@ -88,6 +90,7 @@ class Result(BaseModel):
     weights_digest: str
     stage: str | None = None
     stages: tuple[StageEnd, ...] = ()
+    stopped_by: str | None = None
     inexact: tuple[str, ...] = ()
 
     @property
@@ -127,6 +130,8 @@ class Record(BaseModel):
     first_stage: str | None
     keep_checkpoints: int = Field(ge=0, lt=2**31)
     initialized_from: str | None
+    callbacks: tuple[str, ...] = ()
+    loggers: tuple[str, ...] = ()
     command: tuple[str, ...]
     versions: Mapping[str, str]
     platform: str

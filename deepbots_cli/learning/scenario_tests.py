@@ -188,12 +188,13 @@ class _Watch:
 
 def _over_episodes(program: Program, test: ScenarioTest, done: Sequence[Episode]) -> Iterator[Miss]:
     """What all episodes together miss."""
-    failures = {ending.name for ending in program.endings if ending.outcome == "failure"}
     returns = [episode.total_return for episode in done]
     for expected in test.expected:
         match expected.key:
             case "success_rate" | "failure_rate":
-                counted = [episode.is_success if expected.key == "success_rate" else episode.ended_by in failures for episode in done]
+                counted = [
+                    episode.is_success if expected.key == "success_rate" else episode.ended_by in program.failures for episode in done
+                ]
                 share = sum(counted) / len(done)
                 if not expected.low <= share <= expected.high:
                     yield _miss(expected, f"{sum(counted)} of {len(done)} episodes ({share:.4g})", counted.index(share > expected.high))

@@ -13,7 +13,7 @@ from statistics import NormalDist, fmean, stdev, variance
 import numpy as np
 from scipy.special import betaln, stdtrit
 
-from deepbots_cli.learning.episodes import Interval
+from deepbots_cli.learning.episodes import UNBOUNDED, Interval
 
 ALPHA = 0.05
 """The probability that an interval misses the true value, or that a test that stops early decides wrongly."""
@@ -32,13 +32,13 @@ def wilson(successes: int, episodes: int) -> Interval:
     return max(0.0, min(rate, centre - half)), min(1.0, max(rate, centre + half))
 
 
-def mean_interval(values: Sequence[float]) -> Interval | None:
-    """Student's interval of a mean; None for fewer than two values."""
+def mean_interval(values: Sequence[float], bounds: Interval = UNBOUNDED) -> Interval | None:
+    """Student's interval of a mean, cut at the bounds of the values; None for fewer than two values."""
     if len(values) < 2:
         return None
     half = float(stdtrit(len(values) - 1, 1 - ALPHA / 2)) * stdev(values) / math.sqrt(len(values))
     centre = fmean(values)
-    return centre - half, centre + half
+    return max(centre - half, min(bounds[0], centre)), min(centre + half, max(bounds[1], centre))
 
 
 def interquartile_mean(values: Sequence[float]) -> float:
@@ -69,6 +69,7 @@ def rate_evidence(rate: float, successes: int, episodes: int) -> float:
 
 def rate_sequence(successes: int, episodes: int) -> Interval:
     """The confidence sequence of a success rate: with a probability of 95 % it holds the true rate after every episode at once."""
+    from scipy.optimize import brentq  # here, since its import takes 0.2 s of CPU, which trainings do without
 
     from scipy.optimize import brentq  # imported here: it takes 0.2 s, and few commands need it
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from shlex import quote
 from typing import Any
 
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
@@ -22,16 +23,16 @@ from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 import deepbots_cli
 from deepbots_cli import engine_kinds
 from deepbots_cli.api import Compiled, build_batch
-from deepbots_cli.errors import DeepbotsError, MissingExtraError, RunError, UsageError
+from deepbots_cli.errors import DeepbotsError, MissingExtraError, PluginError, RunError, UsageError
 from deepbots_cli.files import unwritable
-from deepbots_cli.learning import algorithms, batch, models
+from deepbots_cli.learning import algorithms, batch, models, plugins
 from deepbots_cli.learning.callbacks import AT_ONCE, Evaluator, TrainingCallback, check_finite, describe, signals_handled
 from deepbots_cli.learning.checkpoints import Checkpoints, Resumable, latest
 from deepbots_cli.learning.curriculum import Curriculum
 from deepbots_cli.learning.defaults import longest_episode
 from deepbots_cli.learning.environments import BuildWorld, VectorEnvironment, World, compiled_of, default_build
 from deepbots_cli.learning.episodes import Episode, EpisodeLog, Statistics
-from deepbots_cli.learning.failures import FailureRecorder
+from deepbots_cli.learning.failures import BatchRecorder, FailureRecorder
 from deepbots_cli.learning.report import Reporter, reporter
 from deepbots_cli.learning.run import (
     FORMAT,
@@ -67,6 +68,8 @@ def train(
     stage: str | None = None,
     keep_checkpoints: int = 0,
     initialize_from: str | Path | None = None,
+    callbacks: Sequence[str] = (),
+    loggers: Sequence[str] = (),
     progress: bool | Reporter = False,
     command: Sequence[str] = (),
     engine: str | None = None,
@@ -88,6 +91,8 @@ def train(
         stage: The stage of the curriculum to begin in, by name; by default the first.
         keep_checkpoints: How many models to keep at equal distances of steps, beside the best and the last.
         initialize_from: A run, the best policy of which this one begins with, tensor by tensor where names and shapes are the same.
+        callbacks: Names of callbacks that installed packages register, which follow the training.
+        loggers: Names of loggers that are written beside TensorBoard's: `csv`, and those that installed packages register.
         progress: Whether to report progress on standard error, or who reports it.
         command: The command line, for the record.
         engine: The physics engine; by default that of the scenario, else `pybullet` where it is installed.
@@ -95,9 +100,9 @@ def train(
         on_start: Called with the run directory, once it is made.
 
     Raises:
-        UsageError: The directory exists, there is no such stage, or the settings cannot be trained with.
+        UsageError: The directory exists, there is no such stage, callback or logger, or the settings cannot be trained with.
         RunError: The training diverged; the last good model is kept.
-        DeepbotsError: The world failed; names step and cause.
+        DeepbotsError: The world, a callback or a logger failed; names step and cause.
     """
     compiled = compiled_of(scenario)
     training = _training_of(compiled.program, total_timesteps)
@@ -108,6 +113,7 @@ def train(
     engine = engine_kinds.chosen(engine or compiled.program.engine)
     build = build or default_build(engine, allow_code=compiled.allow_code)
     Curriculum(compiled.program, stage)
+    plugins.check(callbacks, loggers)
     source = None if initialize_from is None else Run.open(initialize_from)
     taken_over = _validate_setup(compiled.program, training, build, source)
     path = new_directory(run, runs, compiled.program.name, seed)
@@ -129,6 +135,8 @@ def train(
         first_stage=stage,
         keep_checkpoints=keep_checkpoints,
         initialized_from=taken_over,
+        callbacks=tuple(callbacks),
+        loggers=tuple(loggers),
         command=tuple(command),
         versions=versions(),
         platform=platform.platform(),
@@ -177,6 +185,7 @@ def resume(
         # Only now: a training that has just ended in there has changed the record.
         known = Run.open(path)
         record = known.record
+        plugins.check(record.callbacks, record.loggers)
         training = _training_of(known.program, record.total_timesteps if total_timesteps is None else total_timesteps)
         if latest(known) is None and (record.status == "finished" or _has_learned(known)):
             raise RunError(f"{known.checkpoints} contains no checkpoint to continue from")
@@ -256,11 +265,12 @@ def _learn(run: Run, training: Training, checkpoints: Checkpoints, build: BuildW
     checkpoints.attach(callback)
     status: Status = "failed"
     digest = ""
+    followers: list[plugins.PluginCallback] = []
     try:
         with ExitStack() as stack:
             stack.enter_context(algorithms.torch_settings())
             stack.callback(callback.evaluator.close)
-            env = _environment(stack, run, training, build, callback, checkpoints)
+            env = _environment(stack, run, training, build, callback, checkpoints, reporter)
             model: Any = algorithms.create(
                 training,
                 env,
@@ -279,7 +289,8 @@ def _learn(run: Run, training: Training, checkpoints: Checkpoints, build: BuildW
             reporter.start(callback.progress())
             stack.callback(reporter.stop)
             try:
-                status = _drive(model, training, callback, checkpoints)
+                followers.extend(map(plugins.PluginCallback, run.record.callbacks))
+                status = _drive(model, training, callback, followers, checkpoints)
                 reporter.update(callback.progress())
             finally:
                 digest = models.digest(model)
@@ -305,6 +316,7 @@ def _learn(run: Run, training: Training, checkpoints: Checkpoints, build: BuildW
             weights_digest=digest,
             stage=curriculum.name,
             stages=tuple(curriculum.ends),
+            stopped_by=next((follower.name for follower in followers if follower.stopped), None),
             inexact=tuple(checkpoints.inexact),
         )
         with suppress(RunError) if status == "failed" else nullcontext():  # a full disk was told already
@@ -331,7 +343,7 @@ def _quiet_writers() -> Iterator[None]:
 def _explained(error: DeepbotsError | OSError, run: Run, checkpoints: Checkpoints) -> DeepbotsError:
     """The error that ended a training, with what is kept of it and how to use that."""
     known = RunError(unwritable(Path(error.filename or run.path), error)) if isinstance(error, OSError) else error
-    if checkpoints.kept and isinstance(known.__cause__ or error, OSError):
+    if checkpoints.kept and (isinstance(known, PluginError) or isinstance(known.__cause__ or error, OSError)):
         known.add_note(f"{checkpoints.kept}; go on from there with: deepbots train --resume {quote(str(run.path))}")
     elif checkpoints.kept:  # which would fail again, to the bit
         known.add_note(f"{checkpoints.kept}; evaluate what was learned with: deepbots eval {quote(str(run.path))}")
@@ -339,7 +351,13 @@ def _explained(error: DeepbotsError | OSError, run: Run, checkpoints: Checkpoint
 
 
 def _environment(
-    stack: ExitStack, run: Run, training: Training, build: BuildWorld, callback: TrainingCallback, checkpoints: Checkpoints
+    stack: ExitStack,
+    run: Run,
+    training: Training,
+    build: BuildWorld,
+    callback: TrainingCallback,
+    checkpoints: Checkpoints,
+    reporter: Reporter,
 ) -> VecEnv:
     """The worlds, which report to the statistics and the episode log; all closed with `stack`."""
     statistics, curriculum = callback.statistics, callback.curriculum
@@ -354,9 +372,8 @@ def _environment(
 
     def count_episode(index: int, episode: Episode) -> None:
         present = stages[index] == curriculum.index
-        stage = curriculum.stages[stages[index]].name if curriculum.stages else None
         statistics.add(episode, present=present)
-        log.write(episode, statistics, stage, env.drawn[index])
+        log.write(episode, statistics, curriculum.name_of(stages[index]), env.drawn[index])
         if present and curriculum.add(episode, statistics.steps, statistics.episodes):
             callback.begin_stage()
 
@@ -369,10 +386,9 @@ def _environment(
         worlds[index] = guarded(curriculum.index)
         return worlds[index], seed
 
-    def guarded(stage: int) -> World:
+    def guarded(stage: int) -> FailureRecorder:
         scenario = curriculum.scenario_of(stage)
-        name = curriculum.stages[stage].name if curriculum.stages else None
-        return FailureRecorder(build(scenario), run, scenario, episode=lambda: statistics.episodes + 1, stage=name)
+        return FailureRecorder(build(scenario), run, scenario, episode=lambda: statistics.next_episode, stage=curriculum.name_of(stage))
 
     def close() -> None:
         for world in worlds:
@@ -384,7 +400,10 @@ def _environment(
     env: VectorEnvironment
     if not batch.reasons_against(run.program, len(stages), run.record.engine, build):
         build_stage = partial(_batch_of_stage, run, curriculum, len(stages))
-        env = batch.BatchedWorlds(build_stage, seeds, stages, on_step=count_step, on_episode=count_episode, next_seed=next_seed)
+        recorder = BatchRecorder(run, guarded, statistics, curriculum, reporter)
+        env = batch.BatchedWorlds(
+            build_stage, seeds, stages, on_step=count_step, on_episode=count_episode, next_seed=next_seed, recorder=recorder
+        )
         stack.callback(env.close)
     else:
         for stage in stages:
@@ -411,7 +430,9 @@ def _normalized(env: VecEnv, training: Training) -> VecNormalize:
     return VecNormalize(env, norm_obs=False, gamma=gamma)
 
 
-def _drive(model: Any, training: Training, callback: TrainingCallback, checkpoints: Checkpoints) -> Status:
+def _drive(
+    model: Any, training: Training, callback: TrainingCallback, followers: Sequence[BaseCallback], checkpoints: Checkpoints
+) -> Status:
     """Learn until the goal, a solved task or an interruption."""
     run, statistics = callback.run, callback.statistics
     model.set_logger(configure(str(run.tensorboard), ["tensorboard"]))
@@ -421,16 +442,18 @@ def _drive(model: Any, training: Training, callback: TrainingCallback, checkpoin
     if isinstance(model, OnPolicyAlgorithm):
         options["log_interval"] = 1  # `Resumable.dump_logs` decides
     try:
+        for name in run.record.loggers:
+            model.logger.output_formats.append(plugins.PluginLogger(name, run.path))
         if statistics.steps >= callback.total:  # it was killed when it was done, before its record said so
             model._setup_learn(callback.total, callback)
             return "finished"
-        model.learn(callback.total, callback=callback, **options)
+        model.learn(callback.total, callback=[callback, *followers] if followers else callback, **options)
         if callback.interruption.requested and statistics.steps < callback.total:
             return "interrupted"
         callback.evaluate(AT_ONCE)
         if statistics.steps >= callback.total:
             checkpoints.finish(model)
-        else:  # in the middle of a roll-out, since the task is solved
+        else:  # in the middle of a roll-out, since the task is solved or a callback says so
             models.save(run.model("last"), model)
     except (ValueError, UsageError):
         # torch's distributions refuse parameters that are not finite, and a world an action, before we look at the weights.

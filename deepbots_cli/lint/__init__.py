@@ -29,8 +29,7 @@ from textwrap import dedent, fill, indent
 
 from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import MAX_FINDINGS, RULES, Finding, Findings, Source, Span, faults_as_findings
-from deepbots_cli.diagnostics.findings import internal_error
-from deepbots_cli.diagnostics.suppress import suppress
+from deepbots_cli.diagnostics.findings import internal_error, suppress
 from deepbots_cli.document.nodes import to_data
 from deepbots_cli.document.parse import parse
 from deepbots_cli.lint import endings, names, observations, rewards, robots, saturation, shaping, world

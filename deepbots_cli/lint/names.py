@@ -61,7 +61,7 @@ def _unused_parts(context: RuleContext) -> Iterator[Finding]:
     """Sensors and actuators of a robot, and what it receives."""
     read = {
         subject.name
-        for value in _computed(context.program)
+        for value in context.program.computed
         for node in walk(value.typed)
         if isinstance(node, Invocation)
         for subject in node.subjects
@@ -90,20 +90,6 @@ def _unused_parts(context: RuleContext) -> Iterator[Finding]:
             span = context.values.key_span(path)
             if span.source is context.checked.document.source:  # an included robot file may offer more than the task needs
                 yield Finding("DB205", span, f"`{path[-1]}` is {what}", help=help, fix=removal_fix(context.values.root, path))
-
-
-def _computed(program: Program) -> Iterator[Expression]:
-    """What the supervisor computes."""
-    yield from program.signals
-    yield from program.policy.reward
-    if program.policy.goal is not None:
-        yield from (program.policy.goal.achieved, program.policy.goal.desired)
-    yield from (ending.value for ending in program.endings)
-    for script in program.policy.scripts:
-        for part in script.parts:
-            yield from part.values
-    for robot in program.robots:
-        yield from robot.receive
 
 
 # Equality of measurements

@@ -19,8 +19,6 @@ from deepbots_cli.program.values import Expression
 
 _DOMINATES = 100.0
 """A term that is so many times what an ending pays makes that invisible."""
-_DISCOUNT = 0.99
-"""The default of every algorithm."""
 _ROUNDING = 1e-9
 _MIN_STEPS = 200
 """Fewer simulated steps allow no conclusion."""
@@ -404,9 +402,7 @@ def _staying_outside(ranges: Ranges, threshold: Threshold) -> Ranges:
 
 def discounted_ticks(reward: RewardTerms) -> float:
     """The timesteps that count: half an episode, or the horizon of the discount factor if it is shorter."""
-    training = reward.program.policy.training
-    found = [entry.value for entry in training.hyperparameters if entry.name == "gamma"] if training else []
-    gamma = found[0] if found and isinstance(found[0], float) else _DISCOUNT
+    gamma = reward.program.policy.discount
     seen = INF if gamma >= 1.0 else 1.0 / (1.0 - gamma)
     return min(reward.analysis.last / 2, seen) * reward.program.action_repeat
 
@@ -494,9 +490,9 @@ def nothing_to_learn(context: RuleContext) -> Iterator[Finding]:
         reward: {alive: 1}
         termination: {failure: {fallen: abs(cart.pole_angle) > fall_angle}}
     """
-    if context.program.policy.training is None or not all(_worth(analysis).single for analysis in context.versions):
+    if context.program.policy.training is None or not all(return_range(analysis).single for analysis in context.versions):
         return
-    worth = _worth(context.analysis).low
+    worth = return_range(context.analysis).low
     headline = f"every episode has the return {worth:.4g}, whatever the policy does"
     help = "pay for the goal, as in `1 when goal_reached`" if context.program.policy.goal else "pay for the intended behaviour"
     if worth > 0.0:
@@ -522,7 +518,7 @@ def return_out_of_reach(context: RuleContext) -> Iterator[Finding]:
         solved: {mean_return: 195, episodes: 100}
     """
     for analysis, wanted, path in _wanted_returns(context):
-        known = _worth(analysis)
+        known = return_range(analysis)
         if wanted > known.high + _ROUNDING * abs(known.high):
             headline = f"no episode reaches the required return of {wanted:g}: the highest possible return is {known.high:.4g}"
             help = "require a smaller return"
@@ -544,7 +540,7 @@ def _wanted_returns(context: RuleContext) -> Iterator[tuple[Analysis, float, Pat
             yield analysis, stage.until.threshold, ("curriculum", place, "until")
 
 
-def _worth(analysis: Analysis) -> Interval:
+def return_range(analysis: Analysis) -> Interval:
     """The range of the return of an episode, from the ranges of what a step and an end pay."""
     reward = analysis.reward
     if not reward.is_complete:

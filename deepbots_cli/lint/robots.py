@@ -20,7 +20,6 @@ from deepbots_cli.lint.ranges import is_level, range_text, with_unit
 from deepbots_cli.lint.simulation import ARENA, SINK, Clearance, Miss, Simulation, Where, casts_rays
 from deepbots_cli.program.robots import Actuator, Cartesian, CustomActuator, Motor, Robot, Thrust
 from deepbots_cli.program.world import ObjectBody, RobotBody, WorldModel
-from deepbots_cli.robots.inertia import matrix
 from deepbots_cli.robots.meshes import mesh_bounds
 from deepbots_cli.robots.model import Joint, Mesh, RobotModel
 
@@ -267,7 +266,7 @@ def _moved(model: RobotModel, where: Mapping[str, Frame], joint: Joint, limit: f
             continue
         arm = frames.cross(axis, frames.subtract(centre, pivot))
         local = frames.rotate_back(own, axis)
-        spin = sum(local[i] * row[j] * local[j] for i, row in enumerate(matrix(link.inertial)) for j in range(3))
+        spin = sum(local[i] * row[j] * local[j] for i, row in enumerate(link.inertial.matrix) for j in range(3))
         load, inertia = load + mass * frames.dot(arm, pull), inertia + mass * frames.dot(arm, arm) + spin
     excess = abs(load) - joint.friction
     if excess <= 0.0 or inertia <= 0.0 or (limit is not None and abs(load) > limit):

@@ -49,7 +49,6 @@ from deepbots_cli.robots.model import RobotModel
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.actuation import Cartesian
 
-_DEFAULT_DISCOUNT = 0.99
 _ROUNDING = 1e-6
 """Numbers of the observation, from -1 to 1, that differ by less are equal."""
 _NOTHING = 1e-9
@@ -207,7 +206,7 @@ class Simulator:
             if terminated or truncated:
                 break
         if report:
-            worth = float(np.dot(rewards, _discount(self._program) ** np.arange(len(rewards))))
+            worth = float(np.dot(rewards, self._program.policy.discount ** np.arange(len(rewards))))
             end = "success" if environment.is_success else "failure" if environment.terminated else None
             end = end or ("limit" if environment.truncated else "left")
             self._write({"episode": {"by": rollout.by, "seed": rollout.seed, "steps": len(rewards), "worth": worth, "end": end}})
@@ -343,11 +342,6 @@ def _idle(environment: Supervisor) -> Iterator[Any]:
     action = environment.acting(*wanted)
     while True:
         yield action
-
-
-def _discount(program: Program) -> float:
-    found = [entry.value for entry in program.policy.training.hyperparameters if entry.name == "gamma"] if program.policy.training else []
-    return found[0] if found and isinstance(found[0], float) else _DEFAULT_DISCOUNT
 
 
 def _outside(environment: Supervisor, observation: Any) -> list[str]:

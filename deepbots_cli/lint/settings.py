@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from deepbots_cli.diagnostics import Source
+from deepbots_cli.diagnostics.findings import RuleSelectors
 from deepbots_cli.diagnostics.nearest import nearest
-from deepbots_cli.diagnostics.suppress import RuleSelectors
 from deepbots_cli.document import files
 from deepbots_cli.errors import UsageError
 

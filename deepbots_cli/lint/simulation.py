@@ -520,7 +520,7 @@ class Simulation(RuleContext):
         return None
 
     def _identifiers(self) -> Iterator[tuple[str, tuple[Expression, Section]]]:
-        """The identifiers of values in generated code, in the order of `codegen.names`, which appends a number to a taken one."""
+        """The identifiers of values in generated code, in the order of `codegen.text`, which appends a number to a taken one."""
         program = self.program
         for entry in program.policy.observation:
             for name in (_identifier("seen", entry.value.name), _identifier(entry.value.name)):

@@ -14,10 +14,10 @@ from deepbots_cli.diagnostics import Finding, Label, Span
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, MASS
-from deepbots_cli.expressions.functions import FUNCTIONS, Family
+from deepbots_cli.expressions.functions import draws
 from deepbots_cli.expressions.intervals import ALWAYS, exact
 from deepbots_cli.expressions.scalar import World
-from deepbots_cli.expressions.types import Invocation, Stage, Typed, walk
+from deepbots_cli.expressions.types import Stage
 from deepbots_cli.lint.analysis import Analysis, RuleContext, names_in
 from deepbots_cli.lint.observations import may_be_noisy
 from deepbots_cli.lint.ranges import StartRanges, is_level, with_unit
@@ -26,8 +26,7 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.resets import Placement
 from deepbots_cli.program.robots import Route, Sensor
 from deepbots_cli.program.world import ARENA_WALLS, GROUND, ObjectBody, RobotBody, Variant
-from deepbots_cli.robots.inertia import volume
-from deepbots_cli.robots.model import Capsule, Cylinder, Mesh, Shape, Sphere
+from deepbots_cli.robots.model import Capsule, Cylinder, Mesh, Shape, Sphere, volume
 
 _LIGHTEST, _HEAVIEST = 0.1, 25_000.0
 """kg/m^3; air has 1.2, osmium 22 600, and a toy balloon weighs 0.2 for each m^3."""
@@ -279,7 +278,7 @@ def identical_episodes(context: RuleContext) -> Iterator[Finding]:
         or _varies(context.analysis)
     ):
         return
-    if any(_is_drawn(tree) for reading in context.values.readings for tree in reading.trees):
+    if any(draws(tree) for reading in context.values.readings for tree in reading.trees):
         return
     headline = f"nothing is drawn, so the {program.evaluation.episodes} episodes of an evaluation are identical"
     if program.reset.joint_starts:
@@ -321,12 +320,8 @@ def _has_noise(sensor: Sensor) -> bool:
     return (faults is not None and any((faults.noise, faults.relative_noise, faults.drift))) or (lookup is not None and bool(lookup.noise))
 
 
-def _is_drawn(tree: Typed) -> bool:
-    return any(isinstance(node, Invocation) and FUNCTIONS[node.function].family is Family.DRAW for node in walk(tree))
-
-
 def _draws_coordinates(place: Placement) -> bool:
-    return any(_is_drawn(coordinate.typed) for coordinate in place.coordinates.values())
+    return any(draws(coordinate.typed) for coordinate in place.coordinates.values())
 
 
 def requirement_not_redrawn(context: RuleContext) -> Iterator[Finding]:
@@ -377,7 +372,7 @@ def _is_of_root(program: Program, fact: World) -> bool:
 
 def _is_drawn_again(program: Program, places: list[Placement], bent: set[str]) -> bool:
     """Whether the next attempt differs: in the place of a body, in the layout, or in a joint of a robot in `bent`."""
-    joints = any(start.robot in bent and _is_drawn(start.position.typed) for start in program.reset.joint_starts)
+    joints = any(start.robot in bent and draws(start.position.typed) for start in program.reset.joint_starts)
     moved = any(_draws_coordinates(place) or place.spot is not None or place.at_most is not None for place in places)
     return joints or moved or (bool(places) and len(program.reset.layouts) > 1)
 

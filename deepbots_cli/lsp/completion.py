@@ -34,9 +34,8 @@ from deepbots_cli.lsp.lookup import (
     summary,
 )
 from deepbots_cli.lsp.workspace import Analysis, View
-from deepbots_cli.scenario.base import Kinds, MappingOf, Section, fields
-from deepbots_cli.scenario.docs import about_kind, example_of
-from deepbots_cli.scenario.docs import hover as hover_text
+from deepbots_cli.scenario.base import Kinds, MappingOf, Section, about, example_of, fields
+from deepbots_cli.scenario.base import hover as hover_text
 from deepbots_cli.scenario.fields import (
     COLOURS,
     MEASURES,
@@ -182,7 +181,7 @@ def _word_choices(view: View, data: Any) -> Iterator[Choice]:
     path = view.place.path
     for shape in shapes_at(path[:-1], data) if path else ():
         if isinstance(shape, Kinds) and shape.key == path[-1]:
-            yield from (Choice(word, CompletionItemKind.EnumMember, shape.key, about_kind(shape, word)) for word in shape.names)
+            yield from (Choice(word, CompletionItemKind.EnumMember, shape.key, about(shape.models[word])) for word in shape.names)
     if path and path[-1] in ("include", "extends"):
         yield from _files(view, (".yaml", ".yml"))
     for shape in shapes_at(path, data):

@@ -27,12 +27,10 @@ from deepbots_cli.expressions.intervals import EVERYTHING, Interval
 from deepbots_cli.expressions.types import Kind, Symbol, Type, Typed, children, shown
 from deepbots_cli.lint import pages_of
 from deepbots_cli.lsp.cursor import value_at
-from deepbots_cli.lsp.diagnostics import Locator
-from deepbots_cli.lsp.workspace import Document, View, uri_of
+from deepbots_cli.lsp.workspace import Document, Locator, View, uri_of
 from deepbots_cli.robots import meshes
-from deepbots_cli.scenario.base import Forms, Kinds, ListOf, MappingOf, Section, Shape, fields, noun_of
-from deepbots_cli.scenario.docs import about_kind
-from deepbots_cli.scenario.docs import hover as hover_text
+from deepbots_cli.scenario.base import Forms, Kinds, ListOf, MappingOf, Section, Shape, about, fields, noun_of
+from deepbots_cli.scenario.base import hover as hover_text
 from deepbots_cli.scenario.fields import FieldType, FilePath, Pattern, Reference
 from deepbots_cli.scenario.scenario import Scenario
 
@@ -505,7 +503,7 @@ def _value_text(view: View, found: KeyOrValue) -> str | None:
             return named
     kinds = _kinds(view, found)
     if kinds is not None and found.text in kinds.names:
-        return f"`{found.text}`: {about_kind(kinds, found.text)}"
+        return f"`{found.text}`: {about(kinds.models[found.text])}"
     steps = next((found.path[:end] for end in range(len(found.path), 0, -1) if isinstance(found.path[end - 1], str)), ())
     part = section_of(steps, view.data)
     return hover_text(part, str(steps[-1])) if part is not None else None

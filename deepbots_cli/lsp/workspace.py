@@ -23,7 +23,7 @@ from pygls.workspace import PositionCodec
 from deepbots_cli.compiler import Checked, check
 from deepbots_cli.compiler.values import Reading
 from deepbots_cli.diagnostics import Finding, Findings, Source, Span
-from deepbots_cli.diagnostics.suppress import Selection
+from deepbots_cli.diagnostics.findings import Selection
 from deepbots_cli.document import Mapping, descend, files, load, to_data
 from deepbots_cli.document.files import project_root
 from deepbots_cli.document.load import Drafts
@@ -215,6 +215,29 @@ def analyse(document: Document, drafts: Drafts, *, allow_paths: Iterable[Path] =
     found = review(checked, preview=preview)
     wanted = (*selection.inactive_rules(), *filter(selection.selects, found))
     return Analysis(document, drafts, wanted, checked, settings_error, selection)
+
+
+class Locator:
+    """Converts spans of one analysis to locations; `open_uris` gives the client's URI of each open file, by path."""
+
+    def __init__(self, analysis: Analysis, open_uris: dict[Path, str]) -> None:
+        self._analysis = analysis
+        self._open_uris = open_uris
+        self._lines: dict[Source, Lines] = {}
+
+    def uri(self, source: Source) -> str:
+        path = self._analysis.path(source)
+        return self._open_uris.get(path) or uri_of(path)
+
+    def range(self, span: Span) -> types.Range:
+        if span.source not in self._lines:
+            draft = self._analysis.drafts.get(self._analysis.path(span.source), b"")
+            mark = "\ufeff" if draft.startswith(b"\xef\xbb\xbf") else ""
+            self._lines[span.source] = Lines(mark + span.source.text, self._analysis.document.codec)
+        return self._lines[span.source].range(span.start, span.end)
+
+    def location(self, span: Span) -> types.Location:
+        return types.Location(self.uri(span.source), self.range(span))
 
 
 @dataclass(frozen=True, eq=False)

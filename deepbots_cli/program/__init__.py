@@ -23,7 +23,7 @@ a program as canonical JSON, whose digest identifies the scenario.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeVar
@@ -34,7 +34,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.scalar import is_drawn
 from deepbots_cli.program.resets import Disturbance, Reset
 from deepbots_cli.program.robots import Robot, Timing
-from deepbots_cli.program.task import Criterion, Ending, Evaluation, Policy, ScenarioTest, Script, Solved, Truncation
+from deepbots_cli.program.task import Choices, Criterion, Ending, Evaluation, Policy, ScenarioTest, Script, Solved, Truncation
 from deepbots_cli.program.values import Expression, Foreign, NamedScalars
 from deepbots_cli.program.world import WorldModel
 
@@ -101,6 +101,24 @@ class Program:
         return tuple(value.foreign for value in named if value.foreign is not None)
 
     @property
+    def computed(self) -> Iterator[Expression]:
+        """What the supervisor computes in a step: conditions of choices, signals, observation, reward, endings, goal, scripts, messages."""
+        for part in self.policy.action:
+            if isinstance(part, Choices):
+                yield from (option.forbidden for option in part.options if option.forbidden is not None)
+        yield from self.signals
+        yield from (entry.value for entry in self.policy.observation)
+        yield from self.policy.reward
+        yield from (ending.value for ending in self.endings)
+        if self.policy.goal is not None:
+            yield from (self.policy.goal.achieved, self.policy.goal.desired)
+        for script in self.policy.scripts:
+            for decided in script.parts:
+                yield from decided.values
+        for robot in self.robots:
+            yield from robot.receive
+
+    @property
     def settable(self) -> tuple[NamedScalars, ...]:
         """Draws with a name, which `options` of `reset` may set: parameters, places and joints."""
         drawn = (
@@ -112,6 +130,11 @@ class Program:
     def period(self) -> float:
         """Simulated time of one step, in s."""
         return self.world.timestep * self.action_repeat
+
+    @cached_property
+    def failures(self) -> frozenset[str]:
+        """The names of the endings that are failures."""
+        return frozenset(ending.name for ending in self.endings if ending.outcome == "failure")
 
     @property
     def defines_success(self) -> bool:

@@ -16,6 +16,7 @@ import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass, replace
+from functools import lru_cache
 from pathlib import PurePath
 from typing import Any
 
@@ -34,8 +35,12 @@ def to_json(program: Program) -> str:
     return json.dumps(_plain(program), sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
+@lru_cache(maxsize=16)
 def digest(program: Program) -> str:
-    """SHA-256 of the canonical JSON, in hexadecimal; a file counts for its content, not for its path."""
+    """SHA-256 of the canonical JSON, in hexadecimal; a file counts for its content, not for its path.
+
+    It is kept, since each copy of an environment asks for it: that of PandaReach takes 30 ms.
+    """
     placeless = with_files(program, lambda file: replace(file, path=PurePath(file.path).suffix))
     return hashlib.sha256(to_json(placeless).encode()).hexdigest()
 

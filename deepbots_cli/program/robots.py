@@ -17,8 +17,6 @@ from deepbots_cli.robots.model import Pose
 
 MAX_RAYS = 4096
 MAX_SENSED_RAYS = 4 * MAX_RAYS  # of all sensors of a robot
-MAX_PIXELS = 1024
-"""Per side of a picture."""
 MIN_RESOLUTION = 1e-12
 """Smallest step between two readings, in the sensor's unit."""
 

@@ -55,6 +55,11 @@ class ActionRange:
     high: float
     unit: str
 
+    @property
+    def names(self) -> list[str]:
+        """`speed.left` and `speed.right`, or `speed` without components."""
+        return [f"{self.name}.{component}" for component in self.components] or [self.name]
+
 
 ActionPart = Choices | ActionRange
 
@@ -459,6 +464,12 @@ class Policy:
     def numbers(self) -> tuple[ObservedNumber, ...]:
         """The numbers of one frame of the observation, apart from images."""
         return tuple(number for entry in self.observation for number in entry.numbers)
+
+    @property
+    def discount(self) -> float:
+        """The discount factor of the training, per step; 0.99 is the default of every algorithm."""
+        known = self.training.hyperparameters if self.training else ()
+        return next((float(entry.value) for entry in known if entry.name == "gamma" and isinstance(entry.value, int | float)), 0.99)
 
     @property
     def images(self) -> tuple[ImageObservation, ...]:

@@ -11,7 +11,6 @@ from deepbots_cli.robots.model import Mesh, Pose, RobotModel, Shape, Vector
 
 # What one world and one reset may ask of an engine; beyond, building or resetting would take minutes.
 MAX_BODIES = 500
-MAX_SUBSTEPS = 10_000
 MAX_SETTLING_STEPS = 100_000
 MAX_POINTS = 10_000  # of all painted lines together
 

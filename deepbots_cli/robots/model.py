@@ -1,4 +1,6 @@
-"""A robot as data: links, joints, limits, inertia. SI units; rpy in rad, fixed axes x, y, z as in URDF.
+"""A robot as data: links, joints, limits, inertia; inertia of simple shapes in closed form; URDF text; pure functions that change it.
+
+SI units; rpy in rad, fixed axes x, y, z as in URDF.
 
 Frozen and free of places in the text, so that it can stand in the compiled scenario and be hashed;
 `reader.RobotFile` holds the places.
@@ -6,8 +8,12 @@ Frozen and free of places in the text, so that it can stand in the compiled scen
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass, field, replace
 from typing import Literal
+
+from deepbots_cli import frames
+from deepbots_cli.frames import Matrix, diagonal, product, rotate_tensor, rotation_matrix, transposed
 
 Vector = tuple[float, float, float]
 Colour = tuple[float, float, float, float]
@@ -74,6 +80,24 @@ class Inertial:
     iyy: float = 0.0
     iyz: float = 0.0
     izz: float = 0.0
+
+    @property
+    def matrix(self) -> Matrix:
+        """The inertia as a symmetric matrix."""
+        return ((self.ixx, self.ixy, self.ixz), (self.ixy, self.iyy, self.iyz), (self.ixz, self.iyz, self.izz))
+
+    @property
+    def is_plausible(self) -> bool:
+        """Whether a rigid body can have this inertia: positive definite, and no principal moment above the sum of the others.
+
+        The second holds exactly if the second moments of the mass, J = tr(I)/2 - I, are positive semidefinite.
+        """
+        tensor = self.matrix
+        trace = tensor[0][0] + tensor[1][1] + tensor[2][2]
+        if trace <= 0:
+            return False
+        unit = scaled(tensor, 1 / trace)
+        return _is_positive(unit, 0.0) and _is_positive(second_moments(unit), _TOLERANCE)
 
 
 @dataclass(frozen=True)
@@ -162,3 +186,331 @@ class RobotModel:
     @property
     def moving_joints(self) -> tuple[Joint, ...]:
         return tuple(joint for joint in self.joints if joint.moves)
+
+    def subtree_mass(self) -> dict[str, float]:
+        """For each link by name, the mass (kg) of the link and of everything below it."""
+        mass = {link.name: link.inertial.mass if link.inertial else 0.0 for link in self.links}
+        below: dict[str, list[str]] = {name: [] for name in mass}
+        for joint in self.joints:
+            below[joint.parent].append(joint.child)
+        order = [self.root]
+        for link in order:  # parents first; a chain of links may be longer than Python's stack
+            order += below[link]
+        for link in reversed(order):
+            mass[link] += sum(mass[child] for child in below[link])
+        return mass
+
+
+# Simple shapes: inertia in kg m^2 about the centre of mass, in axes parallel to the shape's own
+
+_HERE = Pose()
+# Published files round to three digits, and a flat plate lies exactly on the boundary.
+_TOLERANCE = 1e-3
+
+
+def volume(shape: Shape) -> float | None:
+    """In m^3; None for a mesh, which may not be closed."""
+    match shape:
+        case Box((x, y, z)):
+            return x * y * z
+        case Sphere(r):
+            return 4 / 3 * math.pi * r * r * r
+        case Cylinder(r, length):
+            return math.pi * r * r * length
+        case Capsule(r, length):
+            return math.pi * r * r * (length + 4 / 3 * r)
+        case Mesh():
+            return None
+
+
+def homogeneous(shape: Shape, mass: float, origin: Pose = _HERE) -> Inertial | None:
+    """The inertial of a homogeneous body of `mass` kg whose shape has the pose `origin`; None for a mesh."""
+    match shape:
+        case Box((x, y, z)):
+            return Inertial(mass, origin, ixx=mass / 12 * (y * y + z * z), iyy=mass / 12 * (x * x + z * z), izz=mass / 12 * (x * x + y * y))
+        case Sphere(r):
+            moment = 2 / 5 * mass * r * r
+            return Inertial(mass, origin, ixx=moment, iyy=moment, izz=moment)
+        case Cylinder(r, length):
+            across = mass / 12 * (3 * r * r + length * length)
+            return Inertial(mass, origin, ixx=across, iyy=across, izz=mass / 2 * r * r)
+        case Capsule(r, length):
+            middle = mass * length / (length + 4 / 3 * r)
+            ends = mass - middle
+            across = middle / 12 * (3 * r * r + length * length) + ends * (2 / 5 * r * r + length * length / 4 + 3 / 8 * length * r)
+            return Inertial(mass, origin, ixx=across, iyy=across, izz=middle / 2 * r * r + ends * 2 / 5 * r * r)
+        case Mesh():
+            return None
+
+
+def second_moments(tensor: Matrix) -> Matrix:
+    """J = tr(I)/2 - I, the integral of r r^T over the mass."""
+    return _trace_minus(tensor, 0.5)
+
+
+def from_second_moments(moments: Matrix) -> Matrix:
+    """I = tr(J) - J, the inverse of `second_moments`."""
+    return _trace_minus(moments, 1.0)
+
+
+def scaled(m: Matrix, factor: float) -> Matrix:
+    return (frames.scaled(m[0], factor), frames.scaled(m[1], factor), frames.scaled(m[2], factor))
+
+
+def _trace_minus(m: Matrix, share: float) -> Matrix:
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = m
+    trace = share * (xx + yy + zz)
+    return ((trace - xx, -xy, -xz), (-xy, trace - yy, -yz), (-xz, -yz, trace - zz))
+
+
+def _is_positive(m: Matrix, shift: float) -> bool:
+    """Whether `m` plus `shift` on the diagonal is positive definite (Sylvester)."""
+    (a, d, e), (_, b, f), (_, _, c) = m
+    a, b, c = a + shift, b + shift, c + shift
+    return a > 0 and a * b - d * d > 0 and a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e) > 0
+
+
+# As URDF text
+
+Lines = list[str]
+# `quoteattr` of the standard library does the same, and imports 66 modules, `urllib` and `email` among them.
+_ESCAPES = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;", "\n": "&#10;", "\r": "&#13;", "\t": "&#9;"})
+
+
+def write(model: RobotModel) -> str:
+    """The model as URDF text: one element per line, floats to the last digit, meshes by the path that the model holds.
+
+    `reader.read_bytes(write(model).encode(), ...)` gives the same model again. This text, never the user's own file, is what an engine
+    loads.
+    """
+    colours: dict[Colour, str] = {}
+    links = [line for link in model.links for line in _link(link, colours)]
+    joints = [line for joint in model.joints for line in _joint(joint)]
+    return "\n".join(['<?xml version="1.0" encoding="utf-8"?>', *_element("robot", [*links, *joints], name=model.name), ""])
+
+
+def _element(tag: str, inside: Lines | None = None, **attributes: str | float | tuple[float, ...] | None) -> Lines:
+    """An element with the lines inside it; attributes that are None are left out."""
+    written = [f" {name}={_value(value)}" for name, value in attributes.items() if value is not None]
+    if inside is None:
+        return [f"<{tag}{''.join(written)}/>"]
+    return [f"<{tag}{''.join(written)}>", *(f"  {line}" for line in inside), f"</{tag}>"]
+
+
+def _value(value: str | float | tuple[float, ...]) -> str:
+    text = value if isinstance(value, str) else " ".join(map(repr, value if isinstance(value, tuple) else (value,)))
+    return f'"{text.translate(_ESCAPES)}"'
+
+
+def _link(link: Link, colours: dict[Colour, str]) -> Lines:
+    inside = _inertial(link.inertial) if link.inertial else []
+    for tag, geometries in (("visual", link.visuals), ("collision", link.collisions)):
+        for geometry in geometries:
+            inside += _geometry(tag, geometry, colours)
+    return _element("link", inside + _friction(link.friction), name=link.name)
+
+
+def _inertial(inertial: Inertial) -> Lines:
+    i = inertial
+    moments = _element("inertia", ixx=i.ixx, ixy=i.ixy, ixz=i.ixz, iyy=i.iyy, iyz=i.iyz, izz=i.izz)
+    return _element("inertial", [*_origin(i.origin), *_element("mass", value=i.mass), *moments])
+
+
+def _origin(pose: Pose) -> Lines:
+    return _element("origin", xyz=pose.xyz, rpy=pose.rpy)
+
+
+def _geometry(tag: str, geometry: Geometry, colours: dict[Colour, str]) -> Lines:
+    inside = [*_origin(geometry.origin), *_element("geometry", _shape(geometry.shape))]
+    if geometry.colour:
+        # Engines look materials up by name in the whole file: one name must mean one colour.
+        name = colours.setdefault(geometry.colour, f"colour_{len(colours)}")
+        inside += _element("material", _element("color", rgba=geometry.colour), name=name)
+    return _element(tag, inside)
+
+
+def _shape(shape: Shape) -> Lines:
+    match shape:
+        case Box(size):
+            return _element("box", size=size)
+        case Sphere(radius):
+            return _element("sphere", radius=radius)
+        case Cylinder(radius, length):
+            return _element("cylinder", radius=radius, length=length)
+        case Capsule(radius, length):
+            return _element("capsule", radius=radius, length=length)
+        case Mesh(path, _, scale):
+            return _element("mesh", filename=path, scale=scale)
+
+
+def _friction(friction: Friction) -> Lines:
+    values = {
+        "lateral_friction": friction.lateral,
+        "spinning_friction": friction.spinning,
+        "rolling_friction": friction.rolling,
+        "restitution": friction.restitution,
+    }
+    inside = [line for tag, value in values.items() if value is not None for line in _element(tag, value=value)]
+    return _element("contact", inside) if inside else []
+
+
+def _joint(joint: Joint) -> Lines:
+    inside = [
+        *_origin(joint.origin),
+        *_element("parent", link=joint.parent),
+        *_element("child", link=joint.child),
+        *_element("axis", xyz=joint.axis),
+    ]
+    limit = joint.limit
+    if limit != Limit():
+        inside += _element("limit", lower=limit.lower, upper=limit.upper, velocity=limit.velocity, effort=limit.effort)
+    if joint.damping or joint.friction:
+        inside += _element("dynamics", damping=joint.damping, friction=joint.friction)
+    if joint.mimic:
+        inside += _element("mimic", joint=joint.mimic.joint, multiplier=joint.mimic.multiplier, offset=joint.mimic.offset)
+    return _element("joint", inside, name=joint.name, type=joint.type)
+
+
+# Changes: an impossible one returns a sentence with the reason. The link or joint must exist: callers report unknown names
+
+_ALIGNED = 1e-6
+
+
+def with_link(model: RobotModel, link: Link) -> RobotModel:
+    """`model` with the link of the same name exchanged."""
+    return replace(model, links=tuple(link if old.name == link.name else old for old in model.links))
+
+
+def with_mass(model: RobotModel, link: str, mass: float) -> RobotModel | str:
+    """The link with `mass` kg; its inertia grows in proportion, as if the material were denser."""
+    old = model.link(link)
+    if old.inertial is None or old.inertial.mass <= 0:
+        return f"link {link!r} has no mass in its robot file that could be changed"
+    if not (math.isfinite(mass) and mass > 0):
+        return f"the mass of link {link!r} must be above 0"
+    tensor = scaled(old.inertial.matrix, mass / old.inertial.mass)
+    return with_link(model, replace(old, inertial=_with_matrix(replace(old.inertial, mass=mass), tensor)))
+
+
+def with_density(model: RobotModel, link: str, density: float) -> RobotModel | str:
+    """The link as a homogeneous body of `density` kg/m^3; the mass of a mesh is computed when it is simulated."""
+    old = model.link(link)
+    shapes = old.collisions or old.visuals
+    if len(shapes) != 1:
+        return f"link {link!r} has {len(shapes)} shapes, and a density needs exactly one; give its `mass`"
+    shape = shapes[0].shape
+    if isinstance(shape, Mesh) and shape.path.lower().endswith(".dae"):
+        return f"the mesh of link {link!r} is a COLLADA file, whose volume is not read; give its `mass`"
+    inertial = homogeneous(shape, density * (volume(shape) or 0.0), shapes[0].origin)
+    return with_link(model, replace(old, inertial=inertial, density=density if inertial is None else None))
+
+
+def with_friction(model: RobotModel, link: str, **parameters: float | None) -> RobotModel:
+    """The link with the given contact parameters, by the names of `Friction`; None keeps the old value."""
+    old = model.link(link)
+    given = {name: value for name, value in parameters.items() if value is not None}
+    return with_link(model, replace(old, friction=replace(old.friction, **given)))
+
+
+def with_colour(model: RobotModel, link: str, colour: Colour) -> RobotModel:
+    """The link with all its visuals in one colour; a link without visuals shows its collision shapes."""
+    old = model.link(link)
+    return with_link(model, replace(old, visuals=tuple(replace(visual, colour=colour) for visual in old.visuals or old.collisions)))
+
+
+def with_joint(
+    model: RobotModel, joint: str, *, damping: float | None = None, friction: float | None = None, limit: Limit | None = None
+) -> RobotModel:
+    """The joint with `damping` (N m s/rad or N s/m), `friction` (N m or N) and `limit`; None keeps the value of the file."""
+    old = model.joint(joint)
+    new = replace(
+        old,
+        damping=old.damping if damping is None else damping,
+        friction=old.friction if friction is None else friction,
+        limit=old.limit if limit is None else limit,
+    )
+    return _with_joints(model, {joint: new})
+
+
+def _with_joints(model: RobotModel, changed: dict[str, Joint]) -> RobotModel:
+    return replace(model, joints=tuple(changed.get(old.name, old) for old in model.joints))
+
+
+class _ShapeError(Exception):
+    """A shape cannot be stretched so; `args` holds the reason."""
+
+
+def with_scale(model: RobotModel, link: str, scale: Vector) -> RobotModel | str:
+    """The link stretched by `scale` along the axes of its own frame, as if it were made longer from the same material.
+
+    Shapes, centre of mass and the origins of child joints move with it, mass grows with the volume, and the
+    inertia is exact for any distribution of mass, since the second moments transform linearly.
+    """
+    if not all(math.isfinite(factor) and factor > 0 for factor in scale):
+        return f"link {link!r} can only be stretched by numbers above 0"
+    old = model.link(link)
+    what = "visual"
+    try:
+        visuals = tuple(_stretched(geometry, scale) for geometry in old.visuals)
+        what = "collision"
+        collisions = tuple(_stretched(geometry, scale) for geometry in old.collisions)
+    except _ShapeError as error:
+        return f"a {what} shape of link {link!r} cannot follow this stretch: {error}"
+    inertial = _stretched_inertial(old.inertial, scale) if old.inertial else None
+    children = {
+        joint.name: replace(joint, origin=replace(joint.origin, xyz=_along(joint.origin.xyz, scale)))
+        for joint in model.joints
+        if joint.parent == link
+    }
+    return _with_joints(with_link(model, replace(old, inertial=inertial, visuals=visuals, collisions=collisions)), children)
+
+
+def _along(v: Vector, scale: Vector) -> Vector:
+    return (v[0] * scale[0], v[1] * scale[1], v[2] * scale[2])
+
+
+def _stretched_inertial(old: Inertial, scale: Vector) -> Inertial:
+    """J' = m'/m S J S with S in the axes of the link; the inertial keeps its own axes."""
+    growth = scale[0] * scale[1] * scale[2]
+    axes = rotation_matrix(old.origin.rpy)
+    moments = rotate_tensor(second_moments(old.matrix), axes)
+    stretched = scaled(product(product(diagonal(scale), moments), diagonal(scale)), growth)
+    tensor = from_second_moments(rotate_tensor(stretched, transposed(axes)))
+    return _with_matrix(replace(old, mass=old.mass * growth, origin=replace(old.origin, xyz=_along(old.origin.xyz, scale))), tensor)
+
+
+def _with_matrix(old: Inertial, tensor: Matrix) -> Inertial:
+    (ixx, ixy, ixz), (_, iyy, iyz), (_, _, izz) = tensor
+    return replace(old, ixx=ixx, ixy=ixy, ixz=ixz, iyy=iyy, iyz=iyz, izz=izz)
+
+
+def _stretched(old: Geometry, scale: Vector) -> Geometry:
+    """The shape's own axes stay at right angles exactly if S is diagonal in them."""
+    own = rotate_tensor(diagonal(scale), transposed(rotation_matrix(old.origin.rpy)))
+    if max(abs(own[0][1]), abs(own[0][2]), abs(own[1][2])) > _ALIGNED * max(scale):
+        raise _ShapeError("it is turned against the axes of the link, which would make it oblique")
+    shape = _stretched_shape(old.shape, (own[0][0], own[1][1], own[2][2]))
+    return Geometry(shape, replace(old.origin, xyz=_along(old.origin.xyz, scale)), old.colour)
+
+
+def _stretched_shape(shape: Shape, scale: Vector) -> Shape:
+    x, y, z = scale
+    round_about_z = math.isclose(x, y, rel_tol=_ALIGNED)
+    uniform = round_about_z and math.isclose(x, z, rel_tol=_ALIGNED)
+    match shape:
+        case Box(size):
+            return Box(_along(size, scale))
+        case Mesh():
+            return replace(shape, scale=_along(shape.scale, scale))
+        case Cylinder(radius, length) if round_about_z:
+            return Cylinder(radius * x, length * z)
+        case Cylinder():
+            raise _ShapeError("a cylinder would not stay round")
+        case Sphere(radius) if uniform:
+            return Sphere(radius * x)
+        case Sphere():
+            raise _ShapeError("a sphere would not stay round")
+        case Capsule(radius, length) if uniform:
+            return Capsule(radius * x, length * z)
+        case _:
+            raise _ShapeError("the ends of a capsule would not stay round")

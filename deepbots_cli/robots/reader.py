@@ -16,7 +16,6 @@ from deepbots_cli.diagnostics import Findings, Label, Source, Span
 from deepbots_cli.diagnostics.nearest import nearest
 from deepbots_cli.files import read_at_most
 from deepbots_cli.robots.elements import Element, known_names, parse, quoted
-from deepbots_cli.robots.inertia import is_plausible
 from deepbots_cli.robots.meshes import MeshReader, ResolveMesh, UnusableMesh, mesh_resolver
 from deepbots_cli.robots.model import (
     Box,
@@ -583,7 +582,7 @@ def _check_inertia(model: RobotModel, elements: Mapping[str, Element]) -> None:
     massless = [link for link in model.links if link.inertial and link.inertial.mass == 0]
     warn("DB306", massless, "mass 0", "give it a mass; an engine may treat such a link as immovable")
     for link in model.links:
-        if link.inertial and link.inertial.mass > 0 and not is_plausible(link.inertial):
+        if link.inertial and link.inertial.mass > 0 and not link.inertial.is_plausible:
             help = "each principal moment must be above 0 and at most the sum of the other two"
             at = elements[link.name].all("inertial")[0].all("inertia")[0]
             at.warn(f"no rigid body can have the inertia of link {quoted(link.name)}", help=help, code="DB306")

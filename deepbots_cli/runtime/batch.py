@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from deepbots_cli.errors import EvaluationError
+from deepbots_cli.errors import EngineError, EvaluationError
 from deepbots_cli.program.robots import Direction, Sensor
 from deepbots_cli.program.task import ActionRange
 from deepbots_cli.runtime.columns import Remembered
@@ -44,6 +44,18 @@ class BatchStep(NamedTuple):
     done: Column
     last: Any
     infos: list[dict[str, Any]]
+
+
+class Loss(NamedTuple):
+    """A world that was no longer finite: its number, the seed of its random generators, the step of its episode, and the error."""
+
+    world: int
+    seed: int
+    step: int
+    error: str
+
+    def __str__(self) -> str:
+        return f"world {self.world} (seed {self.seed}) was no longer finite in step {self.step} and begins anew"
 
 
 class Running(NamedTuple):
@@ -181,6 +193,7 @@ class BatchController(_Part):
 
     def __init__(self, singles: Sequence[RobotController], batch: BatchSupervisor) -> None:
         super().__init__(singles, batch)
+        self.devices: dict[str, Devices] = {}
         self.bind(batch.engine)
 
     def bind(self, engine: Any) -> None:
@@ -191,6 +204,7 @@ class BatchController(_Part):
         sensor: Sensor = next(sensor for sensor in self._singles[0].spec.sensors if sensor.name == name)
         made = Devices([single.devices[name] for single in self._singles], sensor, self._singles[0].spec.name, self._batch)
         self._loaded.append(made)
+        self.devices[name] = made
         return made
 
     def observe(self) -> None:
@@ -213,8 +227,10 @@ class BatchSupervisor(_Part, ABC):
         self.singles, self.engine, self.scenario, self.count = singles, engine, first.scenario, len(singles)
         self.observation_space, self.action_space = first.observation_space, first.action_space
         self.controllers: dict[str, BatchController] = {}
-        self.losses: list[tuple[int, int]] = []
-        """Seed and step of each world that was lost because it was no longer finite."""
+        self.channels: dict[tuple[str, str], Direct | Lossy] = {}
+        self.losses: list[Loss] = []
+        """The worlds that were no longer finite, in the order in which it was noticed."""
+        self._errors: dict[int, str] = {}
         self._episodes = [Running(0, []) for _ in singles]
         self._views = views(self.scenario)
         self.depth, self.newest = len(self._views), 0
@@ -257,12 +273,14 @@ class BatchSupervisor(_Part, ABC):
 
     def channel(self, name: str, direction: Direction) -> Direct:
         """The paths of messages to or from a robot, where they are direct."""
-        return Direct()
+        made = self.channels[name, direction] = Direct()
+        return made
 
     def lossy_channel(self, name: str, direction: Direction) -> Lossy:
         """The paths of messages to or from a robot, where messages come late or may be lost."""
         attribute = f"{'to' if direction == 'to_robot' else 'from'}_{name}"
-        return Lossy([getattr(single, attribute) for single in self.singles], self)
+        made = self.channels[name, direction] = Lossy([getattr(single, attribute) for single in self.singles], self)
+        return made
 
     # Course
 
@@ -281,8 +299,10 @@ class BatchSupervisor(_Part, ABC):
         Raises:
             EvaluationError: An expression has no value in a world that is finite, or an episode would end before its first step.
         """
+        known = len(self.losses)
         outcome = self.advance(action)
-        self.warn_of_losses(stacklevel=4)
+        for loss in self.losses[known:]:
+            warnings.warn(str(loss), RuntimeWarning, stacklevel=3)
         if not len(outcome.done):
             return outcome
         self.begin(outcome.done.tolist(), [None] * len(outcome.done))
@@ -308,13 +328,6 @@ class BatchSupervisor(_Part, ABC):
         last, infos = _taken(observations, done), [self.info(world) for world in done.tolist()]
         return BatchStep(observations, rewards, terms, terminated, truncated, done, last, infos)
 
-    def warn_of_losses(self, stacklevel: int) -> None:
-        """Warn of each world that was lost in the last step."""
-        for world in np.flatnonzero(self._lost).tolist():
-            seed, step = self.singles[world].streams.root, int(self.step_count[world])
-            message = f"world {world} (seed {seed}) was no longer finite in step {step} and begins anew"
-            warnings.warn(message, RuntimeWarning, stacklevel=stacklevel)
-
     def begin(self, worlds: Sequence[int], seeds: Sequence[int | None]) -> None:
         """Let some worlds begin episodes, each with a seed of its own or going on with its streams."""
         for world, seed in zip(worlds, seeds, strict=True):
@@ -324,7 +337,7 @@ class BatchSupervisor(_Part, ABC):
         self._take_over_from(worlds)
 
     def snapshot(self) -> list[Running]:
-        """The running episode of each world, from which `restore` goes on; it holds as much as the episodes have actions."""
+        """The running episode of each world, from which `restore` goes on; its size is proportional to the number of actions."""
         return [Running(episode.start, list(episode.actions)) for episode in self._episodes]
 
     def restore(self, episodes: Sequence[Running], on_step: Callable[[Column], None] = lambda acting: None) -> Any:
@@ -383,7 +396,8 @@ class BatchSupervisor(_Part, ABC):
         """End the episodes of worlds that are no longer finite."""
         lost = self._lost
         for world in np.flatnonzero(lost).tolist():
-            self.losses.append((self.singles[world].streams.root, int(self.step_count[world])))
+            error = self._errors.pop(world, "the state left the range of numbers")
+            self.losses.append(Loss(world, self.singles[world].streams.root, int(self.step_count[world]), error))
         self.reward = np.where(lost, 0.0, self.reward)
         self.terminated, self.truncated = self.terminated & ~lost, self.truncated | lost
         self.is_success = self.is_success & ~lost
@@ -434,7 +448,12 @@ class BatchSupervisor(_Part, ABC):
             self._lost = self._lost.copy()
             self._lost[lost] = True
             for world in lost.tolist():
-                self.engine.members[world].reset()  # so that nothing that reads it fails
+                member = self.engine.members[world]
+                try:
+                    member.require_finite()
+                except EngineError as error:
+                    self._errors[world] = str(error)
+                member.reset()  # so that nothing that reads it fails
             self.engine.begun(lost.tolist())
 
     def ranges(self, action: Any) -> Column:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-from deepbots_cli.expressions.scalar import Const, Draw, Scalar
+from deepbots_cli.expressions.scalar import Const, Draw, Name, Scalar
 from deepbots_cli.footprint import Bounds, bounds, bounds_of_shape
 from deepbots_cli.frames import Triple, add, cross, dot, scaled
 from deepbots_cli.port import STILL, View
@@ -20,6 +20,10 @@ _FLAT = 0.9  # how much higher the eye stands over what is flat
 _MARGIN = 1.08
 _APART = 1.1  # how far apart two scenes stand, as a factor
 _LEAST = 0.05  # m; half the side of the smallest scene
+_ROOM = 0.2  # of its largest side, on each side of a robot that the view follows: legs swing out
+
+Parameters = Mapping[tuple[str, str | None], Scalar]
+"""What each component of a parameter is."""
 
 
 def overview(scenario: Program, width: int = 480, height: int = 320) -> View:
@@ -32,11 +36,16 @@ def extent(scenario: Program) -> list[Bounds]:
     places = {place.body: place for place in scenario.reset.placements}
     for layout in scenario.reset.layouts:
         places = {place.body: place for place in layout.placements} | places
-    boxes = [*_surroundings(scenario.world), *_robots(scenario, places), *_objects(scenario.world, places)]
-    arena = scenario.world.arena
-    if arena is None:
+    parameters = {
+        (each.name, component): scalar
+        for each in scenario.parameters
+        for component, scalar in zip(each.typed.type.components or (None,), each.scalars, strict=True)
+    }
+    world = scenario.world
+    boxes = [*_surroundings(world), *_robots(scenario, places, parameters), *_objects(world, places, parameters)]
+    if world.arena is None:
         return boxes
-    x, y = (side / 2 + arena.wall_thickness for side in arena.size)  # what looks for a place stays within the walls
+    x, y = (side / 2 + world.arena.wall_thickness for side in world.arena.size)  # what looks for a place stays within the walls
     return [((max(a[0], -x), max(a[1], -y), a[2]), (min(b[0], x), min(b[1], y), b[2])) for a, b in boxes]
 
 
@@ -107,31 +116,40 @@ def _surroundings(world: WorldModel) -> Iterator[Bounds]:
                 yield (-x / 2, -y / 2, 0.0), (x / 2, y / 2, 0.0)
 
 
-def _robots(scenario: Program, places: dict[str, Placement]) -> Iterator[Bounds]:
+def strays(world: WorldModel) -> bool:
+    """Whether a view follows the first free robot: nothing else shows where it is."""
+    return world.arena is None and world.terrain is None and not world.lines and any(not robot.fixed_base for robot in world.robots)
+
+
+def _robots(scenario: Program, places: dict[str, Placement], parameters: Parameters) -> Iterator[Bounds]:
     """Robots, wherever they may stand when an episode begins; of copies the two at the ends of their row."""
     copies = scenario.policy.copies
     shifts = [offset(copies, number) for number in (1, copies.count)] if copies else [STILL]
     for robot in scenario.world.robots:
         states = [state for start in scenario.reset.joint_starts if start.robot == robot.name for state in start.states]
-        joints = {joint: sum(_ends(position)) / 2 for joint, position, _ in states}
+        joints = {joint: sum(_ends(position, parameters)) / 2 for joint, position, _ in states}
         box = bounds(robot.model, joints)
         turns = robot.name in places or robot.pose.rpy[2] != 0.0
-        low, high = _placed(_all_round(box) if turns else box, robot.pose.xyz, places.get(robot.name), scenario.world, places)
+        box = _all_round(box) if turns else box
+        if strays(scenario.world):
+            room = _ROOM * max(high - low for low, high in zip(*box, strict=True))
+            box = add(box[0], (-room, -room, 0.0)), add(box[1], (room, room, room))
+        low, high = _placed(box, robot.pose.xyz, places.get(robot.name), scenario.world, places, parameters)
         yield from ((add(low, shift), add(high, shift)) for shift in shifts)
 
 
-def _objects(world: WorldModel, places: dict[str, Placement]) -> Iterator[Bounds]:
+def _objects(world: WorldModel, places: dict[str, Placement], parameters: Parameters) -> Iterator[Bounds]:
     """Objects, wherever they may stand when an episode begins."""
     for thing in world.objects:
-        yield from _object(thing, world, places)
+        yield from _object(thing, world, places, parameters)
 
 
-def _object(thing: ObjectBody, world: WorldModel, places: dict[str, Placement]) -> Iterator[Bounds]:
+def _object(thing: ObjectBody, world: WorldModel, places: dict[str, Placement], parameters: Parameters) -> Iterator[Bounds]:
     """An object in each of its forms, wherever it may stand."""
     place = places.get(thing.name) or places.get(thing.name.partition("#")[0])
     for shape in (thing.shape, *(variant.shape for variant in thing.variants)):
         low, high = bounds_of_shape(shape)
-        yield _placed(_all_round((low, high)) if thing.pose.rpy[2] else (low, high), thing.pose.xyz, place, world, places)
+        yield _placed(_all_round((low, high)) if thing.pose.rpy[2] else (low, high), thing.pose.xyz, place, world, places, parameters)
 
 
 def _all_round(box: Bounds) -> Bounds:
@@ -141,14 +159,16 @@ def _all_round(box: Bounds) -> Bounds:
     return (-reach, -reach, low[2]), (reach, reach, high[2])
 
 
-def _placed(box: Bounds, home: Triple, place: Placement | None, world: WorldModel, places: dict[str, Placement]) -> Bounds:
+def _placed(
+    box: Bounds, home: Triple, place: Placement | None, world: WorldModel, places: dict[str, Placement], parameters: Parameters
+) -> Bounds:
     low, high = box
     if place is None:
         return add(low, home), add(high, home)
-    ends = [_ends(scalar) for scalar in place.xyz]
+    ends = [_ends(scalar, parameters) for scalar in place.xyz]
     if isinstance(place.spot, Top):
         support = next(thing for thing in world.objects if thing.name == place.spot.of)
-        (x, y, _), (x_end, y_end, top) = next(_object(support, world, places))
+        (x, y, _), (x_end, y_end, top) = next(_object(support, world, places, parameters))
         ends = [(x, x_end), (y, y_end), (ends[2][0] + top, ends[2][1] + top)]
         low, high = (0.0, 0.0, low[2]), (0.0, 0.0, high[2])  # it stands within the top
     elif isinstance(place.spot, Region):
@@ -161,16 +181,18 @@ def _placed(box: Bounds, home: Triple, place: Placement | None, world: WorldMode
     return add(low, (x, y, z)), add(high, (x_end, y_end, z_end))
 
 
-def _ends(scalar: Scalar) -> tuple[float, float]:
+def _ends(scalar: Scalar, parameters: Parameters) -> tuple[float, float]:
     """Roughly the least and the greatest value of a coordinate; 0 where nothing is known of it."""
     match scalar:
         case Const(value=value):
             return float(value), float(value)
         case Draw(distribution="normal", args=(mean, _)):
-            return _ends(mean)
+            return _ends(mean, parameters)
         case Draw(args=args):
-            found = [end for arg in args for end in _ends(arg)]
+            found = [end for arg in args for end in _ends(arg, parameters)]
             return min(found), max(found)
+        case Name(name, component) if (name, component) in parameters:
+            return _ends(parameters[name, component], parameters)
         case _:
             return 0.0, 0.0
 

@@ -27,7 +27,7 @@ from deepbots_cli.program.task import ActionRange, Choices
 from deepbots_cli.runtime.actuation import CustomMotor, Site
 from deepbots_cli.runtime.formulas import Memories, Memory, clip, memory_of_vector
 from deepbots_cli.runtime.messages import Channel, FieldCodec, LossyChannel, excerpt, explain
-from deepbots_cli.runtime.overview import moved, overview
+from deepbots_cli.runtime.overview import moved, overview, strays
 from deepbots_cli.runtime.readers import sees
 from deepbots_cli.runtime.sensing import Device, instrument
 from deepbots_cli.runtime.spaces import (
@@ -286,10 +286,9 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
     def _strayed(self) -> Triple:
         """How far the view follows: nowhere within an arena or on terrain, else as far as the first free robot went."""
         world = self.scenario.world
-        goers = [robot.name for robot in world.robots if not robot.fixed_base]
-        if not goers or world.arena is not None or world.terrain is not None or world.lines:
+        if not strays(world):
             return STILL
-        x, y, _ = self.engine.pose(goers[0])()[0]
+        x, y, _ = self.engine.pose(next(robot.name for robot in world.robots if not robot.fixed_base))()[0]
         self._viewed = self._viewed or (x, y)
         return x - self._viewed[0], y - self._viewed[1], 0.0
 

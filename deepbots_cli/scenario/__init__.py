@@ -1,12 +1,12 @@
 """What a user may write in a scenario: pydantic models, from which validation, JSON Schema, hover and reference pages come.
 
 fields.py       field types: what a single value may be, and what the compiler reads of it
-base.py         Section, the base of the models; unions, sizes; the shape of an annotation, and walking a scenario by shapes
-world.py robot.py sensors.py actuators.py task.py training.py
-                the sections
-scenario.py     Scenario, the whole file
+base.py         Section, the base of the models; unions, sizes; the shape of an annotation, and walking a scenario by shapes;
+                what is said of a key: descriptions, units, defaults, examples
+world.py sensors.py actuators.py training.py
+                sections
+scenario.py     Scenario, the whole file: robots, messages, the task
 validate.py     nodes to a Scenario; old spellings and validation errors become findings with exact places
-docs.py         what is said of a key: descriptions, units, defaults, examples
 json_schema.py  the JSON Schema for editors: `python -m deepbots_cli.scenario.json_schema` writes it
 """
 

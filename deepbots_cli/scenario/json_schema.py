@@ -26,11 +26,24 @@ from pathlib import Path
 from typing import Any
 
 from deepbots_cli.document import shipped
-from deepbots_cli.scenario.base import Forms, Kinds, ListOf, MappingOf, Section, Shape, fields, noun_of
-from deepbots_cli.scenario.docs import about, about_kind, default_of, description, example_of, example_text, unit_of
+from deepbots_cli.scenario.base import (
+    Forms,
+    Kinds,
+    ListOf,
+    MappingOf,
+    Section,
+    Shape,
+    about,
+    default_of,
+    description,
+    example_of,
+    example_text,
+    fields,
+    noun_of,
+    unit_of,
+)
 from deepbots_cli.scenario.fields import COLOURS, Color, Expression, FieldType, FilePath, Name, Pattern, Range, Reference, Word
-from deepbots_cli.scenario.robot import Robot
-from deepbots_cli.scenario.scenario import VERSION, Scenario
+from deepbots_cli.scenario.scenario import VERSION, Robot, Scenario
 
 Json = dict[str, Any]
 
@@ -247,7 +260,7 @@ class _Writer:
         ]
         for mark, model in shape.marked.items():
             branches.append({"if": {"required": [mark], "not": {"required": [key]}}, "then": self.reference(model)})
-        kinds = {"enum": list(shape.models), "enumDescriptions": [about_kind(shape, name) for name in shape.models]}
+        kinds = {"enum": list(shape.models), "enumDescriptions": [about(shape.models[name]) for name in shape.models]}
         first = shape.models[shape.names[0]]
         properties: Json = {key: kinds | {"description": _text(first, key, shape.names[0])}}
         properties |= {mark: {"description": _text(model, mark)} for mark, model in shape.marked.items()}

@@ -19,11 +19,10 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from deepbots_cli.diagnostics import Finding, Findings, Fix, Span, TooManyFindings
-from deepbots_cli.diagnostics.nearest import Replacement, nearest, suggest_replacement
+from deepbots_cli.diagnostics.nearest import KEYS_AND_WORDS, RENAMES, Rename, Replacement, nearest, suggest_replacement
 from deepbots_cli.document import nodes
 from deepbots_cli.document.hints import GIVE_A_VALUE
 from deepbots_cli.document.nodes import Entry, Node, Path, Scalar, descend, to_data, walk
-from deepbots_cli.renames import KEYS_AND_WORDS, RENAMES, Rename, headline
 from deepbots_cli.scenario.base import (
     LENIENT,
     Forms,
@@ -349,7 +348,7 @@ def _keys_of(shape: Shape | None) -> str | None:
 
 def about_key(data: object, path: Path) -> str | None:
     """The sentence about the innermost known key of a path."""
-    from deepbots_cli.scenario.docs import description, example_of  # only on the way to a finding
+    from deepbots_cli.scenario.base import description, example_of  # only on the way to a finding
 
     steps = next((path[:depth] for depth in range(len(path), 0, -1) if isinstance(path[depth - 1], str)), ())
     section = shape_at(Scenario, data, steps[:-1]) if steps else None
@@ -514,5 +513,5 @@ def _renamed(node: Scalar, rename: Rename, findings: Findings, *, fixed: bool = 
     span = node.part(0, len(node.text))
     fix = Fix.replacing(span, rename.old, rename.new, safe=True) if fixed else None
     help = f"write `{rename.new}`" if fixed else f"keep one of `{rename.old}` and `{rename.new}`, under the new name"
-    findings.add("DB109", span, headline(rename), help=help, fix=fix)
+    findings.add("DB109", span, rename.headline, help=help, fix=fix)
     return node._replace(text=rename.new, value=rename.new)

@@ -2,6 +2,7 @@
 
 frames.py      what is drawn of an environment at one moment, read by the engine port
 episodes.py    what is opened, who acts, and the frames of an episode
+batch.py       a batch of worlds, of which one is shown
 scene.py       the world in viser's scene
 manual_input.py driving by keys, gamepad, buttons and sliders
 server.py      viser's web server behind checks

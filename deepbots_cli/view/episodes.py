@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
+from gymnasium.vector.utils import batch_space
 
 from deepbots_cli import api
 from deepbots_cli.compiler import Checked
@@ -26,6 +27,7 @@ from deepbots_cli.view.frames import FrameReader, WorldFrame
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.run import ModelName, Run
+    from deepbots_cli.runtime.batch import BatchSupervisor
 
 RANDOM, ZERO, HAND, POLICY, RECORDED = "random", "zero", "you", "policy", "recording"
 """Drivers besides the scripts of a scenario. `zero` is the middle of each range and the first option of each choice."""
@@ -42,6 +44,8 @@ class Source:
     engine: str | None = None
     case: str | None = None
     stage: str | None = None
+    worlds: int = 0
+    """Of a batch; 0 for a single world."""
 
     @property
     def is_run(self) -> bool:
@@ -81,8 +85,10 @@ class Source:
     def _open_recording(self) -> Opened:
         from deepbots_cli.view.recordings import Recording
 
-        if self.sets or self.case or self.stage or self.engine:
-            raise UsageError("a recording keeps its scenario, case, stage and engine; leave out --set, --case, --stage and --engine")
+        if self.sets or self.case or self.stage or self.engine or self.worlds:
+            raise UsageError(
+                "a recording keeps its scenario, case, stage and engine; leave out --set, --case, --stage, --engine and --worlds"
+            )
         recording = Recording.read(Path(self.reference))
         compiled = api.compile(self._kept(Path(recording.folder.name)))
         known = recording.metadata
@@ -114,7 +120,7 @@ class Opened:
         """What may act, the default first."""
         if self.recording is not None:
             return (RECORDED,)
-        scripts = [script.name for script in self.program.policy.scripts] if self.program else []
+        scripts = [script.name for script in self.program.policy.scripts] if self.program and not self.source.worlds else []
         return (*([POLICY] if self.run else []), *scripts, RANDOM, ZERO, HAND)
 
     def make(self) -> Supervisor:
@@ -126,8 +132,17 @@ class Opened:
         if self.program is None:
             raise ScenarioError(self.findings)
         engine = self.source.engine or (self.run.engine_for(self.program) if self.run else None)
-        code = self.compiled.code if self.compiled and self.compiled.program is self.program else None
-        return api.build(self.program, engine=engine, allow_code=self.source.allow_code, code=code)
+        return api.build(self.program, engine=engine, allow_code=self.source.allow_code)
+
+    def make_batch(self) -> BatchSupervisor:
+        """A batch of worlds of the program.
+
+        Raises:
+            ScenarioError, BatchError: There is no program, or a batch cannot hold it.
+        """
+        if self.program is None:
+            raise ScenarioError(self.findings)
+        return api.build_batch(self.program, self.source.worlds, engine=self.source.engine or "mujoco")
 
     def player(self, driver: str | None = None) -> Player:
         """A player of it.
@@ -135,8 +150,14 @@ class Opened:
         Raises:
             ScenarioError, EngineError, UsageError: As for `Player`.
         """
+        if self.source.worlds:
+            from deepbots_cli.view.batch import BatchPlayer
+
+            return BatchPlayer(self, driver)
         if self.recording is None:
             return Player(self, driver)
+        if driver not in (None, RECORDED):
+            raise UsageError(f"a recording keeps its actions; leave out --script {driver}")
         from deepbots_cli.view.replay import Replayed
 
         return Replayed(self)
@@ -185,6 +206,21 @@ class Scripted:
         return self._next()
 
 
+class Repeated:
+    """The actions of an earlier episode."""
+
+    note = ""
+
+    def __init__(self, actions: Iterable[Any]) -> None:
+        self._actions = iter(actions)
+
+    def begin(self, seed: int) -> None:
+        """Nothing."""
+
+    def act(self, observation: Any) -> Any:
+        return next(self._actions)
+
+
 class ManualDriver:
     """A person: `values` holds an option by its index for each choice, and a number from -1 to 1 for each component of a range."""
 
@@ -209,15 +245,15 @@ def composed(env: Supervisor, values: dict[str, float]) -> Any:
         if isinstance(part, Choices):
             choices.append(int(values.get(part.name, 0)))
         else:
-            names = [f"{part.name}.{component}" for component in part.components] or [part.name]
-            ranges += [float(values.get(name, 0.0)) for name in names]
+            ranges += [float(values.get(name, 0.0)) for name in part.names]
     return env.acting(choices, ranges)
 
 
 class Trained:
     """The best policy of a run, which takes its likeliest actions; while the run is trained, the newest one of each episode."""
 
-    def __init__(self, run: Any, env: Supervisor) -> None:
+    def __init__(self, run: Any, env: Supervisor, rows: int = 0) -> None:
+        """`rows` are the worlds of a batch, which one forward pass acts in."""
         try:
             from deepbots_cli.learning import algorithms, evaluation, models
             from deepbots_cli.learning.run import Record
@@ -229,7 +265,8 @@ class Trained:
         self._run, self._env, self._record = run, env, Record.read
         self._model: Any = None
         self._stamp: tuple[int, int] | None = None
-        self._agents = len(env.agents) if next(iter(env.agents.values())) is not env else 0
+        self._agents = rows or (len(env.agents) if next(iter(env.agents.values())) is not env else 0)
+        self._actions = batch_space(env.action_space, rows) if rows else env.action_space
         self.note = ""
         self.begin(0)
 
@@ -251,7 +288,7 @@ class Trained:
 
     def act(self, observation: Any) -> Any:
         if self._model is None:
-            return self._env.action_space.sample()
+            return self._actions.sample()
         masks = {}
         if self._masked:
             allowed = self._env.action_masks()
@@ -267,6 +304,9 @@ class Player:
     Episode k of a seed begins as episode k of an evaluation with this seed does.
     """
 
+    world, worlds = 0, 1
+    """The world that is shown, and how many there are."""
+
     def __init__(self, opened: Opened, driver: str | None = None) -> None:
         """Make the environment and begin nothing.
 
@@ -274,26 +314,36 @@ class Player:
             ScenarioError, EngineError, UsageError: As for `api.make`, or there is no such driver.
         """
         self.opened = opened
-        self.env = opened.make()
+        self.env = self._make()
         self.program = self.env.scenario
         self.hand = ManualDriver(self.env)
         self.driver: Driver = self.hand
         self.observation: Any = None
         self.action: Any = None
         """What the last step of the environment gave and took."""
+        self.actions: list[Any] = []
+        """Those of the episode."""
         try:
-            self.reader = FrameReader(self.env)
+            self.reader = self._reader()
             self.drive(driver or opened.drivers[0])
         except BaseException:
-            self.env.close()
+            self.close()
             raise
+
+    def _make(self) -> Supervisor:
+        return self.opened.make()
+
+    def _reader(self) -> FrameReader:
+        return FrameReader(self.env)
 
     def drive(self, name: str) -> None:
         """Let another driver act from the next step on.
 
         Raises:
-            UsageError: There is no such script.
+            UsageError: There is no such script, or no policy.
         """
+        if name == POLICY and self.opened.run is None:
+            raise UsageError("only a run has a policy")
         self.driver_name = name
         self.driver = self.hand if name == HAND else Trained(self.opened.run, self.env) if name == POLICY else Scripted(self.env, name)
 
@@ -303,7 +353,7 @@ class Player:
 
     def start(self, seed: int) -> WorldFrame:
         """Reset to the episode of a seed; its first frame."""
-        self.seed, self.action = seed, None
+        self.seed, self.action, self.actions = seed, None, []
         self.driver.begin(seed)
         self.observation, _ = self.env.reset(seed=seed)
         self.frame = self.reader.read(self.observation)
@@ -313,12 +363,18 @@ class Player:
         """The number of the next episode."""
         return episode + 1
 
-    def step(self) -> WorldFrame:
-        """The frame after the next step of an episode that has not ended."""
-        self.action = self.driver.act(self.observation)
+    def step(self, *, by_hand: bool = False) -> WorldFrame:
+        """The frame after the next step of an episode that has not ended; `by_hand` lets a person act instead of the driver."""
+        self.action = (self.hand if by_hand else self.driver).act(self.observation)
+        self.actions.append(self.action)
         self.observation, *_ = self.env.step(self.action)
         self.frame = self.reader.read(self.observation, self.action)
         return self.frame
+
+    @property
+    def note(self) -> str:
+        """What a person should know, in words."""
+        return self.driver.note
 
     def view(self, width: int, height: int) -> View:
         """The view that holds the scene, or follows the robot."""
@@ -356,10 +412,7 @@ def player(source: Source, driver: str | None) -> closing[Player]:
     Raises:
         ScenarioError: The scenario has errors.
     """
-    opened = source.open()
-    if driver == POLICY and not opened.run:
-        raise UsageError("only a run has a policy")
-    return closing(opened.player(driver))
+    return closing(source.open().player(driver))
 
 
 def stamps(files: Iterable[Path]) -> tuple[tuple[int, int] | None, ...]:

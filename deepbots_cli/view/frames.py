@@ -257,7 +257,7 @@ class FrameReader:
         several = len(env.agents) > 1 or next(iter(env.agents.values())) is not env
         agents = {}
         for row, (name, agent) in enumerate(env.agents.items()):
-            seen, done = (_row(observation, row), _row(action, row)) if several else (observation, action)
+            seen, done = (row_of(observation, row), row_of(action, row)) if several else (observation, action)
             self._returns[name] = self._returns.get(name, 0.0) + agent.reward if env.step_count else 0.0
             agents[name] = self._agent(agent, seen, done, self._returns[name])
         return WorldFrame(
@@ -331,8 +331,8 @@ class FrameReader:
         )
 
 
-def _row(value: Any, row: int) -> Any:
-    """The part of one agent of the observation or action of all; None stays None."""
+def row_of(value: Any, row: int) -> Any:
+    """The part of one agent or world of the observation or action of all; None stays None."""
     if isinstance(value, dict):
         return {key: part[row] for key, part in value.items()}
     return None if value is None else value[row]

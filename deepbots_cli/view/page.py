@@ -12,6 +12,10 @@ import queue
 import re
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from functools import partial
+from itertools import count
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,13 +23,15 @@ import numpy as np
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.render import render
 from deepbots_cli.errors import DeepbotsError, UsageError
-from deepbots_cli.frames import add, scaled
+from deepbots_cli.frames import Triple, add, scaled
 from deepbots_cli.port import STILL
-from deepbots_cli.runtime.overview import around, beside, extent
+from deepbots_cli.runtime.overview import around, beside, extent, strays
 from deepbots_cli.view import panel, server
-from deepbots_cli.view.episodes import HAND, RANDOM, ZERO, Opened, Player, Source, stamps
+from deepbots_cli.view.batch import BatchPlayer
+from deepbots_cli.view.episodes import HAND, RANDOM, ZERO, Opened, Player, Repeated, Source, stamps
 from deepbots_cli.view.frames import Field, Image, WorldFrame
 from deepbots_cli.view.manual_input import ManualInput
+from deepbots_cli.view.recordings import SUFFIX, record
 from deepbots_cli.view.replay import Replayed
 from deepbots_cli.view.scene import WorldScene, look
 
@@ -81,12 +87,13 @@ class Page:
         driver: str | None = None,
         seed: int = 0,
         episode: int = 0,
+        world: int = 0,
         watch: bool = False,
         playing: bool = False,
     ) -> None:
         """Compile the source and start the server; `playing` makes a page to drive by hand, with a score.
 
-        With `compare`, both worlds stand side by side, and begin each episode from the same seed.
+        With `compare`, both worlds stand side by side, and begin each episode from the same seed. Of a batch, `world` is shown.
 
         Raises:
             UsageError, RunError: There is no such source or driver, or the address cannot be used.
@@ -102,12 +109,14 @@ class Page:
         self._changed_at = 0.0
         self._controls: Any = None
         self.seed, self.episode, self.paused, self.speed = seed, episode, False, 1.0
-        self._message, self._best, self._successes, self._played = "", -math.inf, 0, 0
+        self._number = world
+        self._trouble, self._message, self._waiting = "", "", playing
+        self._best, self._successes, self._played = -math.inf, 0, 0
         opened = source.open()
         if playing and opened.recording is not None:
             raise UsageError(f"`play` does not accept a recording; use: deepbots view {source.reference}")
         self.server, self.address = server.serve(host, port, f"deepbots {source.reference}", lambda keys, axes: self._hand.hold(keys, axes))
-        self._framed: dict[int, tuple[tuple[int, int], np.ndarray[Any, Any]]] = {}
+        self._framed: dict[int, dict[tuple[int, int], Triple]] = {}
         self.server.on_client_connect(lambda client: client.camera.on_update(lambda _: self._todo.put(lambda: self._frame(client))))
         self.server.on_client_disconnect(lambda client: self._framed.pop(client.client_id, None))
         self._theme(dark=False)
@@ -147,9 +156,8 @@ class Page:
         if opened.program is None:
             self._show_findings(opened.findings)
             return
-        name = self._wanted if self._wanted in opened.drivers else HAND if self._playing else None
-        if self._wanted is not None and name is None and self.player is None:
-            opened.program.script(self._wanted)  # says which there are
+        wanted = self._wanted if self.player is None or self._wanted in opened.drivers else None  # a script may go while it acts
+        name = wanted or (HAND if self._playing else None)
         rival = next((each for each in opened.drivers if each not in (RANDOM, ZERO, HAND)), None) if self._playing else None
         made = [opened.player(name)]
         try:
@@ -158,6 +166,7 @@ class Page:
             if rival:
                 made.append(opened.player(rival))
             for player in made:
+                player.world = self._number
                 player.begin(self.seed, self.episode)
         except BaseException:
             for player in made:
@@ -170,12 +179,13 @@ class Page:
 
     def _show_findings(self, findings: Sequence[Finding]) -> None:
         self.paused = True
+        self._trouble = "the scenario has errors"
         self._message = (
-            f"<pre style='white-space:pre-wrap;font-size:0.75em;line-height:1.35'>{html.escape(render(findings, 'full', width=64))}</pre>"
+            f"<pre style='white-space:pre-wrap;font-size:0.75em;line-height:1.35'>{html.escape(render(findings, 'full', width=46))}</pre>"
         )
         if self.player is None:
             self._clear()
-            self._banner = self.server.gui.add_html(panel.framed("the scenario has errors", self._message, "#D55E00"))
+            self._banner = self.server.gui.add_html(panel.framed(self._trouble, self._message, "#D55E00"))
         else:
             self._tell()
 
@@ -188,14 +198,15 @@ class Page:
             paused, self._message = self.paused and not self._message, ""
             self._show(opened)
             if opened.program is not None:
-                self.play(not paused)
+                self.paused = paused
+                self._tell()
         except DeepbotsError as error:
             self._fail(error)
 
-    def _fail(self, error: DeepbotsError) -> None:
+    def _fail(self, error: Exception) -> None:
         """Show an error that ends the episode."""
         self.paused = True
-        self._message = f"<p>{html.escape(str(error))}</p>"
+        self._trouble, self._message = "stopped", f"<p>{html.escape(str(error))}</p>"
         if self.player is not None:
             self._tell()
 
@@ -251,19 +262,15 @@ class Page:
         gui.set_panel_label(player.program.name)
         self._banner = gui.add_html("")
         self._add_time(player)
-        tabs = gui.add_tab_group()
-        with tabs.add_tab("Values"):
-            self._values = gui.add_html("")
-        with tabs.add_tab("Plots"):
-            self._add_plots()
+        tabs: dict[str, Callable[[], None]] = {"Values": self._add_values, "Plots": self._add_plots}
         if not isinstance(player, Replayed):
-            with tabs.add_tab("Drive"):
-                self._add_drive()
+            tabs = {"Drive": self._add_drive, **tabs} if self._playing else {**tabs, "Drive": self._add_drive}
         if player.opened.parameters and self._compare is None:
-            with tabs.add_tab("Parameters"):
-                self._add_parameters(player.opened.parameters)
-        with tabs.add_tab("Show"):
-            self._add_switches()
+            tabs["Parameters"] = partial(self._add_parameters, player.opened.parameters)
+        group = gui.add_tab_group()
+        for title, add_content in {**tabs, "Show": self._add_switches}.items():
+            with group.add_tab(title):
+                add_content()
         self._cameras: dict[str, Any] = {}
         if any(sensor.optics for each in players for robot in each.program.robots for sensor in robot.sensors):
             self._camera_folder = gui.add_folder("Cameras")
@@ -271,12 +278,15 @@ class Page:
     def _frame(self, client: Any) -> None:
         """Show the whole scene in a browser that has been opened or resized, unless a person has moved its camera."""
         camera = client.camera
-        size, before = (camera.image_width, camera.image_height), self._framed.get(client.client_id)
-        if not self.shown or min(size) < 1 or (before and (before[0] == size or not np.allclose(camera.position, before[1], rtol=0.01))):
+        size, framed = (camera.image_width, camera.image_height), self._framed.setdefault(client.client_id, {})
+        # A slow browser reports where its camera was before it was last moved from here.
+        moved = framed and not any(np.allclose(camera.position, eye, rtol=0.01) for eye in framed.values())
+        if not self.shown or min(size) < 1 or moved or (framed and next(reversed(framed)) == size):
             return
         view = around(self._boxes, *size)
         camera.position, camera.look_at = view.eye, view.target
-        self._framed[client.client_id] = size, np.array(view.eye)
+        framed.pop(size, None)
+        framed[size] = view.eye
 
     def _title(self, number: int) -> str:
         """What a world is called where there are two."""
@@ -295,6 +305,9 @@ class Page:
         if isinstance(player, Replayed):
             self._slider = gui.add_slider("step", min=0, max=1, step=1, initial_value=0)
             self._slider.on_update(self._scrub)
+        if player.worlds > 1:
+            world = gui.add_slider("world", min=0, max=player.worlds - 1, step=1, initial_value=self._number, hint="world of the batch")
+            world.on_update(lambda _: self._todo.put(lambda: self._choose_world(int(world.value))))
         speed = gui.add_slider("speed", min=0.1, max=5.0, step=0.1, initial_value=self.speed)
         speed.on_update(lambda _: setattr(self, "speed", speed.value))
         if self._slider is None:
@@ -325,6 +338,9 @@ class Page:
 
     def _change(self, name: str, text: str) -> None:
         self._changed[name], self._changed_at = text, time.monotonic()
+
+    def _add_values(self) -> None:
+        self._values = self.server.gui.add_html("")
 
     def _add_plots(self) -> None:
         gui, layout = self.server.gui, self._lane.player.reader.layout
@@ -362,11 +378,15 @@ class Page:
             margin = 0.03 * (limits[1] - limits[0]) or 1.0
             scales["y"] = {"range": (limits[0] - margin, limits[1] + margin)}
         series: Any = ({"label": "step"}, *lines)
-        return self.server.gui.add_uplot((np.zeros(1),) * len(series), series, scales=scales, height=height)
+        room = (12, 8, 0, 0)  # px, above for the uppermost number
+        return self.server.gui.add_uplot((np.zeros(1),) * len(series), series, scales=scales, height=height, padding=room)
 
     def _add_drive(self) -> None:
         gui, layout, hand = self.server.gui, self.shown[0].player.reader.layout, self._hand
         gui.add_html(f"<div style='padding:0.3em 1em;font-size:0.85em'>Keys: {html.escape(hand.help())}. A gamepad works too.</div>")
+        if self._playing:
+            keep = gui.add_button("record this episode", hint="write the episode so far as a recording (.mcap) into the present folder")
+            keep.on_click(lambda event: self._todo.put(lambda: self._record(event.client)))
         for field in layout.action:
             if field.options:
                 group = gui.add_button_group(field.name, field.options)
@@ -384,16 +404,14 @@ class Page:
                 )
 
     def _command(self, name: str, value: float) -> None:
-        self._hand.base[name] = float(value)
+        self._hand.base[name], self._waiting = float(value), False
 
     def _add_switches(self) -> None:
         gui, useless = self.server.gui, set() if any(shown.player.ways() for shown in self.shown) else {"shortest path"}
         self._switches = {what: gui.add_checkbox(what, on) for what, on in self.world.shows.items() if what not in useless}
         for what, box in self._switches.items():
             box.on_update(lambda event, what=what: self._todo.put(lambda: self._switch(what, event.target.value)))
-        world = self.shown[0].player.env.world
-        strays = world.arena is None and world.terrain is None and not world.lines and any(not robot.fixed_base for robot in world.robots)
-        self._follows = gui.add_checkbox("camera follows the robot", strays)
+        self._follows = gui.add_checkbox("camera follows the robot", strays(self.shown[0].player.env.world))
         self._goes_on = gui.add_checkbox("next episode after the end", True)
         dark = gui.add_checkbox("dark", False)
         dark.on_update(lambda _: self._theme(dark=dark.value))
@@ -411,7 +429,7 @@ class Page:
 
     def play(self, playing: bool) -> None:
         """Go on, or pause."""
-        self.paused = not playing
+        self.paused, self._waiting = not playing, False
         if self.player is not None:
             self._tell()
 
@@ -437,6 +455,14 @@ class Page:
     def _choose(self, label: str) -> None:
         self._agent = self._agents[label]
 
+    def _choose_world(self, number: int) -> None:
+        """Show another world of a batch."""
+        self._number = number
+        for shown in self.shown:
+            if isinstance(shown.player, BatchPlayer):
+                shown.player.choose(number)
+        self._present()
+
     def _scrub(self, event: Any) -> None:
         if event.client_id is not None:  # and not the page itself, which moves the slider along
             self._todo.put(lambda: self.seek(int(event.target.value)))
@@ -457,6 +483,22 @@ class Page:
                     shown.world.take(frame)
                 shown.past[:] = frames
         self._tell()
+
+    def _record(self, client: Any) -> None:
+        """Write the episode so far as a recording: the same actions from the same seed are the same episode."""
+        assert self.player is not None
+        try:
+            with closing(self.player.opened.player(ZERO)) as again:
+                again.driver, again.driver_name = Repeated(self.player.actions), HAND
+                name = f"{Path(self._source.reference).stem}-{self.seed}-{self.episode}-played"
+                numbered = (Path(f"{name}{number or ''}{SUFFIX}") for number in count())
+                path = next(path for path in numbered if not path.exists())
+                record(again, path, self.seed, [self.episode], steps=len(self.player.actions))
+        except (DeepbotsError, OSError) as error:
+            self._fail(error)
+            return
+        if client is not None:
+            client.add_notification(f"{path} written", f"deepbots view {path}", loading=False)
 
     def _drive(self, name: str) -> None:
         assert self.player is not None
@@ -487,7 +529,7 @@ class Page:
 
     def _present(self) -> None:
         """Show the first moment of an episode."""
-        self._ended_at, self._message = 0.0, ""
+        self._ended_at, self._message, self._waiting = 0.0, "", self._playing
         for shown in self.shown:
             shown.take(anew=True)
             shown.world.draw(1.0)
@@ -500,20 +542,14 @@ class Page:
         player = shown.player
         if shown.ended or self._message:
             return
-        by_hand = player.driver_name == HAND or self._hand.is_held
-        driver = player.driver
         try:
-            if shown is self.shown[0]:
-                player.hand.values = self._hand.values()
-                player.driver = player.hand if by_hand else driver
-            player.step()
+            player.hand.values = self._hand.values()
+            player.step(by_hand=shown is self.shown[0] and self._hand.is_held)
             if self._rival is not None and self._rival.frame.ended_by is None:
                 self._rival.step()
         except DeepbotsError as error:
             self._fail(error)
             return
-        finally:
-            player.driver = driver
         shown.take()
         if shown.ended and all(each.ended for each in self.shown):
             frame = self.shown[0].player.frame
@@ -523,7 +559,7 @@ class Page:
             self._tell()
 
     def run(self, until: Callable[[], bool] = lambda: False) -> None:
-        """Serve the page until `until` says so, or Ctrl-C."""
+        """Serve the page until `until` says so, or Ctrl-C; time goes on while a browser shows the page."""
         period, drawn, due, checked = 1 / RATE, 0, time.perf_counter(), time.monotonic()
         while not until():
             while not self._todo.empty():
@@ -537,15 +573,16 @@ class Page:
             if self._changed_at and time.monotonic() - self._changed_at > _SETTLED:
                 self._changed_at = 0.0
                 self._reload()
-            self._advance(period)
-            if self.player is not None and self.server.get_clients():
+            if self.player is not None and self.server.get_clients():  # while nobody looks, the world stands still
+                self._advance(period)
                 self._draw(texts=drawn % SLOW == 0)
             drawn, due = drawn + 1, max(due + period, time.perf_counter() - _BUSY)
             time.sleep(max(0.0, due - time.perf_counter()))
 
     def _advance(self, period: float) -> None:
         """Make the steps that fall into the next picture."""
-        if self.player is None or self.paused:
+        self._waiting = self._waiting and self.player is not None and self.player.driver_name == HAND and not self._hand.is_held
+        if self.paused or self._waiting:
             return
         if self._ended_at:
             if self._goes_on.value and time.monotonic() - self._ended_at > _PAUSE_AT_END:
@@ -585,13 +622,14 @@ class Page:
     def _tell(self) -> None:
         """The banner and the values."""
         if self._message:
-            self._put(self._banner, panel.framed("stopped", self._message, "#D55E00"))
+            self._put(self._banner, panel.framed(self._trouble, self._message, "#D55E00"))
         else:
             self._put(self._banner, "".join(self._state(number) for number in range(len(self.shown))))
         number, name = self._agent
         player = self.shown[number].player
         layout, frame = player.reader.layout, player.frame
-        self._put(self._values, panel.table([*panel.of_agent(layout, frame.agents[name]), *panel.of_messages(layout, frame)]))
+        others = frame.agents.keys() - {name}
+        self._put(self._values, panel.table([*panel.of_agent(layout, frame.agents[name]), *panel.of_messages(layout, frame, others)]))
         if self._slider is not None and self._slider.value != min(player.frame.step, self._slider.max):
             self._slider.value = min(player.frame.step, self._slider.max)
 
@@ -600,11 +638,11 @@ class Page:
         player, name = self.shown[number].player, self._agent[1]
         frame = player.frame
         agent = frame.agents.get(name) or next(iter(frame.agents.values()))
-        state = (frame.ending or "running") + (" (paused)" if self.paused else "")
+        state = (frame.ending or ("press a key to begin" if self._waiting else "running")) + (" (paused)" if self.paused else "")
         state = f"{self._title(number)}: {state}" if self._compare else state
         colour = ("#009E73" if frame.is_success else "#E69F00" if frame.truncated else "#D55E00") if frame.ended_by else "#0072B2"
-        numbers = f"episode {self.episode}, step {frame.step}, {frame.time:.2f} s, return {agent.episode_return:.2f}"
-        note = f"<br>{html.escape(player.driver.note)}" if player.driver.note else ""
+        numbers = f"episode {self.episode + player.world}, step {frame.step}, {frame.time:.2f} s, return {agent.episode_return:.2f}"
+        note = f"<br>{html.escape(player.note)}" if player.note else ""
         return panel.framed(state, f"{numbers}{note}{self._score()}", colour)
 
     def _score(self) -> str:

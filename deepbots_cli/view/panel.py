@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import html
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 
 from deepbots_cli.view.frames import AgentFrame, Field, Layout, WorldFrame
 
 _MAX_ROWS = 40
+_NUMBER = "text-align:right;white-space:nowrap;padding-left:0.6em"
 
 
 def table(rows: Iterable[str]) -> str:
-    return f"<div style='padding:0 0.8em;font-size:0.8em'><table style='width:100%;border-spacing:0 1px'>{''.join(rows)}</table></div>"
+    content = f"<table style='width:100%;border-spacing:0 1px'>{''.join(rows)}</table>"
+    return f"<div style='padding:0 1.2em 0 0.8em;font-size:0.8em'>{content}</div>"
 
 
 def of_agent(layout: Layout, agent: AgentFrame) -> Iterator[str]:
@@ -33,10 +35,12 @@ def of_agent(layout: Layout, agent: AgentFrame) -> Iterator[str]:
         yield _row(f"and {left} more, see Plots", "")
 
 
-def of_messages(layout: Layout, frame: WorldFrame) -> Iterator[str]:
-    """The message that each receiver goes by, with its age."""
+def of_messages(layout: Layout, frame: WorldFrame, others: Collection[str]) -> Iterator[str]:
+    """The message that each receiver goes by, with its age, but for those of the `others` among copies of a robot."""
     for key, message in frame.messages.items():
         robot, _, direction = key.partition("/")
+        if robot in others:
+            continue
         age = f"{1000 * message.age:.0f} ms old{'' if message.received else ', none came in this step'}"
         yield _head(f"message {'to' if direction == 'to_robot' else 'from'} {robot}: {age}")
         for entry, value in list(zip(layout.messages[key], message.values, strict=True))[:_MAX_ROWS]:
@@ -59,7 +63,7 @@ def _head(text: str) -> str:
 
 
 def _row(name: str, value: str, bar: str = "") -> str:
-    cells = f"<td>{html.escape(name)}</td><td style='text-align:right;white-space:nowrap'>{html.escape(value)}</td>"
+    cells = f"<td style='overflow-wrap:break-word'>{html.escape(name)}</td><td style='{_NUMBER}'>{html.escape(value)}</td>"
     return f"<tr>{cells}<td style='width:35%'>{bar}</td></tr>"
 
 

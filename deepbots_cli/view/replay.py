@@ -58,7 +58,7 @@ class Replayed(Player):
         self.frame = self._read(self._recorded.number, self._place)
         return self.frame
 
-    def step(self) -> WorldFrame:
+    def step(self, *, by_hand: bool = False) -> WorldFrame:
         return self.seek(self._place + 1)
 
     def past(self, count: int) -> list[WorldFrame]:

@@ -36,6 +36,7 @@ GROUND_COLOUR: Colour = (0.86, 0.87, 0.89, 1.0)
 _PLAIN: Colour = (0.72, 0.74, 0.78, 1.0)
 _MAX_CELLS = 120  # of a terrain along either side
 _MAX_PATH = 2000  # points
+_DARK = 0.55  # the brightness of the lowest place of a terrain
 _SHARP = math.radians(35)  # edges that are sharper are drawn as edges
 
 Points = NDArray[np.float32]
@@ -100,6 +101,15 @@ def _contour(relief: geometry.HeightGrid, above: float) -> Points:
     points = relief.triangles()[0].reshape(rows, columns, 3) + np.array([0.0, 0.0, above])
     parts = [np.stack([lines[:, :-1], lines[:, 1:]], 2) for lines in (points[::5], points.transpose(1, 0, 2)[::5])]
     return np.concatenate([part.reshape(-1, 2, 3) for part in parts]).astype(np.float32)
+
+
+def shaded(vertices: Any, faces: Any, colour: Colour) -> Any:
+    """A surface that is darker where it is lower: light alone hardly shows a hollow that is seen from above."""
+    import trimesh
+
+    heights = np.asarray(vertices)[:, 2]
+    share = _DARK + (1.0 - _DARK) * (heights - heights.min()) / (np.ptp(heights) or 1.0)
+    return trimesh.Trimesh(vertices, faces, vertex_colors=(share[:, None] * _rgb(colour)).astype(np.uint8), process=False)
 
 
 def wxyz(turn: frames.Quaternion) -> tuple[float, float, float, float]:
@@ -179,9 +189,7 @@ class WorldScene:
                 solid = triangles(world.terrain.shape)
                 surface = solid.vertices, solid.faces
             colour = world.terrain.colour or (0.62, 0.58, 0.50, 1.0)
-            scene.add_mesh_simple(
-                f"{root}/terrain", np.asarray(surface[0], np.float32), np.asarray(surface[1], np.int32), color=_rgb(colour), side="double"
-            )
+            scene.add_mesh_trimesh(f"{root}/terrain", shaded(*surface, colour))
         elif world.ground is not None:
             colour = world.ground.colour or GROUND_COLOUR
             cell = 10.0 ** math.floor(math.log10(max(self._size, 0.01) / 4))

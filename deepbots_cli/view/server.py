@@ -63,7 +63,9 @@ setInterval(() => {
 _STYLE = """<style>[role=tab] { padding-inline: 0.5em !important; } @media (max-width: 36em) {
   div:has(> .mantine-Paper-root[style*="fixed"]) { flex-direction: column !important; }
   .mantine-Paper-root[style*="fixed"] { position: relative !important; flex-shrink: 0; width: 100% !important; max-height: 50% !important; }
-  .mantine-Paper-root[style*="fixed"] [style*="width: 20em"] { width: 100% !important; } }</style>"""
+  .mantine-Paper-root[style*="fixed"] [style*="width: 20em"] { width: 100% !important; }
+  .mantine-Notifications-root { top: auto !important; bottom: 0.5em !important; }
+  .mantine-Notification-description { display: none; } }</style>"""
 
 Keys = frozenset[str]
 Axes = tuple[float, ...]

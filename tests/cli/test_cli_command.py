@@ -102,7 +102,7 @@ def test_a_misspelt_scenario_is_suggested(deepbots):
         ((), "everything works"),
         (("torch",), "everything works except what needs a missing extra: training, MaskablePPO, RecurrentPPO and TQC, policies as ONNX"),
         (
-            ("pybullet",),
+            ("mujoco",),
             "everything works except what needs a missing extra:"
             " simulation, training, MaskablePPO, RecurrentPPO and TQC, the page of view and play, policies as ONNX",
         ),
@@ -257,7 +257,7 @@ def test_the_doctor_finds_this_installation_in_order(deepbots):
     report = json.loads(ran.out)
     assert ran.code == 0
     assert report["ok"]
-    assert {"pybullet", "scenarios", "engine pybullet", "engine mujoco", "learning"} <= {look["what"] for look in report["checks"]}
+    assert {"mujoco", "scenarios", "engine pybullet", "engine mujoco", "learning"} <= {look["what"] for look in report["checks"]}
     assert {look["state"] for look in report["checks"]} == {"ok"}
 
 

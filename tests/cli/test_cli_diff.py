@@ -121,7 +121,8 @@ def test_layout_comments_units_and_the_order_of_keys_count_for_nothing(deepbots,
 def test_a_parameter_is_told_by_what_it_changes(deepbots):
     ran = deepbots("diff", "cartpole", "cartpole", "--set", "fall_angle=10deg")
     assert ran.code == 1
-    assert "termination.failure.fallen\n      abs(cart.pole_angle) > fall_angle\n      changed by the parameter fall_angle" in ran.out
+    assert "termination.failure.fallen\n      abs(cart.pole_angle) > fall_angle\n" in ran.out
+    assert "      changed by the parameter fall_angle: 15 deg -> 10deg\n" in ran.out
 
 
 def test_another_order_of_what_the_policy_sees_does_not_fit(deepbots, tmp_path):

@@ -14,7 +14,7 @@ from deepbots_cli import api, lint
 from deepbots_cli.diagnostics import Finding, Source
 from deepbots_cli.lint.analysis import RuleContext
 from deepbots_cli.lint.simulation import Simulation
-from deepbots_cli.lsp.diagnostics import diagnostics
+from deepbots_cli.lsp.server import diagnostics
 from deepbots_cli.lsp.workspace import Document, analyse
 
 

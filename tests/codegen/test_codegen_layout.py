@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.codegen.layout import WIDTH, docstring, wrapped
+from deepbots_cli.codegen.text import WIDTH, docstring, wrapped
 
 ROOT = Path(__file__).parents[2]
 SCENARIOS = ["cartpole", *map(str, sorted((ROOT / "tests/data/scenarios").glob("*.yaml")))]

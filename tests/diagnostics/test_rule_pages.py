@@ -10,8 +10,7 @@ import pytest
 
 from deepbots_cli.compiler import check
 from deepbots_cli.diagnostics import RULES, Findings
-from deepbots_cli.diagnostics.findings import Source
-from deepbots_cli.diagnostics.suppress import suppress
+from deepbots_cli.diagnostics.findings import Source, suppress
 from deepbots_cli.document import loads
 from deepbots_cli.lint import SIMULATED_RULES, STATIC_RULES, Page, code_of, every_page, run, simulate
 from deepbots_cli.lint.analysis import StaticRule

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from deepbots_cli.diagnostics import Finding, Source, Span
-from deepbots_cli.diagnostics.suppress import RuleSelectors, Selection
+from deepbots_cli.diagnostics.findings import RuleSelectors, Selection
 from deepbots_cli.errors import UsageError
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from deepbots_cli.diagnostics import Finding, Source, Span
-from deepbots_cli.diagnostics.suppress import suppress
+from deepbots_cli.diagnostics.findings import suppress
 
 
 def warning(source: Source, text: str, code: str = "DB003") -> Finding:

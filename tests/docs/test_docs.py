@@ -19,7 +19,7 @@ from deepbots_cli.cli.command import Commands
 from deepbots_cli.cli.commands import COMMANDS
 from deepbots_cli.compiler import check
 from deepbots_cli.diagnostics import Finding
-from deepbots_cli.diagnostics.suppress import suppress
+from deepbots_cli.diagnostics.findings import suppress
 from deepbots_cli.document import loads
 from deepbots_cli.lint import pages_of
 from deepbots_cli.lint import run as run_rules

@@ -19,8 +19,7 @@ from deepbots_cli.document.load import merge
 from deepbots_cli.document.nodes import Entry, Mapping, Node, Path, descend, to_data, walk, without
 from deepbots_cli.document.nodes import replace as replaced
 from deepbots_cli.scenario import Scenario
-from deepbots_cli.scenario.base import Section, fields, sections, shape_at
-from deepbots_cli.scenario.docs import example_of, examples
+from deepbots_cli.scenario.base import Section, example_of, examples, fields, sections, shape_at
 from deepbots_cli.scenario.training import ALGORITHMS, Training
 
 ROOT = FilePath(__file__).parents[2]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import pickle
 import random
 import runpy
@@ -46,7 +45,7 @@ def test_an_episode_after_a_reset_equals_one_in_a_fresh_process_whatever_came_be
 @pytest.fixture(scope="session")
 def dog() -> RobotModel:
     """The A1 of the PyBullet package: 12 joints, feet that are meshes and spheres."""
-    path = Path(importlib.util.find_spec("pybullet_data").origin).parent / "a1" / "a1.urdf"
+    path = Path(pytest.importorskip("pybullet_data").getDataPath()) / "a1" / "a1.urdf"
     return reader.read(path, path.name, Findings()).model
 
 

@@ -15,6 +15,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+pytest.importorskip("pybullet")
+
 from deepbots_cli.engines import create
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import View

@@ -12,9 +12,8 @@ import pytest
 from deepbots_cli.expressions.check import check
 from deepbots_cli.expressions.dimensions import ACCELERATION, ANGLE, ANGULAR_VELOCITY, LENGTH, NUMBER, SPEED, TIME
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
-from deepbots_cli.expressions.lower import lower
+from deepbots_cli.expressions.lower import lower, python
 from deepbots_cli.expressions.parser import parse
-from deepbots_cli.expressions.printer import python
 from deepbots_cli.expressions.scalar import Draw, Name, State, World
 from deepbots_cli.expressions.types import SPACE, Context, Kind, Stage, Subject, Symbol, Type, Typed
 from deepbots_cli.runtime import formulas

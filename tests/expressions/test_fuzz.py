@@ -6,9 +6,8 @@ from hypothesis import strategies as st
 from deepbots_cli.expressions.check import check_drawn, check_range
 from deepbots_cli.expressions.dimensions import UNITS
 from deepbots_cli.expressions.functions import FUNCTIONS
-from deepbots_cli.expressions.lower import constant, lower
+from deepbots_cli.expressions.lower import constant, lower, python
 from deepbots_cli.expressions.parser import parse
-from deepbots_cli.expressions.printer import python
 from deepbots_cli.expressions.types import Context
 from deepbots_cli.expressions.unification import expect
 

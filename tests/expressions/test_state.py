@@ -3,8 +3,7 @@
 import pytest
 
 from deepbots_cli.expressions.functions import FUNCTIONS, Family
-from deepbots_cli.expressions.lower import lower
-from deepbots_cli.expressions.printer import python
+from deepbots_cli.expressions.lower import lower, python
 from deepbots_cli.expressions.scalar import State, walk
 from deepbots_cli.runtime import formulas
 

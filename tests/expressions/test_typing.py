@@ -7,7 +7,7 @@ from deepbots_cli.expressions.dimensions import ANGLE, ANGULAR_VELOCITY, FORCE, 
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import constant
-from deepbots_cli.expressions.types import SPACE, Context, NoNames, Stage
+from deepbots_cli.expressions.types import SPACE, Context, Stage
 from deepbots_cli.expressions.unification import ANY_SHAPE, expect, expect_range
 
 
@@ -204,7 +204,7 @@ def test_a_range_has_two_ends_that_fit(bench):
     ],
 )
 def test_a_field_takes_what_it_declares(bench, text, dimension, code):
-    value = check(bench.read(text), NoNames(), bench.report)
+    value = check(bench.read(text), bench.scope, bench.report)
     taken = expect(value, bench.report, "the field", dimension=dimension)
     assert [said.code for said in bench.said] == ([code] if code else [])
     if code is None:
@@ -231,7 +231,7 @@ def test_a_field_takes_the_shape_and_stage_that_it_declares(bench):
 
 
 def test_both_ends_of_a_range_take_the_dimension_of_their_field(bench):
-    found = check_range(bench.read("0.1 .. 0.5"), NoNames(), bench.report)
+    found = check_range(bench.read("0.1 .. 0.5"), bench.scope, bench.report)
     assert expect_range(found, bench.report, "the field", dimension=LENGTH).high.type.dimension == LENGTH
     assert expect_range(found, bench.report, "the field", dimension=TIME) is None
     assert [said.code for said in bench.said] == ["DB502"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from dataclasses import replace
+from itertools import islice, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -17,12 +18,13 @@ from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.errors import DeepbotsError, EvaluationError, RunError
 from deepbots_cli.insight.diagnosis import CAUSES, diagnose
-from deepbots_cli.insight.episode import ROWS
-from deepbots_cli.insight.trace import last_evaluation, trace_episodes
+from deepbots_cli.insight.episode import ROWS, explain, explanation_json
+from deepbots_cli.insight.trace import Chosen, last_evaluation, trace_episodes, trace_run
 from deepbots_cli.insight.training import Episodes, Training, probe, read
 from deepbots_cli.learning import train
 from deepbots_cli.learning.group import GroupRecord
 from deepbots_cli.learning.run import Run
+from deepbots_cli.runtime.streams import derive_seed
 
 DOCS = Path(__file__).parents[2] / "docs" / "diagnose.md"
 BROKEN = yaml.safe_load(Path(__file__).with_name("broken.yaml").read_text("utf-8"))
@@ -74,13 +76,18 @@ def test_a_training_that_solves_its_task_has_no_causes(short):
 
 
 def test_an_action_without_effect_and_useless_ranges_are_found_in_short_episodes(short, tmp_path):
-    sets = ["robots.cart.apply.wheels=0 * drive * wheel_speed", "observation.x=-1e-6 .. 1e-6 m"]
+    sets = ["robots.cart.apply.wheels=0 * drive * wheel_speed", "observation.x=-1e-6 .. 1e-6 m", "reward.alive=-1", "train.ent_coef=5"]
     compiled = api.compile(api.load("cartpole", sets=sets))
     training = read(Run.open(train(compiled, total_timesteps=512, seed=2, run=tmp_path / "dead").run))
     assert "action_without_effect" not in _causes(training)
     probe(training)
     assert _causes(training)[0] == "action_without_effect"
     assert {trace.ended_by for trace in training.policy} == {"fallen"}
+    (warned,) = [cause for cause in diagnose(training) if cause.cause == "lint_warns"]
+    assert warned.evidence["likelihood"] > 0.9  # the required return is out of reach
+    assert "the highest possible return is -1 (DB810)" in warned.text
+    # Its evaluations, which do not explore, may solve the task all the same.
+    assert _causes(replace(training, evaluations=[{"returns": [200.0], "successes": [False]}])) == ["exploration_too_large"]
 
 
 def test_a_diagnosis_is_printed_with_numbers_and_what_to_try(short, capsys):
@@ -110,11 +117,39 @@ def test_episodes_of_an_evaluation_are_repeated_to_the_bit(short, tmp_path, caps
     assert main(["eval", str(run), "--episodes", "10", "--json"]) == 0
     outcomes = json.loads(capsys.readouterr().out)["outcomes"]
     opened = Run.open(run)
-    kept = last_evaluation(opened)
+    _, kept = last_evaluation(opened)
     assert kept.failed(opened.program) == list(range(10))
     for trace, number in zip(trace_episodes(opened, [kept.chosen(number) for number in (9, 3)]), (9, 3), strict=True):
         known = outcomes[number]
         assert (trace.steps, trace.returns, trace.ended_by) == (known["length"], known["total_return"], known["ended_by"])
+
+
+def test_a_critic_that_never_fell_names_no_moment(short):
+    run = Run.open(short)
+    trace = trace_run(run, Chosen(0, 5))
+    trace.critic = np.linspace(1.0, 2.0, trace.steps)
+    statements = explain(trace)
+    assert explanation_json(trace, statements)["moment"] is None
+    assert "rose from 1 to 2" in next(each.text for each in statements if each.cause == "unforeseen")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("scenario", "timesteps"), [("cartpole", 2048), ("balancer", 6000), ("quadrotor", 6000), ("line_follower", 6000)])
+def test_the_named_moment_precedes_the_end_of_fifty_failed_episodes(scenario, timesteps, tmp_path):
+    """It is the largest drop of the critic's value, of a policy at the beginning of its training; 20 s of CPU time each."""
+    run = Run.open(train(scenario, total_timesteps=timesteps, seed=711, run=tmp_path / scenario).run)
+    episodes = trace_episodes(run, [Chosen(number, derive_seed(711, "moment", number), "last") for number in range(500)])
+    failed = list(islice((trace for trace in episodes if trace.outcome == "failure"), 50))
+    assert len(failed) == 50
+    moments = [explanation_json(trace, explain(trace))["moment"] for trace in failed]
+    for trace, moment in zip(failed, moments, strict=True):
+        drops = [before - after for before, after in pairwise(trace.critic)]
+        if moment is None:
+            assert max(drops) <= 0
+        else:
+            assert drops[moment["step"] - 1] == max(drops) > 0
+            assert 0 < moment["time"] < trace.time
+    assert sum(moment is None for moment in moments) <= 2
 
 
 @pytest.mark.slow
@@ -142,11 +177,11 @@ def test_what_cannot_be_diagnosed_is_told_in_a_sentence(short, tmp_path, capsys)
     assert "is damaged" in capsys.readouterr().err
     shutil.copy(short / "monitor.csv", log)
     evaluation = run / "evaluations" / "0001.json"
-    kept = {"evaluated": "", "model": "best", "seed": 2, "episodes": 1, "mean_return": 9.0, "return_interval": None, "solved": None,
+    kept = {"evaluated": "9999", "model": "best", "seed": 2, "episodes": 1, "mean_return": 9.0, "return_interval": None, "solved": None,
             "success_defined": False, "success_rate": 0.0, "success_interval": [0.0, 1.0], "outcomes": None}  # fmt: skip
     evaluation.write_text(json.dumps(kept))
     assert main(["explain-episode", str(run)]) == 2
-    assert "its episodes cannot be read" in capsys.readouterr().err
+    assert "0001.json is damaged: 'outcomes'" in capsys.readouterr().err
     evaluation.unlink()
     shutil.rmtree(run / "models")
     assert main(["explain-episode", str(run)]) == 2

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 import shutil
 from pathlib import Path
 
@@ -156,7 +157,13 @@ def test_a_bundle_that_does_not_fit_is_refused_item_by_item(bundle, capsys):
     assert "observation.x: bundle -0.4 .. 0.4 m, scenario -1 .. 1 m" in told
     assert "cart.pole_angle" not in told
     assert main(["export", "--check", "cartpole", str(bundle), "--set", "world.timestep=16ms"]) == 0
-    assert "0.032 s" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "0.032 s" in told
+    command = shlex.split(told.strip().rpartition("deepbots ")[2])  # its robot file is in the bundle
+    assert main(command) == 1
+    assert "world.timestep" in capsys.readouterr().out
+    assert main(["export", "--check", str(bundle / "scenario.yaml"), str(bundle), "--set", "train.gamma=0.9"]) == 0
+    assert capsys.readouterr().err == ""
 
 
 def _edit_card(folder: Path, **changes: object) -> None:
@@ -189,6 +196,9 @@ def test_a_spoiled_bundle_is_told_in_a_sentence(bundle, tmp_path, capsys, spoil,
 def test_nothing_is_overwritten_and_a_group_is_refused(bundle, run, tmp_path, capsys):
     assert main(["export", str(run), "-o", str(bundle)]) == 2
     assert "is not an empty folder" in capsys.readouterr().err
+    (tmp_path / "file").write_text("")
+    assert main(["export", str(run), "-o", str(tmp_path / "file" / "new")]) == 2
+    assert "is not a directory" in capsys.readouterr().err
     (tmp_path / "group.json").write_text("{}")
     assert main(["export", str(tmp_path), "-o", str(tmp_path / "new")]) == 2
     assert not (tmp_path / "new").exists()

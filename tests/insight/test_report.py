@@ -75,7 +75,8 @@ def test_every_figure_is_a_file_too(written):
 
 def test_best_median_and_worst_are_those_of_the_evaluation_and_happen_again(run):
     report = Report.read(run)
-    shown = report.chosen(5)
+    shown = report.chosen(6)
+    assert len(shown) == 6
     returns = sorted(episode["total_return"] for episode in json.loads((run / "evaluations" / "0001.json").read_text())["outcomes"])
     assert [each.outcome.total_return for each in shown if each.label] == [returns[-1], returns[len(returns) // 2 - 1], returns[0]]
     report.run_again(shown, lambda done, of: None, clips=False)
@@ -162,7 +163,7 @@ def test_a_place_that_cannot_be_written_to_is_told_before_anything_runs(run, tmp
     assert "it is a directory" in capsys.readouterr().err
     (tmp_path / "figures").write_text("")
     assert main(["report", str(run), "-o", str(tmp_path / "y.html"), "--figures", str(tmp_path / "figures")]) == 2
-    assert "cannot be written" in capsys.readouterr().err
+    assert "is not a directory" in capsys.readouterr().err
 
 
 def test_only_a_named_file_is_replaced(run, tmp_path, monkeypatch, capsys):

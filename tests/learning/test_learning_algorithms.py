@@ -115,7 +115,7 @@ GOAL: dict[str, Any] = {
     "more": "goal: {achieved: x, desired: 0.1 m, tolerance: 2 cm, range: -0.4 .. 0.4 m}\n",
 }
 REACH = Training(
-    "SAC", 1_500, 2, hyper(learning_starts=200, buffer_size=1_000, learning_rate=3e-3, gamma=0.9), Network((32,)), None, Hindsight()
+    "DDPG", 1_500, 2, hyper(learning_starts=200, buffer_size=1_000, learning_rate=3e-3, gamma=0.9), Network((32,)), None, Hindsight()
 )
 
 
@@ -216,7 +216,7 @@ class Remember(stand_in.CartPole):
 @pytest.fixture(scope="module")
 def remembered(tmp_path_factory: pytest.TempPathFactory) -> TrainingResult:
     figures = hyper(lstm=16, n_steps=32, batch_size=64, n_epochs=5, learning_rate=1e-2)
-    return learned(Remember, tmp_path_factory.mktemp("memory"), Training("RecurrentPPO", 5_000, 8, figures, Network((16,))))
+    return learned(Remember, tmp_path_factory.mktemp("memory"), Training("RecurrentPPO", 2_500, 8, figures, Network((16,))))
 
 
 def test_a_policy_with_a_memory_acts_by_what_it_saw_before(remembered: TrainingResult) -> None:

@@ -97,14 +97,14 @@ def test_a_training_ends_at_the_first_evaluation_that_solves_the_task(tmp_path: 
 
 def test_the_best_model_is_that_of_the_best_evaluation_and_evaluations_take_at_most_their_share_of_the_steps(tmp_path: Path) -> None:
     build = Builder(lambda number: 0.1 if number == 1 else 0.0)
-    result = learned(tmp_path, build, total=6_000)
+    result = learned(tmp_path, build, total=3_000)
     assert build.tried > 2
     best, last = (models.steps_of(result.run / "models" / "policy" / f"{name}.zip") for name in ("best", "last"))
     assert 0 < best < last
     assert evaluate(result.run, episodes=1, build=stand_in.build).mean_return > 0
     # The last evaluation comes in addition.
     assert 0 < result.evaluation_steps <= result.steps * callbacks.OVERTIME_SHARE + 2 * callbacks.EPISODES * 50
-    again = resume(result.run, total_timesteps=8_000, build=build)
+    again = resume(result.run, total_timesteps=5_000, build=build)
     assert again.evaluation_steps > result.evaluation_steps
 
 

@@ -46,7 +46,7 @@ action:
   drive:
     choices: {forward: 1, backward: -1}
     forbid: {forward: x > 0.2 m}
-train: {algorithm: MaskablePPO, total_timesteps: 200, environments: 2}
+train: {algorithm: MaskablePPO, total_timesteps: 200, environments: 2, n_steps: 32, batch_size: 32, n_epochs: 1}
 """,
     "stages": """
 curriculum:
@@ -56,7 +56,7 @@ curriculum:
 evaluation:
   cases:
     steep: {set: {fall_angle: 5 deg}, episodes: 2}
-train: {total_timesteps: 600, environments: 2, n_steps: 32, batch_size: 32, n_epochs: 1}
+train: {total_timesteps: 400, environments: 2, n_steps: 32, batch_size: 32, n_epochs: 1}
 """,
 }
 

@@ -29,7 +29,7 @@ def figures(trained: TrainingResult, **settings: object) -> dict[str, object]:
 
 @pytest.mark.parametrize("deterministic", [True, False])
 def test_the_result_does_not_depend_on_how_many_worlds_run_at_once(trained: TrainingResult, deterministic: bool) -> None:
-    results = [figures(trained, episodes=21, copies=copies, deterministic=deterministic) for copies in (1, 3, 8)]
+    results = [figures(trained, episodes=13, copies=copies, deterministic=deterministic) for copies in (1, 3, 8)]
     assert results[0] == results[1] == results[2]
     assert results[0]["least_return"] != results[0]["greatest_return"]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,10 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.cli import main
 from deepbots_cli.compiler import check
 from deepbots_cli.document import loads
-from deepbots_cli.errors import DeepbotsError, RunError
+from deepbots_cli.errors import DeepbotsError, EngineError, RunError
 from deepbots_cli.learning import TrainingResult, evaluate, train
 from deepbots_cli.learning.failures import FailureRecorder, reproduce
+from deepbots_cli.learning.report import Reporter
 
 ODD = {
     "reward": "reward: {alive: 1, odd: 1 / (20 - step)}",
@@ -31,16 +33,75 @@ def odd(name: str) -> Compiled:
 
 
 @pytest.mark.parametrize(("name", "field"), [("reward", "term_odd"), ("observation", "growth")])
-def test_a_scenario_without_a_value_is_told_with_its_place_and_repeated_from_a_file(tmp_path: Path, name: str, field: str) -> None:
+@pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
+def test_a_scenario_without_a_value_is_told_with_its_place_and_repeated_from_a_file(
+    tmp_path: Path, name: str, field: str, engine: str
+) -> None:
+    """On MuJoCo the worlds are a batch."""
+    pytest.importorskip(engine)
     with pytest.raises(DeepbotsError) as caught:
-        train(odd(name), run=tmp_path / "run", total_timesteps=2_000)
+        train(odd(name), run=tmp_path / "run", total_timesteps=2_000, engine=engine)
     text = str(caught.value)
     path = tmp_path / "run" / "failures" / "0001.json"
-    assert all(part in text for part in ("episode 1 (seed ", "step ", field, f"deepbots run {path}"))
     failure, error = reproduce(path)
+    assert all(part in text for part in (f"episode {failure.episode} (seed ", "step ", field, f"deepbots run {path}"))
     assert failure.error in text
     assert error is not None
     assert text.startswith(error)
+
+
+def hurled(push: str) -> Compiled:
+    """The CartPole with a motor at its hinge that hurls the pole out of the range of numbers, in the episodes that draw a `push`."""
+    text = f"""
+deepbots: 1
+extends: cartpole.yaml
+name: Hurled
+parameters: {{push: {push}}}
+robots:
+  cart:
+    receive: {{push: push}}
+    actuators: {{hinge: {{type: torque_motor, joint: pole_hinge, max_torque: 1e9 N*m}}}}
+    apply: {{hinge: push * 1 N*m}}
+termination: {{failure: {{fallen: abs(cart.pole_angle) > 10000 deg, off_track: abs(x) > 1e200 m}}}}
+truncation: {{max_steps: 4}}
+train: {{n_steps: 16, n_epochs: 1}}
+"""
+    return api.compile(check(loads(text, base=Path("scenarios").absolute())))
+
+
+class Notes(Reporter):
+    """Keeps what the user is told."""
+
+    def __init__(self) -> None:
+        self.texts: list[str] = []
+
+    def note(self, text: str) -> None:
+        self.texts.append(text)
+
+
+def test_a_world_of_a_batch_that_is_no_longer_finite_begins_anew_and_its_episode_is_kept(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    notes = Notes()
+    rarely = f"choice({' | '.join(['0'] * 5)} | 1e9)"
+    done = train(hurled(rarely), run=tmp_path / "run", total_timesteps=256, engine="mujoco", progress=notes)
+    told = [text for text in notes.texts if "begins anew" in text]
+    files = sorted((tmp_path / "run" / "failures").iterdir())
+    assert done.status == "finished"
+    assert len(told) == len(files) == (tmp_path / "run" / "monitor.csv").read_text().count("not_finite") > 0
+    for text, path in zip(told, files, strict=True):
+        assert re.match(rf"episode \d+ \(seed \d+\), step \d: the pose of 'cart' left the range of numbers\nreproduce .* {path}\n", text)
+        failure, error = reproduce(path)
+        assert error is not None
+        assert failure.error.endswith(error.partition("), ")[2])
+
+
+def test_a_training_stops_when_worlds_of_a_batch_are_lost_again_and_again(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    with pytest.raises(EngineError, match=r"in 10 of the last \d+ episodes a world was no longer finite; the last is episode") as caught:
+        train(hurled("1e9"), run=tmp_path / "run", total_timesteps=2_000, engine="mujoco")
+    files = sorted(path.name for path in (tmp_path / "run" / "failures").iterdir())
+    assert len(files) == 10
+    assert files[-1] in str(caught.value)
 
 
 def test_a_reward_that_is_not_finite_names_its_term(tmp_path: Path) -> None:

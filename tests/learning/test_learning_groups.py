@@ -25,7 +25,7 @@ from deepbots_cli.learning.statistics import interquartile_mean, mean_interval
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Hyperparameter, Solved, Training
 
-SHORT = Training("PPO", 400, 2, tuple(Hyperparameter(name, 32) for name in ("n_steps", "batch_size")))
+SHORT = Training("PPO", 400, 2, tuple(Hyperparameter(*pair) for pair in (("n_steps", 32), ("batch_size", 32), ("n_epochs", 1))))
 SCENARIO = stand_in.compiled(training=SHORT, solved=Solved(10, mean_return=195.0))
 
 
@@ -215,6 +215,24 @@ def test_values_that_the_command_line_has_changed_are_listed(run_copy: Path) -> 
     settings = read_listed(run_copy).settings
     assert settings == ("train.learning_rate=0.003", "fall_angle=10deg")
     assert short(settings) == "learning_rate=0.003, fall_angle=10deg"
+
+
+def test_scenarios_of_the_same_name_are_listed_with_their_files(run_copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["runs", str(run_copy.parent)]) == 0
+    assert "stand_in (" not in capsys.readouterr().out
+    other = shutil.copytree(run_copy, run_copy.parent / "other")
+    record = json.loads((other / "run.json").read_text())
+    (other / "run.json").write_text(json.dumps(record | {"source": "tasks/other.yaml"}))
+    assert main(["runs", str(run_copy.parent)]) == 0
+    told = capsys.readouterr().out
+    assert "stand_in (stand_in.yaml)" in told
+    assert "stand_in (other.yaml)" in told
+
+
+def test_runs_in_folders_of_the_same_name_are_compared_under_their_paths(run_copy: Path, tmp_path: Path) -> None:
+    other = shutil.copytree(run_copy, tmp_path / "second" / run_copy.name)
+    found = compare([run_copy, other], episodes=1, build=stand_in.build)
+    assert [group.name for group in found.groups] == [str(run_copy), str(other)]
 
 
 def test_runs_are_sorted_with_those_without_a_value_at_the_end(run_copy: Path) -> None:

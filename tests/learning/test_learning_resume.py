@@ -139,7 +139,7 @@ def survives(name: str, folder: Path, kills: int, seed: int = 0, number: int = s
 
 OFF_POLICY = {"learning_starts": 100}
 CASES: dict[str, dict[str, Any]] = {
-    "PPO": {"training": Training("PPO", 1_500, 3, hyper(n_steps=32, batch_size=32, learning_rate=Schedule(3e-3, 0.0)))},
+    "PPO": {"training": Training("PPO", 1_500, 3, hyper(n_steps=32, batch_size=32, n_epochs=2, learning_rate=Schedule(3e-3, 0.0)))},
     "TD3": {
         "training": Training(
             "TD3",
@@ -283,7 +283,7 @@ def test_a_training_that_was_interrupted_becomes_the_same_too(tmp_path: Path) ->
 
 
 def test_the_generated_environment_is_brought_back_in_the_middle_of_an_episode(tmp_path: Path) -> None:
-    changes = ["train.total_timesteps=600", "train.environments=2", "train.n_steps=32", "train.batch_size=32"]
+    changes = ["train.total_timesteps=500", "train.environments=2", "train.n_steps=32", "train.batch_size=32", "train.n_epochs=2"]
 
     class Stop:
         """Asks for the end of the training when it is half done."""
@@ -406,10 +406,10 @@ def test_a_training_without_room_for_a_checkpoint_keeps_the_last_one_and_becomes
     whole = train(compiled_of("PPO"), run=tmp_path / "whole", total_timesteps=500, build=stand_in.build).run
     cut = shutil.copytree(whole, tmp_path / "cut")
     with files_of_at_most(8_000), pytest.raises(UsageError, match=r"cannot be written: file too large") as caught:
-        resume(cut, total_timesteps=2_000, build=stand_in.build)
+        resume(cut, total_timesteps=1_000, build=stand_in.build)
     assert f"is kept; go on from there with: deepbots train --resume {cut}" in caught.value.full
     for run in (whole, cut):
-        resume(run, total_timesteps=2_000, build=stand_in.build)
+        resume(run, total_timesteps=1_000, build=stand_in.build)
     for part in ("models", "monitor", "scalars"):
         assert outcome(cut)[part] == outcome(whole)[part]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 import stand_in
@@ -97,7 +98,8 @@ def test_a_policy_is_measured_against_a_bar_at_every_level(trained: TrainingResu
     assert {condition.threshold.partition(";")[0] for condition in found.conditions} == {"holds at all levels"}
     starts = {tuple(episode.seed for episode in entry.evaluation.outcomes) for entry in levels}
     assert starts == {tuple(episode.seed for episode in found.nominal.outcomes)}
-    strict = evaluate_robustness(trained.run, episodes=1, min_return=1e6, build=stand_in.build)
+    brief: dict[str, Any] = {"episodes": 1, "sets": ["truncation.max_steps=5"], "build": stand_in.build}
+    strict = evaluate_robustness(trained.run, min_return=1e6, **brief)
     # A single episode has no interval.
     assert {condition.threshold for condition in strict.conditions} == {"below the bar at all levels; uncertain at all levels"}
     assert (found.nominal_holds, strict.nominal_holds) == (True, False)
@@ -105,4 +107,4 @@ def test_a_policy_is_measured_against_a_bar_at_every_level(trained: TrainingResu
     assert "below, uncertain" in robustness_text(strict).splitlines()[4]  # the row without any change
     assert "without any change; set another bar with --min-return" in robustness_text(strict)
     assert "set another bar" not in robustness_text(found)
-    assert evaluate_robustness(trained.run, episodes=1, build=stand_in.build).bar == 195.0
+    assert evaluate_robustness(trained.run, **brief).bar == 195.0

@@ -50,6 +50,14 @@ def test_the_interquartile_mean_weighs_the_edges_in_part(values, expected):
     assert stats.interquartile_mean(values) == pytest.approx(expected)
 
 
+def test_an_interval_of_a_mean_is_cut_at_the_bounds_of_its_values():
+    values = [200.0] * 9 + [190.0]
+    low, high = stats.mean_interval(values)
+    assert high > 200
+    assert stats.mean_interval(values, (1.0, 200.0)) == (low, 200.0)
+    assert stats.mean_interval([-v for v in values], (-200.0, -1.0)) == (-200.0, -low)
+
+
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=40), st.floats(-100, 100))
 def test_the_interquartile_mean_moves_with_its_values_and_ignores_their_order(values, shift):
     centre = stats.interquartile_mean(values)

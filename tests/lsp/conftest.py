@@ -1,4 +1,4 @@
-"""A project with copies of the shipped scenarios and robots, and one server for the tests of a module."""
+"""A project with copies of the shipped scenarios and robots, and one server for all tests that leave its settings alone."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from tests.lsp.client import ROOT, Client
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("project")
     for name in ("scenarios", "robots"):
@@ -20,7 +20,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def client(project: Path) -> Iterator[Client]:
     """Ends with the server leaving of its own, without a word on standard error."""
     with Client(project) as started:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli.document.layout import canonical_text
-from deepbots_cli.lsp.diagnostics import minimal_edits
+from deepbots_cli.lsp.server import minimal_edits
 from deepbots_cli.lsp.workspace import Document
 from tests.lsp.client import Client, edited
 

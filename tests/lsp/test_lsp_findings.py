@@ -239,12 +239,13 @@ def test_a_robot_file_that_changes_on_the_disk_is_read_again(project, world):
         assert codes(found) == ["DB302"]
 
 
-def test_what_is_allowed_to_lint_is_allowed_to_the_server(project, world, tmp_path_factory):
+def test_what_is_allowed_to_lint_is_allowed_to_the_server(client, project, world, tmp_path_factory):
     elsewhere = tmp_path_factory.mktemp("elsewhere") / "roller.urdf"
     path = world("pit_escape")
     shutil.copy(path.parents[1] / "robots" / "urdf" / "roller.urdf", elsewhere)
     path.write_text(path.read_text().replace("../robots/urdf/roller.urdf", str(elsewhere)))
-    with Client(project) as own:
-        assert codes(own.findings(own.open(path))) == ["DB204"]
+    uri = client.open(path)
+    assert codes(client.findings(uri)) == ["DB204"]
+    client.close(uri)
     with Client(project, command=(*OURS, "--allow-path", str(elsewhere.parent))) as own:
         assert own.findings(own.open(path)) == []

@@ -16,8 +16,8 @@ from lsprotocol.types import Position, Range
 
 from deepbots_cli.errors import installing
 from deepbots_cli.lsp.completion import completion
-from deepbots_cli.lsp.diagnostics import CodeActions, diagnostics, formatting
 from deepbots_cli.lsp.lookup import definitions, document_symbols, hover
+from deepbots_cli.lsp.server import CodeActions, diagnostics, formatting
 from deepbots_cli.lsp.workspace import Document, Workspace, analyse, uri_of
 from tests.benchmarks.lsp_cost import heavy_imports
 from tests.few import few

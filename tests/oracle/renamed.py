@@ -10,8 +10,8 @@ from itertools import accumulate
 from pathlib import Path
 
 from deepbots_cli import api
+from deepbots_cli.diagnostics.nearest import RENAMES
 from deepbots_cli.lint.fixes import Fixer
-from deepbots_cli.renames import RENAMES
 
 _OLD = re.compile(rf"\b({'|'.join({rename.old for rename in RENAMES})})\b")
 _TOKEN = re.compile(r"\w+|\W")

@@ -67,18 +67,19 @@ def test_the_wheel_names_its_extras_and_command(wheel: Path) -> None:
 
 
 def test_an_installed_wheel_uses_its_own_data_from_an_empty_folder(installed: Path, tmp_path: Path) -> None:
-    listed = deepbots(installed, tmp_path, "list", "--json")
-    assert listed.returncode == 0, listed.stderr
-    assert "cartpole" in listed.stdout
-    linted = deepbots(installed, tmp_path, "lint", "cartpole")
-    assert (linted.returncode, linted.stderr) == (0, "")
-    explained = deepbots(installed, tmp_path, "explain", "DB402")
-    assert (explained.returncode, explained.stderr) == (0, "")
-    assert "abs(cart.pole_angle) > fall_angle" in explained.stdout
-    script = "from deepbots_cli.document import shipped; print(shipped.data_dir())"
+    script = """
+from deepbots_cli.cli import main
+from deepbots_cli.document import shipped
+print(shipped.data_dir())
+print([main(words.split()) for words in ("list --json", "lint cartpole", "explain DB402")])
+"""
     environment = os.environ | {"PYTHONPATH": str(installed)}
-    where = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
-    assert Path(where.stdout.strip()).is_relative_to(installed)
+    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+    lines = done.stdout.splitlines()
+    assert Path(lines[0]).is_relative_to(installed)
+    assert (lines[-1], done.stderr) == ("[0, 0, 0]", "")
+    assert any('"cartpole"' in line for line in lines)
+    assert any("abs(cart.pole_angle) > fall_angle" in line for line in lines)
 
 
 def test_a_copied_scenario_runs_from_the_folder_it_was_copied_to(installed: Path, tmp_path: Path) -> None:

@@ -164,13 +164,13 @@ def test_explain_knows_the_words(answers, word, told):
 def test_editors_are_offered_kinds_and_parameters(site):
     script = """
 from deepbots_cli.scenario.base import fields, shape_at
-from deepbots_cli.scenario.docs import about_kind, hover
+from deepbots_cli.scenario.base import about, hover
 from deepbots_cli.scenario.scenario import Scenario
 data = {"robots": {"r": {"sensors": {"s": {"type": "tachometer"}}, "actuators": {"a": {"type": "throttle"}}}}}
 for section, name, kind, key in (("sensors", "s", "tachometer", "spacing"), ("actuators", "a", "throttle", "stall_torque")):
     path = ("robots", "r", section, name)
     kinds = shape_at(Scenario, data, path, choose=False)
-    print(kind in kinds.names, about_kind(kinds, kind))
+    print(kind in kinds.names, about(kinds.models[kind]))
     print(hover(shape_at(Scenario, data, path), key))
 """
     told = python(site, "-c", script).stdout
@@ -204,35 +204,54 @@ import sys
 import deepbots_cli
 from deepbots_cli import api
 assert "self.drive_axle = self.actuator('axle')" in api.compile("acme_throttle").code.replace('"', "'")
-env = deepbots_cli.make("acme_throttle", sets=sys.argv[1:])
-env.reset(seed=0)
-print(json.dumps([float(env.step([0.5])[0][0]) * 20.0 for _ in range(60)]))
+for sets in json.loads(sys.argv[1]):
+    env = deepbots_cli.make("acme_throttle", sets=sets)
+    env.reset(seed=0)
+    print(json.dumps([float(env.step([0.5])[0][0]) * 20.0 for _ in range(60)]))
 """
+DRIVES = [("1", "0 ms"), ("uniform(0.4 .. 0.5)", "0 ms"), ("1", "100 ms")]
+"""The strength and the delay of an actuator."""
 
 
-@pytest.mark.parametrize(("strength", "delay"), [("1", "0 ms"), ("uniform(0.4 .. 0.5)", "0 ms"), ("1", "100 ms")])
-def test_an_actuator_of_a_plugin_drives_with_strength_and_delay(site, strength, delay):
+@pytest.fixture(scope="module")
+def driven(site):
+    """The speeds of the wheel in rad/s, step by step, for each of `DRIVES`; all from one process."""
     place = "robots.spinner.actuators.axle"
-    done = python(site, "-c", THROTTLED, f"{place}.strength={strength}", f"{place}.delay={delay}")
-    speeds = json.loads(done.stdout)
+    sets = [[f"{place}.strength={strength}", f"{place}.delay={delay}"] for strength, delay in DRIVES]
+    done = python(site, "-c", THROTTLED, json.dumps(sets))
+    return dict(zip(DRIVES, map(json.loads, done.stdout.splitlines()), strict=True))
+
+
+@pytest.mark.parametrize(("strength", "delay"), DRIVES)
+def test_an_actuator_of_a_plugin_drives_with_strength_and_delay(driven, strength, delay):
+    speeds = driven[strength, delay]
     # The wheel follows the law: inertia * dw/dt = strength * stall * (share - w / idle), so with w = share * idle in the end,
     # and a time constant of inertia * idle / (strength * stall) = 0.001 * 10.47 / 0.2 = 52 ms at full strength.
     late = 5 if delay != "0 ms" else 0
     assert all(abs(speed) < 1e-9 for speed in speeds[:late])
-    assert speeds[-1] == pytest.approx(0.5 * 10.472, rel=0.02), done.stderr
+    assert speeds[-1] == pytest.approx(0.5 * 10.472, rel=0.02)
     share = speeds[late + 2] / (0.5 * 10.472)  # after 60 ms
     assert 0.5 < share < 0.8 if strength == "1" else 0.25 < share < 0.5
 
 
-def test_the_algorithm_of_a_plugin_trains_with_its_default(site):
+def test_the_algorithm_of_a_plugin_trains_with_its_default_and_one_without_tensors_is_refused(site):
     script = """
 from deepbots_cli import api
+from deepbots_cli.errors import UsageError
+from deepbots_cli.learning import train
 from deepbots_cli.learning import algorithms, defaults
 program = api.compile("acme_spin").program
 print({entry.name: entry.value for entry in program.policy.training.hyperparameters}, algorithms.check(program.policy.training))
 print([entry.value for entry in defaults.effective(program, 1000) if entry.name == "n_epochs"])
+try:
+    train(api.compile("acme_spin", sets=["train.algorithm=NoTensors"]), run="refused")
+except UsageError as error:
+    print(error)
 """
-    assert python(site, "-c", script).stdout == "{'n_epochs': 3} None\n[3]\n"
+    first, second, refusal = python(site, "-c", script).stdout.splitlines()
+    assert (first, second) == ("{'n_epochs': 3} None", "[3]")
+    assert refusal.startswith("NoTensors (acme.training:Elsewhere) does not keep its networks as PPO of Stable-Baselines3 does")
+    assert not (site / "refused").exists()
 
 
 BROKEN = [

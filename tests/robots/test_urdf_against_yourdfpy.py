@@ -10,9 +10,8 @@ import pytest
 
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.document import shipped
-from deepbots_cli.robots.model import RobotModel
+from deepbots_cli.robots.model import RobotModel, write
 from deepbots_cli.robots.reader import read
-from deepbots_cli.robots.writer import write
 
 
 @pytest.fixture

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.robots.meshes import UnusableMesh
+from deepbots_cli.robots.model import write
 from deepbots_cli.robots.reader import read, read_bytes
-from deepbots_cli.robots.writer import write
 
 CARTPOLE = (Path(__file__).parents[2] / "robots/urdf/cartpole.urdf").read_bytes()
 LAUGHS = (

@@ -13,9 +13,8 @@ import pytest
 
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.robots import meshes
-from deepbots_cli.robots.model import Mesh
+from deepbots_cli.robots.model import Mesh, write
 from deepbots_cli.robots.reader import RobotFile, read
-from deepbots_cli.robots.writer import write
 
 TETRAHEDRON = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1/1 2/2 4/3\nf -1 -2 -3\n"
 

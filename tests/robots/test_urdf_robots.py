@@ -9,11 +9,9 @@ import pytest
 
 from deepbots_cli.compiler.robots import match
 from deepbots_cli.diagnostics import Findings
-from deepbots_cli.robots import inertia
 from deepbots_cli.robots.meshes import mesh_resolver
-from deepbots_cli.robots.model import Box, Cylinder, Sphere
+from deepbots_cli.robots.model import Box, Cylinder, Sphere, homogeneous, write
 from deepbots_cli.robots.reader import RobotFile, read, read_bytes
-from deepbots_cli.robots.writer import write
 
 SHIPPED = Path(__file__).parents[2] / "robots/urdf"
 PUBLISHED = {
@@ -45,7 +43,7 @@ def shipped(name: str) -> RobotFile:
 
 def moments(link, shape, origin):
     """What the file says, beside the closed form."""
-    said, right = link.inertial, inertia.homogeneous(shape, link.inertial.mass, origin)
+    said, right = link.inertial, homogeneous(shape, link.inertial.mass, origin)
     return [said.ixx, said.iyy, said.izz], pytest.approx([right.ixx, right.iyy, right.izz], rel=1e-9)
 
 

@@ -25,9 +25,9 @@ from deepbots_cli.robots.model import (
     Pose,
     RobotModel,
     Sphere,
+    write,
 )
 from deepbots_cli.robots.reader import read, read_bytes
-from deepbots_cli.robots.writer import write
 
 numbers = st.floats(-1e17, 1e17, allow_nan=False, allow_subnormal=True)
 positive = st.floats(1e-300, 1e17)

@@ -15,8 +15,7 @@ from deepbots_cli.document import load, to_data
 from deepbots_cli.document.parse import parse
 from deepbots_cli.scenario import Scenario
 from deepbots_cli.scenario.actuators import ACTUATORS
-from deepbots_cli.scenario.base import Section, fields, sections
-from deepbots_cli.scenario.docs import unit_of
+from deepbots_cli.scenario.base import Section, fields, sections, unit_of
 from deepbots_cli.scenario.json_schema import FILE_NAME, definition_of, json_schema, to_text
 from deepbots_cli.scenario.sensors import SENSORS
 from deepbots_cli.scenario.training import ALGORITHMS

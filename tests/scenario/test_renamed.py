@@ -10,11 +10,11 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.diagnostics import Edit, Findings, Source
+from deepbots_cli.diagnostics.nearest import RENAMES, Rename
 from deepbots_cli.document.nodes import Mapping, Scalar, to_data, walk
 from deepbots_cli.document.parse import parse
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.lint.fixes import Fixer
-from deepbots_cli.renames import RENAMES, Rename
 from deepbots_cli.scenario.base import Kinds, sections, shape_at
 from deepbots_cli.scenario.scenario import Scenario
 

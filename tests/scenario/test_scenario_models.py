@@ -8,8 +8,7 @@ import pytest
 
 from deepbots_cli.document import descend, load
 from deepbots_cli.scenario import Scenario, validate, visit
-from deepbots_cli.scenario.base import sections
-from deepbots_cli.scenario.docs import description
+from deepbots_cli.scenario.base import description, sections
 from deepbots_cli.scenario.fields import Expression, Pattern, Quantity, Range, Reference, count_literal, read_schedule
 
 ROOT = Path(__file__).parents[2]

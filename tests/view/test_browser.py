@@ -22,12 +22,12 @@ CARTPOLE = Path(__file__).parents[2].joinpath("scenarios", "cartpole.yaml").read
 
 
 @contextmanager
-def served(source: str, **options: Any) -> Iterator[Page]:
+def served(source: str | Source, **options: Any) -> Iterator[Page]:
     """A page whose loop runs in a thread of its own."""
     made, stop = [], threading.Event()
 
     def run() -> None:
-        made.append(Page(Source(source), port=0, **options))
+        made.append(Page(Source(source) if isinstance(source, str) else source, port=0, **options))
         made[0].run(stop.is_set)
         made[0].close()
 
@@ -132,6 +132,20 @@ def test_two_worlds_are_seen_side_by_side(new_tab):
         tab.open(page.address)
         tab.wait("document.body.innerText.includes('A: find_ball') && document.body.innerText.includes('B: find_ball')")
         _soon(lambda: _columns(_world(tab), (215, 200, 80)) == 2)
+        assert tab.errors == []
+
+
+def test_worlds_of_a_batch_are_chosen(new_tab):
+    with served(Source("find_ball", engine="mujoco", worlds=4), driver="random") as page:
+        page._todo.put(page.step_once)
+        tab = new_tab()
+        tab.open(page.address)
+        tab.wait("document.body.innerText.includes('world 0 of 4')")
+        _soon(lambda: _is_world(_world(tab), (215, 200, 80), 60))
+        first = _world(tab)
+        page._todo.put(lambda: page._choose_world(2))
+        tab.wait("document.body.innerText.includes('world 2 of 4')")
+        _soon(lambda: (np.abs(_world(tab) - first).sum(axis=2) > 60).sum() > 20)  # the robot stands elsewhere
         assert tab.errors == []
 
 

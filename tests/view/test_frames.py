@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from contextlib import closing
+from dataclasses import asdict
 
 import numpy as np
 import pytest
 
 import deepbots_cli
+from deepbots_cli.errors import UsageError
 from deepbots_cli.view.episodes import HAND, RANDOM, ZERO, Player, Source
 from deepbots_cli.view.frames import FrameReader, action_fields, observation_fields
 
@@ -63,6 +65,47 @@ def test_returns_and_endings_are_those_of_the_episode():
     assert frames[-1].time == pytest.approx(0.128 * (len(frames) - 1))
 
 
+@pytest.mark.parametrize("name", ["cartpole_wireless", "quadruped", "panda_push"])
+def test_a_world_of_a_batch_has_the_frames_of_a_single_world(name):
+    with closing(Source(name, engine="mujoco", worlds=3).open().player(RANDOM)) as batch:
+        batch.world = 2
+        with closing(Source(name, engine="mujoco").open().player(RANDOM)) as single:
+            pairs = [(batch.begin(7, 0), single.begin(7, 2))]
+            while len(pairs) < 15 and not pairs[-1][1].ended_by:
+                pairs.append((batch.step(), single.step()))
+        for one, other in pairs:
+            found, expected = dict(_leaves(asdict(one))), dict(_leaves(asdict(other)))
+            assert found.keys() == expected.keys()
+            for path, value in expected.items():
+                assert found[path] == (pytest.approx(value, rel=1e-9, abs=1e-9) if isinstance(value, float) else value), path
+
+
+def _leaves(value, path=""):
+    """The numbers and names of a frame by their paths."""
+    if not isinstance(value, (dict, tuple)):
+        yield path, value
+        return
+    for key, part in value.items() if isinstance(value, dict) else enumerate(value):
+        yield from _leaves(part, f"{path}/{key}")
+
+
+def test_worlds_of_a_batch_that_have_ended_rest_until_the_next_episodes():
+    with closing(Source("cartpole", engine="mujoco", worlds=4).open().player(RANDOM)) as player:
+        player.begin(0, 0)
+        while player._resting.sum() < 2:
+            player.step()
+        world = int(player._resting.argmax())
+        ended = player.choose(world)
+        assert ended.ending == "failure: fallen"
+        assert ended.agents["agent"].episode_return == ended.step
+        player.step()
+        assert asdict(player.choose(world)) == asdict(ended)
+        assert "fallen 2" in player.note
+        assert player.following(0) == 4
+        with pytest.raises(UsageError, match="leave out --worlds"):
+            player.drive("balance")
+
+
 def test_bodies_that_take_no_part_in_the_episode_are_left_out():
     with closing(Player(Source("find_ball_random").open(), ZERO)) as player:
         shown = [{body for body, _ in player.begin(0, episode).links if body.startswith("obstacle")} for episode in range(6)]
@@ -81,9 +124,9 @@ def test_every_copy_of_a_robot_has_frames_of_its_own():
 
 
 def test_a_push_is_in_the_frames_while_it_lasts():
-    with closing(Player(Source("quadruped").open(), ZERO)) as player:
-        pushed = [bool(frame.pushes) for frame in player.episode(0, 0, 450)]
-    assert 5 <= sum(pushed) <= 18  # one or two pushes of 100 ms, in steps of 20 ms
+    with closing(Player(Source("quadruped", case="pushed").open(), ZERO)) as player:
+        pushed = [bool(frame.pushes) for frame in player.episode(0, 0, 390)]
+    assert 5 <= sum(pushed) <= 18  # one to three pushes of 100 ms within 7.8 s, in steps of 20 ms
 
 
 def test_fields_have_units_ranges_and_options():

@@ -10,6 +10,10 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("viser")
+import msgspec
+import viser
+from websockets.sync.client import connect
+
 import deepbots_cli.codegen
 from deepbots_cli.cli import main
 from deepbots_cli.errors import UsageError
@@ -25,11 +29,25 @@ CARTPOLE = (
 )
 
 
+CAMERA = {"type": "ViewerCameraMessage", "wxyz": (1, 0, 0, 0), "position": (0, -3, 2), "fov": 0.7, "near": 0.01, "far": 100.0,
+          "image_height": 500, "image_width": 800, "look_at": (0, 0, 0), "up_direction": (0, 0, 1)}  # fmt: skip
+"""What a browser tells first."""
+
+
 def _run(page, until, seconds=30.0):
-    """Serve the page until something holds, and say that it came to hold."""
+    """Serve the page to a client until something holds, and say that it came to hold."""
     end = time.monotonic() + seconds
-    page.run(lambda: until() or time.monotonic() > end)
+    with connect(page.address.replace("http", "ws"), subprotocols=[f"viser-v{viser.__version__}"], max_size=None) as wire:
+        wire.send(msgspec.msgpack.encode(CAMERA))
+        page.run(lambda: until() or time.monotonic() > end)
     assert until()
+
+
+def test_time_stands_still_while_nobody_looks():
+    with closing(Page(Source("cartpole"), port=0, driver="zero")) as page:
+        page.run(iter([False] * 10 + [True]).__next__)
+        assert page.player.frame.step == 0
+        _run(page, lambda: page.player.frame.step > 0)
 
 
 def test_time_goes_on_stands_still_and_begins_again():
@@ -61,6 +79,23 @@ def test_keys_drive_and_let_go():
         page.step_once()
         assert page.player.frame.agents["agent"].action == pytest.approx((0.625, 0.0))
         assert "onward" in page._banner.content or page._rival.driver_name == "onward"
+
+
+def test_an_episode_that_was_driven_is_recorded_to_the_bit(tmp_path, monkeypatch):
+    pytest.importorskip("mcap")
+    monkeypatch.chdir(tmp_path)
+    with closing(Page(Source("find_ball"), port=0, playing=True, seed=4)) as page:
+        assert "press a key to begin" in page._banner.content
+        for keys in ({"KeyW"}, {"KeyW", "KeyD"}, {"KeyA"}):
+            page._hand.hold(frozenset(keys), ())
+            page.step_once()
+        page._record(None)
+        page._record(None)
+        driven = page.player.frame
+    with closing(Source("find_ball-4-0-played1.mcap").open().player()) as replayed:
+        *_, last = replayed.episode(4, 0, 3)
+        assert last.links == driven.links
+        assert replayed.recording.metadata["driver"] == HAND
 
 
 def test_hands_know_options_by_their_names():
@@ -103,11 +138,20 @@ def test_a_scenario_with_errors_opens_with_its_findings(tmp_path):
         _run(page, lambda: page.player is not None)
 
 
-def test_what_cannot_be_opened_is_told():
+def test_what_cannot_be_opened_is_told(capsys):
     with pytest.raises(UsageError, match="no file or shipped scenario"):
         Page(Source("nothing_here"), port=0)
     with pytest.raises(UsageError, match="no script 'nobody'"):
         Page(Source("find_ball"), port=0, driver="nobody")
+    for wrong, message in (
+        (["find_ball", "--world", "3"], "there is no world 3; add --worlds N"),
+        (["find_ball", "--worlds", "4", "--world", "4"], "a batch of 4 worlds has worlds 0 to 3"),
+        (["find_ball", "--worlds", "4", "--script", "around"], "'around' cannot act in a batch"),
+        (["find_ball", "--worlds", "4", "--engine", "pybullet"], "the engine 'pybullet' has no batches"),
+        (["see_ball", "--worlds", "4"], "it has cameras"),
+    ):
+        assert main(["view", *wrong]) == 2
+        assert message in capsys.readouterr().err
 
 
 def test_a_recording_is_played_and_scrubbed(tmp_path):
@@ -138,6 +182,24 @@ def test_two_worlds_begin_alike_and_go_on_until_both_have_ended():
         _run(page, lambda: one.ended and other.ended)
         assert "A: cartpole" in page._banner.content
         assert "B: cartpole" in page._banner.content
+
+
+def test_a_page_shows_one_world_of_a_batch_after_another():
+    batch = Source("cartpole", engine="mujoco", worlds=4)
+    with closing(Page(batch, port=0, driver="zero", world=3)) as page, closing(Page(Source("cartpole", engine="mujoco"), port=0)) as single:
+        single.episode = 3
+        single._begin()
+        assert page.player.frame.links == single.player.frame.links
+        assert "episode 3, step 0" in page._banner.content
+        assert "world 3 of 4 (running 4)" in page._banner.content
+        third = page.player.frame
+        page._choose_world(1)
+        assert page.player.frame.links != third.links
+        assert len(page.shown[0].past) == 1
+        _run(page, lambda: page.player.frame.step > 3)
+        assert page.player.batch.step_count.min() > 3
+        page._begin(1)
+        assert "episode 5, step 0" in page._banner.content
 
 
 def test_a_changed_parameter_counts_at_the_same_seed():

@@ -14,7 +14,7 @@ from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Scenario, Sets
 from deepbots_cli.cli.commands.new import Files, modeline, write_new
 from deepbots_cli.codegen import emit
-from deepbots_cli.codegen.names import class_name
+from deepbots_cli.codegen.text import class_name
 from deepbots_cli.compiler import Checked
 from deepbots_cli.compiler.inputs import FOLDER, RESOLVED
 from deepbots_cli.compiler.inventory import known

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Annotated, Any, Literal
 
@@ -113,9 +113,7 @@ def _show(found: Sequence[Change], one: str, other: str) -> None:
 def _show_change(change: Change) -> None:
     terminal.print_result(f"  {change.path}")
     if change.through:
-        terminal.print_result(
-            f"      {change.one}\n      changed by the parameter{'s' * (len(change.through) > 1)} {', '.join(change.through)}"
-        )
+        terminal.print_result(f"      {change.one}\n      {change.by}")
         return
     if change.kind == "changed" and not (change.one or change.other):
         return
@@ -126,14 +124,23 @@ def _show_change(change: Change) -> None:
 
 @dataclass(frozen=True)
 class Change:
-    """`one` and `other` are the texts of both sides; `through` names the parameters that differ where the texts are the same."""
+    """`one` and `other` are the texts of both sides.
+
+    Where they are the same, `through` has the parameters that differ in them, and the texts of each on both sides.
+    """
 
     path: str
     group: Group
     kind: Kind
     one: str
     other: str
-    through: tuple[str, ...] = ()
+    through: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+
+    @property
+    def by(self) -> str:
+        """The parameters that change the meaning of the same text."""
+        listed = (f"{name}: {one or '(not written)'} -> {other or '(not written)'}" for name, (one, other) in self.through.items())
+        return f"changed by the parameter{'s' * (len(self.through) > 1)} {', '.join(listed)}"
 
 
 _COLOURED = r"(?=/(?:.*/)?(?:colour|visuals)\b)"
@@ -260,8 +267,7 @@ def _change(path: str, group: Group, old: Mapping[str, str], new: Mapping[str, s
     kind = "changed" if all(texts) else _kind(bool(old), bool(new))
     if texts[0] != texts[1]:
         return Change(path, group, kind, *texts)
-    used = _NAME.findall(texts[0])
-    through = tuple(name for name in _altered_parameters(one, other) if name in used)
+    through = _altered_parameters(texts[0], one, other, set())
     return Change(path, group, kind, *(texts if through else _differing(old, new)), through)
 
 
@@ -279,14 +285,16 @@ def _differing(old: Mapping[str, str], new: Mapping[str, str]) -> tuple[str, str
     return ", ".join([*shown[0], *rest] if shown[0] else []), ", ".join([*shown[1], *rest] if shown[1] else [])
 
 
-def _altered_parameters(one: Opened, other: Opened) -> list[str]:
-    """The parameters whose texts differ, and those computed from them."""
-    names = dict.fromkeys((*one.names("parameters"), *other.names("parameters")))
-    texts = {name: (one.wording(f"parameters.{name}"), other.wording(f"parameters.{name}")) for name in names}
-    altered = [name for name, (here, there) in texts.items() if here != there]
-    while more := [name for name in texts if name not in altered and set(altered) & set(_NAME.findall(texts[name][0]))]:
-        altered += more
-    return altered
+def _altered_parameters(text: str, one: Opened, other: Opened, known: set[str]) -> dict[str, tuple[str, str]]:
+    """The parameters whose texts differ, of those in a text and of those that they are computed from; and both texts of each."""
+    found: dict[str, tuple[str, str]] = {}
+    for name in dict.fromkeys(_NAME.findall(text)):
+        here, there = one.wording(f"parameters.{name}"), other.wording(f"parameters.{name}")
+        if here != there:
+            found[name] = here, there
+        elif here and name not in known:
+            found |= _altered_parameters(here, one, other, known | {name})
+    return found
 
 
 def _of_variants(one: Opened, other: Opened) -> Iterator[Change]:

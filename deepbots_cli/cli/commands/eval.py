@@ -149,7 +149,8 @@ def command(
     --set overrides values of the scenario of the run, or of the scenario that --scenario names. This scenario must have the
     observation, action and messages of the training; its world may differ. --engine runs the episodes in another engine. With several
     engines, such as --engine mujoco,pybullet, every engine runs episodes from the same starts. The table shows the difference of each
-    further engine from the first, with its 95 % interval over pairs of episodes. The requirements then apply to every engine.
+    further engine from the first, with its 95 % interval over pairs of episodes, or over the seeds of a group. The requirements then
+    apply to every engine.
 
     --episodes failed runs the failed episodes of the last kept evaluation again, and counts their endings. For the first 10, it prints the
     ending, and how far its value was beyond the bound. With --video FILE.mp4, it films these as FILE-K.mp4 for episode K.
@@ -210,11 +211,10 @@ def command(
     if is_group(run):
         group = Group.open(run)
         one = f"evaluates a single run, and {run} is a group; name one of its runs, such as {group.runs[0] if group.runs else run}"
-        _refuse(one, video=video, robustness=robustness, baselines=baselines, details=details, engine=len(several) > 1)
-        compiled = _judged(run, group.record.engine, scenario, sets, several[0], allow_paths, allow_code)
-        found_in = scenario or ("the scenario of the run, changed" if compiled else None)
+        _refuse(one, video=video, robustness=robustness, baselines=baselines, details=details)
+        judged = [_judged(run, group.record.engine, scenario, sets, name, allow_paths, allow_code) for name in several]
         chosen |= {"seed": seed or 0, "case": case, "stage": stage}
-        _evaluate_group(run, compiled, gates, csv=csv, junit=junit, as_json=as_json, elsewhere=found_in, sets=tuple(sets or ()), **chosen)
+        _evaluate_group(run, judged, gates, csv=csv, junit=junit, as_json=as_json, scenario=scenario, sets=tuple(sets or ()), **chosen)
         return
     known = Run.open(run)
     if robustness:
@@ -433,37 +433,50 @@ class Gates:
 
 def _evaluate_group(
     folder: Path,
-    compiled: Compiled | None,
+    judged: Sequence[Compiled | None],
     gates: Gates,
     *,
     csv: Path | None,
     junit: Path | None,
     as_json: bool,
-    elsewhere: str | None,
+    scenario: str | None,
     sets: tuple[str, ...],
     **chosen: Any,
 ) -> None:
+    """Evaluate a group in each of the `judged` scenarios, which differ in their engine; None is the scenario of the group."""
     with terminal.passing("loading the policies ..."):
-        evaluate_group = learning.evaluate_group  # which imports torch
+        from deepbots_cli.learning.comparison import evaluate_group, group_across_engines  # which import torch
     ready = Group.open(folder).ready
-    planned = 0
-    if ready:
-        program = Run.open(ready[0]).program if compiled is None else compiled.program
-        gates.check(program)
-        usual = program.evaluation.episodes if chosen["case"] is None else program.case(chosen["case"]).episodes
-        planned = (chosen["episodes"] or usual) * len(ready)
-        chosen["until"] = partial(gates.decided_of_group, planned=planned)
-    with terminal.progress("runs", always=False) as show_run:
-        found = evaluate_group(folder, scenario=compiled, on_run=show_run, **chosen)
-    for result in found.evaluations:
-        Run.open(result.run).keep_evaluation({**with_cases(result, ()), "elsewhere": elsewhere, "set": list(sets)})
+    groups: list[GroupResult] = []
+    requirements: list[Requirement] = []
+    for compiled in judged:
+        planned = 0
+        if ready:
+            program = Run.open(ready[0]).program if compiled is None else compiled.program
+            gates.check(program)
+            usual = program.evaluation.episodes if chosen["case"] is None else program.case(chosen["case"]).episodes
+            planned = (chosen["episodes"] or usual) * len(ready)
+        until = partial(gates.decided_of_group, planned=planned) if planned and len(judged) == 1 else None
+        with terminal.progress("runs", always=False) as show_run:
+            found = evaluate_group(folder, scenario=compiled, on_run=show_run, until=until, **chosen)
+        elsewhere = scenario or ("the scenario of the run, changed" if compiled else None)
+        for result in found.evaluations:
+            Run.open(result.run).keep_evaluation({**with_cases(result, ()), "elsewhere": elsewhere, "set": list(sets)})
+        of = f"{found.evaluations[0].engine}: " if len(judged) > 1 else ""
+        requirements += [(f"{of}{words}", met, reason) for words, met, reason in gates.requirements_of_group(found, planned)]
+        groups.append(found)
+        if not as_json:
+            terminal.print_result((f"in {found.evaluations[0].engine}: " if of else "") + results.group_text(found) + ("\n" if of else ""))
     if csv is not None:
-        results.write_csv(csv, found.evaluations)
+        results.write_csv(csv, [result for found in groups for result in found.evaluations])
+    pairs = [group_across_engines(groups[0], other) for other in groups[1:]]
     if as_json:
-        terminal.show_json(results.group_json(found))
-    else:
-        terminal.print_result(results.group_text(found))
-    _require(gates.requirements_of_group(found, planned), found.name, junit)
+        rows = [results.group_json(found) for found in groups]
+        terminal.show_json({"groups": rows, "differences": [asdict(pair) for pair in pairs]} if pairs else rows[0])
+    elif pairs:
+        terminal.print_result("differences of each run on the same starts, with 95 % intervals over the seeds")
+        terminal.print_result(table([pair.row(with_case=False) for pair in pairs]))
+    _require(requirements, groups[0].name, junit)
 
 
 def _robustness(

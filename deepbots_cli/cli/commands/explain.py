@@ -15,7 +15,7 @@ from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import Json
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.diagnostics import Findings, Rule, Source
-from deepbots_cli.diagnostics.nearest import is_typo, nearest
+from deepbots_cli.diagnostics.nearest import is_typo, nearest, renames_of
 from deepbots_cli.diagnostics.registry import matching_rules, unknown_rule_message
 from deepbots_cli.document.nodes import to_data
 from deepbots_cli.document.parse import parse
@@ -23,9 +23,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.dimensions import UNITS
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.lint import pages_of
-from deepbots_cli.renames import renames_of
-from deepbots_cli.scenario.base import Kinds, Section, fields, noun_of, sections
-from deepbots_cli.scenario.docs import about_kind, default_of, description, example_of, unit_of
+from deepbots_cli.scenario.base import Kinds, Section, about, default_of, description, example_of, fields, noun_of, sections, unit_of
 from deepbots_cli.scenario.fields import article
 from deepbots_cli.scenario.scenario import Scenario
 
@@ -280,7 +278,7 @@ def _explained_in(part: type[Section] | Kinds, mark: str, word: str) -> Iterator
 
 
 def _of_kind(kinds: Kinds, name: str) -> Iterator[str]:
-    yield about_kind(kinds, name)
+    yield about(kinds.models[name])
     model = kinds.models[name]
     keys = {key: info.is_required() for key, info in model.model_fields.items() if key != kinds.key}
     needed, others = ([key for key, required in keys.items() if required is wanted] for wanted in (True, False))

@@ -15,6 +15,7 @@ from deepbots_cli.cli.command import AllowPaths, Json, Sets
 from deepbots_cli.cli.commands.new import write_new
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.files import check_folder
 from deepbots_cli.learning.group import Group, is_group
 from deepbots_cli.learning.run import Run
 
@@ -65,6 +66,7 @@ def command(
     folder = out or Path(f"{source.resolve().name}-onnx")
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise UsageError(f"{folder} exists and is not an empty folder; name another folder with --out")
+    check_folder(folder)
     with terminal.passing("exporting the policy ..."):
         from deepbots_cli.insight import card  # torch, which exporting imports, takes a second
 
@@ -74,7 +76,8 @@ def command(
     if as_json:
         terminal.show_json({"bundle": folder, **known.model_dump(mode="json")})
         return
-    terminal.print_result(f"{folder}: {', '.join(f'{name} ({len(content) / 1000:,.0f} kB)' for name, content in files.items())}")
+    sizes = [f"{name} ({len(content) / 1000:,.0f} kB)" for name, content in files.items() if len(name.parts) == 1]
+    terminal.print_result(f"{folder}: {', '.join(sizes)}, and the robot files of the scenario")
     terminal.print_result(f"  {known.scenario}, {known.algorithm}: {known.result_text}")
     if known.result is None and not last:
         terminal.note(f"evaluate the run first for a result in the card: deepbots eval {quote(str(source))}")
@@ -91,7 +94,8 @@ def _check(
     known = card.read(folder)
     compiled = api.compile(scenario, sets=sets, allow_paths=allow_paths, allow_code=True)
     differ = card.differences(known, compiled.program)
-    remarks = card.remarks(known, compiled.program, compiled.digest)
+    given = "".join(f" --set {quote(text)}" for text in sets)
+    remarks = card.remarks(known, compiled.program, f"deepbots diff {quote(str(folder / 'scenario.yaml'))} {quote(scenario)}{given}")
     if as_json:
         terminal.show_json({"bundle": folder, "scenario": scenario, "fits": not differ, "differences": differ, "remarks": remarks})
     elif differ:

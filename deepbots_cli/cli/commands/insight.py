@@ -85,14 +85,17 @@ def _trace(shown: str, episode: int | None, seed: int | None, *, last: bool, all
             raise UsageError(f"{shown} holds a single episode; leave out --episode")
         return trace.trace_failure(path, allow_code=allow_code)
     run = Run.open(path)
-    kept = trace.last_evaluation(run) if seed is None and not last else None
-    if kept is not None:
-        failed = kept.failed(run.program)
-        chosen = kept.chosen(episode if episode is not None else failed[0] if failed else 0)
-    else:
+    found = trace.last_evaluation(run, plain=False) if seed is None and not last else None
+    if found is None:
         root, number = run.record.seed if seed is None else seed, episode or 0
         chosen = trace.Chosen(number, derive_seed(root, "evaluation", number), "last" if last else "best")
-    return trace.trace_run(run, chosen, allow_code=allow_code)
+        return trace.trace_run(run, chosen, allow_code=allow_code)
+    _, kept = found
+    failed = kept.failed(run.program)
+    traced = trace.trace_run(run, kept.chosen(episode if episode is not None else failed[0] if failed else 0), allow_code=allow_code)
+    if not failed:
+        traced.notes = [*traced.notes, f"none of the {len(kept.outcomes):,} episodes of the last evaluation failed"]
+    return traced
 
 
 MAX_SHOWN = 10
@@ -105,11 +108,12 @@ def repeat_failed(run: Run, video: Path | None, *, as_json: bool, allow_code: bo
     from deepbots_cli.insight.episode import explain, explanation_json
     from deepbots_cli.learning.video import check
 
-    kept = trace.last_evaluation(run)
-    if kept is None:
+    evaluation = trace.last_evaluation(run, plain=False)
+    if evaluation is None:
         raise UsageError(
             f"{run.path} keeps no evaluation in its own scenario and engine; make one with: deepbots eval {quote(str(run.path))}"
         )
+    path, kept = evaluation
     failed = kept.failed(run.program)
     first = failed[:MAX_SHOWN]
     films = {number: video.with_name(f"{video.stem}-{number}{video.suffix}") for number in first} if video is not None else {}
@@ -130,11 +134,11 @@ def repeat_failed(run: Run, video: Path | None, *, as_json: bool, allow_code: bo
                 filmed = f" ({films[each.number]})" if each.number in films else ""
                 terminal.print_result(f"episode {each.number}: '{traced.ended_by}' at {traced.time:.2f} s{filmed}\n  {' '.join(ends)}")
     if as_json:
-        terminal.show_json({"run": run.path, "evaluation": kept.path, "episodes": len(kept.outcomes), "failed": found})
+        terminal.show_json({"run": run.path, "evaluation": path, "episodes": len(kept.outcomes), "failed": found})
         return
     if len(failed) > len(first):
         terminal.print_result(f"and {len(failed) - len(first)} more; --json shows all")
-    terminal.print_result(f"{len(failed)} of {len(kept.outcomes)} episodes of {kept.path} failed")
+    terminal.print_result(f"{len(failed)} of {len(kept.outcomes)} episodes of {path} failed")
     for ending, count in Counter(each["ended_by"] for each in found).most_common():
         terminal.print_result(f"  '{ending}' ended {count}")
     if failed:

@@ -19,10 +19,9 @@ from deepbots_cli.cli.command import AllowCode, AllowPaths, Sets, whole
 from deepbots_cli.cli.commands import rewriting
 from deepbots_cli.cli.exits import FAILED, FAULT
 from deepbots_cli.compiler import Checked
-from deepbots_cli.diagnostics import Edit, Finding, Severity, Source, formats
-from deepbots_cli.diagnostics.findings import exception_finding
-from deepbots_cli.diagnostics.render import inert, render, summary
-from deepbots_cli.diagnostics.suppress import RuleSelectors, Selection
+from deepbots_cli.diagnostics import Edit, Finding, Severity, Source
+from deepbots_cli.diagnostics.findings import RuleSelectors, Selection, exception_finding
+from deepbots_cli.diagnostics.render import github, inert, junit, render, sarif, summary
 from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
 from deepbots_cli.lint import review, simulate
 from deepbots_cli.lint.fixes import Fixer
@@ -356,11 +355,11 @@ def report(findings: Sequence[Finding], format: Format, names: Sequence[str], fa
     """The text for standard output; `names` are the names of the scenarios in findings."""
     match format:
         case Format.github:
-            return formats.github(findings)
+            return github(findings)
         case Format.sarif:
-            return formats.sarif(findings, _page)
+            return sarif(findings, _page)
         case Format.junit:
-            return formats.junit(findings, names, failing)
+            return junit(findings, names, failing)
         case Format.json:
             return render(findings, "json")
         case Format.full | Format.concise:

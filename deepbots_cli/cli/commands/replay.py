@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -89,7 +89,7 @@ def command(
     shown = opened
     if scenario is not None:
         shown, changed = _elsewhere(opened, scenario, sets or (), allow_paths or (), allow_code=allow_code)
-        notes += [f"{change.path}: recorded {change.one or 'nothing'}, now {change.other or 'nothing'}" for change in changed]
+        notes += changed
     elif opened.texts()[2] != found.metadata.get("digest"):
         notes.append("the scenario in the recording means something else than when it was recorded; it or deepbots has changed")
     for note in notes:
@@ -107,15 +107,15 @@ def command(
         terminal.print_result(f"{found.path}: {count} episode{'s' * (count > 1)} and {steps} steps are the same {how}")
     else:
         terminal.print_result(f"{found.path}: episode {difference.episode}, step {difference.step}: {difference.quantity} differs")
-        terminal.print_result(f"  recorded {difference.recorded}\n  now      {difference.now}")
+        terminal.print_result(f"  recorded {difference.recorded or 'nothing'}\n  now      {difference.now or 'nothing'}")
     if difference is not None:
         raise typer.Exit(FAILED)
 
 
 def _elsewhere(
     opened: Opened, scenario: str, sets: Sequence[str], allow_paths: Sequence[Path], *, allow_code: bool
-) -> tuple[Opened, list[Change]]:
-    """Another scenario for the episodes of a recording, and how its meaning differs.
+) -> tuple[Opened, list[str]]:
+    """Another scenario for the episodes of a recording, and a line for each setting that differs.
 
     Raises:
         UsageError: Its observation, action or messages differ; lists them.
@@ -129,8 +129,28 @@ def _elsewhere(
     differ = identity.differences(opened.program, other.program, words=("recording", "scenario"))
     if differ:
         raise UsageError(f"the actions of {opened.recording.path} do not fit {scenario}:\n  " + "\n  ".join(differ))
-    text = opened.texts()[0]
-    one = sources.Opened(opened.program, parse(Source("resolved.yaml", text), Findings()))
-    now = other.texts()[0]
-    found = changes_of_meaning(one, sources.Opened(other.program, parse(Source("resolved.yaml", now), Findings())))
-    return other, [change for change in found if change.group not in (Group.cosmetic, Group.training)]
+    one, now = (
+        sources.Opened(program, parse(Source("resolved.yaml", text), Findings()))
+        for program, text in ((opened.program, opened.texts()[0]), (other.program, other.texts()[0]))
+    )
+    found = [change for change in changes_of_meaning(one, now) if change.group not in (Group.cosmetic, Group.training)]
+    return other, [line for change in found for line in _told(change, one, now)]
+
+
+def _told(change: Change, one: sources.Opened, other: sources.Opened) -> Iterator[str]:
+    """The setting that differs and its values on both sides; of a section, the keys in it that differ."""
+    if change.through:
+        yield f"{change.path}: {change.by}"
+    elif (change.one, change.other) == (one.wording(change.path), other.wording(change.path)):
+        yield from _differing(change.path, one, other)
+    else:
+        yield f"{change.path}: recorded {change.one or '(not written)'}, now {change.other or '(not written)'}"
+
+
+def _differing(path: str, one: sources.Opened, other: sources.Opened) -> Iterator[str]:
+    texts, names = (one.wording(path), other.wording(path)), (one.names(path), other.names(path))
+    if all(names):
+        for name in dict.fromkeys((*names[0], *names[1])):
+            yield from _differing(f"{path}.{name}", one, other)
+    elif texts[0] != texts[1]:
+        yield f"{path}: recorded {texts[0] or '(not written)'}, now {texts[1] or '(not written)'}"

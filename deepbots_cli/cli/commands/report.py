@@ -40,7 +40,7 @@ def command(
 
     Next: open the file in a browser.
     """
-    from deepbots_cli.files import atomic, check_writable
+    from deepbots_cli.files import atomic, check_folder, check_writable
 
     target = out or Path(f"{run.resolve().name}.html")
     if target.suffix.lower() not in (".html", ".htm"):
@@ -48,8 +48,8 @@ def command(
     if out is None and target.exists():
         raise UsageError(f"{target} exists; name the file to write with --out")
     check_writable(target)
-    if figures is not None and (figures.exists() or figures.is_symlink()):
-        check_writable(figures / "returns.png")
+    if figures is not None:
+        check_folder(figures)
     try:
         import matplotlib  # noqa: F401
     except ModuleNotFoundError as error:

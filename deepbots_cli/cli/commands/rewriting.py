@@ -1,7 +1,7 @@
 """Changes of the user's files: `fmt`, `upgrade`, and the fixes of `lint`, shown as a difference or written.
 
 `upgrade` has one step per version of the language. A step changes the text and keeps comments and layout. A file without the key
-`deepbots` counts as version 0. The fixes of DB109 replace former names (`deepbots_cli.renames`), also in included files of the project.
+`deepbots` counts as version 0. The fixes of DB109 replace former names, also in included files of the project.
 """
 
 from __future__ import annotations

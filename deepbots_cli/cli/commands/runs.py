@@ -75,7 +75,11 @@ def command(
     if as_json:
         terminal.show_json([_data(run) for run in found])
     elif found:
-        terminal.print_result(f"{'group' if is_group(folder) else 'runs in'} {folder}\n" + table(list(map(_row, found))))
+        files: dict[str, set[str]] = {}
+        for run in found:
+            files.setdefault(run.scenario, set()).add(run.source)
+        rows = [_row(run, with_file=len(files[run.scenario]) > 1) for run in found]
+        terminal.print_result(f"{'group' if is_group(folder) else 'runs in'} {folder}\n" + table(rows))
         for run in found:
             if run.problem is not None:
                 terminal.note(f"{run.path.name}: {run.problem}")
@@ -89,7 +93,8 @@ def _data(run: ListedRun) -> dict[str, Any]:
     return {**asdict(run), "path": str(run.path), "name": run.path.name, "runs": [_data(inner) for inner in run.runs]}
 
 
-def _row(run: ListedRun) -> Row:
+def _row(run: ListedRun, *, with_file: bool = False) -> Row:
+    """A row of the table; `with_file` where scenarios of several files have the same name."""
     finished = sum(inner.state == "finished" for inner in run.runs)
     state: str = run.state
     if run.runs and state != "finished":
@@ -98,7 +103,7 @@ def _row(run: ListedRun) -> Row:
         state += f" {(run.steps or 0) / run.total_timesteps:.0%}"
     return {
         "run": run.path.name,
-        "scenario": run.scenario,
+        "scenario": f"{run.scenario} ({Path(run.source).name})" if with_file else run.scenario,
         "seed": _seeds(run.seeds),
         "state": state,
         "steps": run.steps,

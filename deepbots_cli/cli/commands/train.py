@@ -68,6 +68,16 @@ def command(
     initialize_from: Annotated[
         Path | None, typer.Option("--initialize-from", metavar="RUN", help="Begin with the weights of the best policy of this run.")
     ] = None,
+    callbacks: Annotated[
+        list[str] | None,
+        typer.Option("--callback", metavar="NAME", help="Call this callback of an installed package during the training; may be repeated."),
+    ] = None,
+    loggers: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--logger", metavar="NAME", help="Write the scalars with this logger too: csv, or one of an installed package; may be repeated."
+        ),
+    ] = None,
     engine: Engine = None,
     to_view: Annotated[
         bool, typer.Option("--view", help="Show the newest policy in the browser while it is trained, as `deepbots view RUN` does.")
@@ -98,13 +108,15 @@ def command(
     without interruption. With --resume, --timesteps is the new total, which includes the timesteps so far. --initialize-from copies the
     tensors of the policy that have the same name and shape, and initializes the others as usual.
 
+    `--logger csv` appends every scalar of TensorBoard to logs/scalars.csv of the run. A resumed run keeps its callbacks and loggers.
+
     --seeds trains a group: one folder with a run for each seed, one after the other. --resume of a group skips finished seeds.
 
     Next: `deepbots eval RUN --video film.mp4` records an episode of the policy.
     """
     progress = not quiet
     if resume is not None:
-        made_with = (scenario, sets, seed, seeds, run, stage, engine, allow_paths, keep_checkpoints, initialize_from)
+        made_with = (scenario, sets, seed, seeds, run, stage, engine, allow_paths, keep_checkpoints, initialize_from, callbacks, loggers)
         if any(option is not None for option in made_with):
             raise UsageError(
                 "a resumed run keeps its scenario and options; --resume accepts only --timesteps, --full, --quiet, --allow-code and --json"
@@ -141,6 +153,8 @@ def command(
             "stage": stage,
             "keep_checkpoints": keep_checkpoints or 0,
             "initialize_from": initialize_from,
+            "callbacks": callbacks or (),
+            "loggers": loggers or (),
             "progress": progress,
             "command": ["deepbots", *sys.argv[1:]],
         }
@@ -234,10 +248,11 @@ def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, allow_code: b
         raise typer.Exit(INTERRUPTED)
     if not quiet:
         terminal.note("evaluating on held-out episodes, without the exploration of the training, so returns differ ...")
+    trained = Run.open(result.run)
     with terminal.progress(always=False) as show_episode:
-        evaluation = learning.evaluate(result.run, allow_code=allow_code, on_episode=show_episode)
-        cases = learning.evaluate_cases(result.run, allow_code=allow_code, on_episode=show_episode)
-    results.keep(Run.open(result.run), with_cases(evaluation, cases))
+        evaluation = learning.evaluate(trained, allow_code=allow_code, on_episode=show_episode)
+        cases = learning.evaluate_cases(trained, allow_code=allow_code, on_episode=show_episode)
+    results.keep(trained, with_cases(evaluation, cases))
     if as_json:
         terminal.show_json({"training": report.to_json(result), "evaluation": with_cases(evaluation, cases)})
         return

@@ -12,6 +12,7 @@ import typer
 
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Seed, Sets, Stage, known_engine, whole
+from deepbots_cli.errors import UsageError
 from deepbots_cli.files import atomic
 
 if TYPE_CHECKING:
@@ -97,6 +98,11 @@ def view(
     compare: Annotated[
         str | None, typer.Option("--compare", metavar="OTHER", help="Show another run or scenario beside it, from the same seeds.")
     ] = None,
+    worlds: Annotated[
+        int | None,
+        typer.Option("--worlds", metavar="N", parser=whole(1, 4096), help="Step a batch of N worlds in MuJoCo, and show one of them."),
+    ] = None,
+    world: Annotated[int, typer.Option("--world", metavar="K", parser=whole(0), help="The world to show first, with --worlds.")] = 0,
     sets: Sets = None,
     case: Case = None,
     stage: Stage = None,
@@ -115,6 +121,9 @@ def view(
     In a run, the policy acts. In a scenario, the first script acts; without a script, actions are random. While a run is trained, each
     episode shows its newest policy. A recording is played, with a slider for its steps.
 
+    With --worlds N, a batch of N worlds is stepped together in MuJoCo, and a slider chooses the world that is shown. World K begins as
+    held-out episode K.
+
     \b
       deepbots view find_ball
       deepbots view runs/find_ball-0-1
@@ -122,12 +131,17 @@ def view(
       deepbots view find_ball-0-0.mcap
       deepbots view mine.yaml --watch
       deepbots view find_ball --set goal=20cm --seed 3
+      deepbots view runs/cartpole-0-1 --worlds 16 --world 3
 
     Next: `deepbots play SCENARIO` lets you drive.
     """
-    source = _source(shown, sets, case, stage, engine, allow_paths, allow_code)
+    if world >= (worlds or 1):
+        reason = f"a batch of {worlds} worlds has worlds 0 to {worlds - 1}" if worlds else "add --worlds N"
+        raise UsageError(f"there is no world {world}; {reason}")
+    engine = engine or ("mujoco" if worlds else None)
+    source = replace(_source(shown, sets, case, stage, engine, allow_paths, allow_code), worlds=worlds or 0)
     other = replace(source, reference=compare) if compare else None
-    _serve(source, open_, compare=other, host=host, port=port, driver=driver, seed=seed, episode=episode, watch=watch)
+    _serve(source, open_, compare=other, host=host, port=port, driver=driver, seed=seed, episode=episode, world=world, watch=watch)
 
 
 def play(

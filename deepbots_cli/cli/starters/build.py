@@ -15,7 +15,6 @@ from math import atan2, dist, hypot, pi
 from deepbots_cli import frames
 from deepbots_cli.footprint import Bounds, bounds, bounds_of_shape, child_frame, link_frames
 from deepbots_cli.frames import IDENTITY_ROTATION, Frame, Quaternion, Triple
-from deepbots_cli.robots import inertia
 from deepbots_cli.robots.model import Joint, Link, RobotModel
 
 Positions = Mapping[str, float]
@@ -193,7 +192,7 @@ class Build:
     @property
     def weightless(self) -> list[Joint]:
         """The joints that move no mass."""
-        subtree_mass = inertia.subtree_mass(self.model)
+        subtree_mass = self.model.subtree_mass()
         return [joint for joint in self.model.moving_joints if subtree_mass[joint.child] <= 0.0]
 
     @property

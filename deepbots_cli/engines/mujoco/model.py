@@ -17,7 +17,6 @@ from deepbots_cli.engines.objects import PALETTE, ROOT_MASS_FRACTION, Pool, as_r
 from deepbots_cli.errors import EngineError
 from deepbots_cli.geometry import HeightGrid, grid, triangles
 from deepbots_cli.program.world import GROUND, Colour, Line, ObjectBody, Terrain, WorldModel
-from deepbots_cli.robots import inertia
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Friction, Geometry, Joint, Link, Mesh, RobotModel, Sphere
 
 if TYPE_CHECKING:
@@ -236,7 +235,7 @@ class Builder:
     def _add(self, body: Body, pooled: bool = False) -> Body:
         """Add the links and joints of a body to the specification."""
         model = body.model
-        subtree_mass = inertia.subtree_mass(model)
+        subtree_mass = model.subtree_mass()
         joint_of = {joint.child: joint for joint in model.joints}
         children: dict[str, list[str]] = {}
         for joint in model.joints:
@@ -275,7 +274,7 @@ class Builder:
         if known is None or mass <= 0.0:
             mass, tensor, at = trace, frames.diagonal((trace, trace, trace)), (0.0, 0.0, 0.0)
         else:
-            tensor = frames.rotate_tensor(inertia.matrix(known), frames.rotation_matrix(known.origin.rpy))
+            tensor = frames.rotate_tensor(known.matrix, frames.rotation_matrix(known.origin.rpy))
             at = known.origin.xyz
             if max(known.ixx, known.iyy, known.izz) <= 0.0:
                 tensor = self._made_up(link, mass)

@@ -20,8 +20,7 @@ from deepbots_cli.geometry import HeightGrid, grid, triangles
 from deepbots_cli.port import STILL
 from deepbots_cli.program.world import GROUND
 from deepbots_cli.robots.meshes import checked_bytes
-from deepbots_cli.robots.model import Friction, Joint, Limit, Link, Mesh, RobotModel
-from deepbots_cli.robots.writer import write
+from deepbots_cli.robots.model import Friction, Joint, Limit, Link, Mesh, RobotModel, write
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -20,7 +20,7 @@ from deepbots_cli import frames
 from deepbots_cli.engines.objects import as_robot, find, moves
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import STILL
-from deepbots_cli.robots import edits
+from deepbots_cli.robots.model import with_mass
 from exact_engine.lump import joined
 from exact_engine.motion import CartPole, Drive, RigidBody
 
@@ -138,7 +138,7 @@ class ExactEngine:
         inertial = usual.link(name).inertial
         if inertial is None or inertial.mass <= 0.0:
             raise EngineError(f"link '{name}' of '{body}' has no mass that could change")
-        changed = edits.with_mass(usual, name, mass)
+        changed = with_mass(usual, name, mass)
         assert not isinstance(changed, str)
         self._weigh(body, motion, changed)
         self._ways_back.append(partial(self._weigh, body, motion, usual))

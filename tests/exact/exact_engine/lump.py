@@ -8,7 +8,6 @@ from deepbots_cli import frames
 from deepbots_cli.engines.objects import rigid_group
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import IDENTITY_FRAME, Frame, Matrix, Triple, cross, dot, rotate, scaled, subtract
-from deepbots_cli.robots import inertia
 from deepbots_cli.robots.model import RobotModel
 
 _NOTHING: Matrix = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
@@ -51,7 +50,7 @@ def joined(model: RobotModel, first: str) -> Lump:
             centre, turned = frames.compose(place, frames.frame(known.origin))
             columns = tuple(rotate(turned, axis) for axis in frames.diagonal((1.0, 1.0, 1.0)))
             turn = frames.transposed((columns[0], columns[1], columns[2]))
-            parts.append((known.mass, centre, frames.rotate_tensor(inertia.matrix(known), turn)))
+            parts.append((known.mass, centre, frames.rotate_tensor(known.matrix, turn)))
     mass = sum(part[0] for part in parts)
     if mass <= 0.0:
         return Lump(first, 0.0, IDENTITY_FRAME[0], _NOTHING, members)

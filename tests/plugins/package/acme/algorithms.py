@@ -1,4 +1,4 @@
-"""An algorithm: PPO with another default."""
+"""Algorithms: PPO with another default, and one whose weights cannot be stored."""
 
 from typing import Literal
 
@@ -12,3 +12,11 @@ class GentlePPO(PPO):
     algorithm: Literal["GentlePPO"]
     n_epochs: PositiveInt | None = 3
     """Passes over the samples of a roll-out."""
+
+
+class NoTensors(PPO):
+    """PPO with weights that torch does not know, as in JAX."""
+
+    import_path = "acme.training:Elsewhere"
+
+    algorithm: Literal["NoTensors"]

@@ -1,0 +1,506 @@
+"""An episode: what it draws (parameters, channels, disturbances), how it begins, its signals, reward and endings, its limits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+
+from deepbots_cli.compiler.namespace import Namespace, Origin, ParameterScope, SupervisorScope
+from deepbots_cli.compiler.places import Layouts, PlacementChecker, Places
+from deepbots_cli.compiler.robots import joint_dimension, joint_missing, warn_beyond
+from deepbots_cli.compiler.values import Text, Values
+from deepbots_cli.diagnostics import Span
+from deepbots_cli.diagnostics.nearest import Replacement
+from deepbots_cli.document.nodes import Path
+from deepbots_cli.expressions import unification
+from deepbots_cli.expressions.dimensions import NUMBER, TIME, Dimension
+from deepbots_cli.expressions.functions import draws
+from deepbots_cli.expressions.intervals import EVERYTHING, TRUTH, Interval
+from deepbots_cli.expressions.lower import constant
+from deepbots_cli.expressions.types import (
+    Components,
+    Constant,
+    Context,
+    Invocation,
+    Kind,
+    Redraw,
+    Stage,
+    Subject,
+    Symbol,
+    Type,
+    Typed,
+    walk,
+)
+from deepbots_cli.expressions.unification import expect
+from deepbots_cli.program import Program
+from deepbots_cli.program.resets import Disturbance, JointStart, Layout, Placement, Reset
+from deepbots_cli.program.robots import Direction, Robot, Route
+from deepbots_cli.program.task import Ending, Outcome, Solved, Truncation
+from deepbots_cli.program.values import Expression, Foreign
+from deepbots_cli.program.world import MAX_SETTLING_STEPS, ObjectBody, WorldModel
+from deepbots_cli.scenario.fields import Quantity, choose_from
+from deepbots_cli.scenario.scenario import Disturbance as DisturbanceSpec
+from deepbots_cli.scenario.scenario import JointState, Measured, PythonTerm
+from deepbots_cli.scenario.scenario import Reset as ResetSpec
+from deepbots_cli.scenario.scenario import Route as RouteSpec
+
+
+class Parameters:
+    """The parameters: those that are fixed are folded into expressions, the others are drawn."""
+
+    def __init__(self, namespace: Namespace) -> None:
+        self._spec = namespace.scenario
+        self._namespace = namespace
+        self._drawn: dict[str, Expression] = {}
+        for name in namespace.scenario.parameters:
+            namespace.define(name, Origin.PARAMETER, ("parameters", name), partial(self._parameter, name))
+
+    def drawn(self) -> tuple[Expression, ...]:
+        """Each after those that it is made of."""
+        return tuple(self._drawn[name] for name in self._namespace.order if name in self._drawn)
+
+    def _parameter(self, name: str) -> Symbol:
+        values, text = self._namespace.values, self._namespace.values.field(self._spec, "parameters", name)
+        checked = values.drawn(text, self._namespace.scope(Context.PARAMETER))
+        if checked is None or not is_repeated_as_a_whole(checked.value, checked.redraw, text, values):
+            return Symbol(name, None)
+        typed = checked.value
+        unification.warn_of_degrees(typed, values.report(text))
+        if typed.type.stage is Stage.FIXED:
+            fixed = values.fixed(typed, text, f"`{name}`")
+            return Symbol(name, typed.type if fixed is not None else None, fixed)
+        self._drawn[name] = text.expression(typed, redraw=checked.redraw)
+        return Symbol(name, typed.type)
+
+
+def route(direction: Direction, namespace: Namespace) -> Route:
+    """What `messages.to_robot` or `messages.from_robot` says."""
+    spec: RouteSpec = getattr(namespace.scenario.messages, direction)
+    values = namespace.values
+    if namespace.scenario.messages.format == "none" and spec.model_fields_set:
+        help = "choose a format, such as `struct`: without messages the supervisor acts on the robot directly"
+        values.findings.add("DB407", values.key_span(spec.path), f"`{direction}` without messages", help=help)
+        return Route()
+    latency, loss, range_ = (_setting(spec, name, namespace) for name in ("latency", "loss", "range"))
+    burst = namespace.fixed(spec, "burst", scope=namespace.scope(Context.FIELD))
+    if burst is not None and loss is not None:
+        _check_burst(burst, loss, values.field(spec, "burst").span, values)
+    return Route(latency, loss, burst, range_, spec.order, spec.on_loss)
+
+
+def _setting(spec: RouteSpec, name: str, namespace: Namespace) -> Expression | None:
+    """A setting of a route, where the file gives it. One that may be new in every step may say how often its draws are repeated."""
+    if name not in spec.model_fields_set or getattr(spec, name) is None:
+        return None
+    values, text, what = namespace.values, namespace.values.field(spec, name), f"`{name}`"
+    assert isinstance(text.kind, Quantity)  # as in the model
+    if text.kind.stage == "step" and text.kind.si is not None:
+        typed, redraw = values.redrawn(text, what, namespace.scope(Context.FIELD), text.kind.si)
+    else:
+        typed, redraw = namespace.typed(text), None
+    if typed is None or not is_repeated_as_a_whole(typed, redraw, text, values):
+        return None
+    if typed.type.stage is Stage.FIXED and values.fixed(typed, text, what) is None:
+        return None
+    return Expression(name, text.span, text.text, typed, name, redraw=redraw)
+
+
+def _check_burst(burst: float, loss: Expression, span: Span, values: Values) -> None:
+    """Losses in runs of mean length b with at least one message between make up b / (b + 1) of all, at most."""
+    highest = loss.typed.type.interval.high
+    if burst / (burst + 1.0) < min(highest, 1.0) < 1.0:
+        least = f"{highest / (1.0 - highest):.3g}"
+        headline = f"a loss of {100.0 * highest:g} % needs bursts of at least {least} messages on average; `burst` is {burst:g}"
+        values.findings.add("DB105", span, headline, help=f"give a `burst` of at least {least}")
+
+
+def is_repeated_as_a_whole(typed: Typed, redraw: Redraw | None, text: Text, values: Values) -> bool:
+    """Whether a value that changes within an episode says how often its own draws are repeated."""
+    if redraw is not None or typed.type.stage is not Stage.STEP or not draws(typed):
+        return _has_period(redraw, text, values)
+    headline = "a random value combined with a value that changes within the episode"
+    help = "write when it is drawn again (`every 5 s` or `each step`), or define it under `parameters`"
+    values.findings.add("DB407", text.span, headline, help=help)
+    return False
+
+
+def _has_period(redraw: Redraw | None, text: Text, values: Values) -> bool:
+    period = redraw.period if redraw else None
+    if period is None:
+        return True
+    if expect(period, values.report(text), "the period") is None:
+        return False
+    low, high = period.type.interval.low, period.type.interval.high
+    if low >= 0.0 and high > 0.0:
+        return True
+    values.report(text)("DB105", period.start, period.end, f"a period that can be {low:g} s", "give more than 0")
+    return False
+
+
+_PUSHED = frozenset({Kind.ROBOT, Kind.LINK, Kind.OBJECT})
+
+
+def disturbances(namespace: Namespace) -> tuple[Disturbance, ...]:
+    """The entries of `disturbances`, in the order of the file."""
+    found = [_disturbance(name, spec, namespace) for name, spec in namespace.scenario.disturbances.items()]
+    return tuple(push for push in found if push is not None)
+
+
+def _disturbance(name: str, spec: DisturbanceSpec, namespace: Namespace) -> Disturbance | None:
+    pushed = _pushed(spec, namespace)
+    keys = ("force", "torque", "at", "every", "duration")
+    force, torque, first, every, duration = found = [namespace.expression(spec, key, stage=Stage.STEP) for key in keys]
+    if every is not None and duration is not None:
+        _check_overlap(every, duration, namespace)
+    is_broken = any(value is None and getattr(spec, key) is not None for key, value in zip(keys, found, strict=True))
+    return None if pushed is None or duration is None or is_broken else Disturbance(name, *pushed, force, torque, first, every, duration)
+
+
+def _pushed(spec: DisturbanceSpec, namespace: Namespace) -> tuple[str, str | None] | None:
+    """Body and link that are pushed; None after a finding."""
+    called, values, scenes = spec.body, namespace.values, [scene for scene in namespace.robots.values() if scene is not None]
+    span = values.field(spec, "body").span
+    subject = namespace.subject(called, frozenset({Kind.LINK}))
+    if subject is None:
+        links = [f"{scene.name}.{link}" for scene in scenes for link in scene.link_names]
+        values.report_unknown(span, "robot, link or object", called, [*namespace.names_of(Origin.ROBOT, Origin.OBJECT), *links])
+        return None
+    if subject.kind is Kind.BROKEN:
+        return None
+    body, _, link = called.partition(".")
+    if subject.kind not in _PUSHED:
+        values.findings.add("DB203", span, f"`{called}` is {subject.kind.words}", help="a push acts on a robot, a link or an object")
+        return None
+    if _is_fixed(body, link, namespace):
+        values.findings.add("DB203", span, f"`{called}` does not move", help="push a body that is not fixed")
+        return None
+    return body, link or None
+
+
+def _is_fixed(body: str, link: str, namespace: Namespace) -> bool:
+    """Whether it never moves: a fixed object, a mark, the root link of a robot that is bolted down."""
+    scene = namespace.robots.get(body)
+    if scene is not None:
+        return scene.spec.base == "fixed" and link in ("", scene.model.root)
+    thing = namespace.scenario.objects.get(body)
+    return bool(getattr(thing, "fixed", False)) or getattr(thing, "solid", True) is False
+
+
+def _check_overlap(every: Expression, duration: Expression, namespace: Namespace) -> None:
+    """DB105 where a push may begin while the one before still acts."""
+    longest, soonest = duration.typed.type.interval.high, every.typed.type.interval.low
+    if longest > soonest * (1 + 1e-9):
+        headline = f"a push may last {longest:g} s, and the next may begin after {soonest:g} s"
+        namespace.values.findings.add("DB105", duration.span, headline, help="make it shorter than `every`")
+
+
+# How an episode begins
+
+_JOINTS = frozenset({Kind.JOINT, Kind.JOINTS})
+
+
+def joint_starts(namespace: Namespace, poses: Mapping[str, dict[str, Symbol]]) -> tuple[JointStart, ...]:
+    """The entries of `reset.set`: joints and groups of joints of robots; `poses` are those of each robot."""
+    starts = [_joint_start(key, namespace.scenario.reset, namespace, poses) for key in namespace.scenario.reset.set]
+    return tuple(start for start in starts if start is not None)
+
+
+def _joint_start(key: str, spec: ResetSpec, namespace: Namespace, poses: Mapping[str, dict[str, Symbol]]) -> JointStart | None:
+    robot_name, dot, part = key.partition(".")
+    robot, text = namespace.robots.get(robot_name), namespace.values.key_text((*spec.path, "set", key))
+    if robot is None:
+        if robot_name not in namespace.robots:
+            namespace.values.report_unknown(text.part(0, len(robot_name)), "robot", robot_name, namespace.names_of(Origin.ROBOT))
+        return None
+    if not part:
+        movable = [name for name, (kind, _) in robot.groups.items() if kind in _JOINTS] + [
+            joint.name for joint in robot.model.moving_joints
+        ]
+        help = choose_from(key, [f"{key}.{name}" for name in movable]) if movable else "no joint of this robot can move"
+        namespace.values.findings.add("DB203", text.span, f"the robot `{key}` where a joint or a group of joints is needed", help=help)
+        return None
+    subject = robot.subject(part, _JOINTS)
+    if subject is None or subject.kind not in _JOINTS:
+        joint_missing(namespace.values, text.part(len(robot_name + dot), len(key)), part, robot.model)
+        return None
+    joints = tuple(member.partition(".")[2] for member in subject.members) or (part,)
+    scope, given = namespace.scope(Context.RESET, poses.get(robot_name)), spec.set[key]
+    angle, read = joint_dimension(robot.model.joint(joints[0])), namespace.values.field
+    if not isinstance(given, JointState):
+        position = _start_value(read(spec, "set", key), key, angle, subject, scope, joints)
+        return JointStart(robot_name, joints, position, None) if position else None
+    position = _start_value(read(given, "position"), key, angle, subject, scope, joints)
+    velocity = _start_value(read(given, "velocity"), key, angle / TIME, subject, scope, joints)
+    return JointStart(robot_name, joints, position, velocity) if position and velocity else None
+
+
+def _start_value(
+    text: Text, key: str, dimension: Dimension, subject: Subject, scope: ParameterScope, joints: Components
+) -> Expression | None:
+    """A draw that is written once is drawn anew for each joint of a group."""
+    namespace, values = scope.namespace, scope.namespace.values
+    typed = namespace.typed(text, "the start of a joint", dimension=dimension, components=subject.components, scope=scope)
+    if typed is None:
+        return None
+    reach, limits = typed.type.interval, subject.interval
+    if dimension == subject.dimension and reach.finite and not reach.inside(limits):
+        help = "set a position within the limits: an engine pushes the joint back at once"
+        warn_beyond(values, text, dimension, limits, "a start at", reach, help)
+    return text.expression(typed, key, per_component=joints if len(joints) > 1 else None)
+
+
+# Before the first step nothing has touched or acted, and no picture was taken.
+_UNMOVED = {
+    **dict.fromkeys(("contact", "collided"), "before the first step nothing has touched; ask for `clearance(...) > 1 cm`"),
+    "joint_torque": "before the first step no motor has acted; remove it",
+    "visible": "the start is chosen before the first picture is taken; use the position of the body, as in `abs(bearing(...)) < 30 deg`",
+}
+
+
+def arrangement(namespace: Namespace, world: WorldModel) -> tuple[Reset, tuple[ObjectBody, ...]]:
+    """How bodies are arranged, and the walls that only maps put up.
+
+    Bodies stand in the order of the file; one that a layout does not place stands at its own `pose`, and of a group no
+    copy is there.
+    """
+    spec = namespace.scenario
+    room = PlacementChecker(namespace, world)
+    places = Places(namespace, world, room)
+    layouts = Layouts(namespace, places, world)
+    common = places.placements(spec.reset.place, ("reset", "place"))
+    found = layouts.used()
+    placed = {placement.body for layout in found for placement in layout.placements} | {placement.body for placement in common}
+    common += [places.at_home(body) for body in (*spec.objects, *spec.robots) if body not in placed and body not in namespace.groups]
+    completed = tuple(replace(layout, placements=(*layout.placements, *_left_out(layout, placed, places, namespace))) for layout in found)
+    _require_places(namespace)
+    room.check_surroundings(common, completed)
+    require = _requirement(namespace)
+    return Reset(tuple(common), layouts=completed, require=require, attempts=spec.reset.attempts), tuple(layouts.walls)
+
+
+def _left_out(layout: Layout, placed: set[str], places: Places, namespace: Namespace) -> list[Placement]:
+    """Bodies at home that other layouts place."""
+    here = {placement.body for placement in layout.placements}
+    known = {*namespace.names_of(Origin.ROBOT, Origin.OBJECT)} - set(namespace.groups)
+    return [places.at_home(body) for body in namespace.definitions if body in placed - here and body in known]
+
+
+def _require_places(namespace: Namespace) -> None:
+    """DB102 for a group that no layout places: its copies would never be there."""
+    layouts = namespace.scenario.reset.layouts.values()
+    mentioned = {
+        *namespace.scenario.reset.place,
+        *(name for layout in layouts for name in (layout if isinstance(layout, dict) else layout.legend.values())),
+    }
+    for name, group in namespace.groups.items():
+        if name not in mentioned and namespace.origin(name) is Origin.OBJECT and not namespace.values.is_invalid(name):
+            help = f"write where they start, as in `{name}: {{region: arena}}`"
+            namespace.values.findings.add("DB102", group.count.span, f"`reset.place` has no entry for the copies of `{name}`", help=help)
+
+
+def _requirement(namespace: Namespace) -> Expression | None:
+    """The condition that a start must meet, which may ask for whatever is so before the first step."""
+    if namespace.scenario.reset.require is None:
+        return None
+    values = namespace.values
+    text = values.field(namespace.scenario.reset, "require")
+    typed = values.expression(text, namespace.scope(Context.REQUIRE), boolean=True)
+    if typed is None:
+        return None
+    for call in walk(typed):
+        if isinstance(call, Invocation) and call.function in _UNMOVED:
+            span = text.part(call.start, call.start + len(call.function))
+            headline = f"`{call.function}` in a requirement on the start"
+            values.findings.add("DB407", span, headline, help=_UNMOVED[call.function])
+    if constant(typed) == (False,):
+        values.findings.add("DB105", text.span, "no start can meet this requirement", help="use a condition on positions or distances")
+    return text.expression(typed)
+
+
+def settling_time(namespace: Namespace, timestep: float) -> float:
+    """Seconds, in whole timesteps of `timestep` s."""
+    values, settle = namespace.values, namespace.fixed(namespace.scenario.reset, "settle") or 0.0
+    span = values.field(namespace.scenario.reset, "settle").span
+    if abs(settle - round(settle / timestep) * timestep) > 1e-9 * settle and not values.is_invalid("world.timestep"):
+        headline = f"the settling time of {settle:g} s is not a multiple of the timestep of {timestep:g} s"
+        values.findings.add("DB308", span, headline, help="write a multiple of the timestep")
+    if settle / timestep * namespace.scenario.world.substeps > MAX_SETTLING_STEPS:
+        headline = f"the settling time of {settle:g} s takes more than {MAX_SETTLING_STEPS:,} physics steps in every reset"
+        values.findings.add("DB105", span, headline, help="a few seconds are usual")
+    return settle
+
+
+# Signals, reward and endings
+
+
+def foreign(name: str, given: PythonTerm, namespace: Namespace, *, boolean: bool) -> Expression:
+    """A term of which nothing is known but whether it is a truth value."""
+    values, text = namespace.values, namespace.values.field(given, "python")
+    if namespace.document.allow_code:
+        headline = f"`{name}` runs Python code: {given.python}"
+        values.findings.add("DB410", text.span, headline, help="write it as an expression, if the language has its functions")
+    else:
+        help = "write an expression, or allow it with --allow-code if you trust the package"
+        values.findings.add("DB409", text.span, f"`{name}` would run Python code: {given.python}", help=help)
+    module, _, function = given.python.partition(":")
+    kind = Type(boolean=boolean, interval=TRUTH if boolean else Interval(float("-inf"), float("inf")), stage=Stage.STEP)
+    nothing = Constant(kind, 0, len(text.text), (False if boolean else 0.0,))
+    return Expression(name, text.span, text.text, nothing, ".".join(map(str, given.path)), foreign=Foreign(module, function))
+
+
+_SHOWN = 60
+MAX_ENDINGS = 200
+"""Whatever is paid is held against every one of them."""
+NO_SUCCESS = "a success rate, but the scenario defines no success"
+
+
+class Signals:
+    """Augmentation, signals and endings: named values of the supervisor, typed when first asked for."""
+
+    def __init__(self, namespace: Namespace) -> None:
+        spec = namespace.scenario
+        self._namespace = namespace
+        self._values = namespace.values
+        self.valued: dict[str, Expression] = {}
+        if isinstance(spec.augment, dict):
+            for name, given in spec.augment.items():
+                self._define(name, given, Origin.AUGMENT, ("augment", name), Context.SIGNAL)
+        for name, given in spec.signals.items():
+            self._define(name, given, Origin.SIGNAL, ("signals", name), Context.SIGNAL)
+        if not isinstance(spec.augment, dict):
+            self._check_granted(spec.augment)
+        self._outcomes: dict[str, Outcome] = {}
+        outcomes: tuple[tuple[Outcome, dict[str, str | PythonTerm]], ...] = (
+            ("success", spec.termination.success),
+            ("failure", spec.termination.failure),
+        )
+        if len(spec.termination.success) + len(spec.termination.failure) > MAX_ENDINGS:
+            help = "join conditions with `or`"
+            self._values.findings.add("DB005", self._values.key_span(("termination",)), f"more than {MAX_ENDINGS} endings", help=help)
+            for name in (*spec.termination.success, *spec.termination.failure):
+                self._values.mark_invalid(name)
+            outcomes = ()
+        for outcome, conditions in outcomes:
+            for name, condition in conditions.items():
+                self._outcomes[name] = outcome
+                self._define(name, condition, Origin.ENDING, ("termination", outcome, name), Context.ENDING)
+
+    def _check_granted(self, granted: Sequence[str]) -> None:
+        """A list under `augment` names values that exist, which the policy may see."""
+        kinds = (Origin.PARAMETER, Origin.SIGNAL)
+        for index, name in enumerate(granted):
+            self._namespace.mark_used(name)
+            if self._namespace.origin(name) not in kinds:
+                known = self._namespace.names_of(*kinds)
+                self._values.report_unknown(self._values.span(("augment", index)), "parameter or signal", name, known)
+
+    def _define(self, name: str, given: object, origin: Origin, place: Path, context: Context) -> None:
+        self._namespace.define(name, origin, place, partial(self._typed, name, given, place, context))
+
+    def _typed(self, name: str, given: object, place: Path, context: Context) -> Symbol:
+        if isinstance(given, PythonTerm):
+            self.valued[name] = foreign(name, given, self._namespace, boolean=True)
+            return Symbol(name, self.valued[name].typed.type)
+        text = self._values.field(given, "value") if isinstance(given, Measured) else self._values.text(place, given)
+        typed = self._values.expression(text, SupervisorScope(self._namespace, context))
+        if typed is not None and context is Context.ENDING:
+            typed = expect(typed, self._values.report(text), "an ending", boolean=True)
+        if typed is None:
+            return Symbol(name, None)
+        added = self._namespace.noise(given, typed) if isinstance(given, Measured) else None
+        self.valued[name] = text.expression(typed, name, noise=added)
+        return Symbol(name, typed.type._replace(interval=EVERYTHING, stage=Stage.STEP) if added else typed.type)
+
+    def ordered(self) -> tuple[Expression, ...]:
+        """Augmentation and signals, each after those that it is made of."""
+        for name in self._namespace.names_of(Origin.AUGMENT, Origin.SIGNAL):
+            self._namespace.resolve(name)
+        wanted = (Origin.AUGMENT, Origin.SIGNAL)
+        return tuple(self.valued[name] for name in self._namespace.order if name in self.valued and self._namespace.origin(name) in wanted)
+
+    def endings(self) -> tuple[Ending, ...]:
+        """In file order."""
+        for name in self._outcomes:
+            self._namespace.resolve(name)
+        return tuple(Ending(self.valued[name], outcome) for name, outcome in self._outcomes.items() if name in self.valued)
+
+
+def reward_terms(namespace: Namespace) -> tuple[Expression, ...]:
+    """The summands of the reward: single plain numbers."""
+    terms = []
+    for name, given in namespace.scenario.reward.items():
+        if isinstance(given, PythonTerm):
+            terms.append(foreign(name, given, namespace, boolean=False))
+            continue
+        text = namespace.values.field(namespace.scenario, "reward", name)
+        typed = _amount(text, namespace)
+        if typed is not None:
+            terms.append(text.expression(typed))
+    return tuple(terms)
+
+
+def _amount(text: Text, namespace: Namespace) -> Typed | None:
+    """What a term pays."""
+    report = namespace.values.report(text)
+    typed = namespace.values.expression(text, SupervisorScope(namespace, Context.REWARD))
+    if typed is not None and typed.type.boolean:
+        help = f"give it a value, as in `1 when {text.text if len(text.text) <= _SHOWN else '...'}`"
+        worth = "a truth value where a number belongs"
+        report("DB403", 0, len(text.text), worth, help, Replacement(f"1 when {text.text}", safe=False))
+        return None
+    return typed and expect(typed, report, "a reward", dimension=NUMBER)
+
+
+def truncation(namespace: Namespace) -> Truncation:
+    """The limits; without any, nothing is sure to end an episode."""
+    values, limits = namespace.values, namespace.scenario.truncation
+    if limits is None:
+        if not values.is_invalid("truncation"):
+            span = values.key_span(("termination",) if "termination" in namespace.scenario.model_fields_set else ("reward",))
+            values.findings.add(
+                "DB803", span, "no condition is certain to end an episode", help="add `truncation: {max_steps: 1000}`, or a `max_time`"
+            )
+        return Truncation()
+    steps = namespace.fixed(limits, "max_steps")
+    return Truncation(None if steps is None else int(steps), namespace.fixed(limits, "max_time"))
+
+
+def solved(namespace: Namespace) -> Solved | None:
+    spec = namespace.scenario
+    values = namespace.values
+    if spec.solved is None:
+        return None
+    rate = namespace.fixed(spec.solved, "success_rate")
+    known = spec.termination.success or spec.goal or any(map(values.is_invalid, ("success", "termination", "goal")))
+    if rate is not None and not known:
+        help = "add a condition under `termination.success`, or require a `mean_return`"
+        values.findings.add("DB407", values.field(spec.solved, "success_rate").span, NO_SUCCESS, help=help)
+    mean_return = None if spec.solved.mean_return is None else float(spec.solved.mean_return)
+    return Solved(spec.solved.episodes, mean_return, rate)
+
+
+def with_reading_ages(program: Program) -> Program:
+    """The program with a further field in the messages of robots for each sensor whose age the supervisor asks for.
+
+    A sensor that is read when the message is written, as perfect ones are, is as old as the message.
+    """
+    if all(sensor.is_direct for robot in program.robots for sensor in robot.sensors):
+        return program
+    timed = (value for value in program.computed if "age" in value.text)
+    calls = (node for value in timed for node in walk(value.typed) if isinstance(node, Invocation) and node.function == "age")
+    asked = dict.fromkeys(call.subjects[0].name for call in calls)
+    return replace(program, robots=tuple(_with_ages(robot, asked) for robot in program.robots)) if asked else program
+
+
+def _with_ages(robot: Robot, asked: dict[str, None]) -> Robot:
+    taken = {value.name for value in robot.emit}
+    sensors = {f"{robot.name}.{sensor.name}": sensor for sensor in robot.sensors}
+    ages = []
+    for name in asked:
+        if name in sensors and not sensors[name].is_direct:
+            field = f"{sensors[name].name}_age"
+            while field in taken:
+                field += "_"
+            ages.append((sensors[name].name, field))
+    return replace(robot, ages=tuple(ages)) if ages else robot

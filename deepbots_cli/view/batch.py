@@ -1,0 +1,156 @@
+"""A batch of worlds on the page: all of them are stepped together on arrays, and one at a time is read and shown."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from deepbots_cli.errors import UsageError
+from deepbots_cli.runtime import Supervisor
+from deepbots_cli.runtime.batch import Direct, columns_array
+from deepbots_cli.runtime.streams import derive_seed
+from deepbots_cli.view.episodes import HAND, POLICY, RANDOM, ZERO, Driver, Player, Scripted, Trained
+from deepbots_cli.view.frames import FrameReader, Message, WorldFrame, row_of
+
+
+class Together:
+    """Drivers of single worlds as the driver of a batch."""
+
+    note = ""
+
+    def __init__(self, drivers: Sequence[Driver]) -> None:
+        self._drivers = drivers
+
+    def begin(self, seed: int) -> None:
+        for driver in self._drivers:
+            driver.begin(seed)
+
+    def act(self, observation: Any) -> Any:
+        return _joined([driver.act(None) for driver in self._drivers])
+
+
+class BatchPlayer(Player):
+    """Steps a batch of worlds, and reads frames of one of them, `world`.
+
+    World k begins as episode `episode + k` of an evaluation does, and lives the episode of a single world. A world whose episode has ended
+    rests until the next episodes begin.
+    """
+
+    def _make(self) -> Supervisor:
+        self.batch = self.opened.make_batch()
+        self.worlds = self.batch.count
+        self._readers: dict[int, FrameReader] = {}
+        return self.batch.singles[0]
+
+    def _reader(self) -> FrameReader:
+        if self.world not in self._readers:
+            self._readers[self.world] = FrameReader(self.env)
+        return self._readers[self.world]
+
+    def drive(self, name: str) -> None:
+        """Let another driver act from the next step on, in all worlds.
+
+        Raises:
+            UsageError: It is a script, which reads what only a single world computes.
+        """
+        if name == HAND:
+            self.driver = Together([self.hand] * self.worlds)
+        elif name == POLICY:
+            self.driver = Trained(self.opened.run, self.env, rows=self.worlds)
+        elif name in (RANDOM, ZERO):
+            self.driver = Together([Scripted(single, name) for single in self.batch.singles])
+        else:
+            raise UsageError(f"'{name}' cannot act in a batch of worlds; use {', '.join(self.opened.drivers)}, or leave out --worlds")
+        self.driver_name = name
+
+    def choose(self, world: int) -> WorldFrame:
+        """Show another world of the batch; its newest frame."""
+        self._turn_to(world)
+        return self._read()
+
+    def _turn_to(self, world: int) -> None:
+        self.world, self.env, self.seed = world, self.batch.singles[world], self._seeds[world]
+        self.reader = self._reader()
+
+    def begin(self, seed: int, episode: int) -> WorldFrame:
+        self._seeds = [derive_seed(seed, "evaluation", episode + world) for world in range(self.worlds)]
+        self._resting = np.zeros(self.worlds, bool)
+        self._endings: list[str] = []
+        self._rewards, self._returns = np.zeros(self.worlds), np.zeros(self.worlds)
+        self._terms = np.zeros((len(self.batch.TERMS), self.worlds))
+        self.action = None
+        self.driver.begin(seed)
+        self._turn_to(self.world)  # before the reset, whose messages its reader keeps
+        self.observation = self.batch.reset(self._seeds)
+        return self._read()
+
+    def following(self, episode: int) -> int:
+        return episode + self.worlds
+
+    def step(self, *, by_hand: bool = False) -> WorldFrame:
+        self.action = _joined([self.hand.act(None)] * self.worlds) if by_hand else self.driver.act(self.observation)
+        outcome = self.batch.advance(self.action, self._resting if self._resting.any() else None)
+        acting = ~self._resting
+        self._rewards[acting], self._terms[:, acting] = outcome.rewards[acting], outcome.terms[:, acting]
+        self._returns[acting] += outcome.rewards[acting]
+        self._resting[outcome.done] = True
+        self._endings += [str(info["ended_by"]) for info in outcome.infos]
+        self.observation = outcome.observations
+        return self._read()
+
+    @property
+    def note(self) -> str:
+        """How many worlds run, and how others have ended."""
+        running = self.worlds - len(self._endings)
+        counts = [f"running {running}"] * (running > 0) + [f"{name} {count}" for name, count in Counter(self._endings).most_common()]
+        state = f"world {self.world} of {self.worlds} ({', '.join(counts)})"
+        return f"{state}; {self.driver.note}" if self.driver.note else state
+
+    def close(self) -> None:
+        self.batch.close()
+
+    def _read(self) -> WorldFrame:
+        """The frame of the world: poses, rays and contacts of its own, and what the batch holds as a column per number."""
+        batch, world = self.batch, self.world
+        frame = self.reader.read(row_of(self.observation, world), row_of(self.action, world))
+        if step := int(batch.step_count[world]):  # before the first step, the single world has all of it
+            info, (name, agent) = batch.info(world), next(iter(frame.agents.items()))
+            terms = dict(zip(batch.TERMS, self._terms[:, world].tolist(), strict=True))
+            agent = replace(agent, reward=float(self._rewards[world]), episode_return=float(self._returns[world]), terms=terms)
+            frame = replace(
+                frame,
+                step=step,
+                time=step * self.program.period,
+                readings={key: self._reading(key) for key in frame.readings},
+                messages={key: self._message(key, message) for key, message in frame.messages.items()},
+                agents={name: agent},
+                ended_by=info["ended_by"],
+                is_success=info["is_success"],
+                truncated=bool(batch.truncated[world]),
+            )
+        self.frame = frame
+        return frame
+
+    def _reading(self, key: str) -> tuple[float, ...]:
+        robot, _, sensor = key.partition(".")
+        reading = self.batch.controllers[robot].devices[sensor].reading
+        return tuple(map(float, reading[:, self.world]))
+
+    def _message(self, key: str, message: Message) -> Message:
+        """The newest message; one that may be late or lost passed through the channel of the single world."""
+        robot, _, direction = key.partition("/")
+        channel = self.batch.channels[robot, direction]
+        if not isinstance(channel, Direct):
+            return message
+        columns = [columns_array(value, self.worlds) for value in channel.receive()]
+        return Message(tuple(float(x) for column in columns for x in np.atleast_1d(column[..., self.world])), 0.0, True)
+
+
+def _joined(actions: Sequence[Any]) -> Any:
+    """The actions of all worlds from that of each."""
+    first = actions[0]
+    return {key: np.array([action[key] for action in actions]) for key in first} if isinstance(first, dict) else np.array(actions)

@@ -1,0 +1,115 @@
+"""Callbacks and loggers of other packages follow a training and keep it exact; one that fails is named."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import stand_in
+
+from deepbots_cli.cli.results import training_text
+from deepbots_cli.errors import PluginError, UsageError
+from deepbots_cli.learning import TrainingResult, resume, train, train_group
+from deepbots_cli.learning.report import Reporter, TrainingProgress
+from deepbots_cli.learning.run import Record
+from deepbots_cli.program.task import Hyperparameter, Training
+from tests.plugins import test_plugins
+
+GROUPS = ("deepbots.callbacks", "deepbots.loggers")
+TASK = stand_in.compiled(training=Training("PPO", 256, 2, tuple(Hyperparameter(name, 32) for name in ("n_steps", "batch_size"))))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """What the package of the tests registers for trainings."""
+    site = tmp_path_factory.mktemp("site")
+    groups = tomllib.loads((test_plugins.PACKAGE / "pyproject.toml").read_text())["project"]["entry-points"]
+    test_plugins.installed(site, {group: groups[group] for group in GROUPS})
+    sys.path[:0] = [str(site), str(test_plugins.PACKAGE)]
+    yield
+    del sys.path[:2]
+
+
+def short(folder: Path, **settings: Any) -> TrainingResult:
+    return train(TASK, run=folder, build=stand_in.build, **settings)
+
+
+def lines(run: Path, name: str) -> list[str]:
+    """Those of a log, without times."""
+    return [line for line in (run / "logs" / name).read_text().splitlines() if ",time/" not in line]
+
+
+class Interrupted(Reporter):
+    """Presses Ctrl-C after 128 steps."""
+
+    def update(self, progress: TrainingProgress) -> None:
+        if 128 <= progress.steps < 192:
+            os.kill(os.getpid(), signal.SIGINT)
+
+
+def test_a_training_that_was_interrupted_calls_and_logs_as_one_that_was_not(tmp_path: Path) -> None:
+    names: dict[str, Any] = {"callbacks": ["explore_less"], "loggers": ["csv", "json_lines"]}
+    whole = short(tmp_path / "whole", **names)
+    assert short(tmp_path / "parts", **names, progress=Interrupted()).interrupted
+    with (tmp_path / "parts" / "logs" / "scalars.csv").open("a") as file:
+        file.write("140,written after the checkpoint,1\n")
+    parts = resume(tmp_path / "parts", build=stand_in.build)
+    assert (parts.weights_digest, parts.inexact) == (whole.weights_digest, ())
+    assert whole.weights_digest != short(tmp_path / "without").weights_digest
+    for name in ("scalars.csv", "scalars.jsonl"):
+        assert lines(whole.run, name) == lines(parts.run, name)
+    rows = [line.split(",") for line in lines(whole.run, "scalars.csv")]
+    assert rows[0] == ["steps", "name", "value"]
+    assert {"acme/norm", "rollout/ep_rew_mean", "reward/alive"} <= {row[1] for row in rows}
+
+
+def test_a_name_that_no_package_registers_is_told_with_the_nearest(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"^there is no callback 'explore_les'; known are .*failing.* \(did you mean explore_less\?\)$"):
+        short(tmp_path / "run", callbacks=["explore_les"])
+    with pytest.raises(UsageError, match=r"^there is no logger 'cvs'; known are csv, json_lines, full_disk \(did you mean csv\?\)$"):
+        short(tmp_path / "run", loggers=["cvs"])
+    with pytest.raises(UsageError, match="given twice"):
+        short(tmp_path / "run", loggers=["csv", "csv"])
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("names", "sentence"),
+    [
+        ({"callbacks": ["failing"]}, r"the callback 'failing' failed after 100 steps: KeyError: 'no such gauge' \(.*training.py:\d+\)"),
+        ({"callbacks": ["odd"]}, "the callback 'odd' is a str, and not a BaseCallback of Stable-Baselines3"),
+        ({"loggers": ["full_disk"]}, r"the logger 'full_disk' failed after \d+ steps: OSError: .*No space left on device \(.*\)"),
+    ],
+)
+def test_one_that_fails_is_named_and_the_training_can_go_on(tmp_path: Path, names: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(PluginError, match=f"^{sentence}(?m:$)") as caught:
+        short(tmp_path / "run", **names)
+    if "odd" not in sentence:
+        assert "the last checkpoint" in caught.value.full
+        assert f"deepbots train --resume {tmp_path / 'run'}" in caught.value.full
+    assert Record.read(tmp_path / "run").status == "failed"
+
+
+def test_a_callback_may_end_the_training(tmp_path: Path) -> None:
+    result = short(tmp_path / "run", callbacks=["impatient"])
+    assert (result.status, result.steps, result.stopped_by) == ("finished", 100, "impatient")
+    assert "stopped by" in training_text(result)
+    assert "the callback impatient" in training_text(result)
+
+
+def test_a_resumed_run_and_the_seeds_of_a_group_keep_them(tmp_path: Path) -> None:
+    group = train_group(TASK, [0, 1], group=tmp_path / "group", build=stand_in.build, callbacks=["impatient"], loggers=["csv"])
+    assert [found.stopped_by for found in group.trained] == ["impatient"] * 2
+    run = group.trained[0].run
+    assert lines(run, "scalars.csv")
+    content = json.loads((run / "run.json").read_text())
+    (run / "run.json").write_text(json.dumps(content | {"callbacks": ["gone"]}))
+    with pytest.raises(UsageError, match="there is no callback 'gone'"):
+        resume(run, build=stand_in.build)
