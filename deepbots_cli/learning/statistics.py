@@ -71,8 +71,6 @@ def rate_sequence(successes: int, episodes: int) -> Interval:
     """The confidence sequence of a success rate: with a probability of 95 % it holds the true rate after every episode at once."""
     from scipy.optimize import brentq  # here, since its import takes 0.2 s of CPU, which trainings do without
 
-    from scipy.optimize import brentq  # imported here: it takes 0.2 s, and few commands need it
-
     def excess(rate: float) -> float:
         return rate_evidence(rate, successes, episodes) - math.log(1 / ALPHA)
 
