@@ -275,7 +275,7 @@ class Trained:
         self._starts = np.ones(self._agents or 1, dtype=bool)
         running = self._record(self._run.path).status == "running"
         names: tuple[ModelName, ...] = ("best", "last")
-        found = {name: stamp for name in names if (stamp := stamps([self._run.model(name)])[0]) is not None}
+        found = {name: stamp for name in names if (stamp := stamps([path := self._run.model(name)])[path]) is not None}
         name = next(iter(found if not running else sorted(found, key=found.__getitem__, reverse=True)), None)
         if name is not None and found[name] != self._stamp:
             self._model, self._stamp = self._load(self._run, name, self._env), found[name]
@@ -415,13 +415,13 @@ def player(source: Source, driver: str | None) -> closing[Player]:
     return closing(source.open().player(driver))
 
 
-def stamps(files: Iterable[Path]) -> tuple[tuple[int, int] | None, ...]:
+def stamps(files: Iterable[Path]) -> dict[Path, tuple[int, int] | None]:
     """Time of change and size of each file, None for a missing one: they differ when a file was saved."""
-    found: list[tuple[int, int] | None] = []
-    for file in sorted(files):
+    found: dict[Path, tuple[int, int] | None] = {}
+    for file in files:
         try:
             status = file.stat()
-            found.append((status.st_mtime_ns, status.st_size))
+            found[file] = (status.st_mtime_ns, status.st_size)
         except OSError:
-            found.append(None)
-    return tuple(found)
+            found[file] = None
+    return found

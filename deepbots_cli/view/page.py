@@ -567,9 +567,8 @@ class Page:
             if self._watch and time.monotonic() - checked > _WATCHED_EVERY:
                 checked = time.monotonic()
                 if (now := stamps(self._files)) != self._seen:
-                    self._seen = now
                     self._reload()
-                    self._seen = stamps(self._files)
+                    self._seen = stamps(self._files) | {file: now[file] for file in self._files if file in now}  # not what came meanwhile
             if self._changed_at and time.monotonic() - self._changed_at > _SETTLED:
                 self._changed_at = 0.0
                 self._reload()

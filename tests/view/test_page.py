@@ -127,6 +127,23 @@ def test_a_saved_file_shows_its_findings_and_then_its_world(tmp_path):
         assert (page.seed, page._message, page.paused) == (3, "", False)
 
 
+def test_a_save_while_the_one_before_is_read_is_not_lost(tmp_path):
+    file = tmp_path / "mine.yaml"
+    file.write_text(CARTPOLE)
+    with closing(Page(Source(str(file)), port=0, watch=True)) as page:
+        show, world = page._show, page.player
+
+        def show_and_save(opened):
+            page._show = show
+            file.write_text(CARTPOLE.replace("timestep: ", "timestep:  ", 1))
+            show(opened)
+
+        page._show = show_and_save
+        file.write_text("")
+        _run(page, lambda: page.player is not world)
+        assert page._message == ""
+
+
 def test_a_scenario_with_errors_opens_with_its_findings(tmp_path):
     file = tmp_path / "mine.yaml"
     file.write_text(CARTPOLE.replace("velocity_motor", "velocity_moto<b>r", 1))
