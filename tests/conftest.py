@@ -38,10 +38,10 @@ def pytest_collection() -> Generator[None, object, object]:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip what has the engine `pybullet` as a parameter, where it is not installed."""
+    """Skip what has the engine `pybullet` or a file of pybullet_data as a parameter, where it is not installed."""
     for item in items if WITHOUT else ():
         values = getattr(getattr(item, "callspec", None), "params", {}).values()
-        if any(isinstance(value, str) and value == "pybullet" for value in values):  # a value may be an array, which compares by element
+        if any(value == "pybullet" or "pybullet_data/" in value for value in values if isinstance(value, str)):
             item.add_marker(pytest.mark.skip(reason=str(WITHOUT)))
 
 
@@ -51,7 +51,7 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, object, object]:
     try:
         return (yield)
     except Exception as error:
-        if WITHOUT and any(text in str(error) for text in _NEEDS):
+        if WITHOUT and any(text in str(error) for text in (WITHOUT, *_NEEDS)):
             pytest.skip(WITHOUT)
         raise
 

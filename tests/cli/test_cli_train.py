@@ -233,6 +233,7 @@ def test_a_run_is_evaluated_under_other_settings(deepbots, trained):
 
 
 def test_engines_are_compared_from_the_same_starts(deepbots, trained):
+    pytest.importorskip("pybullet")
     found = json.loads(deepbots("eval", "mine", "--engine", "pybullet,mujoco", "--json").out)
     one, other = found["evaluations"]
     assert (one["engine"], other["engine"]) == ("pybullet", "mujoco")

@@ -222,6 +222,19 @@ def test_a_velocity_motor_never_exceeds_its_torque(engine_name, substeps, worlds
     assert isclose(engine.joint_states("robot", ["slide"])()[0][1], 2.0 / 1.1 * 0.01, rel_tol=0.01)
 
 
+def test_a_velocity_motor_exerts_its_limit_until_the_joint_reaches_the_target(engine_name, worlds, build):
+    """With one command; the cart needs 110 engine steps of 1 ms for 0.2 m/s."""
+    engine = build(engine_name, worlds.rail(timestep=0.001, substeps=1))
+    engine.set_joint("robot", "hinge", pi / 2, 0.0)
+    engine.velocity_motor("robot", ["slide"], [2.0])([0.2])
+    speed = engine.joint_states("robot", ["slide"])
+    for milliseconds in (50, 100):
+        engine.step(50)
+        assert isclose(speed()[0][1], 2.0 / 1.1 * milliseconds / 1000, rel_tol=0.03)
+    engine.step(50)
+    assert speed()[0][1] == pytest.approx(0.2, abs=0.004)
+
+
 def test_a_strong_velocity_motor_reaches_its_target_within_a_tick(engine_name, worlds, build):
     engine = build(engine_name, worlds.rail())
     engine.velocity_motor("robot", ["slide"], [1000.0])([0.7])

@@ -109,7 +109,8 @@ def checks() -> Iterator[Check]:
     yield Check("scenarios", "ok" if names else "broken", f"{len(names)} in {shipped.data_dir()}")
     yield _linting()
     if complete["sim"]:
-        yield from map(_stepping, engines.ENGINES)
+        for name, kind in engines.ENGINES.items():
+            yield _stepping(name) if kind.is_installed else Check(f"engine {name}", "missing", f"{kind.missing}; {kind.remedy}")
     if complete["train"]:
         yield _threads()
 
@@ -120,9 +121,15 @@ def _requirements() -> dict[str, list[str]]:
     for requirement in requires("deepbots-cli") or ():
         extra = re.search(r"extra == .([\w-]+)", requirement)
         name = re.match(r"[\w.-]+", requirement)
-        if name and (extra is None or extra[1] in _EXTRAS):
+        if name and _is_for_this_python(requirement) and (extra is None or extra[1] in _EXTRAS):
             found[extra[1] if extra else ""].append(name[0])
     return found
+
+
+def _is_for_this_python(requirement: str) -> bool:
+    """Whether the upper bound of Python's version lies above this one, as in `pybullet>=3.2.6; python_version < '3.12'`."""
+    below = re.search(r"python_version < .(\d+)\.(\d+)", requirement)
+    return below is None or sys.version_info[:2] < (int(below[1]), int(below[2]))
 
 
 def _version(package: str) -> str | None:

@@ -267,8 +267,9 @@ class MuJoCoBatch:
     # Motors
 
     def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
-        motor = Motor(self, [member.velocity_motor(robot, joints, max_torque) for member in self.members], robot, joints)
-        return motor.pursuit([limited(limit) for limit in max_torque])
+        singles = [member._motor(robot, joints, max_torque) for member in self.members]
+        motor = Motor(self, [single.velocity_writer() for single in singles], robot, joints)
+        return motor.pursuit(singles, [limited(limit) for limit in max_torque])
 
     def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
         motor = Motor(self, [member.torque_motor(robot, joints, max_torque) for member in self.members], robot, joints)
@@ -334,14 +335,16 @@ class Motor:
 
         return write
 
-    def pursuit(self, limits: Sequence[float]) -> MotorWriter:
-        """A velocity motor; see `drives.Motor.velocity_writer`."""
+    def pursuit(self, singles: Sequence[drives.Motor], limits: Sequence[float]) -> MotorWriter:
+        """A velocity motor; see `drives.Motor.velocity_writer`. Worlds in which gains are renewed are written by their `singles`."""
         model, batch, acts, ctrl = self._model, self._batch, self._acts, self._ctrl
         motors, step = batch.members[0]._motors, model.opt.timestep
         dofs = drives.places(model.jnt_dofadr[self._numbers].tolist())
         usual, moved = motors.usual_armature[dofs][:, None], 1.0 / motors.usual_inverse[dofs][:, None]
         bounds = np.array(limits)[:, None]
-        stiffest = drives.STIFFEST * model.dof_M0[dofs][:, None] / step
+        inertias = model.dof_M0[dofs][:, None]
+        stiffest, least = drives.STIFFEST * inertias / step, inertias / step
+        renewed = [member._motors.renewed for member in batch.members]
         changing = ("actuator_biasprm", "dof_armature", "dof_invweight0")
         biases, armatures, inverses = ([getattr(world.model, name) for world in batch._worlds] for name in changing)
         biases = [bias[:, 2] for bias in biases]
@@ -350,6 +353,14 @@ class Motor:
             columns, chosen, known = self._columns(targets), self._chosen(), self._known
             off = np.maximum(np.abs(columns - batch._state("qvel")[dofs]), drives.SLACK * np.abs(columns))
             gains = np.where(off * stiffest > bounds, bounds / off, stiffest)
+            slow = (gains < least).any(axis=0)
+            one_by_one = [world for world in chosen.tolist() if slow[world] or renewed[world]]
+            if one_by_one:
+                for world in one_by_one:
+                    singles[world].gains = []  # the model may have others
+                self._write_own(columns, np.array(one_by_one))
+                known[:, one_by_one] = np.nan
+                chosen = np.setdiff1d(chosen, one_by_one)
             changed = chosen[(gains != known)[:, chosen].any(axis=0)]
             known[:, changed] = gains[:, changed]
             added = gains * step

@@ -72,8 +72,8 @@ class MuJoCoEngine:
         world = self._world
         if world.unsettled:
             world.settle()
-        model, data, touches, acts, servos = world.model, world.data, self._touches, self._acts, self._motors.limited_servos
-        if not (acts or servos or world.pushed):
+        model, data, touches, acts, renewed = world.model, world.data, self._touches, self._acts, self._motors.renewed
+        if not (acts or renewed or world.pushed):
             if touches is None:
                 mj.mj_step(model, data, substeps)
             else:
@@ -89,7 +89,7 @@ class MuJoCoEngine:
         for _ in range(substeps):
             for act in acts:
                 act()
-            for renew in servos.values():
+            for renew in renewed.values():
                 renew()
             mj.mj_step(model, data)
             world.stepped()

@@ -32,11 +32,11 @@ class Motors:
     def __init__(self, world: World) -> None:
         self.world = world
         self._of_joint: dict[int, Motor] = {}
-        self.limited_servos: dict[Motor, Callable[[], None]] = {}
-        """What to call before each engine step for servos at their limit."""
+        self.renewed: dict[Motor, Callable[[], None]] = {}
+        """What to call before each engine step for motors that their limits keep from their targets."""
         self.usual_armature, self.usual_inverse = world.model.dof_armature.copy(), world.model.dof_invweight0.copy()
         self.actuators = {joint: actuator for actuator, joint in enumerate(world.model.actuator_trnid[:, 0].tolist())}
-        world.memories.append((lambda: (dict(self._of_joint), dict(self.limited_servos)), lambda memory: self._remember(*memory)))
+        world.memories.append((lambda: (dict(self._of_joint), dict(self.renewed)), lambda memory: self._remember(*memory)))
 
     def take(self, motor: Motor) -> None:
         """Let a motor drive its joints."""
@@ -44,19 +44,19 @@ class Motors:
             before = self._of_joint.get(joint)
             if before is not None:
                 before.drives = False
-                self.limited_servos.pop(before, None)
+                self.renewed.pop(before, None)
             self._of_joint[joint] = motor
         motor.drives = True
 
     def rest(self) -> None:
         self._remember({}, {})
 
-    def _remember(self, of_joint: dict[int, Motor], servos: dict[Motor, Callable[[], None]]) -> None:
+    def _remember(self, of_joint: dict[int, Motor], renewed: dict[Motor, Callable[[], None]]) -> None:
         for motor in self._of_joint.values():
             motor.drives = False
         self._of_joint = dict(of_joint)
-        self.limited_servos.clear()
-        self.limited_servos.update(servos)
+        self.renewed.clear()
+        self.renewed.update(renewed)
         for motor in of_joint.values():
             motor.drives = all(of_joint.get(joint) is motor for joint in motor.joints)
             motor.gains = []
@@ -130,27 +130,28 @@ class Motor:
 
         That is the torque by the velocity at its beginning, and `gain * step` more inertia: the motor is stable however light its joint is,
         and the solver of contacts knows of it. A gain is such that the limit is exerted at the present error, or, close to the target, at
-        a tenth of the target; then the motor does not overshoot.
+        a tenth of the target; then the motor does not overshoot. It is renewed in each engine step while the joint needs several of them
+        to reach the target: else the torque would fall below the limit as the joint speeds up.
         """
         return self._pursuit(0.0)
 
     def servo_writer(self) -> MotorWriter:
         """A velocity motor whose target is the error over `SERVO_TIME`.
 
-        Its gain is renewed in each engine step while the limit keeps the joint from following this target; else it would swing.
+        Without renewed gains it would swing.
         """
         return self._pursuit(1.0 / max(SERVO_TIME, self._world.model.opt.timestep))
 
     def _pursuit(self, rate: float) -> MotorWriter:
         """A velocity motor, or a servo with a `rate` (1/s)."""
         data, model = self._world.data, self._world.model
-        step, servos = model.opt.timestep, self._motors.limited_servos
+        step, renewed = model.opt.timestep, self._motors.renewed
         velocity, position = live(data.qvel, self._dofs), live(data.qpos, self._places)
         usual, inertias = self._motors.usual_armature[self._dofs].tolist(), model.dof_M0[self._dofs].tolist()
         moved = [1.0 / inverse for inverse in self._motors.usual_inverse[self._dofs].tolist()]
         stiff = [STIFFEST * inertia / step for inertia in inertias]
         bounds = [(stiffest, limit, limit / stiffest) for stiffest, limit in zip(stiff, self._limits, strict=True)]  # the last: an error
-        damped = [4.0 * inertia * rate for inertia in inertias]
+        least = [4.0 * inertia * rate if rate else inertia / step for inertia in inertias]  # gains below these are renewed
         # A number is written through a memoryview in 0.04 us, a list into a slice of an array in 0.6 us.
         ctrl: Any = memoryview(data.ctrl)
         bias: Any = memoryview(model.actuator_biasprm.reshape(-1))
@@ -185,11 +186,10 @@ class Motor:
                 self._take(soft=True)
                 self.gains = []
             aim(targets)
-            if rate:
-                if any(gain < least for gain, least in zip(self.gains, damped, strict=True)):
-                    servos[self] = partial(aim, tuple(targets))
-                else:
-                    servos.pop(self, None)
+            if any(gain < bound for gain, bound in zip(self.gains, least, strict=True)):
+                renewed[self] = partial(aim, tuple(targets))
+            else:
+                renewed.pop(self, None)
 
         return write
 
