@@ -120,7 +120,7 @@ def is_repeated_as_a_whole(typed: Typed, redraw: Redraw | None, text: Text, valu
     if redraw is not None or typed.type.stage is not Stage.STEP or not draws(typed):
         return _has_period(redraw, text, values)
     headline = "a random value combined with a value that changes within the episode"
-    help = "write when it is drawn again (`every 5 s` or `each step`), or define it under `parameters`"
+    help = "add `every 5 s` or `each step` to repeat the draw, or define the random value under `parameters`"
     values.findings.add("DB407", text.span, headline, help=help)
     return False
 

@@ -276,7 +276,9 @@ class _Maker:
             return False
         if lines:
             headline = f"the {word} `{name}` changes the interface of the policy"
-            help = f"a {word} may change the world, but not the observation, action or messages: they must not depend on its `set`"
+            timestep = "the timestep, " if word == "stage" else ""
+            kept = f"{timestep}the observation, the action or the messages"
+            help = f"a {word} may change the world, but not {kept}: they must not depend on its `set`"
             self._findings.add("DB613", here, headline, help=help, notes=tuple(lines[:5]))
         return not lines
 

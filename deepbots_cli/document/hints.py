@@ -93,7 +93,8 @@ def _exclamation_mark(problem: _Problem) -> Finding | None:
     found = _NEGATED.search(problem.before)
     if found is None:
         return None
-    return problem.finding("a leading `!` begins a tag", "`not` negates a condition", problem.line_start + found.end() - 2, 2)
+    headline, help = "`!` does not negate: YAML reads it as the beginning of a tag", "write `not` to negate a condition"
+    return problem.finding(headline, help, problem.line_start + found.end() - 2, 2)
 
 
 def _leading_sign(problem: _Problem) -> Finding | None:

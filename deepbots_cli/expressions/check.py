@@ -262,7 +262,8 @@ class _Checker:
         if subject is None and symbol is None:
             raise self._unknown("name", name, fitting, node)
         found = subject.kind.words if subject is not None else "a value"
-        raise self._fault("DB203", node, f"`{name}` is {found}, but `{function}` needs {wanted}", _known(fitting))
+        help = _known(fitting, f"the scenario does not have {wanted}")
+        raise self._fault("DB203", node, f"`{name}` is {found}, but `{function}` needs {wanted}", help)
 
     def _no_value(self, node: syntax.Name) -> Stop:
         """A name that is no value: a part of the world, a function, or unknown."""
@@ -301,7 +302,7 @@ class _Checker:
         """
         names = sorted(known)
         near = _with_owner(name, names) or suggest_replacement(name, names)
-        listed = "; ".join(filter(None, (_known(names), None if near else also)))
+        listed = "; ".join(filter(None, (_known(names, "no name can be used here"), None if near else also)))
         help = f"did you mean `{near.text}`? {listed}" if near else listed
         fix = near._replace(text=f"{before}{near.text}") if near and before is not None else None
         return self._fault("DB402", place, f"unknown {what} `{name}`", help, fix)
@@ -586,8 +587,8 @@ def _with_owner(name: str, known: list[str]) -> Replacement | None:
     return Replacement(f"{longer[0]}{dot}{rest}", safe=False) if len(longer) == 1 else None
 
 
-def _known(names: list[str]) -> str:
-    return f"known names: {shown((f'`{name}`' for name in sorted(names)), 20)}" if names else "the scenario has none"
+def _known(names: list[str], none: str) -> str:
+    return f"known names: {shown((f'`{name}`' for name in sorted(names)), 20)}" if names else none
 
 
 def _one_of(kinds: frozenset[Kind]) -> str:

@@ -48,7 +48,7 @@ _MAX_FACTORS = 8
 _PRECEDENCE = {"or": 1, "and": 2, "<": 4, "<=": 4, ">": 4, ">=": 4, "==": 4, "!=": 4, "+": 5, "-": 5, "*": 6, "/": 6}
 _NOT, _COMPARISON, _MINUS = 3, 4, 7
 _NEVER_CLOSED = "a parenthesis that is not closed"
-_SMALLER = "define parts of it as signals or parameters"
+_SMALLER = "define parts of the expression as signals or parameters"
 _SLOT_ENDS = {"", ",", ")", "..", "+-", "|", "when", "every", "each"}  # the first is the end of the text
 _WANT_VALUE = {"when", "and", "or", "not", "every"}
 

@@ -226,7 +226,7 @@ def expect(
         value = value._replace(type=value.type._replace(dimension=dimension))
     _require_shape(value, components, what, report)
     if value.type.stage > stage:
-        allowed = "may be drawn once per episode, but not change within it" if stage is Stage.EPISODE else "must be fixed"
+        allowed = "may be drawn once per episode, but must not change during the episode" if stage is Stage.EPISODE else "must be fixed"
         raise report_at(report, "DB407", value, f"{what} is {value.type.stage.words}", f"it {allowed}")
     if value.type.interval.finite and not boolean:
         _require_size(value, stage, what, report)

@@ -143,8 +143,8 @@ def _unseen(context: RuleContext, analysis: Analysis, view: View, ending: Expres
         help = f"widen the range beyond the limit, for example to `{range_text(wide, number.dimension)}`"
         fix = replace_range(context, number, wide, number.dimension)
     elif (dimension := view.threshold.dimension) is not None:
-        headline = f"`{name}` is constant from {with_unit(view.edge, dimension)} on, and the episode fails"
-        headline += f" at {with_unit(limit, dimension)}"
+        headline = f"`{name}` is constant while the value in the condition of `{ending.name}` goes"
+        headline += f" from {with_unit(view.edge, dimension)} to {with_unit(limit, dimension)}"
     else:
         headline = f"`{name}` is constant for some distance before `{ending.name}` ends the episode"
     place = ending.span

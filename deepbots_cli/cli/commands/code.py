@@ -34,7 +34,7 @@ def compile_(
     ] = None,
     program: Annotated[bool, typer.Option("--program", help="Print the compiled scenario as canonical JSON instead of Python.")] = False,
     target: Annotated[
-        str, typer.Option("--target", metavar="TARGET", help="scalar: one world; batch: many worlds, each number an array.")
+        str, typer.Option("--target", metavar="TARGET", help="scalar: one world; batch: many worlds, where each number is an array.")
     ] = "scalar",
     as_json: Json = False,
     allow_paths: AllowPaths = None,

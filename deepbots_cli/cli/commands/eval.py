@@ -153,7 +153,8 @@ def command(
     apply to every engine.
 
     --episodes failed runs the failed episodes of the last kept evaluation again, and counts their endings. For the first 10, it prints the
-    ending, and how far its value was beyond the bound. With --video FILE.mp4, it films these as FILE-K.mp4 for episode K.
+    ending, and how far the value in the condition of the ending is beyond its bound. With --video FILE.mp4, it films these episodes:
+    FILE-K.mp4 shows episode K.
 
     \b
       deepbots eval runs/cartpole-0-1

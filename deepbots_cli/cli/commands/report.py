@@ -28,7 +28,7 @@ def command(
 
     The file holds the result with its interval, learning curves, reward terms, endings, the return over each drawn value, trajectories,
     and clips of the best, the median and the worst episode. It also holds the scenario, the findings of lint and the versions. It loads
-    nothing from elsewhere, needs no scripts, and can be sent and archived as it is. It follows the light or dark setting of the reader.
+    nothing from elsewhere, needs no scripts, and can be sent and archived as it is. It follows the light or dark setting of the browser.
 
     Results are those of the last evaluation of the best model; `deepbots eval RUN` makes a new one. Clips need an engine that can draw;
     --no-clips leaves them out.

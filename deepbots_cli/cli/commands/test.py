@@ -63,7 +63,7 @@ def command(
       deepbots test scenarios/ --junit tests.xml
       deepbots test cartpole.yaml -k fails --engine mujoco
 
-    Next: `deepbots view SCENARIO` shows an episode, with the options that a failed test prints.
+    Next: a failed test prints a command after `show it`. Run this command to see the episode.
     """
     if junit is not None:
         check_writable(junit)
