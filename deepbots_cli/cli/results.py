@@ -305,11 +305,12 @@ def keep(run: Run, evaluation: dict[str, Any]) -> None:
 
 
 def write_csv(path: Path, results: Iterable[EvaluationResult]) -> None:
-    """A line for each episode: policy, seed of the reset, outcome, reward terms as `reward.TERM`, drawn values as `drawn.PLACE`."""
+    """A line for each episode: policy, engine, seed of the reset, outcome, reward terms as `reward.TERM`, drawn values as `drawn.PLACE`."""
     rows: list[dict[str, object]] = []
     for result in results:
         for index, episode in enumerate(result.outcomes):
-            row: dict[str, object] = {"run": result.run, "model": result.model, "case": result.case or "", "stage": result.stage or ""}
+            row: dict[str, object] = {"run": result.run, "model": result.model, "engine": result.engine or ""}
+            row |= {"case": result.case or "", "stage": result.stage or ""}
             row |= {"episode": index, "seed": episode.seed, "return": episode.total_return, "length": episode.length}
             row |= {"success": int(episode.is_success), "ended_by": episode.ended_by or ""}
             row |= {f"reward.{name}": value for name, value in episode.terms.items()}

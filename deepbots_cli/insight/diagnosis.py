@@ -21,10 +21,11 @@ from deepbots_cli.insight.training import Training
 from deepbots_cli.learning.defaults import longest_episode, ours
 from deepbots_cli.program.task import Choices
 
+_SHOWN = 4
 _SAME = 1e-6  # numbers of the observation, from -1 to 1, that differ by less are equal
 _ENOUGH = 8  # episodes, below which the returns of a training tell nothing
 _UNLEARNABLE = {"DB705", "DB711", "DB807", "DB810"}
-"""Lint proves of these that no policy, or the wrong one, reaches what the scenario asks for."""
+"""Lint shows by these that failing at once earns most, that all policies earn the same, or that what is required is out of reach."""
 _CERTAIN, _SYMPTOMS = 0.9, {"too_few_steps", "short_training", "one_ending"}
 """Beside a cause that is as likely as this, the length of the training and its most frequent ending are no causes of their own."""
 
@@ -159,7 +160,7 @@ def lint_warns(t: Training) -> Numbers | None:
     found = sorted(t.findings, key=lambda finding: finding.code not in _UNLEARNABLE)
     if not found:
         return None
-    shown = _some([f"{finding.headline} ({finding.code})" for finding in found], 2)
+    shown = "; ".join([f"{finding.headline} ({finding.code})" for finding in found[:2]] + [f"{len(found) - 2} more"] * (len(found) > 2))
     return {"likelihood": 0.91 if found[0].code in _UNLEARNABLE else 0.3, "count": f"{len(found)} warning{'s' * (len(found) > 1)}",
             "findings": shown, "codes": [finding.code for finding in found], "path": str(t.run.path / RESOLVED)}  # fmt: skip
 
@@ -206,9 +207,9 @@ def saturated_observation(t: Training) -> Numbers | None:
             "names": _some(worst), "share": Share(mean), "shares": shares}  # fmt: skip
 
 
-def _some(names: Sequence[str], most: int = 4) -> str:
-    rest = len(names) - most
-    return listed([*names[:most], *([f"{rest} more"] if rest > 0 else [])])
+def _some(names: Sequence[str]) -> str:
+    rest = len(names) - _SHOWN
+    return listed([*names[:_SHOWN], *([f"{rest} more"] if rest > 0 else [])])
 
 
 # Reward

@@ -111,6 +111,12 @@ class Resumable:
             return super().collect_rollouts(*args, **kwargs)  # type: ignore[misc]
         return RolloutReturn(0, 0, continue_training=False) if isinstance(self, OffPolicyAlgorithm) else False
 
+    def save(self, path: str | Path, *_: Any, **__: Any) -> None:
+        """Write the model as a run keeps it, for a callback: Stable-Baselines3 would also pickle the worlds and the checkpoints."""
+        path = Path(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        models.save(path if path.suffix else path.with_suffix(".zip"), self)  # type: ignore[arg-type]  # of the algorithm
+
     def dump_logs(self, *args: Any) -> None:
         """Log after every roll-out, or as often as the algorithm does by default (A2C after 100).
 

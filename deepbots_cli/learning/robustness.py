@@ -197,14 +197,17 @@ def changed_scenario(
     allow_code: bool = False,
     project: Path | None = None,
 ) -> Compiled:
-    """The scenario in the file `base` with the keys of `change`, compiled; `sets` are applied last.
+    """The scenario in the file `base` with the keys of `change` and without its cases, compiled; `sets` are applied last.
 
     Raises:
         ScenarioError: The changed scenario has errors.
     """
+    # A case may replace what a change modifies, such as the ground by a terrain.
+    cases = _node(load(base, allow_paths=allow_paths, project=project).root, "evaluation", "cases")
+    removed: Change = {"remove": ["evaluation.cases"]} if cases is not None else {}
     # A draft beside the scenario: nothing is written, and relative paths mean the same.
     path = base.with_name(f"{base.stem}.changed.yaml")
-    text = json.dumps({"extends": base.name, **change})
+    text = json.dumps({"extends": base.name, **removed, **change})
     document = load(path, sets, allow_paths=allow_paths, drafts={path: text.encode()}, project=project)
     return api.compile(check(replace(document, allow_code=allow_code)))
 

@@ -206,6 +206,21 @@ class Scripted:
         return self._next()
 
 
+class Repeated:
+    """The actions of an earlier episode."""
+
+    note = ""
+
+    def __init__(self, actions: Iterable[Any]) -> None:
+        self._actions = iter(actions)
+
+    def begin(self, seed: int) -> None:
+        """Nothing."""
+
+    def act(self, observation: Any) -> Any:
+        return next(self._actions)
+
+
 class ManualDriver:
     """A person: `values` holds an option by its index for each choice, and a number from -1 to 1 for each component of a range."""
 
@@ -260,7 +275,7 @@ class Trained:
         self._starts = np.ones(self._agents or 1, dtype=bool)
         running = self._record(self._run.path).status == "running"
         names: tuple[ModelName, ...] = ("best", "last")
-        found = {name: stamp for name in names if (stamp := stamps([self._run.model(name)])[0]) is not None}
+        found = {name: stamp for name in names if (stamp := stamps([path := self._run.model(name)])[path]) is not None}
         name = next(iter(found if not running else sorted(found, key=found.__getitem__, reverse=True)), None)
         if name is not None and found[name] != self._stamp:
             self._model, self._stamp = self._load(self._run, name, self._env), found[name]
@@ -306,6 +321,8 @@ class Player:
         self.observation: Any = None
         self.action: Any = None
         """What the last step of the environment gave and took."""
+        self.actions: list[Any] = []
+        """Those of the episode."""
         try:
             self.reader = self._reader()
             self.drive(driver or opened.drivers[0])
@@ -336,7 +353,7 @@ class Player:
 
     def start(self, seed: int) -> WorldFrame:
         """Reset to the episode of a seed; its first frame."""
-        self.seed, self.action = seed, None
+        self.seed, self.action, self.actions = seed, None, []
         self.driver.begin(seed)
         self.observation, _ = self.env.reset(seed=seed)
         self.frame = self.reader.read(self.observation)
@@ -349,6 +366,7 @@ class Player:
     def step(self, *, by_hand: bool = False) -> WorldFrame:
         """The frame after the next step of an episode that has not ended; `by_hand` lets a person act instead of the driver."""
         self.action = (self.hand if by_hand else self.driver).act(self.observation)
+        self.actions.append(self.action)
         self.observation, *_ = self.env.step(self.action)
         self.frame = self.reader.read(self.observation, self.action)
         return self.frame
@@ -397,13 +415,13 @@ def player(source: Source, driver: str | None) -> closing[Player]:
     return closing(source.open().player(driver))
 
 
-def stamps(files: Iterable[Path]) -> tuple[tuple[int, int] | None, ...]:
+def stamps(files: Iterable[Path]) -> dict[Path, tuple[int, int] | None]:
     """Time of change and size of each file, None for a missing one: they differ when a file was saved."""
-    found: list[tuple[int, int] | None] = []
-    for file in sorted(files):
+    found: dict[Path, tuple[int, int] | None] = {}
+    for file in files:
         try:
             status = file.stat()
-            found.append((status.st_mtime_ns, status.st_size))
+            found[file] = (status.st_mtime_ns, status.st_size)
         except OSError:
-            found.append(None)
-    return tuple(found)
+            found[file] = None
+    return found

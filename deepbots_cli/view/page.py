@@ -12,7 +12,10 @@ import queue
 import re
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from functools import partial
+from itertools import count
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,9 +28,10 @@ from deepbots_cli.port import STILL
 from deepbots_cli.runtime.overview import around, beside, extent, strays
 from deepbots_cli.view import panel, server
 from deepbots_cli.view.batch import BatchPlayer
-from deepbots_cli.view.episodes import HAND, RANDOM, ZERO, Opened, Player, Source, stamps
+from deepbots_cli.view.episodes import HAND, RANDOM, ZERO, Opened, Player, Repeated, Source, stamps
 from deepbots_cli.view.frames import Field, Image, WorldFrame
 from deepbots_cli.view.manual_input import ManualInput
+from deepbots_cli.view.recordings import SUFFIX, record
 from deepbots_cli.view.replay import Replayed
 from deepbots_cli.view.scene import WorldScene, look
 
@@ -106,7 +110,7 @@ class Page:
         self._controls: Any = None
         self.seed, self.episode, self.paused, self.speed = seed, episode, False, 1.0
         self._number = world
-        self._trouble, self._message = "", ""
+        self._trouble, self._message, self._waiting = "", "", playing
         self._best, self._successes, self._played = -math.inf, 0, 0
         opened = source.open()
         if playing and opened.recording is not None:
@@ -177,7 +181,7 @@ class Page:
         self.paused = True
         self._trouble = "the scenario has errors"
         self._message = (
-            f"<pre style='overflow-x:auto;font-size:0.75em;line-height:1.35'>{html.escape(render(findings, 'full', width=46))}</pre>"
+            f"<pre style='white-space:pre-wrap;font-size:0.75em;line-height:1.35'>{html.escape(render(findings, 'full', width=46))}</pre>"
         )
         if self.player is None:
             self._clear()
@@ -194,11 +198,12 @@ class Page:
             paused, self._message = self.paused and not self._message, ""
             self._show(opened)
             if opened.program is not None:
-                self.play(not paused)
+                self.paused = paused
+                self._tell()
         except DeepbotsError as error:
             self._fail(error)
 
-    def _fail(self, error: DeepbotsError) -> None:
+    def _fail(self, error: Exception) -> None:
         """Show an error that ends the episode."""
         self.paused = True
         self._trouble, self._message = "stopped", f"<p>{html.escape(str(error))}</p>"
@@ -379,6 +384,9 @@ class Page:
     def _add_drive(self) -> None:
         gui, layout, hand = self.server.gui, self.shown[0].player.reader.layout, self._hand
         gui.add_html(f"<div style='padding:0.3em 1em;font-size:0.85em'>Keys: {html.escape(hand.help())}. A gamepad works too.</div>")
+        if self._playing:
+            keep = gui.add_button("record this episode", hint="write the episode so far as a recording (.mcap) into the present folder")
+            keep.on_click(lambda event: self._todo.put(lambda: self._record(event.client)))
         for field in layout.action:
             if field.options:
                 group = gui.add_button_group(field.name, field.options)
@@ -396,7 +404,7 @@ class Page:
                 )
 
     def _command(self, name: str, value: float) -> None:
-        self._hand.base[name] = float(value)
+        self._hand.base[name], self._waiting = float(value), False
 
     def _add_switches(self) -> None:
         gui, useless = self.server.gui, set() if any(shown.player.ways() for shown in self.shown) else {"shortest path"}
@@ -421,7 +429,7 @@ class Page:
 
     def play(self, playing: bool) -> None:
         """Go on, or pause."""
-        self.paused = not playing
+        self.paused, self._waiting = not playing, False
         if self.player is not None:
             self._tell()
 
@@ -476,6 +484,22 @@ class Page:
                 shown.past[:] = frames
         self._tell()
 
+    def _record(self, client: Any) -> None:
+        """Write the episode so far as a recording: the same actions from the same seed are the same episode."""
+        assert self.player is not None
+        try:
+            with closing(self.player.opened.player(ZERO)) as again:
+                again.driver, again.driver_name = Repeated(self.player.actions), HAND
+                name = f"{Path(self._source.reference).stem}-{self.seed}-{self.episode}-played"
+                numbered = (Path(f"{name}{number or ''}{SUFFIX}") for number in count())
+                path = next(path for path in numbered if not path.exists())
+                record(again, path, self.seed, [self.episode], steps=len(self.player.actions))
+        except (DeepbotsError, OSError) as error:
+            self._fail(error)
+            return
+        if client is not None:
+            client.add_notification(f"{path} written", f"deepbots view {path}", loading=False)
+
     def _drive(self, name: str) -> None:
         assert self.player is not None
         self._wanted = name
@@ -505,7 +529,7 @@ class Page:
 
     def _present(self) -> None:
         """Show the first moment of an episode."""
-        self._ended_at, self._message = 0.0, ""
+        self._ended_at, self._message, self._waiting = 0.0, "", self._playing
         for shown in self.shown:
             shown.take(anew=True)
             shown.world.draw(1.0)
@@ -543,9 +567,8 @@ class Page:
             if self._watch and time.monotonic() - checked > _WATCHED_EVERY:
                 checked = time.monotonic()
                 if (now := stamps(self._files)) != self._seen:
-                    self._seen = now
                     self._reload()
-                    self._seen = stamps(self._files)
+                    self._seen = stamps(self._files) | {file: now[file] for file in self._files if file in now}  # not what came meanwhile
             if self._changed_at and time.monotonic() - self._changed_at > _SETTLED:
                 self._changed_at = 0.0
                 self._reload()
@@ -557,7 +580,8 @@ class Page:
 
     def _advance(self, period: float) -> None:
         """Make the steps that fall into the next picture."""
-        if self.paused:
+        self._waiting = self._waiting and self.player is not None and self.player.driver_name == HAND and not self._hand.is_held
+        if self.paused or self._waiting:
             return
         if self._ended_at:
             if self._goes_on.value and time.monotonic() - self._ended_at > _PAUSE_AT_END:
@@ -613,7 +637,7 @@ class Page:
         player, name = self.shown[number].player, self._agent[1]
         frame = player.frame
         agent = frame.agents.get(name) or next(iter(frame.agents.values()))
-        state = (frame.ending or "running") + (" (paused)" if self.paused else "")
+        state = (frame.ending or ("press a key to begin" if self._waiting else "running")) + (" (paused)" if self.paused else "")
         state = f"{self._title(number)}: {state}" if self._compare else state
         colour = ("#009E73" if frame.is_success else "#E69F00" if frame.truncated else "#D55E00") if frame.ended_by else "#0072B2"
         numbers = f"episode {self.episode + player.world}, step {frame.step}, {frame.time:.2f} s, return {agent.episode_return:.2f}"

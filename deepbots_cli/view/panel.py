@@ -13,7 +13,8 @@ _NUMBER = "text-align:right;white-space:nowrap;padding-left:0.6em"
 
 
 def table(rows: Iterable[str]) -> str:
-    return f"<div style='padding:0 0.8em;font-size:0.8em'><table style='width:100%;border-spacing:0 1px'>{''.join(rows)}</table></div>"
+    content = f"<table style='width:100%;border-spacing:0 1px'>{''.join(rows)}</table>"
+    return f"<div style='padding:0 1.2em 0 0.8em;font-size:0.8em'>{content}</div>"
 
 
 def of_agent(layout: Layout, agent: AgentFrame) -> Iterator[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import closing
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,9 +20,14 @@ from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.vector import BatchEnvironment
 
 FAST = ("cartpole", "find_ball", "pit_escape", "balancer")
-SHORTER = {"quadruped": ("truncation.max_time=4 s",)}
+PUSHED = str(Path(__file__).parents[1] / "data" / "scenarios" / "pushed.yaml")
+SHORTER = {PUSHED: ("truncation.max_time=4 s",), "quadruped": ("truncation.max_time=4 s",)}
 """Settings with which episodes end within 500 steps."""
-OTHERS = ("cartpole_wireless", "line_follower", "quadruped", "panda_reach", "panda_push", "quadrotor", "find_ball_random")
+OTHERS = ("cartpole_wireless", "line_follower", PUSHED, "quadruped", "panda_reach", "panda_push", "quadrotor", "find_ball_random")
+
+
+def stem(name: str) -> str:
+    return Path(name).stem
 
 
 def rows(observation: Any) -> np.ndarray[Any, Any]:
@@ -70,13 +76,13 @@ def compare(name: str, worlds: int, steps: int, sets: tuple[str, ...] = ()) -> i
     return ended
 
 
-@pytest.mark.parametrize("name", [*FAST, "quadruped"])
+@pytest.mark.parametrize("name", [*FAST, PUSHED, "quadruped"], ids=stem)
 def test_a_world_of_a_batch_lives_the_episodes_of_a_single_world(name: str) -> None:
     compare(name, worlds=3, steps=40)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [*FAST, *OTHERS])
+@pytest.mark.parametrize("name", [*FAST, *OTHERS], ids=stem)
 def test_many_worlds_for_long(name: str) -> None:
     assert compare(name, worlds=32, steps=500, sets=SHORTER.get(name, ())) > 0
 

@@ -33,7 +33,7 @@ RAIL = str(Path(__file__).parents[1] / "data" / "scenarios" / "rail.yaml")
 
 
 TASKS = (
-    ("quadruped", 1.15, False, "quadruped, 10 substeps with springs in 12 joints"),
+    ("quadruped", 1.15, False, "quadruped, 4 substeps with springs in 12 joints"),
     ("find_ball_random", 1.25, True, "find_ball_random, beside physics and its 8 rays"),
     ("pit_escape", 1.1, False, "pit_escape, 8 ticks of 8 substeps, gyro and accelerometer"),
 )
@@ -41,7 +41,7 @@ TASKS = (
 
 @contextmanager
 def opened(source: str, *sets: str) -> Iterator[Supervisor]:
-    environment = api.make(source, sets=sets)
+    environment = api.make(source, sets=sets, engine="pybullet")
     yield environment
     environment.close()
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from importlib import util
+from importlib import import_module, util
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -35,6 +36,36 @@ def test_stable_baselines3_by_hand_runs(tmp_path: Path) -> None:
 
 def test_the_loop_in_the_vector_api_runs() -> None:
     assert main_of("vector_loop")(steps=40, copies=2) != {}
+
+
+def test_the_package_for_sbx_is_loaded_without_jax_and_stores_weights_as_tensors(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(FOLDER / "sbx"))
+    package = import_module("deepbots_sbx")
+    assert [(model.base(), model.import_path) for model in (package.JaxPPO, package.JaxSAC)] == [
+        ("PPO", "deepbots_sbx.algorithms:JaxPPO"),
+        ("SAC", "deepbots_sbx.algorithms:JaxSAC"),
+    ]
+    pytest.importorskip("sbx")
+    algorithms, space = import_module("deepbots_sbx.algorithms"), gym.spaces.Box(-1, 1, (4,), np.float32)
+    one, other = (algorithms.JaxPPO("MlpPolicy", _Still(space), n_steps=8, batch_size=8, seed=seed) for seed in (0, 1))
+    one.learn(16)
+    for part in one._get_torch_save_params()[0]:
+        getattr(other, part).load_state_dict(getattr(one, part).state_dict())
+    seen = np.linspace(-1, 1, 40, dtype=np.float32).reshape(10, 4)
+    assert all(np.array_equal(one.predict(seen, deterministic=d)[0], other.predict(seen, deterministic=d)[0]) for d in (True, False))
+
+
+class _Still(gym.Env[Any, Any]):
+    """Gives the same observation."""
+
+    def __init__(self, space: gym.spaces.Box) -> None:
+        self.observation_space, self.action_space = space, gym.spaces.Discrete(2)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        return np.zeros(4, np.float32), {}
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        return np.zeros(4, np.float32), 1.0, False, False, {}
 
 
 def test_the_page_names_every_program() -> None:

@@ -10,6 +10,7 @@ import pytest
 
 from deepbots_cli.engines import create
 from deepbots_cli.errors import EngineError
+from deepbots_cli.frames import quaternion
 from deepbots_cli.port import View
 from deepbots_cli.program.world import Formula, Ground, ObjectBody, RobotBody, Terrain, WorldModel
 from deepbots_cli.robots.model import Box, Cylinder, Friction, Geometry, Inertial, Joint, Limit, Link, Mesh, Pose, RobotModel, Sphere
@@ -64,6 +65,29 @@ def test_a_strong_motor_on_a_light_wheel_is_stable_and_its_range_is_in_radians(b
         drive([5.0])
         engine.step(1)
     assert read()[0][0] == pytest.approx(pi / 2, abs=0.05)
+
+
+def test_a_wheel_is_a_cylinder_to_everything_but_flat_ground(build):
+    """8 cm from its axle the face of a wheel is flat: a tyre would be 12 mm further away there."""
+    tyre = (Geometry(Cylinder(0.1, 0.06), Pose(rpy=(pi / 2, 0, 0))),)
+    wheel = Link("wheel", Inertial(1.0, ixx=0.003, iyy=0.005, izz=0.003), tyre, tyre, Friction(1.0))
+    axle = Joint("axle", "continuous", "stand", "wheel", Pose((0, 0, 0.099)), (0, 1, 0))
+    stand = RobotModel("spinner", (Link("stand", Inertial(5.0, ixx=0.1, iyy=0.1, izz=0.1)), wheel), (axle,), root="stand")
+    eye = RobotModel("eye", (Link("eye", Inertial(1.0, ixx=0.1, iyy=0.1, izz=0.1)),), (), root="eye")
+    ball = ObjectBody("ball", Sphere(0.05), Pose((0.08, 0.1, 0.099)), fixed=True)
+    robots = (RobotBody("robot", stand, fixed_base=True), RobotBody("eye", eye, fixed_base=True, pose=Pose((-0.08, 0.5, 0.099))))
+    engine = build("mujoco", WorldModel(0.01, 1, ground=Ground(1.0), objects=(ball,), robots=robots))
+    touches, force = engine.contact(("robot", "wheel"), [("ground", None)]), engine.contact_force(("robot", "wheel"))
+    see = engine.rays(("eye", None), [((0.0, 0.0, 0.0), quaternion(0.0, 0.0, -pi / 2))], 2.0)
+    drive, speed = engine.velocity_motor("robot", ["axle"], [0.01]), engine.joint_states("robot", ["axle"])
+    for _ in range(10):
+        drive([50.0])
+        engine.step(1)
+    assert touches()
+    assert force() > 0.0
+    assert speed()[0][1] < 0.1  # it grips
+    assert engine.clearance(("robot", "wheel"), ("ball", None))() == pytest.approx(0.02, abs=1e-6)
+    assert see() == pytest.approx([0.47], abs=1e-6)
 
 
 def test_a_state_that_is_not_finite_writes_no_file(tmp_path, monkeypatch, worlds, build):

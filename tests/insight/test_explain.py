@@ -121,11 +121,6 @@ def test_every_sentence_has_a_number(recording):
     assert all(any(sign.isdigit() for sign in each.text) for each in statements)
 
 
-def test_measuring_changes_nothing(recording):
-    """A program with kept values gives the recorded episode to the bit: other observations would be refused."""
-    assert trace_recording(str(recording), 0).steps > 0
-
-
 def test_endings_with_and_or_and_not(tmp_path):
     """Of a condition with several comparisons, the one that has just become true is named, with `not` taken into its sign."""
     ending = "not (abs(x) <= track) or (abs(cart.pole_angle) > fall_angle and step >= 3)"

@@ -13,10 +13,11 @@ from typing import Any
 
 import pytest
 import stand_in
+from stable_baselines3 import PPO
 
 from deepbots_cli.cli.results import training_text
 from deepbots_cli.errors import PluginError, UsageError
-from deepbots_cli.learning import TrainingResult, resume, train, train_group
+from deepbots_cli.learning import TrainingResult, models, resume, train, train_group
 from deepbots_cli.learning.report import Reporter, TrainingProgress
 from deepbots_cli.learning.run import Record
 from deepbots_cli.program.task import Hyperparameter, Training
@@ -65,6 +66,8 @@ def test_a_training_that_was_interrupted_calls_and_logs_as_one_that_was_not(tmp_
     assert whole.weights_digest != short(tmp_path / "without").weights_digest
     for name in ("scalars.csv", "scalars.jsonl"):
         assert lines(whole.run, name) == lines(parts.run, name)
+    saved = PPO.load(whole.run / "logs" / "whole.zip")
+    assert models.digest(saved) == whole.weights_digest
     rows = [line.split(",") for line in lines(whole.run, "scalars.csv")]
     assert rows[0] == ["steps", "name", "value"]
     assert {"acme/norm", "rollout/ep_rew_mean", "reward/alive"} <= {row[1] for row in rows}

@@ -81,6 +81,23 @@ def test_keys_drive_and_let_go():
         assert "onward" in page._banner.content or page._rival.driver_name == "onward"
 
 
+def test_an_episode_that_was_driven_is_recorded_to_the_bit(tmp_path, monkeypatch):
+    pytest.importorskip("mcap")
+    monkeypatch.chdir(tmp_path)
+    with closing(Page(Source("find_ball"), port=0, playing=True, seed=4)) as page:
+        assert "press a key to begin" in page._banner.content
+        for keys in ({"KeyW"}, {"KeyW", "KeyD"}, {"KeyA"}):
+            page._hand.hold(frozenset(keys), ())
+            page.step_once()
+        page._record(None)
+        page._record(None)
+        driven = page.player.frame
+    with closing(Source("find_ball-4-0-played1.mcap").open().player()) as replayed:
+        *_, last = replayed.episode(4, 0, 3)
+        assert last.links == driven.links
+        assert replayed.recording.metadata["driver"] == HAND
+
+
 def test_hands_know_options_by_their_names():
     hand = ManualInput([Field("move", "move", 0, 2, "", ("left", "right", "stop"))])
     assert hand.values() == {"move": 2.0}
@@ -108,6 +125,23 @@ def test_a_saved_file_shows_its_findings_and_then_its_world(tmp_path):
         _run(page, lambda: page.player is not world)
         assert time.monotonic() - began < 2.0 or os.getloadavg()[0] > 4
         assert (page.seed, page._message, page.paused) == (3, "", False)
+
+
+def test_a_save_while_the_one_before_is_read_is_not_lost(tmp_path):
+    file = tmp_path / "mine.yaml"
+    file.write_text(CARTPOLE)
+    with closing(Page(Source(str(file)), port=0, watch=True)) as page:
+        show, world = page._show, page.player
+
+        def show_and_save(opened):
+            page._show = show
+            file.write_text(CARTPOLE.replace("timestep: ", "timestep:  ", 1))
+            show(opened)
+
+        page._show = show_and_save
+        file.write_text("")
+        _run(page, lambda: page.player is not world)
+        assert page._message == ""
 
 
 def test_a_scenario_with_errors_opens_with_its_findings(tmp_path):

@@ -81,7 +81,7 @@ def test_every_copy_of_a_row_begins_in_the_picture() -> None:
 
 
 def test_the_view_follows_a_robot_that_leaves_and_stays_where_there_is_an_arena() -> None:
-    with closing(api.make("quadruped", render_mode="rgb_array")) as environment:
+    with closing(api.make("quadruped", engine="pybullet", render_mode="rgb_array")) as environment:
         environment.reset(seed=0)
         first = environment.render()
         (x, y, z), turn = environment.engine.pose("dog")()

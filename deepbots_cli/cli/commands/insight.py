@@ -86,14 +86,16 @@ def _trace(shown: str, episode: int | None, seed: int | None, *, last: bool, all
         return trace.trace_failure(path, allow_code=allow_code)
     run = Run.open(path)
     found = trace.last_evaluation(run, plain=False) if seed is None and not last else None
-    if found is not None:
-        _, kept = found
-        failed = kept.failed(run.program)
-        chosen = kept.chosen(episode if episode is not None else failed[0] if failed else 0)
-    else:
+    if found is None:
         root, number = run.record.seed if seed is None else seed, episode or 0
         chosen = trace.Chosen(number, derive_seed(root, "evaluation", number), "last" if last else "best")
-    return trace.trace_run(run, chosen, allow_code=allow_code)
+        return trace.trace_run(run, chosen, allow_code=allow_code)
+    _, kept = found
+    failed = kept.failed(run.program)
+    traced = trace.trace_run(run, kept.chosen(episode if episode is not None else failed[0] if failed else 0), allow_code=allow_code)
+    if not failed:
+        traced.notes = [*traced.notes, f"none of the {len(kept.outcomes):,} episodes of the last evaluation failed"]
+    return traced
 
 
 MAX_SHOWN = 10

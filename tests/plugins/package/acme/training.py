@@ -1,6 +1,7 @@
 """Callbacks, loggers, and an algorithm; most of them fail in one way."""
 
 import json
+from pathlib import Path
 
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
@@ -8,7 +9,10 @@ from stable_baselines3.common.logger import KVWriter
 
 
 class ExploreLess(BaseCallback):
-    """Lowers the weight of the entropy over the first 10,000 steps, and notes the norm of the weights every 25 calls."""
+    """Lowers the weight of the entropy over the first 10,000 steps, notes the norm of the weights every 25 calls, and saves the model."""
+
+    def _on_training_end(self):
+        self.model.save(Path(self.logger.dir).parent / "logs" / "whole")
 
     def _on_step(self):
         self.model.ent_coef = 0.01 * max(0.0, 1.0 - self.num_timesteps / 10_000)
