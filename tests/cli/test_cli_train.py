@@ -336,7 +336,7 @@ def interrupted(tmp_path_factory):
     pieces: list[bytes] = []
     reading = threading.Thread(target=lambda: pieces.extend(iter(lambda: read_until_closed(ours), b"")))
     reading.start()  # a terminal holds 4 KiB, beyond which the training would wait for ever
-    deadline = time.monotonic() + 120
+    deadline = time.monotonic() + 600
     while not list((folder / "mine" / "checkpoints").glob("0*")) and process.poll() is None and time.monotonic() < deadline:
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)
