@@ -22,7 +22,13 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 WITHOUT = None if ENGINES.own["pybullet"].is_installed else ENGINES.own["pybullet"].missing
-_NEEDS = ("No module named 'pybullet", "the engine 'pybullet' cannot be used", "engine `pybullet` cannot be used", "pybullet_data")
+_NEEDS = (
+    "No module named 'pybullet",
+    "the engine 'pybullet' cannot be used",
+    "engine `pybullet` cannot be used",
+    "pybullet_data",
+    "or the engine `pybullet`",
+)
 """What an error says that is raised for lack of PyBullet."""
 
 
