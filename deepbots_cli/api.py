@@ -44,7 +44,8 @@ class Compiled:
     `code` is printed, and `digest` computed, when first asked for. `inputs` maps a relative path for the copy of every file that was
     read to its bytes, the scenario first; `resolved` is the merged scenario as YAML, which compiles to the same beside a folder `inputs`
     of those copies; `findings` is what `lint` says of it: warnings, and rules that failed (DB903); `allow_code` whether its terms
-    in Python may run; `fixed` are the parameters that no episode draws.
+    in Python may run; `fixed` are the parameters that no episode draws; `edited_code` is the module of an ejected project, which replaces
+    the printed one.
     """
 
     program: Program
@@ -54,13 +55,14 @@ class Compiled:
     findings: tuple[Finding, ...]
     allow_code: bool = False
     fixed: tuple[str, ...] = ()
+    edited_code: str | None = None
 
     @property
     def code(self) -> str:
-        """The generated Python module."""
+        """The Python module that runs."""
         from deepbots_cli.codegen import emit
 
-        return emit(self.program)
+        return emit(self.program) if self.edited_code is None else self.edited_code
 
     @property
     def digest(self) -> str:
