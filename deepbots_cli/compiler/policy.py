@@ -555,7 +555,7 @@ class Decisions:
             return None
         always = next((index for index, (_, holds) in enumerate(branches) if constant(holds.typed) == (True,)), None)
         if always is None:
-            headline = f"the script may choose no option of `{part.name}`: no condition is always true"
+            headline = f"the script can leave `{part.name}` without an option: no condition is always true"
             help = f"make the last condition true: `{branches[-1][0]}: true`"
             self._values.findings.add("DB102", self._values.key_span(place), headline, help=help)
             return None

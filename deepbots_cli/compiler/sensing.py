@@ -215,7 +215,7 @@ def _rays(namespace: Namespace, spec: RayScan) -> dict[str, Pose] | None:
     if spec.angle_range is None:
         if count > 1:
             headline = f"{count} rays have no directions"
-            help = "add `angle_range: 90 .. -90 deg`, or give them by name"
+            help = "add `angle_range: 90 .. -90 deg`, or give each ray by name, as in `rays: {left: {yaw: 30 deg}}`"
             values.findings.add("DB102", values.span((*spec.path, "rays")), headline, help=help)
             return None
         return {"": Pose()} if spec.rays is None else {"r0": Pose()}

@@ -60,7 +60,6 @@ _COMPARISONS = {"<": "less", "<=": "less_equal", ">": "greater", ">=": "greater_
 _MAX_EXPONENT = 12
 # Roots that physics meets: halves, thirds and quarters. A float stands for one if it is the nearest.
 _MAX_DENOMINATOR = 4
-_NO_ZERO = "keep it away from zero, as in `max(x, 0.01 m)`"
 _KEEP_ABOVE = "keep it above a minimum with `max(x, ...)`"
 _FAMILY_HELP = {
     Family.DRAW: "draw it as a parameter, and use the parameter here",
@@ -384,7 +383,7 @@ class _Checker:
         if operator := _ARITHMETIC.get(node.operator):
             require_kind(both, self._report)
             result = Type(self._result_dimension(node, left, right), components, stage=stage)
-            self._warn_of_domain(node.operator, left.type.interval, right.type.interval, node)
+            self._warn_of_domain(node.operator, left, right, node)
             interval = OPERATORS[operator].interval(left.type.interval, right.type.interval)
             # A division by zero gives an interval that is not single.
             overflows = interval.single and not interval.finite
@@ -423,16 +422,17 @@ class _Checker:
             case _:
                 return dimension_of((left, right), node, self._report)
 
-    def _warn_of_domain(self, operator: str, a: Interval, b: Interval, node: syntax.Binary) -> None:
+    def _warn_of_domain(self, operator: str, left: Typed, right: Typed, node: syntax.Binary) -> None:
         """DB405 for a divisor that can be zero, DB406 for a root of a value that can be negative."""
+        a, b = left.type.interval, right.type.interval
         if operator == "/" and b.finite and 0.0 in b:
             between = f"the divisor is between {b.low:g} and {b.high:g}, and can be zero"
-            self._fault("DB405", node.right, "a division by zero" if b.single else between, _NO_ZERO)
+            self._fault("DB405", node.right, "a division by zero" if b.single else between, _no_zero(right))
         if operator == "^" and a.finite:
             if a.low < 0.0 and b.single and not b.low.is_integer():
                 self._fault("DB406", node.left, f"a fractional power of a value that can be as low as {a.low:g}", _KEEP_ABOVE)
             if 0.0 in a and b.high < 0.0:
-                self._fault("DB405", node.left, "a negative power of a value that can be zero", _NO_ZERO)
+                self._fault("DB405", node.left, "a negative power of a value that can be zero", _no_zero(left))
 
     # calls
 
@@ -597,3 +597,9 @@ def _one_of(kinds: frozenset[Kind]) -> str:
         named.remove(Kind.WALLS.words)
         named[named.index(Kind.WALL.words)] = "a wall"
     return named[0] if len(named) == 1 else f"{', '.join(named[:-1])} or {named[-1]}"
+
+
+def _no_zero(value: Typed) -> str:
+    """The help for a value that can be zero: a bound in its unit."""
+    dimension = value.type.dimension
+    return f"keep it away from zero, as in `max(x, {'0.01' if dimension == NUMBER else f'0.01 {dimension}'})`"

@@ -302,7 +302,7 @@ def _shows(shown: SeenNumber, exact: Linear, noisy: SeenNumber, hidden: Linear) 
 
 
 def observation_unbounded(context: RuleContext) -> Iterator[Finding]:
-    """DB601: an entry of the observation has no bounds and is not clipped.
+    """DB601: an entry of the observation is not clipped to its range, and can be arbitrarily large.
 
     A network that was trained on numbers around 1 gives arbitrary outputs for 1000. Such values occur when a robot is thrown, in a
     collision, or when the physics is unstable for a step. Clipping costs one comparison.
@@ -318,7 +318,7 @@ def observation_unbounded(context: RuleContext) -> Iterator[Finding]:
     analysis = context.analysis
     loose = [number for number in ranged_numbers(analysis) if not number.entry.clip and not analysis.ranges.of(number.node).finite]
     for entry in {id(number.entry): number.entry for number in loose}.values():
-        headline = f"`{entry.value.name}` has no bounds and is not clipped"
+        headline = f"`{entry.value.name}` is not clipped to its range, and can be arbitrarily large"
         fix = removal_fix(context.values.root, ("observation", entry.value.name, "clip"))
         help = "remove `clip: false`, or `clamp` the value under `augment`"
         yield Finding("DB601", context.range_span(entry), headline, help=help, fix=fix)

@@ -103,7 +103,7 @@ def command(
         bool,
         typer.Option(
             "--details",
-            help="Also show the result for each part of the range of every drawn value, and in each stage of the curriculum.",
+            help="Also show the result for each part of the range of every random value, and in each stage of the curriculum.",
         ),
     ] = False,
     engine: Annotated[

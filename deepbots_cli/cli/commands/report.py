@@ -26,7 +26,7 @@ def command(
 ) -> None:
     """Write a report about a run or a group: one HTML file.
 
-    The file holds the result with its interval, learning curves, reward terms, endings, the return over each drawn value, trajectories,
+    The file holds the result with its interval, learning curves, reward terms, endings, the return over each random value, trajectories,
     and clips of the best, the median and the worst episode. It also holds the scenario, the findings of lint and the versions. It loads
     nothing from elsewhere, needs no scripts, and can be sent and archived as it is. It follows the light or dark setting of the browser.
 

@@ -67,7 +67,7 @@ Port = Annotated[
 Open = Annotated[bool, typer.Option("--open", help="Open the page in the browser.")]
 Episode = Annotated[
     int,
-    typer.Option("--episode", metavar="K", parser=whole(0), help="Use the start of held-out episode K, as `deepbots eval --seed N` does."),
+    typer.Option("--episode", metavar="K", parser=whole(0), help="Begin with the start of held-out episode K of `deepbots eval`."),
 ]
 # Any: typer would parse each part of a tuple alone.
 Size = Annotated[Any, typer.Option("--size", metavar="WxH", parser=size, help="Width and height in pixels.")]
