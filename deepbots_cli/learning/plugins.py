@@ -75,7 +75,7 @@ def _unknown(what: str, name: str, table: PluginTable[Any]) -> str:
 
 
 class PluginCallback(BaseCallback):
-    """A callback of a plug-in, which is told the same calls in a resumed training as in one without interruption."""
+    """A callback of a plug-in. A resumed training makes the same calls as a training without interruption."""
 
     def __init__(self, name: str) -> None:
         super().__init__()
