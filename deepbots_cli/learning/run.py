@@ -29,7 +29,7 @@ from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal, Self, TypeVar
+from typing import Any, Literal, Self, TypedDict, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -103,6 +103,20 @@ class TrainingResult(Result):
 
     run: Path
     initialized_from: str | None = None
+
+
+class Options(TypedDict, total=False):
+    """Arguments of `train` that say how a training goes, which the trainings of a group share."""
+
+    total_timesteps: int | None
+    stop_when_solved: bool
+    stage: str | None
+    keep_checkpoints: int
+    initialize_from: str | Path | None
+    callbacks: Sequence[str]
+    loggers: Sequence[str]
+    command: Sequence[str]
+    engine: str | None
 
 
 class Record(BaseModel):
