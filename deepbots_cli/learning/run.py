@@ -17,7 +17,6 @@ A directory is made once and never overwritten. All files are replaced whole, so
 
 from __future__ import annotations
 
-import hashlib
 import json
 import platform
 import re
@@ -358,11 +357,6 @@ def short(settings: Sequence[str]) -> str:
     return ", ".join("=".join((path.rpartition(".")[2], value)) for path, _, value in (text.partition("=") for text in settings))
 
 
-def kept_evaluations(run: Path) -> list[tuple[int, Path]]:
-    """The evaluations that a run keeps, by number, the latest last."""
-    return numbered(run / "evaluations")
-
-
 def numbered(folder: Path) -> list[tuple[int, Path]]:
     """The files `0001.json`, `0002.json` ... of a folder, by number."""
     return sorted((int(path.stem), path) for path in folder.glob("*.json") if re.fullmatch("[0-9]{4,9}", path.stem))
@@ -499,11 +493,6 @@ def run_folders(runs: Sequence[str | Path]) -> list[Path]:
         )
         found |= dict.fromkeys(inner or [path])
     return list(found)
-
-
-def input_digests(inputs: Mapping[str, bytes]) -> dict[str, str]:
-    """SHA-256 of every input, by the path of its copy under `inputs/`."""
-    return {name: hashlib.sha256(content).hexdigest() for name, content in inputs.items()}
 
 
 def now() -> str:

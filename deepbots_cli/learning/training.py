@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import platform
 import shutil
 import threading
@@ -41,7 +42,6 @@ from deepbots_cli.learning.run import (
     Run,
     Status,
     TrainingResult,
-    input_digests,
     new_directory,
     now,
     run_lock,
@@ -126,7 +126,7 @@ def train(
         source=str(compiled.source),
         digest=compiled.digest,
         interface=identity.interface(compiled.program),
-        inputs=input_digests(compiled.inputs),
+        inputs={name: hashlib.sha256(content).hexdigest() for name, content in compiled.inputs.items()},
         engine=engine,
         seed=seed,
         seeds=seeds | {"policy": derive_seed(seed, "policy"), "evaluation": derive_seed(seed, "evaluation")},
