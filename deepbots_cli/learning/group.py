@@ -224,13 +224,16 @@ def resume_group(
 
     Raises:
         RunError: The folder is no group, or it is damaged.
-        UsageError: Another training is at work in it.
+        UsageError: Another training is at work in it, or there is no such callback or logger.
     """
     known = Group.open(group)
     given = {"total_timesteps": total_timesteps, "stop_when_solved": stop_when_solved}
     followers = {name: tuple(names) for name, names in (("callbacks", callbacks), ("loggers", loggers)) if names is not None}
     with run_lock(known.path):
         if followers:
+            from deepbots_cli.learning import plugins  # which imports torch
+
+            plugins.check(followers.get("callbacks", ()), followers.get("loggers", ()))
             known = Group(known.path, known.record.model_copy(update=followers))
             known.write()
         compiled = api.compile(api.load(known.path / RESOLVED, allow_code=True, project=known.path))

@@ -126,6 +126,9 @@ def test_a_resumed_run_and_the_seeds_of_a_group_keep_them(tmp_path: Path) -> Non
 
 def test_a_resumed_group_drops_them_in_every_seed(tmp_path: Path) -> None:
     train_group(TASK, [0, 1], group=tmp_path / "group", build=stand_in.build, callbacks=["impatient"])
+    with pytest.raises(UsageError, match="there is no callback 'gone'"):
+        resume_group(tmp_path / "group", total_timesteps=200, callbacks=["gone"], build=stand_in.build)
+    assert Group.open(tmp_path / "group").record.callbacks == ("impatient",)
     rest = resume_group(tmp_path / "group", total_timesteps=200, callbacks=(), build=stand_in.build)
     assert [found.stopped_by for found in rest.trained] == [None, None]
     assert Group.open(tmp_path / "group").record.callbacks == ()

@@ -70,7 +70,11 @@ def command(
     ] = None,
     callbacks: Annotated[
         list[str] | None,
-        typer.Option("--callback", metavar="NAME", help="Call this callback of an installed package during the training; may be repeated."),
+        typer.Option(
+            "--callback",
+            metavar="NAME",
+            help="Call this callback of an installed package during the training; may be repeated. With --resume, `none` drops all.",
+        ),
     ] = None,
     loggers: Annotated[
         list[str] | None,
