@@ -17,11 +17,9 @@ T_contra = TypeVar("T_contra", contravariant=True)
 
 
 class Finder(Protocol[T_contra]):
-    """A row of a table: a function that finds the numbers of a sentence.
+    """A row: its name is the cause, its docstring the sentence, with a field in braces for each number, then `Try:` and what to try.
 
-    Its name is the cause, and its docstring is the sentence, with a field in braces for each number, then `Try:` and what to try. It
-    returns None where the row does not apply. Evidence may hold more than the sentence shows; its entry `likelihood` (0 to 1) orders
-    causes.
+    It returns None where it does not apply. Evidence may hold more than the sentence shows; its entry `likelihood` (0 to 1) orders causes.
     """
 
     __name__: str
@@ -99,6 +97,11 @@ def quantity(value: float, unit: str, digits: int = 4) -> str:
     return f"{value:.{digits}g}{'' if unit in ('', '1') else f' {unit}'}"
 
 
-def listed(parts: Sequence[str]) -> str:
-    """`a, b and c`."""
+SHOWN = 4
+"""Terms, options and numbers of the observation in one sentence."""
+
+
+def listed(parts: Sequence[str], shown: int = SHOWN) -> str:
+    """`a, b and c`, or `a, b and 7 more` of more than are shown."""
+    parts = [*parts[:shown], *([f"{len(parts) - shown} more"] if len(parts) > shown else [])]
     return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"

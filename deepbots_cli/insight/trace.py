@@ -21,15 +21,15 @@ from pydantic import ConfigDict, Field, field_validator
 
 from deepbots_cli import api
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
-from deepbots_cli.insight.conditions import Values, Watch, measured
+from deepbots_cli.insight.conditions import Measured, Values, Watch, deciding, measured
 from deepbots_cli.learning import failures, listing
 from deepbots_cli.learning.episodes import Episode
 from deepbots_cli.learning.run import KeptEvaluation, ModelName, Run, read_json
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import ActionRange, Choices, ObservedNumber, policy_inputs
+from deepbots_cli.program.task import ActionRange, Choices, policy_inputs
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.streams import derive_seed
-from deepbots_cli.view.episodes import Opened, Source
+from deepbots_cli.view.episodes import Opened
 from deepbots_cli.view.recordings import Recorded, Recording, observation_hash
 from deepbots_cli.view.replay import Actions, changes
 
@@ -79,14 +79,13 @@ class Trace:
         return self.time if step == self.steps else step * self.program.period
 
     @cached_property
-    def numbers(self) -> tuple[ObservedNumber, ...]:
-        return self.program.policy.numbers
-
-    def saturation(self) -> dict[str, float]:
-        """The share of moments in which each clipped number of the observation was at an end of its range, the largest first."""
-        shares = (np.abs(self.observations) >= 1.0).mean(axis=0)
-        found = {n.full_name: float(shares[i]) for i, n in enumerate(self.numbers) if n.clip and not n.truth}
-        return dict(sorted(found.items(), key=lambda entry: -entry[1]))
+    def end(self) -> Measured | None:
+        """The comparison that ended the episode; None where an episode limit did, or the ending has no tree."""
+        at_limit = self.outcome == "success" and self.ended_by in ("max_steps", "max_time")  # of a scenario with a goal
+        condition = self.watch.conditions.get("goal_reached" if at_limit else self.ended_by or "")
+        if condition is None or self.outcome in ("time limit", "error", "not ended"):
+            return None
+        return deciding(condition, self.values[-2] if len(self.values) > 1 else None, self.values[-1])
 
     def options(self) -> dict[str, dict[str, float]]:
         """For each choice of the action, the share of steps of each option, the largest first."""
@@ -185,16 +184,6 @@ def newest(program: Program, observations: Sequence[Any]) -> Array:
 # Runs
 
 
-@dataclass(frozen=True)
-class Chosen:
-    """An episode of a run: its number, the seed of its reset, and how the policy acts."""
-
-    number: int
-    seed: int
-    model: ModelName = "best"
-    deterministic: bool = True
-
-
 class KeptEpisodes(KeptEvaluation):
     """An evaluation that a run keeps, with its episodes."""
 
@@ -217,9 +206,10 @@ class KeptEpisodes(KeptEvaluation):
         bad = [not each.is_success if self.success_defined else each.ended_by in program.failures for each in self.outcomes]
         return [number for number, is_bad in enumerate(bad) if is_bad]
 
-    def chosen(self, number: int) -> Chosen:
-        model: Any = self.model
-        return Chosen(number, derive_seed(self.seed, "evaluation", number), model, self.deterministic)
+    @property
+    def circumstances(self) -> dict[str, Any]:
+        """What `trace_episodes` needs to repeat its episodes."""
+        return {"seed": self.seed, "model": self.model, "deterministic": self.deterministic}
 
 
 def last_evaluation(run: Run, *, plain: bool = True) -> tuple[Path, KeptEpisodes] | None:
@@ -235,15 +225,17 @@ def last_evaluation(run: Run, *, plain: bool = True) -> tuple[Path, KeptEpisodes
     return None if found is None else (found[0], read_json(found[0], KeptEpisodes, _EVALUATION_LIMIT))
 
 
-def trace_run(run: Run, chosen: Chosen, *, allow_code: bool = False) -> Trace:
-    """An episode of an evaluation, with the policy of a run; see `trace_episodes`."""
-    return next(trace_episodes(run, [chosen], allow_code=allow_code))
-
-
 def trace_episodes(
-    run: Run, episodes: Sequence[Chosen], *, films: Mapping[int, Path] = MappingProxyType({}), allow_code: bool = False
+    run: Run,
+    numbers: Sequence[int],
+    *,
+    seed: int,
+    model: ModelName = "best",
+    deterministic: bool = True,
+    films: Mapping[int, Path] = MappingProxyType({}),
+    allow_code: bool = False,
 ) -> Iterator[Trace]:
-    """Episodes of one evaluation, with the policy of a run; `films` are the MP4 files to write, by the number of the episode.
+    """Episodes of the evaluation of a run with this root seed; `films` are the MP4 files to write, by the number of the episode.
 
     Raises:
         RunError: The run holds no model, or one that does not fit.
@@ -251,7 +243,6 @@ def trace_episodes(
     """
     from deepbots_cli.learning import algorithms, evaluation, video
 
-    model = episodes[0].model
     if not run.model(model).is_file() and run.record.status == "failed":
         raise RunError(f"the training of {run.path} failed before it kept a model; its causes: deepbots diagnose {run.path}")
     if not run.model(model).is_file():
@@ -259,12 +250,11 @@ def trace_episodes(
     watch = measured(run.program)
     with algorithms.torch_settings(), closing(_world(watch, run.engine_for(run.program), allow_code, draw=bool(films))) as world:
         policy = evaluation.load(run, model, world)
-        for each in episodes:
-            film = films.get(each.number)
-            rate = 1 / watch.program.period
-            with video.filmed(world, film, rate) if film is not None else nullcontext(world) as acted:
-                evaluation.repeat(policy, acted, each.seed, each.number, deterministic=each.deterministic)
-            trace = world.trace(f"episode {each.number} of {run.path}", notes=run.notes())
+        for number in numbers:
+            film, begin = films.get(number), derive_seed(seed, "evaluation", number)
+            with video.filmed(world, film, 1 / watch.program.period) if film is not None else nullcontext(world) as acted:
+                evaluation.repeat(policy, acted, begin, number, deterministic=deterministic)
+            trace = world.trace(f"episode {number} of {run.path}", notes=run.notes())
             row = list(world.world.agents).index(trace.agent) if trace.agent else None
             trace.critic = _critic_values(policy, [seen if row is None else _row(seen, row) for seen in world.seen[:-1]])
             absent = "the critic has a memory" if hasattr(policy.policy, "lstm_actor") else "the critic is no network of torch"
@@ -302,13 +292,6 @@ def _world(watch: Watch, engine: str | None, allow_code: bool, *, draw: bool = F
 # Recordings and failures
 
 
-def trace_recording(path: str, episode: int | None, *, allow_code: bool = False) -> Trace:
-    """An episode of a recording, by default its first one; see `trace_recorded`."""
-    opened = Source(path, allow_code=allow_code).open()
-    recording: Recording = opened.recording
-    return next(trace_recorded(opened, [recording.episodes[0] if episode is None else recording.episode(episode)]))
-
-
 def trace_recorded(opened: Opened, episodes: Sequence[Recorded]) -> Iterator[Trace]:
     """Episodes of a recording that is open, each run again with its actions.
 
@@ -318,8 +301,7 @@ def trace_recorded(opened: Opened, episodes: Sequence[Recorded]) -> Iterator[Tra
     """
     recording: Recording = opened.recording
     assert opened.program is not None  # a recording that does not compile is refused when it is opened
-    watch = measured(opened.program)
-    with closing(_world(watch, opened.source.engine, opened.source.allow_code)) as world:
+    with closing(_world(measured(opened.program), opened.source.engine, opened.source.allow_code)) as world:
         for recorded in episodes:
             actor = Actions(recording, recorded, world.action_space)
             observation, _ = world.reset(seed=recorded.seed)
@@ -348,9 +330,8 @@ def trace_failure(path: Path, *, allow_code: bool = False) -> Trace:
         RunError: The file is damaged, or does not lie in the folder of a run.
     """
     failure, run, program = failures.read(path)
-    watch = measured(program)
     error = ""
-    with closing(_world(watch, run.record.engine, allow_code)) as world:
+    with closing(_world(measured(program), run.record.engine, allow_code)) as world:
         try:
             for _ in failures.steps(failure, program, world, path):
                 pass

@@ -9,70 +9,87 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import cached_property
+from statistics import fmean
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deepbots_cli import api
 from deepbots_cli.compiler.inputs import RESOLVED
 from deepbots_cli.diagnostics import Finding
-from deepbots_cli.errors import DeepbotsError, RunError
+from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.insight.conditions import measured
-from deepbots_cli.insight.trace import Trace, Traced
+from deepbots_cli.insight.trace import Array, Trace, Traced
 from deepbots_cli.learning import failures
 from deepbots_cli.learning.defaults import effective
-from deepbots_cli.learning.episodes import read_log
+from deepbots_cli.learning.episodes import meets
 from deepbots_cli.learning.run import Run
 from deepbots_cli.lint import review
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import ActionRange, Choices, Schedule, Solved
+from deepbots_cli.program.task import ActionRange, Choices, Schedule
 from deepbots_cli.runtime.streams import derive_seed
-from deepbots_cli.view.plots import evaluations_of, scalars_of
+from deepbots_cli.view.plots import logs_of, scalars_of
 
-Array = NDArray[np.float64]
 EPISODES, STEPS, FEW_STEPS = 4, 300, 40
 """Short episodes of the policy, of random actions and without commands, and their steps at most; and the steps of a constant action."""
-
-
-@dataclass(frozen=True)
-class Episodes:
-    """What the training episodes came to, in order: arrays of one entry per episode."""
-
-    steps: Array
-    returns: Array
-    lengths: Array
-    successes: Array
-    endings: Sequence[str]
-
-    def part(self, first: float, last: float) -> Episodes:
-        """Those from one share of the episodes to another: `part(0.75, 1)` is the last quarter."""
-        a, b = round(first * len(self.returns)), round(last * len(self.returns))
-        return Episodes(self.steps[a:b], self.returns[a:b], self.lengths[a:b], self.successes[a:b], self.endings[a:b])
 
 
 @dataclass(eq=False)
 class Training:
     """A training as its files tell it, and short episodes.
 
-    `scalars` are curves of TensorBoard by tag: steps and values. The short episodes have the same starts: `policy` those of the last
-    policy, `random` those of random actions, `still` those of an action that commands zeros, and `constant` one for each constant action,
-    by the part of the action that alone differs.
+    `episodes` and `evaluations` are those of `logs_of`, `scalars` are curves of TensorBoard by tag: steps and values. `failure` is the
+    error that ended the training. The short episodes have the same starts: `policy` those of the last policy, `random` those of random
+    actions, `still` those of an action that commands zeros, and `constant` one for each constant action, by the part of the action that
+    alone differs.
     """
 
     run: Run
-    episodes: Episodes
-    scalars: Mapping[str, tuple[Array, Array]]
+    episodes: Any
     evaluations: Sequence[Mapping[str, Any]]
+    scalars: Mapping[str, tuple[Array, Array]]
     failure: str = ""
     policy: Sequence[Trace] = ()
     random: Sequence[Trace] = ()
     still: Sequence[Trace] = ()
-    constant: Mapping[str, Mapping[str, Trace]] = field(default_factory=dict)
+    constant: dict[str, Mapping[str, Trace]] = field(default_factory=dict)
 
     @property
     def program(self) -> Program:
         return self.run.program
+
+    @property
+    def has_failed(self) -> bool:
+        return bool(self.failure) or self.run.record.status == "failed"
+
+    @property
+    def planned(self) -> int:
+        """The timesteps of the scenario."""
+        settings = self.program.policy.training
+        return settings.total_timesteps if settings else self.run.record.total_timesteps
+
+    @property
+    def share_of_plan(self) -> float:
+        return self.steps / self.planned
+
+    @property
+    def short(self) -> list[Trace]:
+        """The short episodes of the policy and of random actions."""
+        return [*self.random, *self.policy]
+
+    @property
+    def moments(self) -> int:
+        """Of the short episodes."""
+        return sum(len(trace.values) for trace in self.short)
+
+    @property
+    def terms(self) -> Sequence[str]:
+        """The names of the reward terms in the short episodes."""
+        return list(self.random[0].terms) if self.random else []
+
+    def part(self, first: float, last: float) -> Any:
+        """The episodes from one share of them to another: `part(0.75, 1)` is the last quarter."""
+        return self.episodes[round(first * len(self.episodes)) : round(last * len(self.episodes))]
 
     @cached_property
     def settings(self) -> Mapping[str, Any]:
@@ -88,11 +105,7 @@ class Training:
     @property
     def steps(self) -> int:
         result = self.run.record.result
-        return result.steps if result is not None else int(self.episodes.steps[-1]) if len(self.episodes.steps) else 0
-
-    @cached_property
-    def findings(self) -> list[Finding]:
-        return findings(self.run)
+        return result.steps if result is not None else int(self.episodes.steps[-1]) if len(self.episodes) else 0
 
     @property
     def solved_while_exploring(self) -> bool:
@@ -104,21 +117,12 @@ class Training:
     def solved(self) -> bool:
         """Whether the episodes of the training or one of its evaluations met what `solved` asks for."""
         solved = self.program.solved
-        return self.solved_while_exploring or (solved is not None and any(_meets(solved, each) for each in self.evaluations))
+        means = [(fmean(each["returns"]), fmean(each["successes"])) for each in self.evaluations]
+        return self.solved_while_exploring or (solved is not None and any(meets(solved, *each) for each in means))
 
     def curve(self, tag: str) -> Array:
         """The values of a curve; none where TensorBoard has no such tag."""
         return self.scalars[tag][1] if tag in self.scalars else np.zeros(0)
-
-    def curves(self, prefix: str) -> dict[str, Array]:
-        return {tag.removeprefix(prefix): values for tag, (_, values) in self.scalars.items() if tag.startswith(prefix)}
-
-
-def _meets(solved: Solved, evaluation: Mapping[str, Any]) -> bool:
-    returns, successes = evaluation["returns"], evaluation["successes"]
-    return (solved.mean_return is None or float(np.mean(returns)) >= solved.mean_return) and (
-        solved.success_rate is None or float(np.mean(successes)) >= solved.success_rate
-    )
 
 
 def findings(run: Run) -> list[Finding]:
@@ -127,31 +131,11 @@ def findings(run: Run) -> list[Finding]:
 
 
 def read(run: Run) -> Training:
-    """The logs of a run, without short episodes.
-
-    Raises:
-        RunError: A log is damaged.
-    """
-    rows = read_log(run.path / "monitor.csv")
-    try:
-        steps, returns, lengths, successes = (np.array([float(row[name]) for row in rows]) for name in ("steps", "r", "l", "is_success"))
-        evaluations = [{name: [float(x) for x in line[name]] for name in ("returns", "successes")} for line in evaluations_of(run.path)]
-        numbers: list[Any] = [steps, returns, lengths, successes, *(values for line in evaluations for values in line.values())]
-        if not all(np.isfinite(values).all() for values in numbers) or not all(all(line.values()) for line in evaluations):
-            raise ValueError("a number is not finite, or an evaluation has no episode")
-        episodes = Episodes(steps, returns, lengths, successes, [row["ended_by"] for row in rows])
-    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
-        raise RunError(f"{run.path} is damaged: one of its logs cannot be read") from error
-    return Training(run, episodes, scalars_of(run.tensorboard), evaluations, _failure(run))
-
-
-def _failure(run: Run) -> str:
-    """What the training failed of, in a sentence; empty where it did not."""
+    """The logs of a run, without short episodes. Raises: RunError: A log is damaged."""
     files = sorted((run.path / failures.FOLDER).glob("[0-9][0-9][0-9][0-9].json"))
-    if not files:
-        return ""
-    failure, _, _ = failures.read(files[-1])
-    return f"episode {failure.episode:,}, {failure.error}"
+    failure = failures.read(files[-1])[0] if files else None
+    error = "" if failure is None else f"episode {failure.episode:,}, {failure.error}"
+    return Training(run, *logs_of(run.path), scalars_of(run.tensorboard), error)
 
 
 def probe(training: Training, *, allow_code: bool = False, on_episode: Callable[[int, int], object] | None = None) -> None:
@@ -160,7 +144,7 @@ def probe(training: Training, *, allow_code: bool = False, on_episode: Callable[
 
     run = training.run
     seeds = [derive_seed(run.record.seed, "diagnosis", number) for number in range(EPISODES)]
-    watch = measured(training.program)
+    watch = measured(training.program, observed=True)
     world = Traced(api.build(watch.program, engine=run.record.engine, allow_code=allow_code), watch)
     with algorithms.torch_settings(), closing(world):
         constant, still = _constant(world), _still(world)
@@ -190,10 +174,8 @@ def probe(training: Training, *, allow_code: bool = False, on_episode: Callable[
             return lambda: lambda observation: action
 
         training.random = [episode(seed, lambda: lambda observation: world.action_space.sample()) for seed in seeds]
-        training.constant = {
-            part: {name: episode(seeds[0], fixed(action), FEW_STEPS) for name, action in actions.items()}
-            for part, actions in constant.items()
-        }
+        for part, actions in constant.items():
+            training.constant[part] = {name: episode(seeds[0], fixed(action), FEW_STEPS) for name, action in actions.items()}
         if still is not None:
             training.still = [episode(seed, fixed(still)) for seed in seeds]
         if model is not None:
