@@ -24,6 +24,7 @@ from deepbots_cli.program.task import Choices, Observation
 
 _SAME = 1e-6  # numbers of the observation, from -1 to 1, that differ by less are equal
 _ENOUGH = 8  # episodes, below which the returns of a training tell nothing
+_AT_RESET = "already holds at reset"  # the error of an episode that cannot start
 _UNLEARNABLE = {"DB705", "DB711", "DB807", "DB810"}
 """Lint shows by these that failing at once earns most, that all policies earn the same, or that what is required is out of reach."""
 _CERTAIN, _SYMPTOMS = 0.9, {"too_few_steps", "short_training", "one_ending"}
@@ -62,9 +63,6 @@ def _per_step(traces: Sequence[Trace]) -> float:
 
 
 # Faults
-
-
-_AT_RESET = "already holds at reset"
 
 
 def ending_at_reset(t: Training) -> Numbers | None:
@@ -383,8 +381,9 @@ def too_few_steps(t: Training) -> Numbers | None:
     chance = 2 * float(np.hypot(early.std() / np.sqrt(len(early)), late.std() / np.sqrt(len(late))))
     if not gain > chance > 0:
         return None
-    numbers = {"first": float(early.mean()), "last": float(late.mean()), "gain": gain, "chance": chance}
-    return {**_length(t), "likelihood": 0.8 if t.share_of_plan < 0.5 else 0.65, **numbers}
+    length = _length(t)
+    return {**length, "likelihood": 0.8 if length["share"] < 0.5 else 0.65, "first": float(early.mean()), "last": float(late.mean()),
+            "gain": gain, "chance": chance}  # fmt: skip
 
 
 def short_training(t: Training) -> Numbers | None:
@@ -392,14 +391,17 @@ def short_training(t: Training) -> Numbers | None:
 
     Try: Train on: deepbots train --resume {run} --timesteps {more}
     """
-    if t.share_of_plan >= 0.5 or too_few_steps(t) is not None:
+    length = _length(t)
+    if length["share"] >= 0.5 or too_few_steps(t) is not None:
         return None
-    return {**_length(t), "likelihood": 0.5, "episodes": len(t.episodes)}
+    return {**length, "likelihood": 0.5, "episodes": len(t.episodes)}
 
 
 def _length(t: Training) -> dict[str, Any]:
-    more = str(max(t.planned, 2 * t.steps))
-    return {"steps": t.steps, "planned": t.planned, "share": Share(t.share_of_plan), "more": more, "run": str(t.run.path)}
+    settings = t.program.policy.training
+    planned = settings.total_timesteps if settings else t.run.record.total_timesteps
+    more = str(max(planned, 2 * t.steps))
+    return {"steps": t.steps, "planned": planned, "share": Share(t.steps / planned), "more": more, "run": str(t.run.path)}
 
 
 CAUSES: tuple[Finder[Training], ...] = (

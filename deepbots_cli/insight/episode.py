@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 from deepbots_cli.insight.conditions import SIGNS, holds, leaves, measure
 from deepbots_cli.insight.statements import SHOWN, Finder, Numbers, Statement, listed, quantity, state_all
 from deepbots_cli.insight.trace import Trace
+from deepbots_cli.program.task import ActionRange, Choices
 
 
 def explain(trace: Trace) -> list[Statement]:
@@ -170,7 +172,9 @@ def saturation(trace: Trace) -> Numbers | None:
 
 def limits(trace: Trace) -> Numbers | None:
     """Actions at a limit of their range, as a share of steps: {parts}."""
-    return _shares({name: float((np.abs(values) >= 0.999).mean()) for name, values in trace.ranges().items()})
+    names = [name for part in trace.program.policy.action if isinstance(part, ActionRange) for name in part.names]
+    at_limit = np.abs(trace.acted("ranges")) >= 0.999
+    return _shares({name: float(at_limit[:, place].mean()) for place, name in enumerate(names) if trace.steps})
 
 
 def _shares(found: Mapping[str, float]) -> Numbers | None:
@@ -182,11 +186,13 @@ def _shares(found: Mapping[str, float]) -> Numbers | None:
 
 def choices(trace: Trace) -> Numbers | None:
     """Actions, as a share of steps: {parts}."""
-    options = trace.options()
-    if not options or not trace.steps:
+    parts = [part for part in trace.program.policy.action if isinstance(part, Choices)]
+    if not parts or not trace.steps:
         return None
-    parts = [f"{name} {option} in {share:.0%}" for name, found in options.items() for option, share in list(found.items())[:SHOWN]]
-    return {"options": options, "parts": listed(parts, len(parts))}
+    counts = [Counter(column.astype(int).tolist()).most_common() for column in trace.acted("choices").T]
+    options = {p.name: {p.options[n].name: times / trace.steps for n, times in found} for p, found in zip(parts, counts, strict=True)}
+    said = [f"{name} {option} in {share:.0%}" for name, found in options.items() for option, share in list(found.items())[:SHOWN]]
+    return {"options": options, "parts": listed(said, len(said))}
 
 
 def several(trace: Trace) -> Numbers | None:

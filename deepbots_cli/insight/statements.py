@@ -40,11 +40,8 @@ class Statement:
         return {"cause": self.cause, "text": self.text, **({"advice": self.advice} if self.advice else {}), "evidence": self.evidence}
 
 
-@dataclass(frozen=True)
-class Share:
+class Share(float):
     """A share, shown in per cent."""
-
-    value: float
 
 
 def state_all(finders: Sequence[Finder[T]], about: T) -> list[Statement]:
@@ -55,33 +52,17 @@ def state_all(finders: Sequence[Finder[T]], about: T) -> list[Statement]:
         if evidence is not None:
             shown = {key: _shown(value) for key, value in evidence.items()}
             text, _, advice = " ".join((finder.__doc__ or "").split()).partition(" Try: ")
-            found.append(Statement(finder.__name__, text.format(**shown), advice.format(**shown), _plain(evidence)))
+            found.append(Statement(finder.__name__, text.format(**shown), advice.format(**shown), evidence))
     return found
-
-
-def _plain(value: Any) -> Any:
-    match value:
-        case Share(value=share):
-            return float(share)
-        case Mapping():
-            return {key: _plain(part) for key, part in value.items()}
-        case list() | tuple():
-            return [_plain(part) for part in value]
-        case np.floating() | np.integer() | np.bool_():
-            return value.item()
-        case _:
-            return value
 
 
 def _shown(value: Any) -> str:
     match value:
-        case Share(value=share):
-            return f"{share:.0%}" if share in (0.0, 1.0) or 0.005 <= share < 0.995 else "less than 1%" if share < 0.5 else "more than 99%"
-        case bool() | str():
-            return str(value)
-        case float() | np.floating():
-            return f"{value:.3g}" if abs(float(value)) < 1000 else f"{value:,.0f}"
-        case int() | np.integer():
+        case Share():
+            return f"{value:.0%}" if value in (0.0, 1.0) or 0.005 <= value < 0.995 else "less than 1%" if value < 0.5 else "more than 99%"
+        case float():
+            return f"{value:.3g}" if abs(value) < 1000 else f"{value:,.0f}"
+        case int() if not isinstance(value, bool):
             return f"{value:,}"
         case _:
             return str(value)

@@ -5,7 +5,6 @@ Runs keep the seeds of their evaluations, recordings their actions, failures bot
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, nullcontext
 from dataclasses import dataclass
@@ -26,10 +25,10 @@ from deepbots_cli.learning import failures, listing
 from deepbots_cli.learning.episodes import Episode
 from deepbots_cli.learning.run import KeptEvaluation, ModelName, Run, read_json
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import ActionRange, Choices, policy_inputs
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.view.episodes import Opened
+from deepbots_cli.view.frames import row_of
 from deepbots_cli.view.recordings import Recorded, Recording, observation_hash
 from deepbots_cli.view.replay import Actions, changes
 
@@ -87,26 +86,10 @@ class Trace:
             return None
         return deciding(condition, self.values[-2] if len(self.values) > 1 else None, self.values[-1])
 
-    def options(self) -> dict[str, dict[str, float]]:
-        """For each choice of the action, the share of steps of each option, the largest first."""
-        choices = [part for part in self.program.policy.action if isinstance(part, Choices)]
-        found = {}
-        for place, part in enumerate(choices):
-            taken = [int(np.asarray(_part(action, "choices")).reshape(-1)[place]) for action in self.actions]
-            counts = Counter(part.options[number].name for number in taken)
-            found[part.name] = {name: count / max(1, len(taken)) for name, count in counts.most_common()}
-        return found
-
-    def ranges(self) -> dict[str, Array]:
-        """For each number of the ranges of the action, its values in [-1, 1] in the steps."""
-        parts = [part for part in self.program.policy.action if isinstance(part, ActionRange)]
-        names = [name for part in parts for name in part.names]
-        rows = np.array([np.asarray(_part(action, "ranges"), float).reshape(-1) for action in self.actions if names])
-        return {name: rows[:, place] for place, name in enumerate(names)} if len(rows) else {}
-
-
-def _part(action: Any, key: str) -> Any:
-    return action[key] if isinstance(action, dict) else action
+    def acted(self, key: Literal["choices", "ranges"]) -> Array:
+        """The numbers of the options, or the numbers of ranges in [-1, 1], that the actions hold: (steps, numbers)."""
+        rows = [action[key] if isinstance(action, dict) else action for action in self.actions]
+        return np.array([np.asarray(row, float).reshape(-1) for row in rows]).reshape(len(rows), -1 if rows else 0)
 
 
 class Traced(gym.Wrapper[Any, Any, Any, Any]):
@@ -117,13 +100,12 @@ class Traced(gym.Wrapper[Any, Any, Any, Any]):
         self.world, self.watch = world, watch
         self.seen: list[Any] = []
         self.actions: list[Any] = []
-        self.rewards: list[float] = []
         self._terms: list[list[Mapping[str, float]]] = []
         self._values: list[list[Values]] = []
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         observation, info = self.env.reset(seed=seed, options=options)
-        self.seen, self.actions, self.rewards, self._terms, self._values = [observation], [], [], [], []
+        self.seen, self.actions, self._terms, self._values = [observation], [], [], []
         self._note()
         return observation, info
 
@@ -131,7 +113,6 @@ class Traced(gym.Wrapper[Any, Any, Any, Any]):
         outcome = self.env.step(action)
         self.seen.append(outcome[0])
         self.actions.append(action)
-        self.rewards.append(float(outcome[1]))
         self._terms.append([agent.get_info()["reward_terms"] for agent in self.world.agents.values()])
         self._note()
         return outcome
@@ -142,43 +123,29 @@ class Traced(gym.Wrapper[Any, Any, Any, Any]):
     def trace(self, what: str, *, error: str = "", notes: Sequence[str] = ()) -> Trace:
         """The episode so far."""
         world, program = self.world, self.watch.program
-        agents = list(world.agents.items())
-        over = [n for n, (_, agent) in enumerate(agents) if agent.ended_by is not None and agent.ended_by == world.ended_by]
-        row = over[0] if over else 0
-        team = len(agents) > 1
-        seen = [_row(each, row) if team else each for each in self.seen]
-        names = [term.name for term in program.policy.reward]
-        time = (world.timestep_count or world.step_count * program.action_repeat) * program.world.timestep
+        names, team = list(world.agents), len(world.agents) > 1
+        row = next((n for n, agent in enumerate(world.agents.values()) if agent.ended_by and agent.ended_by == world.ended_by), 0)
+        seen = [row_of(each, row) if team else each for each in self.seen]
+        newest = [place for place, value in enumerate(program.policy.inputs) if value.steps_ago == 0]
+        vectors = [each.get("observation", np.zeros(0)) if isinstance(each, dict) else each for each in seen]
+        observations = np.array([np.asarray(vector, float)[newest] for vector in vectors]).reshape(len(vectors), len(newest))
         outcome: Any = "error" if error else "not ended"
         if world.ended_by is not None and not error:
             outcome = "success" if world.is_success else "time limit" if world.truncated else "failure"
         return Trace(
-            what,
-            self.watch,
-            newest(program, seen),
-            [_row(each, row) if team else each for each in self.actions],
-            {name: np.array([terms[row][name] for terms in self._terms], float) for name in names},
-            [values[row] for values in self._values],
-            world.ended_by,
-            outcome,
-            time,
-            error,
-            agents[row][0] if team else "",
+            what=what,
+            watch=self.watch,
+            observations=observations,
+            actions=[row_of(each, row) if team else each for each in self.actions],
+            terms={term.name: np.array([terms[row][term.name] for terms in self._terms], float) for term in program.policy.reward},
+            values=[values[row] for values in self._values],
+            ended_by=world.ended_by,
+            outcome=outcome,
+            time=(world.timestep_count or world.step_count * program.action_repeat) * program.world.timestep,
+            error=error,
+            agent=names[row] if team else "",
             notes=notes,
         )
-
-
-def _row(value: Any, row: int) -> Any:
-    return {key: part[row] for key, part in value.items()} if isinstance(value, dict) else value[row]
-
-
-def newest(program: Program, observations: Sequence[Any]) -> Array:
-    """The newest value of each number in observations: (moments, numbers)."""
-    policy = program.policy
-    places = {index: place for place, (index, age) in enumerate(policy_inputs(policy.numbers, policy.frame_stack)) if age == 0}
-    order = [places[index] for index in range(len(policy.numbers))]
-    rows = [each.get("observation", np.zeros(0)) if isinstance(each, dict) else each for each in observations]
-    return np.array([np.asarray(row, float)[order] for row in rows]).reshape(len(rows), len(order))
 
 
 # Runs
@@ -256,7 +223,7 @@ def trace_episodes(
                 evaluation.repeat(policy, acted, begin, number, deterministic=deterministic)
             trace = world.trace(f"episode {number} of {run.path}", notes=run.notes())
             row = list(world.world.agents).index(trace.agent) if trace.agent else None
-            trace.critic = _critic_values(policy, [seen if row is None else _row(seen, row) for seen in world.seen[:-1]])
+            trace.critic = _critic_values(policy, [seen if row is None else row_of(seen, row) for seen in world.seen[:-1]])
             absent = "the critic has a memory" if hasattr(policy.policy, "lstm_actor") else "the critic is no network of torch"
             trace.critic_absent = "" if trace.critic is not None else absent
             yield trace

@@ -27,7 +27,9 @@ from deepbots_cli.learning.run import Run
 from deepbots_cli.lint import review
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionRange, Choices, Schedule
+from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.streams import derive_seed
+from deepbots_cli.view.episodes import composed
 from deepbots_cli.view.plots import logs_of, scalars_of
 
 EPISODES, STEPS, FEW_STEPS = 4, 300, 40
@@ -61,16 +63,6 @@ class Training:
     @property
     def has_failed(self) -> bool:
         return bool(self.failure) or self.run.record.status == "failed"
-
-    @property
-    def planned(self) -> int:
-        """The timesteps of the scenario."""
-        settings = self.program.policy.training
-        return settings.total_timesteps if settings else self.run.record.total_timesteps
-
-    @property
-    def share_of_plan(self) -> float:
-        return self.steps / self.planned
 
     @property
     def short(self) -> list[Trace]:
@@ -147,7 +139,7 @@ def probe(training: Training, *, allow_code: bool = False, on_episode: Callable[
     watch = measured(training.program, observed=True)
     world = Traced(api.build(watch.program, engine=run.record.engine, allow_code=allow_code), watch)
     with algorithms.torch_settings(), closing(world):
-        constant, still = _constant(world), _still(world)
+        constant, still = _constant(world.world), _still(world.world)
         name: Any = next((name for name in ("last", "best") if run.model(name).is_file()), None)
         model = None if name is None else evaluation.load(run, name, world)
         total = EPISODES * (1 + (still is not None) + (model is not None)) + sum(map(len, constant.values()))
@@ -182,32 +174,26 @@ def probe(training: Training, *, allow_code: bool = False, on_episode: Callable[
             training.policy = [episode(seed, lambda: evaluation.acting(model, world)) for seed in seeds]
 
 
-def _constant(world: Traced) -> dict[str, dict[str, Any]]:
+def _constant(env: Supervisor) -> dict[str, dict[str, Any]]:
     """For each part of the action, constant actions in which it alone differs: the first options of a choice, both ends of a range."""
-    env, policy = world.world, world.watch.program.policy
-    choices = [part for part in policy.action if isinstance(part, Choices)]
-    ranges = [part for part in policy.action if isinstance(part, ActionRange)]
-    names = [name for part in ranges for name in part.names]
-    found: dict[str, dict[str, Any]] = {}
-    for place, choice in enumerate(choices):
-        picks = [[number if other == place else 0 for other in range(len(choices))] for number in range(min(4, len(choice.options)))]
-        found[choice.name] = {choice.options[pick[place]].name: env.acting(pick, [0.0] * len(names)) for pick in picks}
-    for place, name in enumerate(names[:8]):
-        ends = [[end if other == place else 0.0 for other in range(len(names))] for end in (-1.0, 1.0)]
-        found[name] = {f"{end[place]:g}": env.acting([0] * len(choices), end) for end in ends}
-    return found
+    action = env.scenario.policy.action
+    picks = {part.name: {option.name: n for n, option in enumerate(part.options[:4])} for part in action if isinstance(part, Choices)}
+    names = [name for part in action if isinstance(part, ActionRange) for name in part.names]
+    values: dict[str, Mapping[str, float]] = {**picks, **{name: {"-1": -1.0, "1": 1.0} for name in names[:8]}}
+    return {name: {said: composed(env, {name: value}) for said, value in found.items()} for name, found in values.items()}
 
 
-def _still(world: Traced) -> Any:
+def _still(env: Supervisor) -> Any:
     """The action that commands zeros; None where a choice has no such option, or a range does not hold zero."""
-    policy = world.watch.program.policy
-    picks: list[int] = []
-    values: list[float] = []
-    for part in policy.action:
+    values: dict[str, float] = {}
+    for part in env.scenario.policy.action:
         if isinstance(part, Choices):
-            picks += [number for number, option in enumerate(part.options) if not any(option.values)][:1] or [-1]
+            zeros = [number for number, option in enumerate(part.options) if not any(option.values)]
+            if not zeros:
+                return None
+            values[part.name] = zeros[0]
+        elif part.low > 0 or part.high < 0:
+            return None
         else:
-            values += [-(part.high + part.low) / (part.high - part.low)] * max(1, len(part.components))
-    if -1 in picks or any(abs(value) > 1 for value in values):
-        return None
-    return world.world.acting(picks, values)
+            values |= dict.fromkeys(part.names, -(part.high + part.low) / (part.high - part.low))
+    return composed(env, values)

@@ -262,14 +262,18 @@ def endings_over_time(panel: Axes, endings: Sequence[tuple[float, str]]) -> None
     panel.set_ylim(0, 1)
 
 
-def finish(panel: Axes, title: str, theme: str, *, legend: bool = True) -> None:
+def finish(panel: Axes, title: str, theme: str, *, legend: bool = True, axes: tuple[str, str] | None = None) -> None:
+    """Style a panel; `axes` are the names of its axes, by default timesteps below."""
     from matplotlib.ticker import EngFormatter
 
     ground, text, grid = THEMES[theme]
     panel.set_facecolor(ground)
     panel.set_title(title, fontsize=10, color=text, loc="left", parse_math=False)  # a name may hold a $
-    panel.set_xlabel("timesteps", fontsize=9, color=text)
-    panel.xaxis.set_major_formatter(EngFormatter(sep=""))
+    below, beside = axes or ("timesteps", "")
+    panel.set_xlabel(below, fontsize=9, color=text, parse_math=False)
+    panel.set_ylabel(beside, fontsize=9, color=text)
+    if axes is None:
+        panel.xaxis.set_major_formatter(EngFormatter(sep=""))
     panel.tick_params(colors=text, labelsize=8)
     panel.grid(color=grid, linewidth=0.6)
     panel.set_axisbelow(True)

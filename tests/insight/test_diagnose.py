@@ -77,6 +77,7 @@ def test_a_training_that_solves_its_task_has_no_causes(short):
 
 def test_an_action_without_effect_and_useless_ranges_are_found_in_short_episodes(short, tmp_path):
     sets = ["robots.cart.apply.wheels=0 * drive * wheel_speed", "observation.x=-1e-6 .. 1e-6 m", "reward.alive=-1", "train.ent_coef=5"]
+    sets += ["augment.tilt=max(abs(cart.pole_angle) / rad, 0.19)", "observation.tilt=0.2 .. 0.4"]
     compiled = api.compile(api.load("cartpole", sets=sets))
     training = read(Run.open(train(compiled, total_timesteps=512, seed=2, run=tmp_path / "dead").run))
     assert "action_without_effect" not in _causes(training)
@@ -86,6 +87,10 @@ def test_an_action_without_effect_and_useless_ranges_are_found_in_short_episodes
     (warned,) = [cause for cause in diagnose(training) if cause.cause == "lint_warns"]
     assert warned.evidence["likelihood"] > 0.9  # the required return is out of reach
     assert "the highest possible return is -1 (DB810)" in warned.text
+    # Most values of both are beyond their range. Those of `tilt` hardly differ there, so clipping loses nothing.
+    (clipped,) = [cause for cause in diagnose(training) if cause.cause == "saturated_observation"]
+    assert min(clipped.evidence["shares"]["x"], clipped.evidence["shares"]["tilt"]) > 0.4
+    assert clipped.evidence["names"] == "x"
     # Its evaluations, which do not explore, may solve the task all the same.
     assert _causes(replace(training, evaluations=[{"returns": [200.0], "successes": [False]}])) == ["exploration_too_large"]
 
