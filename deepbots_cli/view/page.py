@@ -298,9 +298,8 @@ class Page:
         acts = {"pause": lambda: self.play(self.paused), "step": self.step_once, "reset": self._begin, "next": lambda: self._begin(1)}
         self._buttons = gui.add_button_group("time", tuple(acts), hint="pause or continue; one step; restart this episode; next episode")
         self._buttons.on_click(lambda event: self._todo.put(acts[event.target.value]))
-        for name, key in {"pause": "space", "step": "N", "reset": "R"}.items():
-            if name != "reset" or not self._playing:  # R drives
-                gui.add_command(name, hotkey=key).on_trigger(lambda _, name=name: self._todo.put(acts[name]))
+        for name, key in {"pause": "space", "step": "N", "reset": "B"}.items():  # keys that do not drive
+            gui.add_command(name, hotkey=key).on_trigger(lambda _, name=name: self._todo.put(acts[name]))
         self._slider: Any = None
         if isinstance(player, Replayed):
             self._slider = gui.add_slider("step", min=0, max=1, step=1, initial_value=0)
