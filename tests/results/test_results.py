@@ -56,7 +56,7 @@ def test_the_readme_tells_figures_of_the_page():
     assert [name for name, _ in rows] == ["CartPole", "PitEscape", "FindBall"]
     for name, told in rows:
         (numbers,) = (figures for task, figures in measured.items() if task.startswith(f"[{name}]"))
-        figures = re.findall(r"[\d.]+(?: %| h| s|)", told.replace("200 of 200", "200"))
+        figures = re.findall(r"[\d.]+(?: %| h\b| s\b|)", told.replace("200 of 200", "200"))
         assert figures
         assert [figure for figure in figures if figure not in numbers] == []
 
