@@ -64,7 +64,7 @@ def test_the_hyperparameters_of_a_training_are_those_that_were_given() -> None:
     assert dict(training.hyperparameters) == {
         "learning_rate": 1e-3,
         "n_steps": 64,
-        "gamma": 0.995,
+        "gamma": 0.98,
         "gae_lambda": 0.95,
         "batch_size": 128,
     }
