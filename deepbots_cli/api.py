@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 from deepbots_cli import engine_kinds
 from deepbots_cli.compiler import Checked, check
 from deepbots_cli.diagnostics import Finding
-from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document import load as read
 from deepbots_cli.document import loads, shipped
 from deepbots_cli.document.load import NO_DRAFTS, TESTS, Drafts
@@ -89,7 +89,7 @@ def locate(source: str | Path) -> tuple[Path, str]:
     if found is not None:
         return found, found.name
     names = shipped.scenario_names()
-    near = nearest(Path(source).stem, names)
+    near = nearest_word(Path(source).stem, names)
     hint = f"did you mean {near}? (`deepbots list` shows all)" if near else f"the shipped scenarios are: {', '.join(names)}"
     raise UsageError(f"no file or shipped scenario is called '{source}'; {hint}")
 

@@ -41,7 +41,7 @@ class ScenarioError(DeepbotsError):
         errors = [f for f in self.findings if f.severity == "error"]
         first = errors[0] if errors else self.findings[0]
         more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
-        super().__init__(f"{first.span.where}: {first.code} {first.headline}{more}")
+        super().__init__(f"{first.span.location}: {first.code} {first.headline}{more}")
 
 
 class UsageError(DeepbotsError):

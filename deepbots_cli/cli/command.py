@@ -13,7 +13,7 @@ from typer.core import TyperGroup
 import deepbots_cli
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.commands import COMMANDS
-from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.errors import UsageError
 
 if TYPE_CHECKING:
@@ -162,7 +162,7 @@ class Commands(TyperGroup):
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         if cmd_name not in COMMANDS:
-            near = nearest(cmd_name, COMMANDS)
+            near = nearest_word(cmd_name, COMMANDS)
             hint = f"did you mean '{near}'?" if near else f"the commands are: {', '.join(COMMANDS)}"
             ctx.fail(f"there is no command '{cmd_name}'; {hint}")
         module, _, function = COMMANDS[cmd_name][0].partition(".")

@@ -9,7 +9,7 @@ from pathlib import Path
 from deepbots_cli import api
 from deepbots_cli.compiler.inputs import RESOLVED
 from deepbots_cli.diagnostics import Finding, Findings, Source
-from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document import Mapping, Node, descend, files, one_line, shipped
 from deepbots_cli.document.parse import parse
 from deepbots_cli.engine_kinds import with_engine
@@ -95,7 +95,7 @@ def opened_robot(reference: str) -> tuple[RobotFile, list[Finding]]:
     found = meshes.locate(reference, Path.cwd()) if reference.startswith("package://") else shipped.robot_path(reference) or Path(reference)
     if isinstance(found, meshes.UnusableMesh) or not found.is_file():
         names = shipped.robot_names()
-        near = meshes.library_reference(reference) or nearest(reference, names)
+        near = meshes.library_reference(reference) or nearest_word(reference, names)
         hint = f" (did you mean {near}?)" if near else ""
         raise UsageError(f"there is no robot file {reference}{hint}; shipped robots are: {', '.join(names)}")
     findings = Findings()

@@ -15,7 +15,7 @@ from shutil import get_terminal_size
 from typing import TYPE_CHECKING, TextIO
 
 from deepbots_cli.diagnostics import Finding
-from deepbots_cli.diagnostics.render import inert, render, summary
+from deepbots_cli.diagnostics.render import escape_log_commands, render, summary
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -107,7 +107,7 @@ def printable(text: str) -> str:
     """`text`, which may quote a file, with control and invisible characters escaped, and commands to logs made inert."""
     if not text.isprintable():
         text = "".join(c if c.isprintable() or c == "\n" else f"\\u{{{ord(c):x}}}" for c in text)
-    return inert(text)
+    return escape_log_commands(text)
 
 
 def plain(data: object) -> object:

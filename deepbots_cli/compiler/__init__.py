@@ -94,7 +94,7 @@ def check(document: Document) -> Checked:
     try:
         return _with_cases(document)
     except TooManyFindings as too_many:
-        document.findings.give_up(too_many)
+        document.findings.report_limit(too_many)
         return Checked(document, document.findings)
 
 

@@ -22,7 +22,7 @@ from deepbots_cli.compiler.robots import (
 )
 from deepbots_cli.compiler.sensing import Sensing
 from deepbots_cli.compiler.values import Values
-from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document.nodes import Path
 from deepbots_cli.expressions.dimensions import LENGTH, TIME, Dimension
 from deepbots_cli.expressions.intervals import Interval, exact
@@ -326,7 +326,7 @@ class RobotBuilder:
         if not isinstance(emit, dict) and name not in self.own:
             sensors = list(self.scene.spec.sensors)
             self.values.report_unknown(text.span, "sensor", name, sensors)
-            if meant := nearest(name, sensors):
+            if meant := nearest_word(name, sensors):
                 self.values.mark_invalid(f"{self.scene.name}.{meant}")
             return Symbol(full, None)
         typed = self.values.expression(text, RobotScope(self.namespace, Context.EMIT, self.scene.name, self.own))

@@ -207,7 +207,7 @@ class _Maker:
             here = descend(self._root, (*path, "name"))[0].span
             if stage.name in first:
                 also = (Label(first[stage.name], "first defined here"),)
-                self._findings.add("DB202", here, f"`{stage.name}` is already a stage", help="choose another name", also=also)
+                self._findings.add("DB202", here, f"`{stage.name}` is already a stage", help="choose another name", labels=also)
             first.setdefault(stage.name, here)
             last = index == len(spec.curriculum) - 1
             found = read_until(stage.until)
@@ -239,8 +239,8 @@ class _Maker:
         for found in checked.findings:
             if found.sort_key not in self._known:
                 inside = any(span.source is found.span.source and span.start <= found.span.start <= span.end for span in written)
-                also = found.also if inside else (*found.also, Label(here, f"in this {word}"))
-                self._findings.append(replace(found, also=also))
+                also = found.labels if inside else (*found.labels, Label(here, f"in this {word}"))
+                self._findings.append(replace(found, labels=also))
         return checked.program if checked.program is not None and self._is_bearable(checked.program, word, name, here) else None
 
     def _tests(self, word: VariantKind, name: str) -> Iterator[Path]:

@@ -12,7 +12,7 @@ from collections.abc import Mapping as Table
 from typing import Any, NamedTuple
 
 from deepbots_cli.diagnostics import Findings, Fix, Label, Span
-from deepbots_cli.diagnostics.nearest import Replacement, nearest, suggest_replacement
+from deepbots_cli.diagnostics.nearest import Replacement, nearest_word, suggest_replacement
 from deepbots_cli.document.nodes import Mapping, Node, Path, Scalar, descend, to_data
 from deepbots_cli.document.nodes import Sequence as SequenceNode
 from deepbots_cli.expressions import check, parser, syntax
@@ -178,7 +178,7 @@ class Values:
     def report_duplicate(self, path: Path, name: str, what: str, first: Path) -> None:
         """A finding that the key at `path` defines a `name` that is already `what`, since `first`."""
         also = (Label(self.key_span(first), "first defined here"),)
-        self.findings.add("DB202", self.key_span(path), f"`{name}` is already {what}", help="choose another name", also=also)
+        self.findings.add("DB202", self.key_span(path), f"`{name}` is already {what}", help="choose another name", labels=also)
 
     def mark_invalid(self, name: str) -> None:
         """Note that the definition of `name` had a finding."""
@@ -219,7 +219,7 @@ class Values:
     def _word_replacement(text: Text, piece: str) -> str | None:
         """Of a field that takes words beside numbers, the one that an unknown name stands for."""
         words = text.kind.words if isinstance(text.kind, Quantity) and piece == text.text.strip() else ()
-        return other_name(piece, words) or nearest(piece, words) if words else None
+        return other_name(piece, words) or nearest_word(piece, words) if words else None
 
     def parsed(self, text: Text) -> syntax.Node | None:
         return parser.parse(text.text, self.report(text))

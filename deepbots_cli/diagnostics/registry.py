@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.plugins import PluginTable
 
 Severity = Literal["error", "warning"]
@@ -179,5 +179,5 @@ def matching_rules(word: str) -> tuple[Rule, ...]:
 def unknown_rule_message(word: str) -> str:
     """The message for a word that fits no rule."""
     is_code = word[:2].upper() == "DB" and word[2:3].isdigit()
-    near = nearest(word, [rule.code if is_code else rule.name for rule in RULES.values()])
+    near = nearest_word(word, [rule.code if is_code else rule.name for rule in RULES.values()])
     return f"there is no finding '{word}'" + (f"; did you mean {near}?" if near else "; deepbots explain lists them")

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Literal
 
 from deepbots_cli.diagnostics import Findings, Source, Span
-from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.files import read_at_most
 
 MAX_BYTES = 1 << 20
@@ -58,7 +58,7 @@ def _similar(path: Path) -> str | None:
     """The name of a file beside `path` that was probably meant."""
     try:
         suffixes = (path.suffix,) if path.suffix else (".urdf", ".yaml")
-        return nearest(path.name, [other.name for other in path.parent.iterdir() if other.suffix in suffixes])
+        return nearest_word(path.name, [other.name for other in path.parent.iterdir() if other.suffix in suffixes])
     except OSError:
         return None
 

@@ -274,7 +274,7 @@ def empty_value(key: Scalar, value: Scalar, findings: Findings, *, is_flow: bool
         help = f'a `#` after a space begins a comment; put the value in quotes: "{hidden[1]}"'
         if _COLOUR.fullmatch(hidden[1]) and not is_flow:
             fix = Fix((Edit(Span(key.span.source, *hidden.span(1)), f'"{hidden[1]}"'),), safe=True)
-    elif not is_flow and following and len(following[1]) == key.span.begin.column - 1:
+    elif not is_flow and following and len(following[1]) == key.span.start_position.column - 1:
         help = "give it a value, or indent the lines that belong to it"
     findings.add("DB107", key.span, f"`{key.text}` has no value", help=help, fix=fix)
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from deepbots_cli.diagnostics import MAX_FINDINGS, Findings, Fix, Label, Source, Span, TooManyFindings
-from deepbots_cli.diagnostics.nearest import nearest, renames_of
+from deepbots_cli.diagnostics.nearest import nearest_word, renames_of
 from deepbots_cli.document import files, nodes, shipped
 from deepbots_cli.document.nodes import Entry, Mapping, Node, Scalar, Sequence, count_and_depth, descend, follow_dotted, without
 from deepbots_cli.document.nodes import Path as NodePath
@@ -157,7 +157,7 @@ class _Reader:
                     root = assign(root, assignment, self.findings, self.budget)
         except TooManyFindings as too_many:
             root = None
-            self.findings.give_up(too_many)
+            self.findings.report_limit(too_many)
         return Document(root, source, self.files, self.findings, self.roots, base)
 
     def scenario(self, source: Source, folder: Path, chain: tuple[Path, ...]) -> Mapping | None:
@@ -271,7 +271,7 @@ class _Reader:
                 if found == len(steps) and key is not None and key.span.source is item.span.source:
                     headline = f"`{item.text}` is defined here, and removed by `remove`"
                     help = "remove one of the two; a new value replaces the old one without `remove`"
-                    self.findings.add("DB205", key.span, headline, help=help, also=(Label(item.span, "removed here"),))
+                    self.findings.add("DB205", key.span, headline, help=help, labels=(Label(item.span, "removed here"),))
             else:
                 here = item.part(len(item.text) - len(rest), len(item.text))
                 help = _listed(reached) if isinstance(reached, Mapping) else "remove a path that exists"
@@ -286,7 +286,7 @@ class _Reader:
             steps, reached, rest = follow_dotted(tree, path)
             name, _, below = rest.partition(".")
             keys = reached.entries if isinstance(reached, Mapping) and not (steps and steps[-1] in _OF_NAMES) else {}
-            rename = next((each for each in renames_of(name) if each.what == "key" and each.new in keys), None)
+            rename = next((each for each in renames_of(name) if each.kind == "key" and each.new in keys), None)
             if rename is None:
                 return steps, reached, rest
             end = len(item.text) - len(below) - bool(below)
@@ -401,7 +401,7 @@ def _target(root: Mapping, path: Scalar, findings: Findings) -> tuple[NodePath, 
     if isinstance(parameters, Mapping) and "." not in dotted:
         if dotted in parameters.entries:
             return ("parameters", dotted), [_key(path, start, end)]
-        if dotted not in root.entries and (near := nearest(dotted, parameters.entries, _CUTOFF)):
+        if dotted not in root.entries and (near := nearest_word(dotted, parameters.entries, _CUTOFF)):
             span = path.part(start, end)
             fix = Fix.replacing(span, dotted, near, safe=False)
             findings.add("DB201", span, f"there is no parameter `{dotted}`", help=f"did you mean `{near}`?", fix=fix)
@@ -416,7 +416,7 @@ def _target(root: Mapping, path: Scalar, findings: Findings) -> tuple[NodePath, 
     if not isinstance(reached, Mapping):
         findings.add("DB201", here, f"there is no `{name}`{inside}, which holds no keys", help="set the whole value instead")
         return None
-    near = nearest(name, reached.entries, _CUTOFF)
+    near = nearest_word(name, reached.entries, _CUTOFF)
     if name and not below:
         return (*steps, name), [_key(path, at, end)]
     if not steps and name and all(below) and not near:

@@ -76,7 +76,7 @@ def parse(source: Source, findings: Findings, budget: Budget | None = None, *, t
     finally:
         for finding in noticed:
             # Other findings on a broken line are consequences.
-            if broken is None or finding.span.begin.line != broken.span.begin.line:
+            if broken is None or finding.span.start_position.line != broken.span.start_position.line:
                 findings.append(finding)
     return None
 
@@ -212,7 +212,7 @@ class _Builder:
             first = seen.setdefault(key.text, key)
             if first is not key:
                 also = (Label(first.span, "first defined here"),)
-                self.findings.add("DB002", key.span, f"the key `{key.text}` is given twice", help="keep one of the two", also=also)
+                self.findings.add("DB002", key.span, f"the key `{key.text}` is given twice", help="keep one of the two", labels=also)
             elif isinstance(value, Scalar) and value.value is None:
                 hints.empty_value(key, value, self.findings, is_flow=start.flow_style)
                 keys_without_value.append(key)

@@ -15,7 +15,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, cast
 
 from deepbots_cli import plugins
-from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.engine_kinds import ENGINES as ALL
 from deepbots_cli.engine_kinds import GROUP
 from deepbots_cli.errors import BatchError, MissingExtraError, UsageError
@@ -90,7 +90,7 @@ def _factory(name: str) -> EngineFactory:
     for entry in plugins.entries(GROUP):
         if entry.name == name:
             return _of_plugin(entry)
-    near = nearest(name, names())
+    near = nearest_word(name, names())
     hint = f"; did you mean '{near}'?" if near else ""
     raise UsageError(f"there is no engine '{name}'; there are {', '.join(names())}{hint}")
 

@@ -270,7 +270,7 @@ class Report:
         run = self.members[0].run
         lines = (run.path / RESOLVED).read_text("utf-8").splitlines()
         found = findings(run)
-        here = {finding.span.begin.line for finding in found if finding.span.source.name.endswith(RESOLVED)}
+        here = {finding.span.start_position.line for finding in found if finding.span.source.name.endswith(RESOLVED)}
         ordered = ((label, self.clips[label]) for label in LABELS if label in self.clips)
         clips = {label: (caption, _uri("video/mp4", data)) for label, (caption, data) in ordered}
         return environment.get_template("report.html.j2").render(

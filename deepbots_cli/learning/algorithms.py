@@ -22,7 +22,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.her import HerReplayBuffer
 from torch import nn
 
-from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning import defaults
 from deepbots_cli.plugins import attribute
@@ -221,7 +221,7 @@ def _entry(name: str) -> type[Model]:
 
 
 def _unknown(kind: str, name: str, table: Mapping[str, object]) -> str:
-    near = nearest(name, table)
+    near = nearest_word(name, table)
     return f"{kind} '{name}' cannot be trained with; the choices are {', '.join(table)}" + (f" (did you mean {near}?)" if near else "")
 
 

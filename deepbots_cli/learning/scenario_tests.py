@@ -96,7 +96,7 @@ def _run(environment: Supervisor, test: ScenarioTest, on_episode: OnEpisode | No
                 on_episode(number + 1, test.episodes)
     except DeepbotsError as error:
         cut = environment.step_count
-        misses.append(Miss("no error", test.span.where, str(error), len(done), cut or None))
+        misses.append(Miss("no error", test.span.location, str(error), len(done), cut or None))
     else:
         misses += _over_episodes(environment.scenario, test, done)
     steps = cut + sum(episode.length for episode in done)
@@ -148,7 +148,7 @@ def _policy(environment: Supervisor, test: ScenarioTest) -> Callable[[int], Any]
 
 
 def _miss(expected: Expected, measured: str, episode: int, step: int | None = None) -> Miss:
-    return Miss(f"{expected.key}: {expected.text}", expected.span.where, measured, episode, step)
+    return Miss(f"{expected.key}: {expected.text}", expected.span.location, measured, episode, step)
 
 
 class _Watch:

@@ -28,8 +28,8 @@ from pathlib import Path
 from textwrap import dedent, fill, indent
 
 from deepbots_cli.compiler import Checked
-from deepbots_cli.diagnostics import MAX_FINDINGS, RULES, Finding, Findings, Source, Span, faults_as_findings
-from deepbots_cli.diagnostics.findings import internal_error, suppress
+from deepbots_cli.diagnostics import MAX_FINDINGS, RULES, Finding, Findings, Source, Span, exceptions_as_findings
+from deepbots_cli.diagnostics.findings import internal_error_finding, suppress
 from deepbots_cli.document.nodes import to_data
 from deepbots_cli.document.parse import parse
 from deepbots_cli.lint import endings, names, observations, rewards, robots, saturation, shaping, world
@@ -81,7 +81,7 @@ def run(checked: Checked, *, preview: bool = False) -> Iterator[Finding]:
     checks += [(rule.code, partial(rule.check, checked)) for rule in RULES.added.values() if rule.check is not None]
     for code, check in checks:
         if preview or not RULES[code].preview:
-            found = faults_as_findings(f"the rule {code}", source, partial(_found, check))
+            found = exceptions_as_findings(f"the rule {code}", source, partial(_found, check))
             yield from (finding for finding in found if not cascade.drops(finding))
 
 
@@ -138,11 +138,11 @@ def simulate(checked: Checked, *, preview: bool = False, limits: Limits = Limits
     source = checked.document.source
     report = measure(checked.inputs, limits, allow_code=checked.document.allow_code)
     if report.fault is not None:
-        return Simulated([internal_error("the simulation", source, report.fault)])
+        return Simulated([internal_error_finding("the simulation", source, report.fault)])
     simulation = Simulation(checked, checked.program, checked.namespace, report)
     rules = [(code_of(rule), rule) for rule in SIMULATED_RULES]
     active = [(code, rule) for code, rule in rules if preview or not RULES[code].deep_preview]
-    found = [finding for code, rule in active for finding in faults_as_findings(f"the rule {code}", source, partial(rule, simulation))]
+    found = [finding for code, rule in active for finding in exceptions_as_findings(f"the rule {code}", source, partial(rule, simulation))]
     errors = [finding for finding in found if finding.severity == "error"]
     if not all(finding.is_internal_error for finding in errors):
         found = [finding for finding in found if finding.severity == "error" or finding.code in _CAUSES]
@@ -165,7 +165,7 @@ class CascadeFilter:
         self._texts = _Texts(_depending_on(checked, spans) if spans else ())
 
     def drops(self, finding: Finding) -> bool:
-        places = (finding.span, *(label.span for label in finding.also))
+        places = (finding.span, *(label.span for label in finding.labels))
         return finding.severity == "warning" and any(map(self._texts.around, places))
 
 

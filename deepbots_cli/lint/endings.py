@@ -130,13 +130,13 @@ def shadowed_limit(context: RuleContext) -> Iterator[Finding]:
             headline = f"`{ending.value.name}` cannot hold before {limit}"
             help = "raise the limit under `truncation`, or remove the ending"
             yield Finding(
-                "DB804", ending.value.span, headline, help=help, also=(Label(context.values.key_span(("truncation",)), "the truncation"),)
+                "DB804", ending.value.span, headline, help=help, labels=(Label(context.values.key_span(("truncation",)), "the truncation"),)
             )
         elif not _leaves(analysis, node) <= _CLOCK and last > 1 and _with_return(analysis, last - 1, last - 1).of(node) == ALWAYS:
             headline = f"`{ending.value.name}` ends every episode before {limit}"
             help = "remove this ending: `truncation` ends the episode, and the section `solved` defines a good result"
             yield Finding(
-                "DB804", ending.value.span, headline, help=help, also=(Label(context.values.key_span(("truncation",)), "never reached"),)
+                "DB804", ending.value.span, headline, help=help, labels=(Label(context.values.key_span(("truncation",)), "never reached"),)
             )
 
 
@@ -160,7 +160,7 @@ def _later_limit(context: RuleContext) -> Iterator[Finding]:
         other = "max_steps" if name == "max_time" else "max_time"
         headline = f"`{name}` has no effect: `{other}` always ends the episode first"
         also = (Label(context.values.span(("truncation", other)), "ends the episode first"),)
-        yield Finding("DB804", context.values.span(("truncation", name)), headline, help="remove one of the two", also=also)
+        yield Finding("DB804", context.values.span(("truncation", name)), headline, help="remove one of the two", labels=also)
 
 
 def _later(program: Program) -> str:
@@ -179,7 +179,7 @@ def _later_ending(context: RuleContext) -> Iterator[Finding]:
         if all(late.value.name in names for names in later):
             headline = f"`{late.value.name}` has no effect: `{first.value.name}` always ends the episode first"
             help = "write a limit that is reached first" if late.outcome != first.outcome else "remove one of the two"
-            yield Finding("DB804", late.value.span, headline, help=help, also=(Label(first.value.span, "ends the episode first"),))
+            yield Finding("DB804", late.value.span, headline, help=help, labels=(Label(first.value.span, "ends the episode first"),))
 
 
 def _leaves(analysis: Analysis, node: Scalar) -> set[str]:
@@ -366,7 +366,7 @@ def unreachable_goal(context: RuleContext) -> Iterator[Finding]:
             if reason is not None:
                 words, help = reason
                 also = () if entry.value is ending.value else (Label(entry.value.span, f"`{ending.value.name}` depends on it"),)
-                yield Finding("DB807", ending.value.span, f"`{ending.value.name}` {words}", help=help, also=also)
+                yield Finding("DB807", ending.value.span, f"`{ending.value.name}` {words}", help=help, labels=also)
                 break
 
 

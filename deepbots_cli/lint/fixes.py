@@ -76,7 +76,7 @@ class Linted:
     @property
     def first_error(self) -> int:
         """Its line."""
-        return min((finding.span.begin.line for finding in self.errors), default=0)
+        return min((finding.span.start_position.line for finding in self.errors), default=0)
 
 
 class Fixer:

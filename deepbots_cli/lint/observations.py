@@ -166,7 +166,7 @@ def goal_in_observation(context: RuleContext) -> Iterator[Finding]:
             headline = f"`{entry.value.name}` depends on the goal, but hindsight replay replaces only `desired`"
             help = "remove it: the policy sees `achieved` and `desired` in addition to the observation"
             also = (Label(program.policy.goal.desired.span, f"also depends on `{min(shared)}`"),)
-            yield Finding("DB614", entry.value.span, headline, help=help, also=also)
+            yield Finding("DB614", entry.value.span, headline, help=help, labels=also)
 
 
 class SeenNumber(NamedTuple):
@@ -222,7 +222,7 @@ def noise_without_effect(context: RuleContext) -> Iterator[Finding]:
             headline = f"`{number.name}` has noise, and the policy sees its exact value in `{shown.name}`"
             help = "declare the noise once, under `augment`, as `{value: ..., noise: ...}`, and use this name in both places"
             also = (Label(shown.span, "exact value"),)
-            yield Finding("DB616", noises[0].std.span, headline, help=help, also=also)
+            yield Finding("DB616", noises[0].std.span, headline, help=help, labels=also)
 
 
 def may_be_noisy(program: Program) -> tuple[Expression, ...]:

@@ -68,10 +68,10 @@ def _unbounded(context: RuleContext, term: Expression, found: Pole) -> Finding:
     if found.is_divisor:
         headline = f"`{term.name}` grows without bound as `{part}` approaches zero"
         return Finding(
-            "DB701", place, headline, help="keep the divisor away from zero, as in `max(x, 1 cm)`, or use `exp(-x / 10 cm)`", also=also
+            "DB701", place, headline, help="keep the divisor away from zero, as in `max(x, 1 cm)`, or use `exp(-x / 10 cm)`", labels=also
         )
     headline = f"`{term.name}` grows with the exponential of `{part}`, which has no upper bound"
-    return Finding("DB701", place, headline, help="bound the argument, as in `min(x, 3)`", also=also)
+    return Finding("DB701", place, headline, help="bound the argument, as in `min(x, 3)`", labels=also)
 
 
 class _PoleSearch:
@@ -153,7 +153,9 @@ def term_dominates(context: RuleContext) -> Iterator[Finding]:
         if low > _DOMINATES * prize:
             headline = f"the absolute sum of `{term.name}` over an episode is at least {low:.4g}, and an ending pays at most {prize:.4g}"
             also = tuple(Label(paid.span, "paid at the end") for paid, _ in final)
-            yield Finding("DB702", term.span, headline, help=f"scale `{term.name}` down, or increase the rewards of the endings", also=also)
+            yield Finding(
+                "DB702", term.span, headline, help=f"scale `{term.name}` down, or increase the rewards of the endings", labels=also
+            )
 
 
 def _smallest_sum(reward: RewardTerms, node: Scalar) -> float:
@@ -322,7 +324,7 @@ def rewards_early_death(context: RuleContext) -> Iterator[Finding]:
         )
         help = f"pay for the goal instead, as in `1 when goal_reached`, or remove `{ending.value.name}`"
     dearest = min(ordinary, key=lambda term: running.of(term[1]).high)[0]
-    yield Finding("DB705", dearest.span, headline, help=help, also=(Label(ending.value.span, "the cheaper ending"),))
+    yield Finding("DB705", dearest.span, headline, help=help, labels=(Label(ending.value.span, "the cheaper ending"),))
 
 
 def _short_of_the_goal(reward: RewardTerms) -> Ranges:
@@ -388,7 +390,7 @@ def hovering_pays(context: RuleContext) -> Iterator[Finding]:
                 headline = f"staying just outside of `{success.value.name}` pays {pay:.3g} per step, and reaching it pays {prize:.3g} once"
                 best = max(ordinary, key=lambda term: running.of(term[1]).high)[0]
                 yield Finding(
-                    "DB708", best.span, headline, help=_PAY_FOR_PROGRESS, also=(Label(success.value.span, "ends these payments"),)
+                    "DB708", best.span, headline, help=_PAY_FOR_PROGRESS, labels=(Label(success.value.span, "ends these payments"),)
                 )
                 return
 
@@ -421,7 +423,7 @@ def other_policy_pays_more(simulation: Simulation) -> Iterator[Finding]:
             f"the return of {success.by}, which succeeds, is {success.worth:.3g}"
         )
         notes = (f"both are discounted returns of the episode with seed {best.seed}",)
-        yield Finding("DB708", _most_paid(simulation, best.by).span, headline, help=_PAY_FOR_PROGRESS, notes=notes, also=also)
+        yield Finding("DB708", _most_paid(simulation, best.by).span, headline, help=_PAY_FOR_PROGRESS, notes=notes, labels=also)
     elif len(successes) == 1 and not any(episode.end == "success" for episode in simulation.report.episodes):
         yield from _idle_pays(simulation, successes[0])
 
@@ -462,7 +464,7 @@ def _idle_pays(simulation: Simulation, success: Ending) -> Iterator[Finding]:
             f"measured in {row.steps} steps; about {ticks:.0f} steps count, given the discount factor of the training and the time limit",
         )
         also = (Label(success.value.span, "ends these payments"),)
-        yield Finding("DB708", _most_paid(simulation, IDLE).span, headline, help=_PAY_FOR_PROGRESS, notes=notes, also=also)
+        yield Finding("DB708", _most_paid(simulation, IDLE).span, headline, help=_PAY_FOR_PROGRESS, notes=notes, labels=also)
 
 
 def _most_paid(simulation: Simulation, by: str) -> Expression:

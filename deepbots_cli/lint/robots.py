@@ -140,7 +140,7 @@ def joint_driven_twice(context: RuleContext) -> Iterator[Finding]:
             if shared is not None:
                 first, second = (_joints_span(context.values, robot.name, called) for called in (driving[shared], name))
                 headline = f"`{name}` drives the joint `{shared}`, which `{driving[shared]}` already drives"
-                yield Finding("DB313", second, headline, help="give each joint one motor", also=(Label(first, "driven here"),))
+                yield Finding("DB313", second, headline, help="give each joint one motor", labels=(Label(first, "driven here"),))
             driving |= dict.fromkeys(joints, name)
 
 
@@ -217,7 +217,7 @@ def limp_at_start(context: RuleContext) -> Iterator[Finding]:
                 help = "hold the joint with a `position_motor`, or shorten the delay of the first command"
                 late = ("messages", "to_robot", "latency")
                 also = (Label(values.span(late), "delays the first command"),) if values.is_present(late) else ()
-                yield Finding("DB314", values.key_span(("robots", robot.name, "actuators", motor.name)), headline, help=help, also=also)
+                yield Finding("DB314", values.key_span(("robots", robot.name, "actuators", motor.name)), headline, help=help, labels=also)
 
 
 def _is_limp(actuator: Actuator) -> TypeGuard[Motor]:
@@ -528,7 +528,7 @@ def _passing_over(values: Values, robot: str, sensor: str, clearance: Clearance,
     headline = (
         f"the rays of `{sensor}` meet nothing: they are at least {height} above the ground, and the tallest body, {named}, ends at {top}"
     )
-    return Finding("DB615", values.key_span(("robots", robot, "sensors", sensor)), headline, help=help, notes=notes, also=also)
+    return Finding("DB615", values.key_span(("robots", robot, "sensors", sensor)), headline, help=help, notes=notes, labels=also)
 
 
 STATIC_RULES = (

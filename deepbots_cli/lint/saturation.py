@@ -151,7 +151,7 @@ def _unseen(context: RuleContext, analysis: Analysis, view: View, ending: Expres
     if comparison.value.owner:
         place = context.text(comparison.value.owner).part(comparison.node.start, comparison.node.end)
     also = (Label(place, f"`{ending.name}` ends the episode here"),)
-    return Finding("DB603", context.range_span(number.entry), headline, help=help, also=also, fix=fix)
+    return Finding("DB603", context.range_span(number.entry), headline, help=help, labels=also, fix=fix)
 
 
 def observation_saturates(context: RuleContext) -> Iterator[Finding]:

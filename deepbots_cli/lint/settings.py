@@ -16,7 +16,7 @@ from typing import Literal, get_args
 
 from deepbots_cli.diagnostics import Source
 from deepbots_cli.diagnostics.findings import RuleSelectors
-from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document import files
 from deepbots_cli.errors import UsageError
 
@@ -113,7 +113,7 @@ def _settings(root: Path, table: dict[str, object], source: Source) -> Settings:
 def _check_keys(table: dict[str, object], known: Sequence[str], name: str) -> None:
     for key in table:
         if key not in known:
-            near = nearest(key, known)
+            near = nearest_word(key, known)
             there = f"did you mean '{near}'?" if near else f"there are {', '.join(known)}"
             raise UsageError(f"{name}: unknown key '{key}'; {there}")
 
@@ -121,7 +121,7 @@ def _check_keys(table: dict[str, object], known: Sequence[str], name: str) -> No
 def _word(value: object, key: str, name: str) -> str:
     if isinstance(value, str) and value in _WORDS[key]:
         return value
-    near = nearest(value, _WORDS[key]) if isinstance(value, str) else None
+    near = nearest_word(value, _WORDS[key]) if isinstance(value, str) else None
     there = f"did you mean '{near}'?" if near else f"it is one of {', '.join(_WORDS[key])}"
     raise UsageError(f"{name}: '{key}' cannot be {value!r}; {there}")
 

@@ -71,7 +71,7 @@ def _wrong_sign(term: Expression, headline: str, also: tuple[Label, ...]) -> Fin
     turned = negated(term.typed)(term.text)
     fix = Fix.replacing(term.span, term.text, turned, safe=False)
     help = f"reverse the sign: `{turned}`" if len(turned) <= _MAX_SHOWN else "reverse the sign"
-    return Finding("DB703", term.span, headline, help=help, also=also, fix=fix)
+    return Finding("DB703", term.span, headline, help=help, labels=also, fix=fix)
 
 
 def _away_from_success(reward: RewardTerms, ordinary: Terms, ending: Ending) -> Iterator[Finding]:
@@ -243,7 +243,7 @@ def pays_towards_failure(context: RuleContext) -> Iterator[Finding]:
         for term in _towards(reward, threshold, ordinary):
             headline = f"`{term.name}` pays more as the episode approaches `{ending.value.name}`"
             also = (Label(ending.value.span, "a failure"),)
-            yield Finding("DB710", term.span, headline, help=_opposite(compared[0], threshold), also=also)
+            yield Finding("DB710", term.span, headline, help=_opposite(compared[0], threshold), labels=also)
 
 
 def _counts_from_middle(reward: RewardTerms, threshold: Threshold) -> bool:

@@ -403,7 +403,7 @@ def _overlapping(simulation: Simulation, found: Overlap) -> Finding:
         help = "place them apart, or in a `region`, which finds free positions"
         there = simulation.placement(other[0]) or simulation.body_span(other[0])
         also = (Label(there, f"`{other[0]}` begins here"),)
-    return Finding("DB310", span, headline, help=help, notes=notes, also=also)
+    return Finding("DB310", span, headline, help=help, notes=notes, labels=also)
 
 
 def _order(simulation: Simulation, name: str) -> int:

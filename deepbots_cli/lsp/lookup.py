@@ -443,7 +443,7 @@ def _definition_line(named: Named | None) -> str:
     """The source line of a definition as a code block; empty if there is none."""
     if named is None or named.span is None:
         return ""
-    line = named.span.source.line(named.span.begin.line).strip()[:_LONGEST]
+    line = named.span.source.line(named.span.start_position.line).strip()[:_LONGEST]
     language = "xml" if line.startswith("<") else "yaml"
     return f"\n\n```{language}\n{line}\n```"
 

@@ -28,7 +28,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeVar
 
-from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.engine_kinds import DEFAULT
 from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.scalar import is_drawn
@@ -161,7 +161,7 @@ class Program:
         found = next((entry for entry in known if entry.name == name), None)
         if found is None:
             names = [entry.name for entry in known]
-            near = nearest(name, names)
+            near = nearest_word(name, names)
             hint = f" (did you mean {near}?)" if near else ""
             if not names:
                 raise UsageError(f"{self.name} has no {what}s, so there is no '{name}'")

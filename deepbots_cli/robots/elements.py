@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from xml.parsers import expat
 
 from deepbots_cli.diagnostics import Findings, Label, Source, Span
-from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.diagnostics.nearest import nearest_word
 
 MAX_DEPTH = 64
 MAX_ELEMENTS = 100_000
@@ -40,7 +40,7 @@ def quoted(text: str) -> str:
 def known_names(word: str, known: Iterable[str], kind: str) -> str:
     """The help for an unknown name: the nearest known one, and a list."""
     names = list(known)
-    match = nearest(word, names)
+    match = nearest_word(word, names)
     shown = ", ".join(names[:20]) + (f" and {len(names) - 20} more" if len(names) > 20 else "")
     listing = f"the {kind} are: {shown}" if names else f"there are no {kind}"
     return f"did you mean {quoted(match)}? {listing}" if match else listing
@@ -83,12 +83,12 @@ class Element:
         return tag
 
     def error(
-        self, headline: str, *, attribute: str | None = None, help: str | None = None, also: tuple[Label, ...] = (), code: str = "DB301"
+        self, headline: str, *, attribute: str | None = None, help: str | None = None, labels: tuple[Label, ...] = (), code: str = "DB301"
     ) -> None:
         """Report an error at the value of `attribute`, or at the start tag; only the first hundred of a file are kept."""
         self.report.errors += 1
         if self.report.errors <= MAX_REPORTED:
-            self.report.findings.add(code, self.value_span(attribute), headline, help=help, also=also)
+            self.report.findings.add(code, self.value_span(attribute), headline, help=help, labels=labels)
 
     def warn(
         self, headline: str, *, attribute: str | None = None, help: str | None = None, notes: tuple[str, ...] = (), code: str = "DB311"
@@ -294,6 +294,6 @@ def _parsed(builder: _Builder) -> Element | None:
         what = "the file is empty" if not source.text.strip() else f"this is not XML: {expat.ErrorString(error.code)}"
         misplaced = error.code == expat.errors.codes[expat.errors.XML_ERROR_MISPLACED_XML_PI]
         help = "move <?xml ...?> to the start of the file" if misplaced else None
-        findings.add("DB301", Span(source, at, min(at + 1, len(source.text))), what, help=help, also=also)
+        findings.add("DB301", Span(source, at, min(at + 1, len(source.text))), what, help=help, labels=also)
         return None
     return builder.root

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import get_args
 
 from deepbots_cli.diagnostics import Findings, Label, Source, Span
-from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.files import read_at_most
 from deepbots_cli.robots.elements import Element, known_names, parse, quoted
 from deepbots_cli.robots.meshes import MeshReader, ResolveMesh, UnusableMesh, mesh_resolver
@@ -199,7 +199,7 @@ def _check_words(root: Element) -> None:
             elif child.tag in _VOCABULARY:
                 waiting.append(child)
     for element, word, known, attribute in unknown[:MAX_WORDS]:
-        match = nearest(word, known.split(), 0.75)
+        match = nearest_word(word, known.split(), 0.75)
         if match:
             what = "attribute" if attribute else "element"
             element.warn(f"the {what} {quoted(word)} is not read", attribute=attribute, help=f"did you mean {match!r}?")
@@ -221,7 +221,7 @@ def _named(root: Element, tag: str) -> dict[str, Element]:
         first = found.setdefault(name, element)
         if first is not element:
             also = (Label(first.value_span("name"), "first defined here"),)
-            element.error(f"a second {tag} called {quoted(name)}", attribute="name", help="rename one of the two", also=also)
+            element.error(f"a second {tag} called {quoted(name)}", attribute="name", help="rename one of the two", labels=also)
     return found
 
 
@@ -520,7 +520,7 @@ def _root_link(joints: Mapping[str, Joint], links: Mapping[str, Element], elemen
             errors += 1
             also = (Label(elements[first].span, f"{quoted(first)} already holds it"),)
             headline = f"link {quoted(joint.child)} has two parents, {quoted(joints[first].parent)} and {quoted(joint.parent)}"
-            elements[name].all("child")[0].error(headline, attribute="link", also=also)
+            elements[name].all("child")[0].error(headline, attribute="link", labels=also)
     parent = {child: joints[name].parent for child, name in joint_above.items()}
     for cycle in _cycles(parent):
         errors += 1
@@ -531,7 +531,7 @@ def _root_link(joints: Mapping[str, Joint], links: Mapping[str, Element], elemen
         errors += 1
         also = (Label(links[roots[0]].value_span("name"), "the other root"),)
         headline = f"link {quoted(name)} is a second root: no joint has it as its child"
-        links[name].error(headline, attribute="name", help="join it to another link, or remove it", also=also)
+        links[name].error(headline, attribute="name", help="join it to another link, or remove it", labels=also)
     return roots[0] if roots and not errors else None
 
 

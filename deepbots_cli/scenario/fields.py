@@ -19,7 +19,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationError, ValidationInfo
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
-from deepbots_cli.diagnostics.nearest import Replacement, nearest, suggest_replacement
+from deepbots_cli.diagnostics.nearest import Replacement, nearest_word, suggest_replacement
 from deepbots_cli.expressions import parser, syntax
 from deepbots_cli.expressions.dimensions import NUMBER, UNITS, Dimension
 from deepbots_cli.expressions.types import PLANE, SPACE, Components, shown
@@ -109,7 +109,7 @@ def other_name(word: str, known: Iterable[str]) -> str | None:
 
 def choose_from(word: str, words: Sequence[str]) -> str:
     """The help for an unknown word: the probable word, and all known words."""
-    near = other_name(word, words) or nearest(word, words)
+    near = other_name(word, words) or nearest_word(word, words)
     listed = shown((f"`{known}`" for known in words), _LISTED)
     return f"did you mean `{near}`? known names: {listed}" if near else f"known names: {listed}"
 

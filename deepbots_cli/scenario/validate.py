@@ -19,7 +19,7 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from deepbots_cli.diagnostics import Finding, Findings, Fix, Span, TooManyFindings
-from deepbots_cli.diagnostics.nearest import KEYS_AND_WORDS, RENAMES, Rename, Replacement, nearest, suggest_replacement
+from deepbots_cli.diagnostics.nearest import FORMER_KEYS_AND_WORDS, RENAMES, Rename, Replacement, nearest_word, suggest_replacement
 from deepbots_cli.document import nodes
 from deepbots_cli.document.hints import GIVE_A_VALUE
 from deepbots_cli.document.nodes import Entry, Node, Path, Scalar, descend, to_data, walk
@@ -171,7 +171,7 @@ def _problem(root: nodes.Mapping, data: Any, error: ErrorDetails) -> _Problem:
     elif kind == "DB107":
         headline = f"{'a key' if at_key else f'`{_name_of(path)}`'} {headline}"
     at_key = at_key or kind in ("DB101", "DB102", "DB107")
-    span = _key_span(root, path) if at_key or node.span.begin.line != node.span.finish.line else node.span
+    span = _key_span(root, path) if at_key or node.span.start_position.line != node.span.end_position.line else node.span
     fix = _fix(key_node if at_key else node, near)
     return _Problem(path, Finding(kind, span, headline, help or about_key(data, path), fix=fix), context["missing"])
 
@@ -381,7 +381,7 @@ def _help_for_unknown(data: object, path: Path) -> str | None:
     british = key.replace("color", "colour")
     if british != key and british in known:
         return f"write `{british}`: keys are in British English"
-    near = nearest(key, known)
+    near = nearest_word(key, known)
     belongs = _nearest_home(parent, key)
     if belongs is not None and (near is None or near.replace("_", "") != key.lower().replace("_", "")):
         return f"it belongs {belongs}; {here}"
@@ -441,9 +441,9 @@ def with_new_names(root: nodes.Mapping, findings: Findings) -> nodes.Mapping:
 def _holds_old_word(node: Node) -> bool:
     match node:
         case nodes.Mapping():
-            return not KEYS_AND_WORDS.isdisjoint(node.entries)
+            return not FORMER_KEYS_AND_WORDS.isdisjoint(node.entries)
         case Scalar():
-            return node.text in KEYS_AND_WORDS
+            return node.text in FORMER_KEYS_AND_WORDS
         case nodes.Sequence():
             return False
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepbots_cli.cli.tables import pairs, table
-from deepbots_cli.diagnostics.render import columns
+from deepbots_cli.diagnostics.render import display_width
 
 CELLS = st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=12), st.lists(st.text(max_size=3), max_size=3))
 ROWS = st.lists(st.fixed_dictionaries({"a": CELLS, "b": CELLS, "c": CELLS}), min_size=1, max_size=5)
@@ -25,7 +25,7 @@ def test_a_column_without_any_value_is_left_out():
 
 def test_wide_characters_take_two_columns():
     first, _, second, third = table([{"n": "日本", "m": "x"}, {"n": "ab", "m": "y"}], indent="").splitlines()
-    assert columns(second[: second.index("x")]) == third.index("y") == first.index("m")
+    assert display_width(second[: second.index("x")]) == third.index("y") == first.index("m")
 
 
 @settings(max_examples=60, deadline=None)

@@ -62,11 +62,11 @@ def test_a_disturbance_may_push_links_and_a_touch_sensor_feels_bodies_and_the_gr
 def test_a_name_leads_to_its_definition(rocking, name, text, place):
     found = definition(rocking, name)
     assert found.span.text == text
-    assert found.span.where.rpartition(":")[0].endswith(place)
+    assert found.span.location.rpartition(":")[0].endswith(place)
 
 
 def test_on_board_the_names_of_the_robot_come_first(searching):
-    assert definition(searching, "proximity", "epuck").span.where.endswith("epuck.yaml:4:3")
+    assert definition(searching, "proximity", "epuck").span.location.endswith("epuck.yaml:4:3")
     assert definition(searching, "proximity") is None
     assert definition(searching, "nothing.at.all") is None
 

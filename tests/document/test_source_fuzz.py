@@ -30,7 +30,7 @@ DATA = st.recursive(
 
 
 def spans(document: Document) -> list[Span]:
-    found = [span for finding in document.findings for span in (finding.span, *(label.span for label in finding.also))]
+    found = [span for finding in document.findings for span in (finding.span, *(label.span for label in finding.labels))]
     for _, node in walk(document.root) if document.root else ():
         found.append(node.span)
         if isinstance(node, Mapping):

@@ -64,7 +64,7 @@ def test_a_file_that_is_no_scenario_gets_one_finding_at_the_place(
     path.write_bytes(content)
     document = load(path, display="a.yaml")
     assert document.root is None
-    assert [(f.code, f.span.begin, f.span.source.name) for f in document.findings] == [(code, where, "a.yaml")]
+    assert [(f.code, f.span.start_position, f.span.source.name) for f in document.findings] == [(code, where, "a.yaml")]
 
 
 def test_a_byte_order_mark_and_windows_line_ends_are_read(tmp_path: Path) -> None:
@@ -73,7 +73,7 @@ def test_a_byte_order_mark_and_windows_line_ends_are_read(tmp_path: Path) -> Non
     document = load(path)
     assert data(document) == {"a": 1, "b": {"c": 2}}
     assert document.root is not None
-    assert document.root.entries["b"].value.span.begin == (3, 3)
+    assert document.root.entries["b"].value.span.start_position == (3, 3)
 
 
 # extends, include, remove
@@ -140,7 +140,7 @@ def test_a_finding_in_an_included_file_knows_what_included_it(tmp_path: Path) ->
     included_from = finding.span.source.included_from
     assert finding.span.source.name.endswith("part.yaml")
     assert included_from is not None
-    assert included_from.begin == (2, 12)
+    assert included_from.start_position == (2, 12)
 
 
 @pytest.mark.parametrize("word", ["extends: ", "r:\n  include: "])
@@ -233,7 +233,7 @@ def test_what_a_file_writes_and_removes_itself_is_reported(tmp_path: Path) -> No
     file = write(tmp_path, one="extends: base.yaml\na: {b: 2, c: 3}\nremove: [a.b]\n", base="a: {b: 1}\n")
     document = load(file)
     (finding,) = document.findings
-    assert (finding.code, finding.span.where, finding.also[0].span.text) == ("DB205", f"{file}:2:5", "a.b")
+    assert (finding.code, finding.span.location, finding.labels[0].span.text) == ("DB205", f"{file}:2:5", "a.b")
     assert document.root is not None
     assert to_data(document.root) == {"a": {"c": 3}}
 
@@ -280,7 +280,7 @@ def test_an_assigned_value_has_its_place_in_the_assignment() -> None:
     world = document.root.get("world") if document.root else None
     assert isinstance(world, Mapping)
     span = world.entries["timestep"].value.span
-    assert (span.text, span.where) == ("8 ms", "--set world.timestep:1:16")
+    assert (span.text, span.location) == ("8 ms", "--set world.timestep:1:16")
 
 
 @pytest.mark.parametrize(

@@ -76,7 +76,7 @@ def test_keys_and_values_know_where_they_begin_and_end() -> None:
     assert node.entries["list"].value.span.text == "[a, {b: 'c d'}]"
     assert node.entries["end"].value.span.text == "deep: x"
     assert scalar(text, "list", 1, "b").span.text == "'c d'"
-    assert scalar(text, "end", "deep").span.begin == (4, 9)
+    assert scalar(text, "end", "deep").span.start_position == (4, 9)
     assert node.span.text == text[: text.index("  #")]
 
 
@@ -121,8 +121,8 @@ def test_a_block_of_text_begins_below_its_sign_and_ends_before_the_blank_lines_b
 
 def test_a_duplicate_key_is_reported_with_the_first_one_which_is_kept() -> None:
     finding = only("a: 1\nb: 2\na: 3\n")
-    assert (finding.code, finding.span.begin) == ("DB002", (3, 1))
-    assert finding.also[0].span.begin == (1, 1)
+    assert (finding.code, finding.span.start_position) == ("DB002", (3, 1))
+    assert finding.labels[0].span.start_position == (1, 1)
     node, _ = read("a: 1\na: 3\n")
     assert node is not None
     assert to_data(node) == {"a": 1}

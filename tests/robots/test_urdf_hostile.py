@@ -107,7 +107,7 @@ def check(data: bytes) -> None:
     for finding in findings:
         text = finding.span.source.text
         assert 0 <= finding.span.start <= finding.span.end <= len(text)
-        assert finding.span.where
+        assert finding.span.location
         assert finding.headline[0].islower() or not finding.headline[0].isalpha() or finding.headline.startswith("XML")
         assert "\n" not in finding.headline
     if robot is None:

@@ -20,7 +20,7 @@ def read(path: Path) -> Scenario:
     document = load(path)
     assert document.root is not None
     scenario = validate(document.root, document.findings)
-    assert [f"{finding.span.where} {finding.headline}" for finding in document.findings] == []
+    assert [f"{finding.span.location} {finding.headline}" for finding in document.findings] == []
     assert scenario is not None
     return scenario
 

@@ -15,7 +15,7 @@ from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import Json
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.diagnostics import Findings, Rule, Source
-from deepbots_cli.diagnostics.nearest import is_typo, nearest, renames_of
+from deepbots_cli.diagnostics.nearest import is_typo, nearest_word, renames_of
 from deepbots_cli.diagnostics.registry import matching_rules, unknown_rule_message
 from deepbots_cli.document.nodes import to_data
 from deepbots_cli.document.parse import parse
@@ -175,7 +175,7 @@ def explained(word: str) -> list[str]:
     blocks = [*map(_of_topic, found), *blocks]
     for new, rename in {rename.new: rename for rename in renames_of(spelt)}.items():
         named = _blocks(new) or _blocks(rename.key)  # a word that is no kind is explained by its key
-        blocks += [[f"{spelt}: the former name of the {rename.what} `{new}`"], *named]
+        blocks += [[f"{spelt}: the former name of the {rename.kind} `{new}`"], *named]
     others = _others(word, {topic.name for topic in found} | {spelt}) if word.strip() else []
     if blocks and others:
         blocks.append([f"See also: {', '.join(others)}"])
@@ -237,7 +237,7 @@ def _words() -> dict[str, None]:
 def unknown(word: str) -> str:
     """The error for a word that has no entry."""
     concepts = [name for topic in topics() for name in (topic.name, *topic.names)]
-    near = nearest(word, concepts, 0.8) or nearest(word, list(_words())) or nearest(word, concepts)
+    near = nearest_word(word, concepts, 0.8) or nearest_word(word, list(_words())) or nearest_word(word, concepts)
     hint = f"; did you mean {near}?" if near else "; `deepbots explain` lists all findings"
     others = _others(word, ())
     if others:

@@ -21,7 +21,7 @@ from deepbots_cli.cli.exits import FAILED, FAULT
 from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Edit, Finding, Severity, Source
 from deepbots_cli.diagnostics.findings import RuleSelectors, Selection, exception_finding
-from deepbots_cli.diagnostics.render import github, inert, junit, render, sarif, summary
+from deepbots_cli.diagnostics.render import escape_log_commands, github, junit, render, sarif, summary
 from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
 from deepbots_cli.lint import review, simulate
 from deepbots_cli.lint.fixes import Fixer
@@ -189,7 +189,7 @@ def _fixed(names: Sequence[str], look: Look, selection: Selection, *, unsafe: bo
             rewriting.write(rewrite)
     for finding in fixer.fixed:
         edit = finding.fix.edits[0] if finding.fix else None
-        terminal.note(f"{'would fix' if show else 'fixed'} {finding.span.where}: {finding.code}[{finding.name}] {_change(edit)}")
+        terminal.note(f"{'would fix' if show else 'fixed'} {finding.span.location}: {finding.code}[{finding.name}] {_change(edit)}")
     if fixer.fixed:
         verb, files = "would be fixed" if show else "fixed", len(rewrites)
         terminal.note(f"{len(fixer.fixed)} {verb} in {files} file{'s' if files > 1 else ''}")
@@ -215,7 +215,7 @@ def _sum_up(findings: list[Finding], names: list[str], selection: Selection, *, 
     """Print the number of findings, and of those with a fix."""
     if not findings:
         called = names[0] if len(names) == 1 else f"{len(names)} scenarios"
-        asked = "" if selection.is_everything else " of the selected ones"
+        asked = "" if selection.selects_all else " of the selected ones"
         terminal.print_result(f"{called}: no findings{asked}{', including the simulation' if deep else ''}")
         return
     terminal.print_result(summary(findings))
@@ -364,7 +364,7 @@ def report(findings: Sequence[Finding], format: Format, names: Sequence[str], fa
             return render(findings, "json")
         case Format.full | Format.concise:
             form: Literal["full", "concise"] = "full" if format is Format.full else "concise"
-            return inert(render(findings, form, terminal.colourful(sys.stdout), terminal.width()))
+            return escape_log_commands(render(findings, form, terminal.colourful(sys.stdout), terminal.width()))
 
 
 def _page(code: str) -> tuple[str, str]:

@@ -22,7 +22,7 @@ from deepbots_cli.cli.command import Json
 from deepbots_cli.cli.sources import opened_robot
 from deepbots_cli.compiler.inventory import known
 from deepbots_cli.diagnostics import Findings, Source
-from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document import Scalar, files, shipped, walk
 from deepbots_cli.document.files import UnusableFile, project_root, resolve
 from deepbots_cli.document.parse import parse
@@ -200,7 +200,7 @@ def collect(name: str) -> Files:
     first = shipped.scenario_path(name)
     if first is None:
         names = shipped.scenario_names()
-        near = nearest(name, names)
+        near = nearest_word(name, names)
         hint = f" (did you mean {near}?)" if near else ""
         raise UsageError(f"there is no shipped scenario '{name}'{hint}; shipped scenarios are: {', '.join(names)}")
     found: Files = {}

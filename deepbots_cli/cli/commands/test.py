@@ -111,7 +111,7 @@ def _show(found: _Tested, given: Sequence[str]) -> None:
         terminal.print_result(f"{found.scenario}\n{table([_row(result) for result in found.results])}")
         for result in found.results:
             if not result.passed:
-                terminal.print_result(f"\n  FAILED {result.test.name} ({result.test.span.where})")
+                terminal.print_result(f"\n  FAILED {result.test.name} ({result.test.span.location})")
             for miss in result.misses:
                 terminal.print_result(f"    expected  {miss.expected} ({miss.where})\n    measured  {miss.measured}")
                 terminal.print_result(f"    show it   {_command(found.scenario, result, miss, given)}")
@@ -157,12 +157,12 @@ def _data(found: _Tested, given: Sequence[str]) -> dict[str, Any]:
     tests = [
         {
             "test": result.test.name,
-            "where": result.test.span.where,
+            "where": result.test.span.location,
             **{key: getattr(result.test, key) for key in ("case", "stage", "seed")},
             **{key: getattr(result, key) for key in ("passed", "episodes", "steps", "seconds")},
             "misses": [asdict(miss) | {"command": _command(found.scenario, result, miss, given)} for miss in result.misses],
         }
         for result in found.results
     ]
-    errors = [{"code": finding.code, "where": finding.span.where, "headline": finding.headline} for finding in found.findings]
+    errors = [{"code": finding.code, "where": finding.span.location, "headline": finding.headline} for finding in found.findings]
     return {"scenario": found.scenario, "passed": found.passed, "tests": tests, "findings": errors}
