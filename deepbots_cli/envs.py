@@ -15,7 +15,7 @@ from typing import Any
 import gymnasium
 
 from deepbots_cli.api import make
-from deepbots_cli.document import Scalar, load, shipped
+from deepbots_cli.document import ScalarNode, load, shipped
 from deepbots_cli.errors import UsageError
 from deepbots_cli.runtime import Supervisor
 
@@ -39,7 +39,7 @@ def _register() -> None:
         path = shipped.scenario_path(short)
         root = load(path).root if path else None
         name = root.get("name") if root else None
-        if isinstance(name, Scalar):
+        if isinstance(name, ScalarNode):
             _register_one(f"deepbots/{name.text}-v1", "deepbots_cli.api:make", {"source": short})
 
 

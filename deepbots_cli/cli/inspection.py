@@ -18,7 +18,7 @@ from deepbots_cli.cli.tables import Row, formula
 from deepbots_cli.compiler.robots import carries
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.render import render
-from deepbots_cli.document import Mapping, Node, descend
+from deepbots_cli.document import MappingNode, Node, descend
 from deepbots_cli.expressions.scalar import Const, Name, Scalar, State, children, names_in
 from deepbots_cli.footprint import bounds, resting_height
 from deepbots_cli.frames import roll_pitch_yaw
@@ -284,7 +284,7 @@ def _parameters(scenario: Program, root: Node) -> list[Row]:
         )
         period = entry.period
         often[entry.name] = "repeatedly" if period else "in every step" if entry.redraw or changing else "in every episode"
-    names = list(node.entries) if isinstance(node, Mapping) and node is not root else []
+    names = list(node.entries) if isinstance(node, MappingNode) and node is not root else []
     return [{"parameter": name, "value": wording(root, "parameters", name), "drawn": often.get(name, "never")} for name in names]
 
 
@@ -468,7 +468,7 @@ def _reset(scenario: Program, root: Node) -> list[Row]:
     rows: list[Row] = []
     for section in ("place", "set"):
         node, _, reached = descend(root, ("reset", section))
-        if reached == 2 and isinstance(node, Mapping):
+        if reached == 2 and isinstance(node, MappingNode):
             rows += [{"reset": section, "of": name, "to": wording(root, "reset", section, name)} for name in node.entries]
     if scenario.reset.settle:
         rows.append({"reset": "settle", "of": "everything", "to": f"{scenario.reset.settle:g} s"})

@@ -10,7 +10,7 @@ from deepbots_cli import api
 from deepbots_cli.compiler.inputs import RESOLVED
 from deepbots_cli.diagnostics import Finding, Findings, Source
 from deepbots_cli.diagnostics.nearest import nearest_word
-from deepbots_cli.document import Mapping, Node, descend, files, one_line, shipped
+from deepbots_cli.document import MappingNode, Node, descend, files, inline_text, shipped
 from deepbots_cli.document.parse import parse
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import ScenarioError, UsageError
@@ -32,12 +32,12 @@ class Opened:
     def wording(self, path: str) -> str:
         """What is written at a path, on one line; empty where nothing is. A stage of the curriculum goes by its name."""
         node = self._written(path)
-        return one_line(node) if node is not None else ""
+        return inline_text(node) if node is not None else ""
 
     def names(self, path: str) -> list[str]:
         """The keys that are written at a path."""
         node = self._written(path)
-        return list(node.entries) if isinstance(node, Mapping) else []
+        return list(node.entries) if isinstance(node, MappingNode) else []
 
     def _written(self, path: str) -> Node | None:
         words = path.split(".")
@@ -57,7 +57,7 @@ def written(root: Node | None, *path: str | int) -> Node | None:
 def wording(root: Node | None, *path: str | int) -> str:
     """What is written at `path`, on one line; empty where nothing is."""
     node = written(root, *path)
-    return one_line(node) if node is not None else ""
+    return inline_text(node) if node is not None else ""
 
 
 def opened(source: str, sets: Sequence[str], allow_paths: Iterable[Path], *, allow_code: bool, engine: str | None = None) -> Opened:
@@ -100,7 +100,7 @@ def opened_robot(reference: str) -> tuple[RobotFile, list[Finding]]:
         raise UsageError(f"there is no robot file {reference}{hint}; shipped robots are: {', '.join(names)}")
     findings = Findings()
     resolve_mesh = meshes.mesh_resolver(found.absolute().parent, meshes.package_folders(reference))
-    file = read(found, files.display(found.resolve()), findings, resolve_mesh=resolve_mesh)
+    file = read(found, files.display_path(found.resolve()), findings, resolve_mesh=resolve_mesh)
     if file is None or findings.errors:
         raise ScenarioError(list(findings))
     return file, list(findings)

@@ -45,7 +45,7 @@ from deepbots_cli.compiler.values import Values, invalid_names
 from deepbots_cli.compiler.world import define_bodies, lines, world
 from deepbots_cli.diagnostics import Finding, Findings, TooManyFindings
 from deepbots_cli.document import Document
-from deepbots_cli.document.hints import as_a_number
+from deepbots_cli.document.hints import number_fix
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Evaluation, Policy, ScenarioTest, Truncation
 from deepbots_cli.scenario.base import visit
@@ -197,7 +197,7 @@ def _joined(findings: Findings) -> Findings:
     joined = Findings()
     for found in kept:
         warnings = absorbed.get(id(found), [])
-        fixes = [fix for warning in warnings if warning.code == "DB004" and (fix := as_a_number(warning.span))]
+        fixes = [fix for warning in warnings if warning.code == "DB004" and (fix := number_fix(warning.span))]
         notes = (*found.notes, *(warning.headline for warning in warnings))
         joined.append(replace(found, notes=notes, fix=found.fix or next(iter(fixes), None)) if warnings else found)
     return joined

@@ -23,7 +23,7 @@ from deepbots_cli.compiler.robots import (
 from deepbots_cli.compiler.sensing import Sensing
 from deepbots_cli.compiler.values import Values
 from deepbots_cli.diagnostics.nearest import nearest_word
-from deepbots_cli.document.nodes import Path
+from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import LENGTH, TIME, Dimension
 from deepbots_cli.expressions.intervals import Interval, exact
 from deepbots_cli.expressions.types import Components, Context, Reference, Stage, Symbol, Type, walk
@@ -279,7 +279,7 @@ class RobotBuilder:
 
     def __post_init__(self) -> None:
         self.values: Values = self.namespace.values
-        self.path: Path = ("robots", self.scene.name)
+        self.path: NodePath = ("robots", self.scene.name)
         self.sensing = Sensing(self.scene, self.namespace)
         self.poses = poses(self.scene, self.namespace)
         self.own: dict[str, Symbol] = {**self.poses, **self.sensing.symbols}
@@ -293,7 +293,7 @@ class RobotBuilder:
     def _check_names(self) -> None:
         """No name on board may mean two things, also not one here and another in the scenario."""
         spec = self.scene.spec
-        taken: dict[str, tuple[str, Path]] = {}
+        taken: dict[str, tuple[str, NodePath]] = {}
         for name in self.namespace.names_of(Origin.PARAMETER, Origin.ACTION):
             definition = self.namespace.definitions[name]
             taken[name] = (definition.origin.value, definition.path)
@@ -319,7 +319,7 @@ class RobotBuilder:
         for name, place in entries:
             self.namespace.define(f"{self.scene.name}.{name}", Origin.FIELD, place, partial(self._field, name, place))
 
-    def _field(self, name: str, place: Path) -> Symbol:
+    def _field(self, name: str, place: NodePath) -> Symbol:
         full = f"{self.scene.name}.{name}"
         emit = self.scene.spec.emit
         text = self.values.text(place, emit[name] if isinstance(emit, dict) else name)
@@ -379,7 +379,7 @@ class RobotBuilder:
             from_robot.of(name, "from_robot"),
         )
 
-    def _command(self, name: str, given: object, place: Path, driven: ResolvedActuator | None, scope: RobotScope) -> Command | None:
+    def _command(self, name: str, given: object, place: NodePath, driven: ResolvedActuator | None, scope: RobotScope) -> Command | None:
         text = self.values.text(place, given)
         if driven is None:
             self.values.expression(text, scope, boolean=False)

@@ -12,7 +12,7 @@ from deepbots_cli.compiler.robots import joint_dimension, joint_missing, warn_be
 from deepbots_cli.compiler.values import Text, Values
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.diagnostics.nearest import Replacement
-from deepbots_cli.document.nodes import Path
+from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions import unification
 from deepbots_cli.expressions.dimensions import NUMBER, TIME, Dimension
 from deepbots_cli.expressions.functions import draws
@@ -395,10 +395,10 @@ class Signals:
                 known = self._namespace.names_of(*kinds)
                 self._values.report_unknown(self._values.span(("augment", index)), "parameter or signal", name, known)
 
-    def _define(self, name: str, given: object, origin: Origin, place: Path, context: Context) -> None:
+    def _define(self, name: str, given: object, origin: Origin, place: NodePath, context: Context) -> None:
         self._namespace.define(name, origin, place, partial(self._typed, name, given, place, context))
 
-    def _typed(self, name: str, given: object, place: Path, context: Context) -> Symbol:
+    def _typed(self, name: str, given: object, place: NodePath, context: Context) -> Symbol:
         if isinstance(given, PythonTerm):
             self.valued[name] = foreign(name, given, self._namespace, boolean=True)
             return Symbol(name, self.valued[name].typed.type)

@@ -15,9 +15,9 @@ from deepbots_cli.compiler.episodes import NO_SUCCESS
 from deepbots_cli.compiler.namespace import Namespace, SupervisorScope
 from deepbots_cli.compiler.policy import Decisions
 from deepbots_cli.diagnostics import Findings, Label, Span
-from deepbots_cli.document import Document, Entry, Mapping, descend
+from deepbots_cli.document import Document, Entry, MappingNode, descend
 from deepbots_cli.document.load import apply_setting
-from deepbots_cli.document.nodes import Path, Scalar, count_and_depth, follow_dotted, without
+from deepbots_cli.document.nodes import NodePath, ScalarNode, count_and_depth, follow_dotted, without_paths
 from deepbots_cli.expressions.dimensions import NUMBER
 from deepbots_cli.expressions.lower import constant
 from deepbots_cli.expressions.types import Constant, Context, Operation, Typed, walk
@@ -145,7 +145,7 @@ MAX_VALUES = 40_000
 """Of all of them together. The largest scenario that comes with deepbots has 500, of which all 64 would take 32 000."""
 
 _FIXED = ("deepbots", "name", "summary", "agent", "action", "observation", "goal", "curriculum", "evaluation", "solved", "train")
-_OTHERS: tuple[Path, ...] = (("curriculum",), ("evaluation", "cases"))
+_OTHERS: tuple[NodePath, ...] = (("curriculum",), ("evaluation", "cases"))
 
 Check = Callable[[Document], "Checked"]
 VariantKind = Literal["case", "stage"]
@@ -186,7 +186,7 @@ def _criterion(text: str | None) -> Criterion | None:
 class _Maker:
     """Checks the scenario under one group of settings after the other."""
 
-    def __init__(self, document: Document, root: Mapping, program: Program, findings: Findings, check: Check) -> None:
+    def __init__(self, document: Document, root: MappingNode, program: Program, findings: Findings, check: Check) -> None:
         self.checked: list[Checked] = []
         self._document = document
         self._root = root
@@ -195,7 +195,7 @@ class _Maker:
         self._findings = findings
         self._check = check
 
-    def report(self, code: str, path: Path, headline: str, help: str | None = None) -> None:
+    def report(self, code: str, path: NodePath, headline: str, help: str | None = None) -> None:
         node, key, _ = descend(self._root, path)
         self._findings.add(code, key.span if key else node.span, headline, help=help)
 
@@ -203,7 +203,7 @@ class _Maker:
         """Every stage but the last says when it ends, and no two are called the same."""
         first: dict[str, Span] = {}
         for index, stage in enumerate(spec.curriculum):
-            path: Path = ("curriculum", index)
+            path: NodePath = ("curriculum", index)
             here = descend(self._root, (*path, "name"))[0].span
             if stage.name in first:
                 also = (Label(first[stage.name], "first defined here"),)
@@ -221,15 +221,15 @@ class _Maker:
                 help = "remove it; `solved` determines when the training ends"
                 self.report("DB407", (*path, "until"), "the last stage has an `until`", help)
 
-    def program(self, word: VariantKind, name: str, path: Path) -> Program | None:
+    def program(self, word: VariantKind, name: str, path: NodePath) -> Program | None:
         """The task under the `set` at `path`; None after a finding."""
         settings = descend(self._root, (*path, "set"))
-        entries = settings[0].entries.values() if settings[2] > len(path) and isinstance(settings[0], Mapping) else ()
+        entries = settings[0].entries.values() if settings[2] > len(path) and isinstance(settings[0], MappingNode) else ()
         if [entry for entry in entries if self._is_fixed(entry, word)]:
             return None
         findings = Findings(self._document.findings.limit)
-        root = without(self._root, (*_OTHERS, *self._tests(word, name)))
-        assert isinstance(root, Mapping)  # as it was
+        root = without_paths(self._root, (*_OTHERS, *self._tests(word, name)))
+        assert isinstance(root, MappingNode)  # as it was
         for entry in entries:
             root = apply_setting(root, entry, findings)
         checked = self._check(replace(self._document, root=root, findings=findings))
@@ -243,14 +243,14 @@ class _Maker:
                 self._findings.append(replace(found, labels=also))
         return checked.program if checked.program is not None and self._is_bearable(checked.program, word, name, here) else None
 
-    def _tests(self, word: VariantKind, name: str) -> Iterator[Path]:
+    def _tests(self, word: VariantKind, name: str) -> Iterator[NodePath]:
         """What the variant leaves out of `tests`: all other tests, and the keys that name the variant, which has no variants itself."""
         tests = self._root.get("tests")
-        for test, entry in tests.entries.items() if isinstance(tests, Mapping) else ():
-            named = entry.value.get(word) if isinstance(entry.value, Mapping) else None
-            yield ("tests", test, word) if isinstance(named, Scalar) and named.text == name else ("tests", test)
+        for test, entry in tests.entries.items() if isinstance(tests, MappingNode) else ():
+            named = entry.value.get(word) if isinstance(entry.value, MappingNode) else None
+            yield ("tests", test, word) if isinstance(named, ScalarNode) and named.text == name else ("tests", test)
 
-    def _place(self, word: VariantKind, path: Path) -> Span:
+    def _place(self, word: VariantKind, path: NodePath) -> Span:
         node, key, _ = descend(self._root, path if word == "case" else (*path, "name"))
         return key.span if key and word == "case" else node.span
 
@@ -259,7 +259,7 @@ class _Maker:
         steps, _, rest = follow_dotted(self._root, entry.key.text.strip())
         head = str(steps[0]) if steps else rest.split(".")[0]
         parameters = self._root.get("parameters")
-        if head not in _FIXED or (isinstance(parameters, Mapping) and entry.key.text in parameters.entries):
+        if head not in _FIXED or (isinstance(parameters, MappingNode) and entry.key.text in parameters.entries):
             return False
         help = "it may change the world, the reset, the reward, the endings and the parameters"
         self._findings.add("DB407", entry.key.span, f"a {word} that changes `{head}`", help=help)
@@ -344,7 +344,7 @@ class _Reader:
         made = tuple(action for action in found if action is not None)
         return made if len(made) == len(found) else None
 
-    def _action(self, place: Path, given: object) -> FixedAction | None:
+    def _action(self, place: NodePath, given: object) -> FixedAction | None:
         names = list(self._scenario.action)
         if not isinstance(given, dict):
             if len(names) > 1:
@@ -354,7 +354,7 @@ class _Reader:
             given = dict.fromkeys(names, given)
         return self._fixed(place, self._decisions.read(place, given, "the action"))
 
-    def _fixed(self, place: Path, decided: tuple[ScriptedChoice | ScriptedRange, ...] | None) -> FixedAction | None:
+    def _fixed(self, place: NodePath, decided: tuple[ScriptedChoice | ScriptedRange, ...] | None) -> FixedAction | None:
         choices: list[int] = []
         ranges: list[float] = []
         words: list[str] = []
@@ -443,11 +443,11 @@ class _Reader:
         for index, name in enumerate(names):
             self._namespace.mark_used(name)
             if name not in known:
-                place: Path = (*spec.path, "ends_by", index) if several else (*spec.path, "ends_by")
+                place: NodePath = (*spec.path, "ends_by", index) if several else (*spec.path, "ends_by")
                 self._values.report_unknown(self._values.span(place), "ending", name, known)
         yield Expected("ends_by", self._values.span((*spec.path, "ends_by")), " or ".join(names), endings=tuple(names))
 
-    def _condition(self, key: ExpectedKey, place: Path) -> Iterator[Expected]:
+    def _condition(self, key: ExpectedKey, place: NodePath) -> Iterator[Expected]:
         text = self._values.text(place)
         typed = self._values.condition(text, self._scope)
         if typed is not None:

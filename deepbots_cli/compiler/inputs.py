@@ -10,10 +10,9 @@ from pathlib import Path, PurePath
 
 from deepbots_cli.compiler.robots import RobotScene
 from deepbots_cli.diagnostics import Span
-from deepbots_cli.document import Document, Entry, Node, Scalar, descend, shipped
-from deepbots_cli.document.layout import write as to_yaml
-from deepbots_cli.document.nodes import Path as NodePath
-from deepbots_cli.document.nodes import replace, walk
+from deepbots_cli.document import Document, Entry, Node, ScalarNode, descend, shipped
+from deepbots_cli.document.layout import to_yaml
+from deepbots_cli.document.nodes import NodePath, walk, with_entry
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import unwritable
 
@@ -75,9 +74,9 @@ class Inputs:
         root: Node = self.document.root
         for path, file in (self._named | self._set()).items():
             written, key, _ = descend(root, path)
-            if isinstance(written, Scalar) and key is not None:
+            if isinstance(written, ScalarNode) and key is not None:
                 text = f"{FOLDER}/{self.names[file]}"
-                root = replace(root, path, Entry(key, Scalar(written.span, text, text)))
+                root = with_entry(root, path, Entry(key, ScalarNode(written.span, text, text)))
         return to_yaml(root)
 
     @property

@@ -10,8 +10,7 @@ from deepbots_cli.compiler.evaluation import PLAIN_POLICIES
 from deepbots_cli.compiler.namespace import Namespace, Origin, SupervisorScope
 from deepbots_cli.compiler.robots import RobotScene
 from deepbots_cli.diagnostics import Span
-from deepbots_cli.document.nodes import Mapping as MappingNode
-from deepbots_cli.document.nodes import Path, descend
+from deepbots_cli.document.nodes import MappingNode, NodePath, descend
 from deepbots_cli.expressions.types import Context, Kind
 from deepbots_cli.robots.model import Joint
 from deepbots_cli.scenario.fields import article
@@ -49,7 +48,7 @@ class Named(NamedTuple):
     span: Span | None = None
 
 
-def names(checked: Checked, kind: str, path: Path = ()) -> list[Named]:
+def names(checked: Checked, kind: str, path: NodePath = ()) -> list[Named]:
     """What a `Reference` or a `Pattern` of this kind may name at `path`, a place of the scenario; nothing where that is not known.
 
     Inside of a robot its parts go by their short names, elsewhere by full ones, as `cart.pole_hinge`.
@@ -63,7 +62,7 @@ def names(checked: Checked, kind: str, path: Path = ()) -> list[Named]:
     return [Named("arena", "the floor of the arena")] if kind == "region" else _of_namespace(checked.namespace, kind, path)
 
 
-def _of_robots(namespace: Namespace, kind: str, path: Path) -> Iterator[Named]:
+def _of_robots(namespace: Namespace, kind: str, path: NodePath) -> Iterator[Named]:
     robot = str(path[1]) if path[:1] == ("robots",) and len(path) > 1 else None
     if kind.startswith(("body", "bodies")):
         yield from _bodies(namespace)
@@ -74,7 +73,7 @@ def _of_robots(namespace: Namespace, kind: str, path: Path) -> Iterator[Named]:
     yield from _parts(namespace, robot, _OF_ROBOTS[kind])
 
 
-def _keys(namespace: Namespace, kind: str, path: Path) -> list[Named]:
+def _keys(namespace: Namespace, kind: str, path: NodePath) -> list[Named]:
     """Names that are keys of one section."""
     if kind == "action":
         return [_keyed(namespace, ("action", name), "an action") for name in namespace.scenario.action]
@@ -94,7 +93,7 @@ def _keys(namespace: Namespace, kind: str, path: Path) -> list[Named]:
     return [_keyed(namespace, ("action", name), f"a component of `{name}`", component) for component in components or ()]
 
 
-def action_at(path: Path) -> str:
+def action_at(path: NodePath) -> str:
     """The action that a place of a script, of an action of a test or of the section `action` belongs to; empty for none."""
     place = {"scripts": 2, "tests": 4}.get(str(path[0]), 1) if path else 1
     return str(path[place]) if len(path) > place else ""
@@ -107,7 +106,7 @@ def _of_tests(namespace: Namespace, kind: str) -> list[Named]:
     """What a test may name."""
     spec = namespace.scenario
     limits = spec.truncation.model_fields_set if spec.truncation else ()
-    found: dict[str, list[tuple[Path, str, str]]] = {
+    found: dict[str, list[tuple[NodePath, str, str]]] = {
         "policy": [(("scripts", name), "a script", name) for name in spec.scripts],
         "case": [(("evaluation", "cases", name), "a case of the evaluation", name) for name in spec.evaluation.cases],
         "stage": [(("curriculum", index, "name"), "a stage of the curriculum", stage.name) for index, stage in enumerate(spec.curriculum)],
@@ -118,7 +117,7 @@ def _of_tests(namespace: Namespace, kind: str) -> list[Named]:
     return [*endings, *(_keyed(namespace, *place) for place in found[kind]), *free.get(kind, ())]
 
 
-def _of_namespace(namespace: Namespace, kind: str, path: Path) -> list[Named]:
+def _of_namespace(namespace: Namespace, kind: str, path: NodePath) -> list[Named]:
     if kind == "value":
         return _defined(namespace, SupervisorScope(namespace, Context.OBSERVATION).names())
     return _defined(namespace, namespace.names_of(*_ORIGINS.get(kind, ())))
@@ -185,7 +184,7 @@ def _by_definition(namespace: Namespace, name: str) -> Named:
     return _keyed(namespace, path, found.origin.value, name)
 
 
-def _keyed(namespace: Namespace, path: Path, what: str, name: str | None = None) -> Named:
+def _keyed(namespace: Namespace, path: NodePath, what: str, name: str | None = None) -> Named:
     return Named(name or str(path[-1]), what, namespace.values.key_span(path))
 
 
@@ -202,7 +201,7 @@ def _parts(namespace: Namespace, robot: str | None, sections: tuple[str, ...]) -
 
 
 def _parts_of(namespace: Namespace, scene: RobotScene, sections: tuple[str, ...]) -> Iterator[Named]:
-    home: Path = ("robots", scene.name)
+    home: NodePath = ("robots", scene.name)
     for name, sensor in scene.spec.sensors.items() if "sensors" in sections else ():
         yield _keyed(namespace, (*home, "sensors", name), f"a sensor ({sensor.type})")
     for name, actuator in scene.spec.actuators.items() if "actuators" in sections else ():
@@ -220,7 +219,7 @@ def _parts_of(namespace: Namespace, scene: RobotScene, sections: tuple[str, ...]
 _MAX_NAMES = 500
 _MAX_ROBOTS = 12
 
-_PLACES: Mapping[str, Path] = {
+_PLACES: Mapping[str, NodePath] = {
     "body": ("reset", "place"),
     "body or link": ("disturbances",),
     "bodies or links": ("robots",),
@@ -284,7 +283,7 @@ def _said(namespace: Namespace, found: Iterable[str]) -> dict[str, str]:
 
 def _names_on_board(checked: Checked, scene: RobotScene, spec: Scenario) -> Names:
     """The parts of one robot by their short names; those of its file are checked, and patterns over them never are."""
-    home: Path = ("robots", scene.name)
+    home: NodePath = ("robots", scene.name)
     groups = dict.fromkeys(scene.spec.groups, "a group")
     joints = groups | _named(checked, "joints", home) | {joint.name: _described(joint) for joint in scene.model.moving_joints}
     links = groups | _named(checked, "links", home)
@@ -305,7 +304,7 @@ def _names_on_board(checked: Checked, scene: RobotScene, spec: Scenario) -> Name
     }
 
 
-def _named(checked: Checked, kind: str, path: Path = ()) -> dict[str, str]:
+def _named(checked: Checked, kind: str, path: NodePath = ()) -> dict[str, str]:
     return {found.name: found.what for found in names(checked, kind, path)}
 
 

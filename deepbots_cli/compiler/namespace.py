@@ -20,7 +20,7 @@ from typing import TypedDict, TypeVar, Unpack
 from deepbots_cli.compiler.robots import RobotScene
 from deepbots_cli.compiler.values import ANY, Ends, Text, Values
 from deepbots_cli.document import Document
-from deepbots_cli.document.nodes import Path
+from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import NUMBER, TIME, Dimension
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval, exact
 from deepbots_cli.expressions.types import (
@@ -89,7 +89,7 @@ class Definition:
 
     name: str
     origin: Origin
-    path: Path
+    path: NodePath
     make: Callable[[], Symbol] | None = None
     symbol: Symbol | None = None
     uses: int = 0
@@ -102,7 +102,7 @@ class Namespace:
         self.values = values
         self.document = document
         self.scenario = scenario
-        self.files: dict[Path, FilePath] = {}
+        self.files: dict[NodePath, FilePath] = {}
         """Files that the world is made from, by where the scenario names them."""
         self.definitions: dict[str, Definition] = {}
         self.robots: dict[str, RobotScene | None] = {}
@@ -322,7 +322,7 @@ class Namespace:
         """Whether an episode draws this value."""
         return any((variation.what, variation.of) == (what, of) for variation in self.variations)
 
-    def define(self, name: str, origin: Origin, path: Path, make: Callable[[], Symbol] | None = None) -> None:
+    def define(self, name: str, origin: Origin, path: NodePath, make: Callable[[], Symbol] | None = None) -> None:
         """Add a name; a second definition is a finding, and the first one stays."""
         first = self.definitions.get(name)
         if first is None:

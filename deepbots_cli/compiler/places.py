@@ -11,7 +11,7 @@ from deepbots_cli import footprint
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.values import Text
 from deepbots_cli.diagnostics import Span
-from deepbots_cli.document.nodes import Path
+from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, Dimension
 from deepbots_cli.expressions.intervals import TURN, exact
 from deepbots_cli.expressions.lower import constant
@@ -43,7 +43,7 @@ class PlacementChecker:
         self._values = namespace.values
         self._world = world
 
-    def check_region(self, place: Placement, region: Region, path: Path) -> None:
+    def check_region(self, place: Placement, region: Region, path: NodePath) -> None:
         """DB105 where the region is too small or beyond the walls: for one body with its clearance, the grid, all copies together."""
         kinds = self._footprints(place)
         if not kinds:
@@ -78,14 +78,14 @@ class PlacementChecker:
         for layout in layouts or (Layout("", 1.0, ()),):
             standing = {place.body: place for place in (*common, *layout.placements)}
             for place in standing.values():
-                path: Path = tuple(place.owner.split("."))
+                path: NodePath = tuple(place.owner.split("."))
                 match place.spot:
                     case Top() as spot:
                         self._check_top(place, spot, standing, path)
                     case Region() as region:
                         self._check_covered(place, region, standing, path)
 
-    def _check_top(self, place: Placement, spot: Top, standing: Mapping[str, Placement], path: Path) -> None:
+    def _check_top(self, place: Placement, spot: Top, standing: Mapping[str, Placement], path: NodePath) -> None:
         """DB207 for bodies that stand on each other, DB203 for a top that is not level, DB105 for one that is too small or elsewhere."""
         add, span = self._values.findings.add, self._values.span((*path, "on"))
         support, stack = standing[spot.of], [place.body]
@@ -128,7 +128,7 @@ class PlacementChecker:
             help = f"leave out `region` to use the whole top, which covers {sides}"
             add("DB105", span, f"no position in the region is on the top of `{spot.of}`", help=help)
 
-    def _check_covered(self, place: Placement, region: Region, standing: Mapping[str, Placement], path: Path) -> None:
+    def _check_covered(self, place: Placement, region: Region, standing: Mapping[str, Placement], path: NodePath) -> None:
         """DB105 where a body that stands at known coordinates covers the whole region, so that no spot of it is ever free.
 
         The distance from a convex patch is greatest at a corner of the region: it is enough to look there.
@@ -255,7 +255,7 @@ class Places:
         self._world = world
         self._scope = namespace.scope(Context.RESET)
 
-    def placements(self, spec: Mapping[str, Pose], path: Path, *, used: bool = True) -> list[Placement]:
+    def placements(self, spec: Mapping[str, Pose], path: NodePath, *, used: bool = True) -> list[Placement]:
         """Those of one layout, or of `reset.place`; whether there is room is asked of layouts that are used."""
         found = []
         for body, pose in spec.items():
@@ -369,7 +369,7 @@ class Places:
             return Region((-half_x, -half_y), (half_x, half_y), mesh)
         return None
 
-    def _check_spots(self, spot: Region | Cells | Top | None, path: Path) -> None:
+    def _check_spots(self, spot: Region | Cells | Top | None, path: NodePath) -> None:
         if isinstance(spot, Top):
             reach = next(footprint.of_shape(thing.shape).radius for thing in self._world.objects if thing.name == spot.of)
             spot = Region((-reach, -reach), (reach, reach), spot.mesh)
@@ -377,7 +377,7 @@ class Places:
             headline = f"the region has {spot.spots:,.0f} cells; the limit is {MAX_SPOTS:,}"
             self._values.findings.add("DB005", self._values.span((*path, "grid")), headline, help="give a coarser grid")
 
-    def _check_copies(self, place: Placement, path: Path, *, used: bool) -> None:
+    def _check_copies(self, place: Placement, path: NodePath, *, used: bool) -> None:
         """Keys that only groups know; copies of a group that would stand within each other."""
         group = self._namespace.groups.get(place.body)
         if group is not None:
@@ -390,7 +390,7 @@ class Places:
                 help = "groups are bodies with a `count`"
                 self._values.findings.add("DB203", self._values.key_span((*path, key)), headline, help=help)
 
-    def _check_spread(self, place: Placement, copies: int, path: Path) -> None:
+    def _check_spread(self, place: Placement, copies: int, path: NodePath) -> None:
         """DB105 where up to so many `copies` stand at the same coordinates."""
         if any(self._values.is_present((*path, way)) for way in ("region", "line", "grid", "on")):
             return  # there would be spots, were it not for a finding
@@ -402,7 +402,7 @@ class Places:
             self._values.findings.add("DB105", self._values.key_span(path), headline, help=help)
 
 
-def owner_of(path: Path) -> str:
+def owner_of(path: NodePath) -> str:
     """The place of an item in the scenario, after which its draws are named."""
     return ".".join(map(str, path))
 
@@ -432,7 +432,7 @@ class Layouts:
             self._values.findings.add("DB102", self._values.key_span(("reset", "layouts")), "missing key `layout`", help=help)
         for name in shares:
             if name not in layouts:
-                path: Path = ("reset", "layout", name) if isinstance(spec, dict) else ("reset", "layout")
+                path: NodePath = ("reset", "layout", name) if isinstance(spec, dict) else ("reset", "layout")
                 span = self._values.key_span(path) if isinstance(spec, dict) else self._values.span(path)
                 self._values.report_unknown(span, "layout", name, list(layouts))
         found = {
@@ -502,14 +502,14 @@ class Layouts:
                 return False
         return True
 
-    def _check_size(self, width: float, depth: float, path: Path) -> None:
+    def _check_size(self, width: float, depth: float, path: NodePath) -> None:
         arena = self._world.arena
         if arena is not None and (width > arena.size[0] + 1e-9 or depth > arena.size[1] + 1e-9):
             headline = f"the map is {width:g} by {depth:g} m, and the arena is {arena.size[0]:g} by {arena.size[1]:g} m"
             self._values.findings.add("DB105", self._values.key_span(path), headline, help="give smaller cells, or a larger arena")
 
     def _standing(
-        self, layout: str, body: str, cell: float, spots: tuple[tuple[float, float], ...], path: Path, *, used: bool
+        self, layout: str, body: str, cell: float, spots: tuple[tuple[float, float], ...], path: NodePath, *, used: bool
     ) -> Placement:
         """The body on the spots of its letters, in the attitude of its own `pose`."""
         if body == _WALL and self._namespace.origin(_WALL) not in (Origin.ROBOT, Origin.OBJECT):

@@ -11,8 +11,7 @@ from functools import partial
 from deepbots_cli.compiler.controllers import driven_parts
 from deepbots_cli.compiler.namespace import AFTER_SIGNALS, GOAL_IS_LATE, Namespace, Origin, SupervisorScope
 from deepbots_cli.compiler.values import Text
-from deepbots_cli.document.nodes import Mapping as MappingNode
-from deepbots_cli.document.nodes import Path
+from deepbots_cli.document.nodes import MappingNode, NodePath
 from deepbots_cli.expressions import syntax
 from deepbots_cli.expressions.dimensions import NUMBER
 from deepbots_cli.expressions.functions import FUNCTIONS, Family
@@ -43,7 +42,7 @@ from deepbots_cli.scenario.scenario import ContinuousAction, DiscreteAction, Obs
 from deepbots_cli.scenario.scenario import Goal as GoalSpec
 
 _NOT_YET = 'remove it; docs/language.md lists under "Not yet" what is not supported'
-_TOGETHER: tuple[tuple[Path, str], ...] = (
+_TOGETHER: tuple[tuple[NodePath, str], ...] = (
     (("goal",), "a goal"),
     (("world", "terrain"), "terrain"),
     (("reset", "require"), "`require`"),
@@ -215,7 +214,7 @@ class Actions:
         self._parts[name] = ActionRange(name, components, low, high, str(ends.dimension))
         return Symbol(name, Type(ends.dimension, components or None, interval=Interval(low, high), stage=Stage.STEP))
 
-    def _group(self, reference: str, place: Path) -> Components | None:
+    def _group(self, reference: str, place: NodePath) -> Components | None:
         """The members of a group of joints or links, or the joints of an actuator; None after a finding."""
         robot_name, _, rest = reference.partition(".")
         robot = self._namespace.robots.get(robot_name)
@@ -464,7 +463,7 @@ class Decisions:
         self._names = list(namespace.scenario.action)
         self._called = ""
 
-    def read(self, place: Path, given: Mapping[str, object], called: str) -> tuple[ScriptedChoice | ScriptedRange, ...] | None:
+    def read(self, place: NodePath, given: Mapping[str, object], called: str) -> tuple[ScriptedChoice | ScriptedRange, ...] | None:
         """The decisions at `place`, which findings call `called`; None after a finding."""
         self._called = called
         for part in given:
@@ -488,7 +487,7 @@ class Decisions:
             case _:
                 return None
 
-    def _decision(self, place: Path, part: Choices | ActionRange, given: object) -> ScriptedChoice | ScriptedRange | None:
+    def _decision(self, place: NodePath, part: Choices | ActionRange, given: object) -> ScriptedChoice | ScriptedRange | None:
         if isinstance(part, ActionRange):
             if isinstance(given, dict):
                 return self._aims(place, part, given)
@@ -496,7 +495,7 @@ class Decisions:
             return None if aim is None else ScriptedRange((aim,), max(1, len(part.components)))
         return self._pick(place, part, given) if isinstance(given, dict) else self._option(place, part, str(given))
 
-    def _aims(self, place: Path, part: ActionRange, given: Mapping[str, object]) -> ScriptedRange | None:
+    def _aims(self, place: NodePath, part: ActionRange, given: Mapping[str, object]) -> ScriptedRange | None:
         """A value for each component by its name."""
         key = self._values.key_span(place)
         if not part.components:
@@ -515,7 +514,7 @@ class Decisions:
         found = tuple(aim for aim in aims if aim is not None)
         return ScriptedRange(found, len(part.components)) if len(found) == len(part.components) else None
 
-    def _aim(self, place: Path, part: ActionRange, given: object, components: Components | None) -> Expression | None:
+    def _aim(self, place: NodePath, part: ActionRange, given: object, components: Components | None) -> Expression | None:
         """A value of the dimension of the range, which may be a vector of these components."""
         known = self._namespace.resolve(part.name)
         text = self._values.text(place, given)
@@ -526,7 +525,7 @@ class Decisions:
         fitted = expect(typed, report, f"`{place[-1]}`", dimension=dimension, components=components)
         return fitted and text.expression(fitted, part.name)
 
-    def _option(self, place: Path, part: Choices, word: str) -> ScriptedChoice | None:
+    def _option(self, place: NodePath, part: Choices, word: str) -> ScriptedChoice | None:
         """The same option always."""
         span, options = self._values.span(place), [option.name for option in part.options]
         if not _WORD.fullmatch(word):
@@ -538,7 +537,7 @@ class Decisions:
             return ScriptedChoice((), word)
         return None
 
-    def _pick(self, place: Path, part: Choices, given: Mapping[str, object]) -> ScriptedChoice | None:
+    def _pick(self, place: NodePath, part: Choices, given: Mapping[str, object]) -> ScriptedChoice | None:
         """The first option whose condition holds; one of the conditions must hold always, and nothing stands behind it."""
         if len(given) > MAX_CONDITIONS:
             self._values.findings.add("DB005", self._values.key_span(place), f"more than {MAX_CONDITIONS} conditions")
@@ -567,7 +566,7 @@ class Decisions:
             )
         return ScriptedChoice(tuple(branches[:always]), otherwise)
 
-    def _condition(self, place: Path, given: object) -> Expression | None:
+    def _condition(self, place: NodePath, given: object) -> Expression | None:
         text = self._values.text(place, given)
         typed = self._values.condition(text, self._scope)
         return typed and text.expression(typed)

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 from deepbots_cli.compiler.values import Text, Values
 from deepbots_cli.diagnostics import Edit, Findings, Fix, Span
 from deepbots_cli.document import Document, files, shipped
-from deepbots_cli.document.nodes import Mapping as MappingNode
-from deepbots_cli.document.nodes import descend
+from deepbots_cli.document.nodes import MappingNode, descend
 from deepbots_cli.expressions import intervals, syntax
 from deepbots_cli.expressions.dimensions import ANGLE, FORCE, LENGTH, MASS, NUMBER, TIME, TORQUE, UNITS, Dimension, Unit
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval, exact
@@ -407,7 +406,7 @@ def load_robot(name: str, spec: RobotSpec, namespace: Namespace) -> RobotScene |
         return None
     resolve_mesh = meshes.mesh_resolver(file_at.parent, (*document.roots, *meshes.package_folders(spec.urdf)))
     found = Findings()
-    file = read(file_at, files.display(file_at), found, resolve_mesh=resolve_mesh)
+    file = read(file_at, files.display_path(file_at), found, resolve_mesh=resolve_mesh)
     if file is None:
         _tell(found, values, ())
         return None
@@ -433,7 +432,7 @@ def located(reference: str, span: Span, document: Document, values: Values, *, r
             help = "the package must be installed and contain this file"
             values.findings.add("DB204", span, f"`{reference}` does not exist", help=help)
         return found
-    beside = files.resolve(reference, document.directory_of(span), document.roots)
+    beside = files.resolve_reference(reference, document.directory_of(span), document.roots)
     if isinstance(beside, FilePath):
         return beside
     by_name = shipped.robot_path(reference) if robot else None

@@ -10,7 +10,7 @@ from typing import Any
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.robots import RobotScene, hull, joint_dimension
 from deepbots_cli.compiler.values import Values
-from deepbots_cli.document.nodes import Path
+from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import LENGTH, NUMBER, TIME, Dimension
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
 from deepbots_cli.expressions.types import Components, Kind, Stage, Symbol, Type
@@ -334,7 +334,7 @@ def _range(namespace: Namespace, spec: SensorSpec, known: Type) -> tuple[tuple[f
     return (ends.low, ends.high) if ends else ((), ())
 
 
-def _owner(path: Path, field: str) -> OfSensor:
+def _owner(path: NodePath, field: str) -> OfSensor:
     return OfSensor(str(path[1]), str(path[3]), field)
 
 

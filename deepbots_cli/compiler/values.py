@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 
 from deepbots_cli.diagnostics import Findings, Fix, Label, Span
 from deepbots_cli.diagnostics.nearest import Replacement, nearest_word, suggest_replacement
-from deepbots_cli.document.nodes import Mapping, Node, Path, Scalar, descend, to_data
-from deepbots_cli.document.nodes import Sequence as SequenceNode
+from deepbots_cli.document.nodes import MappingNode, Node, NodePath, ScalarNode, SequenceNode, descend, to_data
 from deepbots_cli.expressions import check, parser, syntax
 from deepbots_cli.expressions.dimensions import Dimension
 from deepbots_cli.expressions.lower import constant
@@ -42,7 +41,7 @@ _OF_NAMES = frozenset({"parameters", "augment", "signals", "success", "failure"}
 _REACH = 200  # how far before a finding its key may stand, in characters
 
 
-def invalid_names(root: Mapping, pruned: Iterable[Path], found: Iterable[Span]) -> set[str]:
+def invalid_names(root: MappingNode, pruned: Iterable[NodePath], found: Iterable[Span]) -> set[str]:
     """The names in what the schema took out of `root`, and the keys at and right before the findings `found`."""
     names: set[str] = set()
     data = to_data(root)
@@ -51,7 +50,7 @@ def invalid_names(root: Mapping, pruned: Iterable[Path], found: Iterable[Span]) 
         if steps == len(path):
             near = replacement_for(data, path)
             names.update([key.text] if key else [], [near.text] if near else [], _names(node))
-            if path[-1:] and path[-1] in _OF_NAMES and not isinstance(node, Mapping):
+            if path[-1:] and path[-1] in _OF_NAMES and not isinstance(node, MappingNode):
                 names.add(ANY)
     for span in found:
         before = _KEY_BEFORE.search(span.source.text, max(0, span.start - _REACH), span.start)
@@ -63,13 +62,13 @@ def invalid_names(root: Mapping, pruned: Iterable[Path], found: Iterable[Span]) 
 def _names(node: Node) -> Iterator[str]:
     """All keys below `node`, and the items of its lists."""
     match node:
-        case Mapping():
+        case MappingNode():
             for name, entry in node.entries.items():
                 yield name
                 yield from _names(entry.value)
         case SequenceNode():
             for item in node.items:
-                yield from [item.text] if isinstance(item, Scalar) else _names(item)
+                yield from [item.text] if isinstance(item, ScalarNode) else _names(item)
 
 
 class Text(NamedTuple):
@@ -78,7 +77,7 @@ class Text(NamedTuple):
     text: str
     part: Callable[[int, int], Span]
     kind: FieldType | None = None
-    path: Path = ()
+    path: NodePath = ()
 
     @property
     def owner(self) -> str:
@@ -133,18 +132,18 @@ class Values:
     is kept in `readings`, for editors.
     """
 
-    def __init__(self, root: Mapping, findings: Findings, kinds: Table[Path, FieldType], invalid: Iterable[str] = ()) -> None:
+    def __init__(self, root: MappingNode, findings: Findings, kinds: Table[NodePath, FieldType], invalid: Iterable[str] = ()) -> None:
         self.root = root
         self.findings = findings
         self.readings: list[Reading] = []
         self._kinds = kinds
         self._invalid = set(invalid)
 
-    def span(self, path: Path) -> Span:
+    def span(self, path: NodePath) -> Span:
         """Where the value at `path` stands, or the nearest thing around it."""
         return descend(self.root, path)[0].span
 
-    def key_span(self, path: Path) -> Span:
+    def key_span(self, path: NodePath) -> Span:
         """Where the key at the end of `path` stands; the value where there is none, and of the whole file its first line."""
         node, key, _ = descend(self.root, path)
         if key is None and node is self.root:
@@ -152,10 +151,10 @@ class Values:
             return node.span if end < 0 else Span(node.span.source, node.span.start, end)
         return key.span if key else node.span
 
-    def text(self, path: Path, default: object = None) -> Text:
+    def text(self, path: NodePath, default: object = None) -> Text:
         """The text at `path`; one that the file leaves out is placed at what surrounds it."""
         node, _, steps = descend(self.root, path)
-        if steps == len(path) and isinstance(node, Scalar):
+        if steps == len(path) and isinstance(node, ScalarNode):
             return Text(node.text, node.part, self._kinds.get(path), path)
         span = node.span
         return Text(str(default), lambda _start, _end: span, None, path)
@@ -168,14 +167,14 @@ class Values:
         text, kind = self.text((*section.path, *steps), value), fields(type(section))[str(steps[0])]
         return text if text.kind or not isinstance(kind, FieldType) else text._replace(kind=kind)
 
-    def key_text(self, path: Path) -> Text:
+    def key_text(self, path: NodePath) -> Text:
         """The text of the key at the end of `path`."""
         key = descend(self.root, path)[1]
         return Text(key.text, key.part, None, path) if key else self.text(path, path[-1])
 
     # Names
 
-    def report_duplicate(self, path: Path, name: str, what: str, first: Path) -> None:
+    def report_duplicate(self, path: NodePath, name: str, what: str, first: NodePath) -> None:
         """A finding that the key at `path` defines a `name` that is already `what`, since `first`."""
         also = (Label(self.key_span(first), "first defined here"),)
         self.findings.add("DB202", self.key_span(path), f"`{name}` is already {what}", help="choose another name", labels=also)
@@ -184,7 +183,7 @@ class Values:
         """Note that the definition of `name` had a finding."""
         self._invalid.add(name)
 
-    def is_present(self, path: Path) -> bool:
+    def is_present(self, path: NodePath) -> bool:
         """Whether the scenario holds this key, be its value right or not."""
         return descend(self.root, path)[2] == len(path)
 

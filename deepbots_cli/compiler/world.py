@@ -12,7 +12,7 @@ from typing import Any, cast, get_args
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.robots import RobotScene, located
 from deepbots_cli.diagnostics import Edit, Fix
-from deepbots_cli.document.nodes import Path
+from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import LENGTH
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import lower, op
@@ -116,7 +116,7 @@ def mesh(namespace: Namespace, spec: world_spec.Mesh | world_spec.MeshTerrain) -
     return made if _is_sensible(namespace, place, found, made) else None
 
 
-def _is_sensible(namespace: Namespace, place: Path, file: FilePath, mesh: Mesh) -> bool:
+def _is_sensible(namespace: Namespace, place: NodePath, file: FilePath, mesh: Mesh) -> bool:
     """Whether an engine can hold so many triangles; a size that is hardly meant is a warning."""
     findings, span = namespace.values.findings, namespace.values.span(place)
     measured = mesh_size(file.suffix.lower(), file.read_bytes())
@@ -134,7 +134,7 @@ def _is_sensible(namespace: Namespace, place: Path, file: FilePath, mesh: Mesh) 
     return code != "DB105"
 
 
-def picture(namespace: Namespace, path: Path, reference: str) -> tuple[str, str] | None:
+def picture(namespace: Namespace, path: NodePath, reference: str) -> tuple[str, str] | None:
     """The path and the digest of a grey picture; None after a finding."""
     span = namespace.values.span(path)
     found = located(reference, span, namespace.document, namespace.values)
@@ -437,7 +437,7 @@ def _check_timestep(timestep: float, spec: world_spec.World, namespace: Namespac
 
 def _check_bodies(robots: int, objects: int, pieces: int, namespace: Namespace) -> None:
     """DB005 for more bodies than a world may have, each variant of each copy among them."""
-    counts: dict[Path, int] = {("robots",): robots, ("objects",): objects, ("world", "walls"): pieces}
+    counts: dict[NodePath, int] = {("robots",): robots, ("objects",): objects, ("world", "walls"): pieces}
     if sum(counts.values()) > MAX_BODIES:
         span = namespace.values.key_span(max(counts, key=lambda section: counts[section]))
         headline = f"the world has {sum(counts.values()):,} robots, objects and pieces of walls; the limit is {MAX_BODIES}"

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from deepbots_cli import footprint
 from deepbots_cli.diagnostics import Finding, Label
-from deepbots_cli.document.nodes import Path
+from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import LENGTH, TIME
 from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, TRUTH, Interval, hull
 from deepbots_cli.expressions.scalar import Name, Op, Scalar, World
@@ -287,7 +287,7 @@ def after_the_end(context: RuleContext) -> Iterator[Finding]:
             yield Finding("DB811", context.values.span(path), headline, help="write a shorter time, or longer episodes under `truncation`")
 
 
-def _delays(analysis: Analysis) -> Iterator[tuple[str, float, Path]]:
+def _delays(analysis: Analysis) -> Iterator[tuple[str, float, NodePath]]:
     """Events that come with a delay, the smallest delay (s), and its place."""
     program = analysis.program
 

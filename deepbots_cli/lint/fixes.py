@@ -17,7 +17,7 @@ from deepbots_cli.compiler import Checked
 from deepbots_cli.diagnostics import Edit, Finding, Findings, Source
 from deepbots_cli.document import files, shipped
 from deepbots_cli.document.load import NO_DRAFTS, Drafts
-from deepbots_cli.document.nodes import Mapping, enclosing_entry, to_data
+from deepbots_cli.document.nodes import MappingNode, enclosing_entry, to_data
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
 from deepbots_cli.lint import review
@@ -55,7 +55,7 @@ class Linted:
 
     findings: Sequence[Finding]
     files: dict[Path, Source]
-    root: Mapping | None
+    root: MappingNode | None
     compiled: bool
 
     @cached_property
@@ -216,7 +216,7 @@ def _keeps_values(source: Source, edits: Iterable[Edit]) -> bool:
     return before is not None and after is not None and to_data(before) == to_data(after)
 
 
-def _outside(added: Iterable[Finding], root: Mapping, edits: Iterable[Edit]) -> list[Finding]:
+def _outside(added: Iterable[Finding], root: MappingNode, edits: Iterable[Edit]) -> list[Finding]:
     """The new errors that are not within an edited entry of the document `root`."""
     entries = []
     shift: Counter[Source] = Counter()

@@ -7,7 +7,7 @@ from math import nextafter
 from typing import NamedTuple
 
 from deepbots_cli.diagnostics import Finding, Label
-from deepbots_cli.document.nodes import Path
+from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.intervals import INF, NEVER, TRUTH, Interval
 from deepbots_cli.expressions.scalar import Name, Op, Scalar, State, walk
 from deepbots_cli.expressions.types import Constant, Invocation, Operation, Reference, Typed, children
@@ -531,7 +531,7 @@ def return_out_of_reach(context: RuleContext) -> Iterator[Finding]:
             yield Finding("DB810", context.values.span(path), headline, help=help)
 
 
-def _wanted_returns(context: RuleContext) -> Iterator[tuple[Analysis, float, Path]]:
+def _wanted_returns(context: RuleContext) -> Iterator[tuple[Analysis, float, NodePath]]:
     """The mean returns that the scenario asks for, each with the version of the scenario and its place."""
     program = context.program
     if program.solved is not None and program.solved.mean_return is not None:

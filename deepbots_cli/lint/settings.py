@@ -62,9 +62,9 @@ def settings(folder: Path | None = None) -> Settings:
     for name, keys in _TABLES:
         path = root / name
         if path.is_file() and (data := _read(path)) and (name == "deepbots.toml" or _TOOL.search(data)):
-            table = _table(data, files.display(path), keys)
+            table = _table(data, files.display_path(path), keys)
             if table is not None:
-                return _settings(root, table, Source(files.display(path), data.decode()))
+                return _settings(root, table, Source(files.display_path(path), data.decode()))
     return Settings(root)
 
 
@@ -73,9 +73,9 @@ def _read(path: Path) -> bytes:
         with path.open("rb") as file:
             data = file.read(_MAX_BYTES + 1)
     except OSError as error:
-        raise UsageError(f"{files.display(path)} cannot be read: {(error.strerror or 'no reason given').lower()}") from None
+        raise UsageError(f"{files.display_path(path)} cannot be read: {(error.strerror or 'no reason given').lower()}") from None
     if len(data) > _MAX_BYTES:
-        raise UsageError(f"{files.display(path)} is larger than the limit of {_MAX_BYTES >> 10} KiB")
+        raise UsageError(f"{files.display_path(path)} is larger than the limit of {_MAX_BYTES >> 10} KiB")
     return data
 
 

@@ -17,7 +17,7 @@ from deepbots_cli.compiler.inventory import action_at, definition, names
 from deepbots_cli.compiler.namespace import ParameterScope, RobotScope, SupervisorScope
 from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.document import shipped
-from deepbots_cli.document.nodes import Path
+from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions import parser, syntax
 from deepbots_cli.expressions.check import check
 from deepbots_cli.expressions.dimensions import UNITS, Unit
@@ -189,7 +189,7 @@ def _word_choices(view: View, data: Any) -> Iterator[Choice]:
             yield from _field_choices(view, shape, path)
 
 
-def _field_choices(view: View, field: FieldType, path: Path) -> Iterator[Choice]:
+def _field_choices(view: View, field: FieldType, path: NodePath) -> Iterator[Choice]:
     match field:
         case Word(words=words):
             yield from _words(words, "a word of the language")
@@ -216,7 +216,7 @@ def _words(words: Iterable[str], detail: str) -> Iterator[Choice]:
     return (Choice(word, CompletionItemKind.EnumMember, detail) for word in words)
 
 
-def _named(view: View, field: FieldType, path: Path) -> Iterator[Choice]:
+def _named(view: View, field: FieldType, path: NodePath) -> Iterator[Choice]:
     """The names that a reference may take."""
     if isinstance(field, (Reference, Pattern)):
         known = names(view.checked, field.kind, path) if view.checked is not None else ()
@@ -286,7 +286,7 @@ def _is_expression(field: FieldType) -> bool:
     return isinstance(field, (Expression, Quantity, Range, Column))
 
 
-def _scope_of(analysis: Analysis, field: FieldType, path: Path) -> Scope | None:
+def _scope_of(analysis: Analysis, field: FieldType, path: NodePath) -> Scope | None:
     """The scope of an expression at `path` in a field of this type."""
     checked = analysis.checked
     if checked is None or checked.namespace is None:
@@ -457,7 +457,7 @@ def _open_call(before: str) -> tuple[str, int] | None:
 
 # Names in the text, whether or not an analysis knows them
 
-_SECTIONS: dict[str, tuple[Path, ...]] = {
+_SECTIONS: dict[str, tuple[NodePath, ...]] = {
     "action": (("action",),),
     "layout": (("reset", "layouts"),),
     "robot": (("robots",),),
@@ -477,7 +477,7 @@ _SECTIONS: dict[str, tuple[Path, ...]] = {
 _ROBOT_SECTIONS = {"sensor": ("sensors",), "actuator": ("actuators",), "value on board": ("sensors", "receive")}
 
 
-def _names_in_text(kind: str, path: Path, data: Any) -> Iterator[str]:
+def _names_in_text(kind: str, path: NodePath, data: Any) -> Iterator[str]:
     """The names in `data` that a reference of this kind may name at `path`."""
     for section in _sections(kind, path):
         found = value_at(data, section)
@@ -488,12 +488,12 @@ def _names_in_text(kind: str, path: Path, data: Any) -> Iterator[str]:
         yield from (f"{robot}.{name}" for name in sent if isinstance(name, str) and name) if isinstance(sent, (dict, list)) else ()
 
 
-def _defines(path: Path, name: str) -> bool:
+def _defines(path: NodePath, name: str) -> bool:
     """Whether `path` is the definition of the name, which cannot refer to itself."""
     return path[:-1] in _SECTIONS["value"] and path[-1] == name
 
 
-def _sections(kind: str, path: Path) -> tuple[Path, ...]:
+def _sections(kind: str, path: NodePath) -> tuple[NodePath, ...]:
     if kind in ("choice", "option"):
         named = action_at(path)
         return (("action", named, "choices"),) if named else ()

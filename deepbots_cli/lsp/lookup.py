@@ -15,10 +15,9 @@ from deepbots_cli.compiler.namespace import RobotScope
 from deepbots_cli.compiler.values import Reading, Text
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.diagnostics.registry import RULES
-from deepbots_cli.document import Entry, Mapping, Scalar, descend, shipped
-from deepbots_cli.document.files import resolve
-from deepbots_cli.document.nodes import Path as KeyPath
-from deepbots_cli.document.nodes import follow_dotted
+from deepbots_cli.document import Entry, MappingNode, ScalarNode, descend, shipped
+from deepbots_cli.document.files import resolve_reference
+from deepbots_cli.document.nodes import NodePath, follow_dotted
 from deepbots_cli.expressions import parser, syntax
 from deepbots_cli.expressions.check import check
 from deepbots_cli.expressions.dimensions import UNITS
@@ -37,7 +36,7 @@ from deepbots_cli.scenario.scenario import Scenario
 _OPTION = Reference("option")
 
 
-def shapes_at(path: KeyPath, data: Any) -> list[Shape]:
+def shapes_at(path: NodePath, data: Any) -> list[Shape]:
     """Every shape that the schema allows at `path`; several while the data does not decide between the forms of a value."""
     found = list(dict.fromkeys(_shapes(Scenario, data, path)))
     # A rule of a script, or an action of a test, gives an expression or an option of the action; the schema cannot tell the two apart.
@@ -45,12 +44,12 @@ def shapes_at(path: KeyPath, data: Any) -> list[Shape]:
     return [_OPTION, *found] if of_test or (path[:1] == ("scripts",) and len(path) == 3) else found
 
 
-def field_types_at(path: KeyPath, data: Any) -> list[FieldType]:
+def field_types_at(path: NodePath, data: Any) -> list[FieldType]:
     """The field types that the schema allows at `path`."""
     return [shape for shape in shapes_at(path, data) if isinstance(shape, FieldType)]
 
 
-def section_of(path: KeyPath, data: Any) -> type[Section] | None:
+def section_of(path: NodePath, data: Any) -> type[Section] | None:
     """The section that defines the last key of `path`; None for a name that the user chose."""
     if not path or not isinstance(path[-1], str):
         return None
@@ -61,7 +60,7 @@ def section_of(path: KeyPath, data: Any) -> type[Section] | None:
     return None
 
 
-def _shapes(shape: Shape, data: Any, path: KeyPath) -> Iterator[Shape]:
+def _shapes(shape: Shape, data: Any, path: NodePath) -> Iterator[Shape]:
     if isinstance(shape, Forms):
         for option in _forms(shape, data, bool(path)):
             yield from _shapes(option, data, path)
@@ -155,7 +154,7 @@ class ExpressionNode(NamedTuple):
 class KeyOrValue(NamedTuple):
     """A key or a value at a path of the scenario; `start` and `end` are offsets in the current text."""
 
-    path: KeyPath
+    path: NodePath
     text: str
     start: int
     end: int
@@ -284,7 +283,7 @@ def _located(view: View, reference: str, *, robots: bool) -> Path | None:
     """The file that a reference names; None if no such file exists or the scenario may not read it."""
     if reference.startswith("package://"):
         return meshes.package_file(reference)
-    found = resolve(reference, view.document.path.parent, view.roots)
+    found = resolve_reference(reference, view.document.path.parent, view.roots)
     if isinstance(found, Path):
         return found
     return shipped.robot_path(reference) if robots else None
@@ -317,7 +316,7 @@ def _by_reference(view: View, found: KeyOrValue) -> list[Span]:
     return []
 
 
-def _setting(root: Mapping, text: str) -> list[Span]:
+def _setting(root: MappingNode, text: str) -> list[Span]:
     """The key at the dotted path of a setting."""
     steps, _, rest = follow_dotted(root, text)
     key = descend(root, steps)[1] if steps and not rest else None
@@ -346,14 +345,14 @@ _SECTIONS = {
 def document_symbols(document: Document) -> list[types.DocumentSymbol]:
     """The keys of a document in the order of the file; empty if the document cannot be parsed."""
     _, root, _ = document.read()
-    return list(_symbols(document, root, "", _DEPTH)) if isinstance(root, Mapping) else []
+    return list(_symbols(document, root, "", _DEPTH)) if isinstance(root, MappingNode) else []
 
 
-def _symbols(document: Document, mapping: Mapping, section: str, depth: int) -> Iterator[types.DocumentSymbol]:
+def _symbols(document: Document, mapping: MappingNode, section: str, depth: int) -> Iterator[types.DocumentSymbol]:
     for name, entry in mapping.entries.items():
         inner = entry.value
-        is_here = isinstance(inner, Mapping) and inner.span.start >= entry.key.span.start  # the value of an alias lies elsewhere
-        below = list(_symbols(document, inner, name, depth - 1)) if isinstance(inner, Mapping) and is_here and depth > 1 else []
+        is_here = isinstance(inner, MappingNode) and inner.span.start >= entry.key.span.start  # the value of an alias lies elsewhere
+        below = list(_symbols(document, inner, name, depth - 1)) if isinstance(inner, MappingNode) and is_here and depth > 1 else []
         kind = types.SymbolKind.Namespace if below else types.SymbolKind.Property
         yield _document_symbol(document, entry, _SECTIONS.get(section, kind), below)
 
@@ -489,7 +488,7 @@ def _defined_name_text(view: View, found: KeyOrValue) -> str | None:
         own = next((board.own[found.text] for board in boards if board.robot == found.path[1] and found.text in board.own), None)
         return f"`{found.text}`: a sensor, {describe_symbol(own)}" if own is not None else None
     node, _, steps = descend(checked.document.root, found.path)
-    if steps < len(found.path) or not isinstance(node, Scalar):
+    if steps < len(found.path) or not isinstance(node, ScalarNode):
         return None
     span = node.part(0, len(node.text))
     read = next((reading for reading in view.analysis.readings if reading.trees and reading.text.span == span), None)

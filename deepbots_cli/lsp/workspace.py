@@ -24,11 +24,10 @@ from deepbots_cli.compiler import Checked, check
 from deepbots_cli.compiler.values import Reading
 from deepbots_cli.diagnostics import Finding, Findings, Source, Span
 from deepbots_cli.diagnostics.findings import Selection
-from deepbots_cli.document import Mapping, descend, files, load, to_data
+from deepbots_cli.document import MappingNode, descend, files, load, to_data
 from deepbots_cli.document.files import project_root
 from deepbots_cli.document.load import Drafts
-from deepbots_cli.document.nodes import Node
-from deepbots_cli.document.nodes import Path as KeyPath
+from deepbots_cli.document.nodes import Node, NodePath
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
 from deepbots_cli.lint import review
@@ -280,7 +279,7 @@ class View:
         given = set(before) if isinstance(before, dict) else set()
         if self.checked is not None and self.checked.document.root is not None:
             node, _, steps = descend(self.checked.document.root, self.place.path)
-            if steps == len(self.place.path) and isinstance(node, Mapping):
+            if steps == len(self.place.path) and isinstance(node, MappingNode):
                 given |= {name for name, entry in node.entries.items() if self._is_elsewhere(entry.key.span)}
         return given
 
@@ -299,7 +298,7 @@ class View:
         return end is not None and now[max(0, start) : end] == span.text and not start <= self.offset <= end
 
     @cached_property
-    def _prefix(self) -> KeyPath:
+    def _prefix(self) -> NodePath:
         """The path in the scenario at which an included document is merged."""
         if self.document.is_scenario or self.source is None or self.checked is None:
             return ()
@@ -397,9 +396,9 @@ def common_prefix(one: str, other: str) -> int:
     return bisect_left(range(min(len(one), len(other))), True, key=lambda index: one[: index + 1] != other[: index + 1])
 
 
-def _include_path(node: Node | None, source: Source, path: KeyPath = ()) -> KeyPath:
+def _include_path(node: Node | None, source: Source, path: NodePath = ()) -> NodePath:
     """The path of the mapping into which `source` was included, found by the first key that comes from it."""
-    if isinstance(node, Mapping):
+    if isinstance(node, MappingNode):
         for entry in node.entries.values():
             if entry.key.span.source is source:
                 within = place(source.text, entry.key.span.end).path
@@ -410,7 +409,7 @@ def _include_path(node: Node | None, source: Source, path: KeyPath = ()) -> KeyP
     return ()
 
 
-def _nested(data: Any, path: KeyPath) -> Any:
+def _nested(data: Any, path: NodePath) -> Any:
     for step in reversed(path):
         data = {step: data}
     return data

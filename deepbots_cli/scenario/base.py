@@ -34,7 +34,7 @@ from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, cor
 
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.document import nodes
-from deepbots_cli.document.nodes import Path
+from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.document.parse import parse
 from deepbots_cli.scenario.fields import (
     MEASURES,
@@ -89,10 +89,10 @@ class Section(BaseModel):
     identifying_keys: ClassVar[frozenset[str]] = frozenset()
     """Keys that distinguish this form from other forms that are mappings."""
 
-    _path: Path = PrivateAttr(())
+    _path: NodePath = PrivateAttr(())
 
     @property
-    def path(self) -> Path:
+    def path(self) -> NodePath:
         """The place of the section in its file."""
         return self._path
 
@@ -348,7 +348,7 @@ def shape_of(annotation: Any, metadata: tuple[Any, ...] = ()) -> Shape:
 # Walking
 
 
-def set_paths(value: object, path: Path = ()) -> None:
+def set_paths(value: object, path: NodePath = ()) -> None:
     """Set the paths of `value` and of all sections below it."""
     if isinstance(value, Section):
         value._path = path
@@ -363,7 +363,7 @@ def set_paths(value: object, path: Path = ()) -> None:
         set_paths(item, (*path, step))
 
 
-def visit(section: Section, path: Path = ()) -> Iterator[tuple[Path, FieldType, object]]:
+def visit(section: Section, path: NodePath = ()) -> Iterator[tuple[NodePath, FieldType, object]]:
     """Yield the path, the field type and the written value of every single value in a validated section.
 
     A key that the user chose comes before the values of its entry, with the path of the entry, the field type of keys, and the key
@@ -374,7 +374,7 @@ def visit(section: Section, path: Path = ()) -> Iterator[tuple[Path, FieldType, 
             yield from _visit(shape, getattr(section, name), (*path, name))
 
 
-def _visit(shape: Shape, value: object, path: Path) -> Iterator[tuple[Path, FieldType, object]]:
+def _visit(shape: Shape, value: object, path: NodePath) -> Iterator[tuple[NodePath, FieldType, object]]:
     if isinstance(value, Section):
         yield from visit(value, path)
         return
@@ -409,7 +409,7 @@ def chosen_shape(shape: Shape, data: object) -> Shape | None:
             return shape
 
 
-def shape_at(shape: Shape, data: object, path: Path, *, choose: bool = True) -> Shape | None:
+def shape_at(shape: Shape, data: object, path: NodePath, *, choose: bool = True) -> Shape | None:
     """The shape of the value at `path` in raw data; None if the language does not know the path.
 
     Unless `choose`, the result may be a union of forms or kinds.
@@ -556,4 +556,4 @@ def examples() -> Mapping[str, Mapping[str, Example]]:
 
 
 def _entries(node: nodes.Node) -> tuple[nodes.Entry, ...]:
-    return tuple(node.entries.values()) if isinstance(node, nodes.Mapping) else ()
+    return tuple(node.entries.values()) if isinstance(node, nodes.MappingNode) else ()

@@ -5,7 +5,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, PrivateAttr
 
-from deepbots_cli.document.nodes import Path
+from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.message_formats import FORMATS
 from deepbots_cli.scenario.actuators import AnyActuator, JointPosition
 from deepbots_cli.scenario.base import FORMS, KeyCount, Many, Section, Size, visit
@@ -558,10 +558,10 @@ class Scenario(Section):
     tests: dict[LocalName, ScenarioTest] = {}
     """Tests by names of your choice, which `deepbots test` runs: who acts, and the expected result."""
 
-    _pruned: frozenset[Path] = PrivateAttr(frozenset())
+    _pruned: frozenset[NodePath] = PrivateAttr(frozenset())
 
     @property
-    def pruned(self) -> frozenset[Path]:
+    def pruned(self) -> frozenset[NodePath]:
         """The paths that `validate` removed because they had findings; their names are known, their values are not."""
         return self._pruned
 

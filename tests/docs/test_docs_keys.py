@@ -16,8 +16,8 @@ from deepbots_cli.compiler import Checked, check
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.document import Document, load, loads
 from deepbots_cli.document.load import merge
-from deepbots_cli.document.nodes import Entry, Mapping, Node, Path, descend, to_data, walk, without
-from deepbots_cli.document.nodes import replace as replaced
+from deepbots_cli.document.nodes import Entry, MappingNode, Node, NodePath, descend, to_data, walk, without_paths
+from deepbots_cli.document.nodes import with_entry as replaced
 from deepbots_cli.scenario import Scenario
 from deepbots_cli.scenario.base import Section, example_of, examples, fields, sections, shape_at
 from deepbots_cli.scenario.training import ALGORITHMS, Training
@@ -45,7 +45,7 @@ class Place(NamedTuple):
     """A part in a scenario that stands there with these keys."""
 
     document: Document
-    path: Path
+    path: NodePath
     part: type[Section]
     keys: frozenset[str]
 
@@ -67,7 +67,7 @@ def places() -> tuple[Place, ...]:
         assert document.root is not None
         data = to_data(document.root)
         for path, node in walk(document.root):
-            if isinstance(node, Mapping) and isinstance(part := shape_at(Scenario, data, path), type):
+            if isinstance(node, MappingNode) and isinstance(part := shape_at(Scenario, data, path), type):
                 found.append(Place(document, path, part, frozenset(node.entries)))
     return tuple(found)
 
@@ -92,16 +92,16 @@ def excluded(place: Place, key: Key) -> set[str]:
 def with_example(place: Place, key: Key) -> Checked:
     """The scenario with the example in this place, merged as a file that extends it would."""
     assert place.document.root is not None
-    root: Node = without(place.document.root, [(*place.path, other) for other in excluded(place, key)])
+    root: Node = without_paths(place.document.root, [(*place.path, other) for other in excluded(place, key)])
     here, _, _ = descend(root, place.path)
-    assert isinstance(here, Mapping)
+    assert isinstance(here, MappingNode)
     example = example_of(place.part, key.name)
     assert example is not None
     entry = example.entry
     old = here.get(key.name)
-    value = merge(old, entry.value, key.name) if isinstance(old, Mapping) and isinstance(entry.value, Mapping) else entry.value
+    value = merge(old, entry.value, key.name) if isinstance(old, MappingNode) and isinstance(entry.value, MappingNode) else entry.value
     changed = replaced(root, (*place.path, key.name), Entry(entry.key, value))
-    assert isinstance(changed, Mapping)
+    assert isinstance(changed, MappingNode)
     return check(replace(place.document, root=changed, findings=Findings(), base=place.document.path.parent))
 
 

@@ -11,7 +11,7 @@ from lsprotocol.types import Position
 from pygls.workspace import PositionCodec
 
 from deepbots_cli.diagnostics import Findings, Source
-from deepbots_cli.document import Mapping, Scalar, walk
+from deepbots_cli.document import MappingNode, ScalarNode, walk
 from deepbots_cli.document.parse import parse
 from deepbots_cli.lsp.cursor import place
 from deepbots_cli.lsp.workspace import Lines
@@ -57,12 +57,12 @@ def test_the_reader_of_broken_text_finds_the_paths_that_the_parser_finds(file):
     root = parse(Source(file.name, text), Findings())
     seen = set()
     for path, node in walk(root):
-        if isinstance(node, Scalar) and node.span not in seen:  # what an alias repeats stands in one place
+        if isinstance(node, ScalarNode) and node.span not in seen:  # what an alias repeats stands in one place
             seen.add(node.span)
             found = place(text, node.span.end)
             assert found.path == path
             assert found.role == "value" or isinstance(path[-1], int)
-        for entry in node.entries.values() if isinstance(node, Mapping) else ():
+        for entry in node.entries.values() if isinstance(node, MappingNode) else ():
             if entry.key.span not in seen:
                 seen.add(entry.key.span)
                 found = place(text, entry.key.span.end)

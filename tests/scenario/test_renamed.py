@@ -11,7 +11,7 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.diagnostics import Edit, Findings, Source
 from deepbots_cli.diagnostics.nearest import RENAMES, Rename
-from deepbots_cli.document.nodes import Mapping, Scalar, to_data, walk
+from deepbots_cli.document.nodes import MappingNode, ScalarNode, to_data, walk
 from deepbots_cli.document.parse import parse
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.lint.fixes import Fixer
@@ -32,7 +32,7 @@ def renamed_in(path: Path) -> tuple[tuple[Edit, Rename], ...]:
     found = []
     for place, node in walk(root):
         section = shape_at(Scenario, to_data(root), place)
-        if isinstance(node, Mapping) and isinstance(section, type):
+        if isinstance(node, MappingNode) and isinstance(section, type):
             for key, entry in node.entries.items():
                 for rename in RENAMES:
                     if (
@@ -40,11 +40,11 @@ def renamed_in(path: Path) -> tuple[tuple[Edit, Rename], ...]:
                         and issubclass(section, MODELS[rename.section])
                         and not section.__name__ == "Camera" != rename.section
                     ):
-                        if rename.key == key and isinstance(entry.value, Scalar) and entry.value.text == rename.new:
+                        if rename.key == key and isinstance(entry.value, ScalarNode) and entry.value.text == rename.new:
                             found.append((Edit(entry.value.span, rename.old), rename))
                         elif not rename.key and rename.new == key:
                             found.append((Edit(entry.key.span, rename.old), rename))
-        elif isinstance(node, Scalar) and node.style == "plain":
+        elif isinstance(node, ScalarNode) and node.style == "plain":
             for rename in (rename for rename in RENAMES if not rename.section):
                 calls = re.finditer(rf"\b{rename.new}(?=\()", node.span.text)
                 found += [(Edit(node.part(call.start(), call.end()), rename.old), rename) for call in calls]

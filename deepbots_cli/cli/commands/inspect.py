@@ -14,7 +14,7 @@ from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Engine, Json, 
 from deepbots_cli.cli.sources import is_robot, opened, opened_robot
 from deepbots_cli.cli.tables import pairs, table
 from deepbots_cli.diagnostics import Source, Span
-from deepbots_cli.document import Mapping
+from deepbots_cli.document import MappingNode
 from deepbots_cli.document.load import with_settings_at
 from deepbots_cli.engine_kinds import chosen
 from deepbots_cli.errors import EngineError, EvaluationError, MissingExtraError, UsageError
@@ -83,7 +83,7 @@ def command(
     side = opened(scenario, sets or (), allow_paths or (), allow_code=allow_code, engine=engine)
     terminal.note_warnings(side.findings, scenario)
     program = with_case_or_stage(side.program, case, stage)
-    root = side.root if isinstance(side.root, Mapping) else Mapping(Span(Source(scenario, ""), 0, 0), {})
+    root = side.root if isinstance(side.root, MappingNode) else MappingNode(Span(Source(scenario, ""), 0, 0), {})
     if case is not None:
         root = with_settings_at(root, ("evaluation", "cases", case))
     elif stage is not None:

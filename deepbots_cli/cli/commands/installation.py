@@ -19,7 +19,7 @@ from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import Json
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import Row, table
-from deepbots_cli.document import Scalar, load, shipped
+from deepbots_cli.document import ScalarNode, load, shipped
 from deepbots_cli.errors import DeepbotsError, installing
 
 
@@ -38,7 +38,7 @@ def list_(as_json: Json = False) -> None:
         path = shipped.scenario_path(name)
         root = load(path).root if path else None
         summary = root.get("summary") if root else None
-        rows.append({"name": name, "summary": summary.text if isinstance(summary, Scalar) else ""})
+        rows.append({"name": name, "summary": summary.text if isinstance(summary, ScalarNode) else ""})
     if as_json:
         terminal.show_json({"scenarios": rows})
     else:

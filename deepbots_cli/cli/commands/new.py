@@ -23,8 +23,8 @@ from deepbots_cli.cli.sources import opened_robot
 from deepbots_cli.compiler.inventory import known
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.diagnostics.nearest import nearest_word
-from deepbots_cli.document import Scalar, files, shipped, walk
-from deepbots_cli.document.files import UnusableFile, project_root, resolve
+from deepbots_cli.document import ScalarNode, files, shipped, walk
+from deepbots_cli.document.files import UnusableFile, project_root, resolve_reference
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import unwritable
@@ -145,7 +145,7 @@ def _reference(robot: str, folder: Path) -> str:
     if robot.startswith("package://") or shipped.robot_path(robot) is not None:
         return robot
     path = os.path.relpath(Path(robot).resolve(), folder.resolve()).replace(os.sep, "/")
-    found = resolve(path, folder.resolve(), [project_root(folder), *shipped.data_roots()])
+    found = resolve_reference(path, folder.resolve(), [project_root(folder), *shipped.data_roots()])
     if isinstance(found, UnusableFile):
         raise UsageError(
             f"a scenario in {folder.resolve()} may not read {robot}, which {found.headline.partition('` ')[2]}; copy it into the folder"
@@ -240,14 +240,14 @@ def _rewritten(file: Path, text: str) -> tuple[bytes, list[Path]]:
     return text.encode(), needed[::-1]
 
 
-def _references(file: Path, text: str) -> Iterator[tuple[Scalar, Path]]:
+def _references(file: Path, text: str) -> Iterator[tuple[ScalarNode, Path]]:
     """Every value that names a shipped file, in file order: a path, or the name of a robot as the value of `urdf`."""
     root = parse(Source(file.name, text), Findings())
     if root is None:
         return
     for path, node in walk(root):
-        if isinstance(node, Scalar) and isinstance(node.value, str):
-            found = files.resolve(node.text, file.parent, shipped.data_roots())
+        if isinstance(node, ScalarNode) and isinstance(node.value, str):
+            found = files.resolve_reference(node.text, file.parent, shipped.data_roots())
             robot = shipped.robot_path(node.text) if path[-1:] == ("urdf",) else None
             if isinstance(found, Path):
                 yield node, found
