@@ -17,7 +17,7 @@ from deepbots_cli.cli.commands.explain import topics
 from deepbots_cli.diagnostics.nearest import RENAMES
 from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, TIME, UNITS
-from deepbots_cli.expressions.functions import ALLOWED, FUNCTIONS, Family, Function
+from deepbots_cli.expressions.functions import ALLOWED_FAMILIES, FUNCTIONS, Family, Function
 from deepbots_cli.expressions.types import Context, Kind
 from deepbots_cli.learning.defaults import OURS, library_defaults, library_of
 from deepbots_cli.lint import Page, every_page
@@ -266,7 +266,7 @@ def _functions() -> str:
         lines += [_function_row(function) for function in FUNCTIONS.values() if function.family is family]
     lines += ["", "## Where they may be called", "", f"| place | {' | '.join(_FAMILIES.values())} |", f"|---|{'---|' * len(_FAMILIES)}"]
     for context, place in _PLACES.items():
-        cells = ["yes" if family in ALLOWED[context] else "" for family in _FAMILIES]
+        cells = ["yes" if family in ALLOWED_FAMILIES[context] else "" for family in _FAMILIES]
         lines.append(f"| {place} | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 

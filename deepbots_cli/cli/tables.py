@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.expressions.lower import python
+from deepbots_cli.expressions.lower import to_python
 from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar, State, World
 
 Row = Mapping[str, object]
@@ -90,7 +90,7 @@ def cell(value: object) -> str:
 
 def formula(scalar: Scalar, digits: int = 12) -> str:
     """An expression as the language writes it, with figures in SI units and so many digits."""
-    return python(_rounded(scalar, digits), _read)
+    return to_python(_rounded(scalar, digits), _read)
 
 
 def _rounded(scalar: Scalar, digits: int) -> Scalar:
@@ -115,4 +115,4 @@ def _read(leaf: Name | World | State | Draw) -> str:
             return f"{function}({', '.join(subjects)})" + (f".{component}" if component else "")
         case State(name, args) | Draw(name, args):
             between = _BETWEEN.get(name, ", ") if isinstance(leaf, Draw) else ", "
-            return f"{name}({between.join(python(arg, _read) for arg in args)})"
+            return f"{name}({between.join(to_python(arg, _read) for arg in args)})"

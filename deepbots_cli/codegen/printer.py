@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from deepbots_cli.codegen.text import VARIABLES, Constants, Names, noted, quoted, tuple_code
 from deepbots_cli.expressions.functions import FUNCTIONS, Family, rotation
-from deepbots_cli.expressions.lower import SCALAR, Code, Target, applied, number
+from deepbots_cli.expressions.lower import SCALAR, Code, Target, number_code, operation_code
 from deepbots_cli.expressions.scalar import Const, Draw, Name, NamedFloat, Op, Scalar, State, World, is_drawn
 
 if TYPE_CHECKING:
@@ -114,7 +114,7 @@ class Printer:
     def joined(self, operation: str, codes: Sequence[str]) -> str:
         """The code of an operation on values with this code."""
         args = [Code(code) for code in codes]
-        return applied(operation, args, (), self.scope.target).text if len(args) > 1 or operation == "not" else codes[0]
+        return operation_code(operation, args, (), self.scope.target).text if len(args) > 1 or operation == "not" else codes[0]
 
     @property
     def on_floats(self) -> bool:
@@ -157,12 +157,12 @@ class Printer:
             case Const(value=NamedFloat(component=None) as value) if value.text:
                 return Code(self.scope.constants.number(value))
             case Const(value=value):
-                return number(value)
+                return number_code(value)
             case Op():
                 return (
                     self._pose_function_code(tree)
                     or self._reduction_code(tree)
-                    or applied(tree.op, [self.code(arg) for arg in tree.args], tree.args, self.scope.target)
+                    or operation_code(tree.op, [self.code(arg) for arg in tree.args], tree.args, self.scope.target)
                 )
             case State():
                 return Code(self._state(tree))
@@ -328,7 +328,7 @@ class _Loop:
         name = operations[0].op
         if name == "pow" and len({tree.args[1] for tree in operations}) > 1:
             raise _DifferentShapesError
-        return applied(name, self._bodies([tree.args for tree in operations]), operations[0].args, self._printer.scope.target)
+        return operation_code(name, self._bodies([tree.args for tree in operations]), operations[0].args, self._printer.scope.target)
 
     def _bodies(self, rows: Sequence[tuple[Scalar, ...]]) -> list[Code]:
         if len({len(row) for row in rows}) > 1:

@@ -16,7 +16,7 @@ from deepbots_cli.codegen.reset import print_draws_of_message, print_redraws, st
 from deepbots_cli.codegen.robot import observes
 from deepbots_cli.codegen.text import block, indent, noted, quoted, targets_code, tuple_code
 from deepbots_cli.codegen.workspace import Workspace, zeros
-from deepbots_cli.expressions.lower import number
+from deepbots_cli.expressions.lower import number_code
 from deepbots_cli.expressions.scalar import Const, Name, names_in
 from deepbots_cli.program.robots import Robot, Route
 from deepbots_cli.program.task import Ending, Observation, Option
@@ -487,7 +487,7 @@ def _observed(workspace: Workspace, printer: Printer, entry: Observation) -> str
         code = local
     if len({*entry.low}) == len({*entry.high}) == 1:
         function = "scale" if entry.clip else "scale_freely"
-        ends = f"{number(entry.low[0]).text}, {number(entry.high[0]).text}"
+        ends = f"{number_code(entry.low[0]).text}, {number_code(entry.high[0]).text}"
         if not components:
             return f"{function}({code}, {ends})"
         return f"*scale_each({code}, {ends})" if entry.clip else f"*[scale_freely(a, {ends}) for a in {code}]"

@@ -10,7 +10,7 @@ from deepbots_cli.codegen.robot import controller_name
 from deepbots_cli.codegen.step import advance, bind_foreign, choice_tables, observe, redraw, start
 from deepbots_cli.codegen.text import Constants, block, class_name, docstring, filled, quoted, quoted_tuple, sentence_list, tuple_code
 from deepbots_cli.codegen.workspace import Workspace
-from deepbots_cli.expressions.lower import BATCH, op
+from deepbots_cli.expressions.lower import BATCH, fold_operation
 from deepbots_cli.expressions.scalar import Const, Scalar
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionRange, Choices, Script, ScriptedChoice, ScriptedRange
@@ -240,7 +240,7 @@ def _print_pick(workspace: Workspace, printer: Printer, part: Choices, pick: Scr
 def _share(printer: Printer, part: ActionRange, value: Scalar) -> str:
     """Where in [-1, 1] the agent's number stands for the value; a constant is clamped here."""
     half, middle = (part.high - part.low) / 2, (part.high + part.low) / 2
-    share = op("div", op("sub", value, Const(middle)), Const(half))
+    share = fold_operation("div", fold_operation("sub", value, Const(middle)), Const(half))
     if isinstance(share, Const):
         return repr(min(max(float(share.value), -1.0), 1.0))
     return f"clip({printer.value(share)})"

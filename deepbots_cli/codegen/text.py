@@ -14,7 +14,7 @@ import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 
 from deepbots_cli.expressions.functions import FUNCTIONS, OPERATORS
-from deepbots_cli.expressions.lower import number
+from deepbots_cli.expressions.lower import number_code
 from deepbots_cli.expressions.scalar import NamedFloat
 
 FORMULAS = frozenset(function.name for function in FUNCTIONS.values() if function.tree) | frozenset(
@@ -95,7 +95,7 @@ class Constants:
 
     def vector(self, values: Sequence[float | bool]) -> str:
         """The code of a tuple of numbers: a constant where a fixed parameter names them."""
-        code = repeated([number(value).text for value in values])
+        code = repeated([number_code(value).text for value in values])
         named = [value for value in values if isinstance(value, NamedFloat)]
         if len({value.name for value in named}) != 1 or len(values) < 3:
             return code

@@ -25,7 +25,7 @@ from deepbots_cli.compiler.values import Values
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import LENGTH, TIME, Dimension
-from deepbots_cli.expressions.intervals import Interval, exact
+from deepbots_cli.expressions.intervals import Interval, single
 from deepbots_cli.expressions.types import Components, Context, Reference, Stage, Symbol, Type, walk
 from deepbots_cli.program.resets import OfActuator
 from deepbots_cli.program.robots import Actuator, Cartesian, Command, CustomActuator, MessageField, Motor, Response, Robot, Route, Thrust
@@ -160,7 +160,7 @@ class Actuators:
             reach = joint_interval(joint)
             if not reach.low <= position <= reach.high:
                 text, help = self._values.field(spec, key), f"keep to the limits of `{joint.name}`"
-                warn_beyond(self._values, text, joint_dimension(joint), reach, "a position of", exact(position), help)
+                warn_beyond(self._values, text, joint_dimension(joint), reach, "a position of", single(position), help)
                 return
 
     def _thrust(self, name: str, spec: specs.Thrust) -> ResolvedActuator | None:
@@ -236,7 +236,7 @@ class Actuators:
         if len(known) == len(own) and limit > max(known) * (1 + 1e-9):
             text, allowed = self._values.field(spec, key), Interval(-math.inf, max(known))
             help = f"the limit of the robot file applies: lower this one, or raise `{key}` under `joints` if the motor can do more"
-            warn_beyond(self._values, text, dimension, allowed, "a limit of", exact(limit), help)
+            warn_beyond(self._values, text, dimension, allowed, "a limit of", single(limit), help)
 
 
 def _tighter(own: Limits, found: float) -> Limits:

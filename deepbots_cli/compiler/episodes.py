@@ -15,9 +15,9 @@ from deepbots_cli.diagnostics.nearest import Replacement
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions import unification
 from deepbots_cli.expressions.dimensions import NUMBER, TIME, Dimension
-from deepbots_cli.expressions.functions import draws
+from deepbots_cli.expressions.functions import contains_draw
 from deepbots_cli.expressions.intervals import EVERYTHING, TRUTH, Interval
-from deepbots_cli.expressions.lower import constant
+from deepbots_cli.expressions.lower import constant_values
 from deepbots_cli.expressions.types import (
     Components,
     Constant,
@@ -32,7 +32,7 @@ from deepbots_cli.expressions.types import (
     Typed,
     walk,
 )
-from deepbots_cli.expressions.unification import expect
+from deepbots_cli.expressions.unification import expect_value
 from deepbots_cli.program import Program
 from deepbots_cli.program.resets import Disturbance, JointStart, Layout, Placement, Reset
 from deepbots_cli.program.robots import Direction, Robot, Route
@@ -117,7 +117,7 @@ def _check_burst(burst: float, loss: Expression, span: Span, values: Values) -> 
 
 def is_repeated_as_a_whole(typed: Typed, redraw: Redraw | None, text: Text, values: Values) -> bool:
     """Whether a value that changes within an episode says how often its own draws are repeated."""
-    if redraw is not None or typed.type.stage is not Stage.STEP or not draws(typed):
+    if redraw is not None or typed.type.stage is not Stage.STEP or not contains_draw(typed):
         return _has_period(redraw, text, values)
     headline = "a random value combined with a value that changes within the episode"
     help = "add `every 5 s` or `each step` to repeat the draw, or define the random value under `parameters`"
@@ -129,7 +129,7 @@ def _has_period(redraw: Redraw | None, text: Text, values: Values) -> bool:
     period = redraw.period if redraw else None
     if period is None:
         return True
-    if expect(period, values.report(text), "the period") is None:
+    if expect_value(period, values.report(text), "the period") is None:
         return False
     low, high = period.type.interval.low, period.type.interval.high
     if low >= 0.0 and high > 0.0:
@@ -170,7 +170,7 @@ def _pushed(spec: DisturbanceSpec, namespace: Namespace) -> tuple[str, str | Non
         return None
     body, _, link = called.partition(".")
     if subject.kind not in _PUSHED:
-        values.findings.add("DB203", span, f"`{called}` is {subject.kind.words}", help="a push acts on a robot, a link or an object")
+        values.findings.add("DB203", span, f"`{called}` is {subject.kind.description}", help="a push acts on a robot, a link or an object")
         return None
     if _is_fixed(body, link, namespace):
         values.findings.add("DB203", span, f"`{called}` does not move", help="push a body that is not fixed")
@@ -244,7 +244,7 @@ def _start_value(
     if typed is None:
         return None
     reach, limits = typed.type.interval, subject.interval
-    if dimension == subject.dimension and reach.finite and not reach.inside(limits):
+    if dimension == subject.dimension and reach.is_finite and not reach.is_within(limits):
         help = "set a position within the limits: an engine pushes the joint back at once"
         warn_beyond(values, text, dimension, limits, "a start at", reach, help)
     return text.expression(typed, key, per_component=joints if len(joints) > 1 else None)
@@ -313,7 +313,7 @@ def _requirement(namespace: Namespace) -> Expression | None:
             span = text.part(call.start, call.start + len(call.function))
             headline = f"`{call.function}` in a requirement on the start"
             values.findings.add("DB407", span, headline, help=_UNMOVED[call.function])
-    if constant(typed) == (False,):
+    if constant_values(typed) == (False,):
         values.findings.add("DB105", text.span, "no start can meet this requirement", help="use a condition on positions or distances")
     return text.expression(typed)
 
@@ -405,7 +405,7 @@ class Signals:
         text = self._values.field(given, "value") if isinstance(given, Measured) else self._values.text(place, given)
         typed = self._values.expression(text, SupervisorScope(self._namespace, context))
         if typed is not None and context is Context.ENDING:
-            typed = expect(typed, self._values.report(text), "an ending", boolean=True)
+            typed = expect_value(typed, self._values.report(text), "an ending", boolean=True)
         if typed is None:
             return Symbol(name, None)
         added = self._namespace.noise(given, typed) if isinstance(given, Measured) else None
@@ -449,7 +449,7 @@ def _amount(text: Text, namespace: Namespace) -> Typed | None:
         worth = "a truth value where a number belongs"
         report("DB403", 0, len(text.text), worth, help, Replacement(f"1 when {text.text}", safe=False))
         return None
-    return typed and expect(typed, report, "a reward", dimension=NUMBER)
+    return typed and expect_value(typed, report, "a reward", dimension=NUMBER)
 
 
 def truncation(namespace: Namespace) -> Truncation:

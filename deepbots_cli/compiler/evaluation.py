@@ -19,7 +19,7 @@ from deepbots_cli.document import Document, Entry, MappingNode, descend
 from deepbots_cli.document.load import apply_setting
 from deepbots_cli.document.nodes import NodePath, ScalarNode, count_and_depth, follow_dotted, without_paths
 from deepbots_cli.expressions.dimensions import NUMBER
-from deepbots_cli.expressions.lower import constant
+from deepbots_cli.expressions.lower import constant_values
 from deepbots_cli.expressions.types import Constant, Context, Operation, Typed, walk
 from deepbots_cli.expressions.unification import expect_range
 from deepbots_cli.program import CurriculumStage, EvaluationCase, Program, identity
@@ -363,7 +363,7 @@ class _Reader:
                 choices.append([option.name for option in part.options].index(decision.otherwise))
                 words.append(decision.otherwise)
             elif isinstance(part, ActionRange) and isinstance(decision, ScriptedRange):
-                numbers = [number for value in decision.values for number in constant(value.typed) or (math.nan,)]
+                numbers = [number for value in decision.values for number in constant_values(value.typed) or (math.nan,)]
                 if not all(map(math.isfinite, numbers)):
                     headline, help = (
                         f"`{part.name}` is not the same in every episode",
@@ -464,6 +464,6 @@ def _compared(tree: Typed) -> Iterator[Typed]:
     for node in walk(tree):
         for part in node.args if isinstance(node, Operation) and node.operator in _COMPARISONS else ():
             single = part.type.components is None and not part.type.boolean
-            if single and constant(part) is None and not isinstance(part, Constant) and (part.start, part.end) not in seen:
+            if single and constant_values(part) is None and not isinstance(part, Constant) and (part.start, part.end) not in seen:
                 seen.add((part.start, part.end))
                 yield part

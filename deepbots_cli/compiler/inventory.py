@@ -208,7 +208,7 @@ def _parts_of(namespace: Namespace, scene: RobotScene, sections: tuple[str, ...]
         yield _keyed(namespace, (*home, "actuators", name), f"an actuator ({actuator.type})")
     for name, (kind, members) in scene.groups.items():
         if "groups" in sections or ("joints" if kind is Kind.JOINTS else "links") in sections:
-            yield _keyed(namespace, (*home, "groups", name), f"{kind.words} ({', '.join(members)})")
+            yield _keyed(namespace, (*home, "groups", name), f"{kind.description} ({', '.join(members)})")
     for joint in scene.model.moving_joints if "joints" in sections else ():
         yield Named(joint.name, f"{article(joint.type)} joint", scene.file.joint_spans.get(joint.name))
     for link in scene.link_names if "links" in sections else ():

@@ -22,7 +22,7 @@ from deepbots_cli.compiler.values import ANY, Ends, Text, Values
 from deepbots_cli.document import Document
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import NUMBER, TIME, Dimension
-from deepbots_cli.expressions.intervals import EVERYTHING, Interval, exact
+from deepbots_cli.expressions.intervals import EVERYTHING, Interval, single
 from deepbots_cli.expressions.types import (
     Components,
     Constant,
@@ -38,7 +38,7 @@ from deepbots_cli.expressions.types import (
     Vector,
     is_bare_zero,
 )
-from deepbots_cli.expressions.unification import ANY_SHAPE, expect
+from deepbots_cli.expressions.unification import ANY_SHAPE, expect_value
 from deepbots_cli.program.resets import Group, OfLink, Owner, Randomizable, RandomizedParameter
 from deepbots_cli.program.robots import Parameter
 from deepbots_cli.program.values import Expression, Noise
@@ -272,7 +272,7 @@ class Namespace:
         text = self.values.field(section, "noise")
         if of.type.boolean or of.type.picture:
             help = "remove it, or put the noise on the number from which the value is computed"
-            self.values.findings.add("DB403", text.span, f"noise on {of.type.words}", help=help)
+            self.values.findings.add("DB403", text.span, f"noise on {of.type.description}", help=help)
             return None
         components = of.type.components
         std = self.typed(text, "the noise", components=components)
@@ -280,7 +280,7 @@ class Namespace:
             return None
         relative = std.type.dimension == NUMBER and (of.type.dimension != NUMBER or "%" in text.text)
         if not relative:
-            std = expect(std, self.values.report(text), "the noise", dimension=of.type.dimension, components=components)
+            std = expect_value(std, self.values.report(text), "the noise", dimension=of.type.dimension, components=components)
         return Noise(text.expression(std, per_component=components), relative) if std else None
 
     def colour(self, section: Section, of: OfLink | None = None) -> Colour | None:
@@ -404,7 +404,7 @@ class Namespace:
             return Subject(head, Kind.WALLS if len(pieces) > 1 else Kind.WALL, link=pieces[0], pieces=pieces)
         if definition is not None and definition.origin in _KIND_OF and not rest:
             length = self.lengths.get(head)
-            return Subject(head, _KIND_OF[definition.origin], link=head, interval=EVERYTHING if length is None else exact(length))
+            return Subject(head, _KIND_OF[definition.origin], link=head, interval=EVERYTHING if length is None else single(length))
         return None
 
     def subjects(self) -> Iterable[str]:
@@ -467,7 +467,7 @@ class ParameterScope(_Scope):
         origin = self.namespace.origin(name)
         if origin in (None, Origin.PARAMETER, Origin.ROBOT, Origin.OBJECT, Origin.WALL, Origin.LINE):
             return self.namespace.symbol(name)
-        return Symbol(name, None, refused=f"only parameters can be used here; {origin.value} changes in every step")
+        return Symbol(name, None, refusal=f"only parameters can be used here; {origin.value} changes in every step")
 
     def names(self) -> Iterable[str]:
         return [*self.own, *self.namespace.names_of(Origin.PARAMETER)]
@@ -482,13 +482,13 @@ class SupervisorScope(_Scope):
             return built_in
         origin = self.namespace.origin(name)
         if origin is Origin.ENDING and self.context not in AFTER_SIGNALS:
-            return Symbol(name, None, refused="endings are computed after the signals; use the condition itself")
+            return Symbol(name, None, refusal="endings are computed after the signals; use the condition itself")
         if origin is Origin.GOAL and self.context not in AFTER_SIGNALS:
-            return Symbol(name, None, refused=GOAL_IS_LATE)
+            return Symbol(name, None, refusal=GOAL_IS_LATE)
         robot, _, rest = name.partition(".")
         scene = self.namespace.robots.get(robot)
         if origin is None and scene is not None and rest in scene.spec.sensors and not self.namespace.is_invalid(name):
-            return Symbol(name, None, refused=f"robot `{robot}` does not send it; add `{rest}` to its `emit`")
+            return Symbol(name, None, refusal=f"robot `{robot}` does not send it; add `{rest}` to its `emit`")
         return self.namespace.symbol(name)
 
     def _built_in(self, name: str) -> Symbol | None:
@@ -502,9 +502,9 @@ class SupervisorScope(_Scope):
             return self.namespace.built_in[name](self.context)
         if name in _END_FLAGS:
             refused = None if self.context is Context.REWARD else "it is settled after the endings, and seen by rewards only"
-            return Symbol(name, Type(boolean=True, stage=Stage.STEP) if refused is None else None, refused=refused)
+            return Symbol(name, Type(boolean=True, stage=Stage.STEP) if refused is None else None, refusal=refused)
         if name == "goal_reached":
-            return Symbol(name, None, refused=None if self.namespace.is_invalid("goal") else "this scenario has no `goal`")
+            return Symbol(name, None, refusal=None if self.namespace.is_invalid("goal") else "this scenario has no `goal`")
         return None
 
     def names(self) -> Iterable[str]:
@@ -532,12 +532,12 @@ class RobotScope(_Scope):
             if symbol is None or symbol.type is None or symbol.type.stage is Stage.FIXED:
                 return symbol
             if not arrives:
-                return Symbol(name, None, refused=f"the robot cannot know a drawn parameter; send it: `receive: {{{name}: {name}}}`")
+                return Symbol(name, None, refusal=f"the robot cannot know a drawn parameter; send it: `receive: {{{name}: {name}}}`")
         if arrives:
-            return Symbol(name, None, refused="a robot cannot send back a value that it receives; use the value in `apply`")
+            return Symbol(name, None, refusal="a robot cannot send back a value that it receives; use the value in `apply`")
         if name in _BUILT_IN or origin in (Origin.AUGMENT, Origin.SIGNAL, Origin.ENDING, Origin.FIELD):
             known = f"robot `{self.robot}` knows only its sensors and messages"
-            return Symbol(name, None, refused=f"{known}; to send it `{name}`, write `receive: {{{name}: {name}}}`")
+            return Symbol(name, None, refusal=f"{known}; to send it `{name}`, write `receive: {{{name}: {name}}}`")
         return self.namespace.symbol(name)
 
     def names(self) -> Iterable[str]:

@@ -13,8 +13,8 @@ from deepbots_cli.compiler.values import Text
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, Dimension
-from deepbots_cli.expressions.intervals import TURN, exact
-from deepbots_cli.expressions.lower import constant
+from deepbots_cli.expressions.intervals import TURN, single
+from deepbots_cli.expressions.lower import constant_values
 from deepbots_cli.expressions.types import PLANE, SPACE, ComponentSelection, Constant, Context, Invocation, Stage, Type
 from deepbots_cli.footprint import Footprint, Patch
 from deepbots_cli.program.resets import MAX_SPOTS, Cells, Group, Layout, Placement, Region, Top
@@ -199,7 +199,7 @@ def _coordinate(place: Placement, key: str) -> float | None:
     coordinate = place.coordinates.get(key)
     if coordinate is None:
         return 0.0
-    found = constant(coordinate.typed)
+    found = constant_values(coordinate.typed)
     return None if found is None else float(found[0])
 
 
@@ -237,7 +237,7 @@ _TURNS = ("roll", "pitch", "yaw")
 
 def _fixed(value: float, dimension: Dimension) -> Constant:
     """A number in SI units that stands nowhere in the text."""
-    return Constant(Type(dimension, interval=exact(value)), 0, 0, (value,))
+    return Constant(Type(dimension, interval=single(value)), 0, 0, (value,))
 
 
 _ANYWHERE = Invocation(Type(ANGLE, interval=TURN, stage=Stage.EPISODE), 0, 0, "uniform", (), (_fixed(-pi, ANGLE), _fixed(pi, ANGLE)), 0)
@@ -395,7 +395,7 @@ class Places:
         if any(self._values.is_present((*path, way)) for way in ("region", "line", "grid", "on")):
             return  # there would be spots, were it not for a finding
         known = [place.coordinates[axis] for axis in PLANE if axis in place.coordinates]
-        is_fixed = all(constant(coordinate.typed) is not None for coordinate in known)
+        is_fixed = all(constant_values(coordinate.typed) is not None for coordinate in known)
         if copies > 1 and is_fixed and place.spot is None and not any(place.spacing):
             headline = f"up to {copies} copies of `{place.body}` at one position"
             help = "draw their positions with `region`, place them in a row with `spacing`, or place `at_most: 1`"

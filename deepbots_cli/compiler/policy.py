@@ -16,9 +16,9 @@ from deepbots_cli.expressions import syntax
 from deepbots_cli.expressions.dimensions import NUMBER
 from deepbots_cli.expressions.functions import FUNCTIONS, Family
 from deepbots_cli.expressions.intervals import Interval
-from deepbots_cli.expressions.lower import constant
+from deepbots_cli.expressions.lower import constant_values
 from deepbots_cli.expressions.types import Components, Context, Invocation, Reference, Scope, Stage, Symbol, Type, Typed, children
-from deepbots_cli.expressions.unification import ANY_SHAPE, expect
+from deepbots_cli.expressions.unification import ANY_SHAPE, expect_value
 from deepbots_cli.program.task import (
     MAX_CONDITIONS,
     MAX_OBSERVED_BYTES,
@@ -142,7 +142,7 @@ class Actions:
                 typed = self._values.condition(text, scope)
                 if typed is not None and option in part.choices:
                     found.append((name, option, text.expression(typed)))
-            always = {option for part, option, condition in found if part == name and constant(condition.typed) == (True,)}
+            always = {option for part, option, condition in found if part == name and constant_values(condition.typed) == (True,)}
             if always == set(part.choices):
                 span = self._values.key_span((*part.path, "forbid"))
                 self._values.findings.add(
@@ -156,12 +156,12 @@ class Actions:
         if context is Context.RECEIVE:
             variable = next(iter(self._namespace.names_of(Origin.ACTION)), None)
             example = f", such as `{variable}`" if variable else ""
-            return Symbol(name, None, refused=f"the robot receives the action itself: use the action variable{example}")
+            return Symbol(name, None, refusal=f"the robot receives the action itself: use the action variable{example}")
         parts = self.parts()
         if not parts:
             written = self._values.root.get("action")  # of which findings may have left nothing
             has_some = isinstance(written, MappingNode) and written.entries
-            return Symbol(name, None, refused=None if has_some else "the agent does nothing in this scenario")
+            return Symbol(name, None, refusal=None if has_some else "the agent does nothing in this scenario")
         if len(parts) < len(self._parts):
             return Symbol(name, None)
         components = action_names(parts)
@@ -397,7 +397,7 @@ class Goals:
         if typed is None or (name == "desired" and wanted is None):
             return Symbol(name, None)
         dimension, components = (wanted.dimension, wanted.components) if wanted else (None, ANY_SHAPE)
-        typed = expect(typed, self._values.report(text), f"`{name}` of the goal", dimension=dimension, components=components)
+        typed = expect_value(typed, self._values.report(text), f"`{name}` of the goal", dimension=dimension, components=components)
         if typed is None:
             return Symbol(name, None)
         if wanted:
@@ -408,7 +408,7 @@ class Goals:
     def _reached(self, context: Context) -> Symbol:
         name = "goal_reached"
         if context not in AFTER_SIGNALS:
-            return Symbol(name, None, refused=GOAL_IS_LATE)
+            return Symbol(name, None, refusal=GOAL_IS_LATE)
         for part in self._namespace.names_of(Origin.GOAL):
             symbol = self._namespace.resolve(part)
             if symbol is None or symbol.type is None:
@@ -522,7 +522,7 @@ class Decisions:
         if typed is None or known is None or known.type is None:
             return None
         report, dimension = self._values.report(text), known.type.dimension
-        fitted = expect(typed, report, f"`{place[-1]}`", dimension=dimension, components=components)
+        fitted = expect_value(typed, report, f"`{place[-1]}`", dimension=dimension, components=components)
         return fitted and text.expression(fitted, part.name)
 
     def _option(self, place: NodePath, part: Choices, word: str) -> ScriptedChoice | None:
@@ -552,7 +552,7 @@ class Decisions:
                 branches.append((option, holds))
         if broken:
             return None
-        always = next((index for index, (_, holds) in enumerate(branches) if constant(holds.typed) == (True,)), None)
+        always = next((index for index, (_, holds) in enumerate(branches) if constant_values(holds.typed) == (True,)), None)
         if always is None:
             headline = f"the script can leave `{part.name}` without an option: no condition is always true"
             help = f"make the last condition true: `{branches[-1][0]}: true`"

@@ -16,8 +16,8 @@ from deepbots_cli.document import Document, files, shipped
 from deepbots_cli.document.nodes import MappingNode, descend
 from deepbots_cli.expressions import intervals, syntax
 from deepbots_cli.expressions.dimensions import ANGLE, FORCE, LENGTH, MASS, NUMBER, TIME, TORQUE, UNITS, Dimension, Unit
-from deepbots_cli.expressions.intervals import EVERYTHING, Interval, exact
-from deepbots_cli.expressions.types import Context, Kind, Scope, Stage, Subject, Symbol, Type, shown
+from deepbots_cli.expressions.intervals import EVERYTHING, Interval, single
+from deepbots_cli.expressions.types import Context, Kind, Scope, Stage, Subject, Symbol, Type, shortened_list
 from deepbots_cli.frames import IDENTITY_FRAME, Frame, compose
 from deepbots_cli.frames import frame as pose_frame
 from deepbots_cli.program.resets import OfJoint, OfLink
@@ -152,7 +152,7 @@ def warn_beyond(values: Values, text: Text, dimension: Dimension, allowed: Inter
         low, high = (f"{end / unit.to_si(1.0):.{_DIGITS}g}" for end in known)
         return low if low == high else f"{low} .. {high}"
 
-    limits = allowed if allowed.low > -math.inf else exact(allowed.high)
+    limits = allowed if allowed.low > -math.inf else single(allowed.high)
     headline = f"{what} {in_unit(found)} {unit.text}, where the robot file allows {in_unit(limits)}"
     values.findings.add("DB304", text.span, headline, help=help, fix=_within(text, numbers, allowed))
 
@@ -211,7 +211,7 @@ _CONTACT: Mapping[str, tuple[str, LinkParameter]] = {
 }
 
 
-_UNKNOWN = Symbol("urdf", None, refused="the robot file does not say")
+_UNKNOWN = Symbol("urdf", None, refusal="the robot file does not say")
 
 
 @dataclass(frozen=True)
@@ -249,7 +249,7 @@ class Overrides:
 
     def _scope(self, dimension: Dimension = NUMBER, urdf: float | None = None) -> Scope:
         """The scope of a change of a value that is called `urdf` and stands in the robot file."""
-        known = _UNKNOWN if urdf is None else Symbol("urdf", Type(dimension, interval=exact(urdf)), (urdf,))
+        known = _UNKNOWN if urdf is None else Symbol("urdf", Type(dimension, interval=single(urdf)), (urdf,))
         return self.namespace.scope(Context.FIELD, {"urdf": known})
 
     def _change_link(self, model: RobotModel, link: Link, change: LinkOverride) -> RobotModel:
@@ -438,7 +438,7 @@ def located(reference: str, span: Span, document: Document, values: Values, *, r
     by_name = shipped.robot_path(reference) if robot else None
     if by_name is not None:
         return by_name
-    notes = (f"shipped robots are {shown(shipped.robot_names())}",) if robot else ()
+    notes = (f"shipped robots are {shortened_list(shipped.robot_names())}",) if robot else ()
     library = meshes.library_reference(reference)
     fix = Fix.replacing(span, reference, library, safe=False) if library else None
     help = f"did you mean `{library}`?" if library else beside.help

@@ -284,7 +284,7 @@ def _noise_model(namespace: Namespace, spec: SensorSpec, known: Type) -> tuple[N
         model = NoiseModel(1, latency, noise, relative_noise, bias, relative_bias, drift, low, high, resolution)
         wanders = noise or relative_noise or bias or relative_bias or drift
         reach = Interval(min(low), max(high)) if low else EVERYTHING if wanders else known.interval
-        if resolution and reach.finite:
+        if resolution and reach.is_finite:
             half = max(resolution) / 2
             reach = Interval(reach.low - half, reach.high + half)
     return None if model == NoiseModel() and len(namespace.variations) == drawn else model, reach

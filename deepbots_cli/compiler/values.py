@@ -16,18 +16,18 @@ from deepbots_cli.diagnostics.nearest import Replacement, nearest_word, suggest_
 from deepbots_cli.document.nodes import MappingNode, Node, NodePath, ScalarNode, SequenceNode, descend, to_data
 from deepbots_cli.expressions import check, parser, syntax
 from deepbots_cli.expressions.dimensions import Dimension
-from deepbots_cli.expressions.lower import constant
+from deepbots_cli.expressions.lower import constant_values
 from deepbots_cli.expressions.types import (
     Components,
+    FindingReporter,
     Redraw,
-    Report,
     Scope,
     Stage,
     Typed,
     TypedRange,
     is_bare_zero,
 )
-from deepbots_cli.expressions.unification import expect, expect_kind, expect_range
+from deepbots_cli.expressions.unification import expect_kind, expect_range, expect_value
 from deepbots_cli.program.values import Expression, Noise
 from deepbots_cli.scenario.base import Section, fields
 from deepbots_cli.scenario.fields import FieldType, Quantity, choose_from, other_name
@@ -199,7 +199,7 @@ class Values:
             fix = Fix.replacing(span, name, near.text, safe=near.safe) if near else None
             self.findings.add(code, span, f"there is no {what} `{name}`", help=help, fix=fix)
 
-    def report(self, text: Text) -> Report:
+    def report(self, text: Text) -> FindingReporter:
         """Takes findings at offsets of `text`."""
 
         def report(code: str, start: int, end: int, headline: str, help: str | None = None, replacement: Replacement | None = None) -> None:
@@ -235,9 +235,9 @@ class Values:
     def condition(self, text: Text, scope: Scope) -> Typed | None:
         """The same for a single truth value."""
         typed = self.expression(text, scope, boolean=True)
-        return typed and expect(typed, self.report(text), "a condition", boolean=True)
+        return typed and expect_value(typed, self.report(text), "a condition", boolean=True)
 
-    def drawn(self, text: Text, scope: Scope) -> check.Checked | None:
+    def drawn(self, text: Text, scope: Scope) -> check.TypedExpression | None:
         """The typed tree of an expression where draws may be repeated (`every 5 s`)."""
         tree = self.parsed(text)
         checked = check.check_drawn(tree, scope, self.report(text)) if tree else None
@@ -248,7 +248,7 @@ class Values:
     def redrawn(self, text: Text, what: str, scope: Scope, dimension: Dimension) -> tuple[Typed | None, Redraw | None]:
         """As `quantity`, for a single value that may be new in every step; with it, how often its draws are repeated."""
         checked = self.drawn(text, scope)
-        value = checked and expect(checked.value, self.report(text), what, dimension=dimension, unit=text.unit)
+        value = checked and expect_value(checked.value, self.report(text), what, dimension=dimension, unit=text.unit)
         if checked is None or value is None or not self._is_within(value, text, what):
             return None, None
         return value, checked.redraw
@@ -275,7 +275,7 @@ class Values:
         typed = self.expression(text, scope, boolean=False)
         if typed is None:
             return None
-        value = expect(typed, self.report(text), what, dimension=dimension, components=components, stage=stage, unit=text.unit)
+        value = expect_value(typed, self.report(text), what, dimension=dimension, components=components, stage=stage, unit=text.unit)
         return value if value and self._is_vector(value, text, what) and self._is_within(value, text, what) else None
 
     def _is_vector(self, value: Typed, text: Text, what: str) -> bool:
@@ -292,7 +292,7 @@ class Values:
         kind = text.kind
         if not isinstance(kind, Quantity) or (kind.minimum is None and kind.maximum is None and not kind.whole):
             return True
-        known = constant(value)
+        known = constant_values(value)
         low, high = (min(known), max(known)) if known else (value.type.interval.low, value.type.interval.high)
         minimum, maximum, unit = kind.minimum, kind.maximum, str(value.type.dimension)
         if minimum is not None and math.isfinite(low) and (low < minimum or (kind.exclusive and low == minimum)):
@@ -309,7 +309,7 @@ class Values:
 
     def fixed(self, value: Typed, text: Text, what: str) -> tuple[float | bool, ...] | None:
         """The SI values of a value that is settled in the file; a finding where they cannot be computed."""
-        values = constant(value)
+        values = constant_values(value)
         if values is None:
             help = "it divides by zero, leaves the domain of a function, or is too large"
             self.findings.add("DB105", text.span, f"{what} cannot be computed", help=help)

@@ -15,7 +15,7 @@ from deepbots_cli.diagnostics import Edit, Fix
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import LENGTH
 from deepbots_cli.expressions.intervals import Interval
-from deepbots_cli.expressions.lower import lower, op
+from deepbots_cli.expressions.lower import fold_operation, lower
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 from deepbots_cli.expressions.types import PLANE, Context, Stage, Symbol, Type
 from deepbots_cli.files import MAX_PICTURE_BYTES, picture_problem, read_at_most
@@ -282,7 +282,7 @@ def _at(heights: Scalar, place: dict[str, float]) -> Scalar:
         case Name(name=name) if name in place:
             return Const(place[name])
         case Op(op=operation, args=args):
-            return op(operation, *(_at(arg, place) for arg in args))
+            return fold_operation(operation, *(_at(arg, place) for arg in args))
         case _:
             return heights
 

@@ -35,9 +35,9 @@ from deepbots_cli.expressions.syntax import (
     depth,
     tokens,
 )
-from deepbots_cli.expressions.types import Report
+from deepbots_cli.expressions.types import FindingReporter
 
-WORDS = frozenset({"and", "or", "not", "when", "every", "each", "if", "else", "is", "in", "lambda"})
+KEYWORDS = frozenset({"and", "or", "not", "when", "every", "each", "if", "else", "is", "in", "lambda"})
 # Python allows 1000 frames: the parser takes eight per level of nesting, later passes three per level of the tree.
 MAX_NESTING = 64
 MAX_DEPTH = 128
@@ -53,7 +53,7 @@ _SLOT_ENDS = {"", ",", ")", "..", "+-", "|", "when", "every", "each"}  # the fir
 _WANT_VALUE = {"when", "and", "or", "not", "every"}
 
 
-def parse(text: str, report: Report) -> Node | None:
+def parse(text: str, report: FindingReporter) -> Node | None:
     """The tree of an expression, literal or range; None after exactly one finding (DB401 or DB005)."""
     if len(text) > MAX_LENGTH:
         report("DB005", 0, len(text), f"an expression of {len(text)} characters", f"the limit is {MAX_LENGTH} characters")
@@ -182,7 +182,7 @@ class _Parser:
     def _percent_ends(self) -> bool:
         """Whether the `%` here closes its number; before an operand it would be a modulo."""
         behind = self._ahead
-        return (behind.kind in ("SIGN", "END") and behind.text != "(") or behind.text in WORDS
+        return (behind.kind in ("SIGN", "END") and behind.text != "(") or behind.text in KEYWORDS
 
     # text and slots
 
@@ -294,7 +294,7 @@ class _Parser:
             return self._quantity()
         if token.text == "(":
             return self._group()
-        if token.kind != "NAME" or token.text in WORDS:
+        if token.kind != "NAME" or token.text in KEYWORDS:
             raise self._misplaced(missing=True)
         if self._ahead.text == "(":
             return self._call()
@@ -341,7 +341,7 @@ class _Parser:
 
     def _name_ahead(self) -> bool:
         """Whether a name stands here that is no word of the grammar and calls no function."""
-        return self._peek.kind == "NAME" and self._peek.text not in WORDS and self._ahead.text != "("
+        return self._peek.kind == "NAME" and self._peek.text not in KEYWORDS and self._ahead.text != "("
 
     def _name(self) -> Name:
         parts = [self._next()]

@@ -143,7 +143,7 @@ class _Builder:
                 value, bound = self._probe(left, home), self._probe(right, home)
                 sides = (home.text[left.start : left.end], home.text[right.start : right.end])
                 return Comparison(home.text[node.start : node.end], used, value, bound, str(left.type.dimension), sides, joined)
-            case Invocation(function="any" | "all" as function, args=(inner,)) if not inner.type.copies:
+            case Invocation(function="any" | "all" as function, args=(inner,)) if not inner.type.has_group_components:
                 every: Literal["any", "all"] = "any" if (function == "any") != negated else "all"
                 if isinstance(inner, Operation) and inner.operator in SIGNS:
                     return self._condition(inner, home, negated=negated, joined=every)

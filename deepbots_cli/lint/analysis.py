@@ -482,7 +482,7 @@ def thresholds(comparison: Comparison, ranges: Ranges) -> Iterator[Threshold]:
     for a, b in zip(left * (count // len(left)), right * (count // len(right)), strict=True):
         for side, other, typed, above in ((a, b, node.args[0], rising), (b, a, node.args[1], not rising)):
             bound = ranges.of(other)
-            if bound.finite and typed.type.stage is Stage.STEP:
+            if bound.is_finite and typed.type.stage is Stage.STEP:
                 yield from _derived(Threshold(side, above, bound, dimension), ranges)
 
 
@@ -508,8 +508,8 @@ def _derived(threshold: Threshold, ranges: Ranges) -> Iterator[Threshold]:
 
 def _solved(op: str, a: Scalar, b: Scalar, threshold: Threshold, ranges: Ranges) -> Iterator[Threshold]:
     """`a + b > c` needs a > c - b, where b is known."""
-    known, unknown = (ranges.of(b), a) if ranges.of(b).finite else (ranges.of(a), b)
-    if not known.finite or ranges.of(unknown).single:
+    known, unknown = (ranges.of(b), a) if ranges.of(b).is_finite else (ranges.of(a), b)
+    if not known.is_finite or ranges.of(unknown).is_single:
         return
     if op in ("mul", "div") and (known.low <= 0.0 <= known.high or (op == "div" and unknown is b)):
         return
@@ -534,7 +534,7 @@ def shadowed(analysis: Analysis) -> Mapping[Ending, Ending]:
     A failure has precedence over a success, so a failure behind a success still counts.
     """
     program, ranges = analysis.program, analysis.ranges_in(0.0, INF)
-    own = [ending for ending in program.endings if ending.foreign is None and not ranges.of(analysis.scalars(ending.value)[0]).single]
+    own = [ending for ending in program.endings if ending.foreign is None and not ranges.of(analysis.scalars(ending.value)[0]).is_single]
     found: dict[Ending, Ending] = {}
     for late in own if 1 < len(own) <= _MAX_ENDINGS else ():
         others = [other for other in own if other is not late and late.outcome in (other.outcome, "success")]

@@ -81,7 +81,7 @@ def _sides(entry: Comparison, ranges: Ranges) -> Iterator[tuple[str, Interval, s
     """The text, the range and the range in words of both sides of a comparison, except constants."""
     for arg in entry.node.args:
         known = hull([ranges.of(part) for part in ranges.analysis.lowered(arg, entry.value.owner)])
-        if not known.single:
+        if not known.is_single:
             yield entry.value.text[arg.start : arg.end], known, between(known, arg.type.dimension)
 
 
@@ -122,7 +122,7 @@ def shadowed_limit(context: RuleContext) -> Iterator[Finding]:
     yield from _later_ending(context)
     analysis, last = context.analysis, context.analysis.last
     for ending in context.program.endings:
-        if _truth_over_episode(analysis, ending).single or ending.foreign:
+        if _truth_over_episode(analysis, ending).is_single or ending.foreign:
             continue  # DB801, DB802
         (node,) = analysis.scalars(ending.value)
         limit = f"the truncation at step {last}"
@@ -148,7 +148,7 @@ def _with_return(analysis: Analysis, first: int, last: int) -> Ranges:
     known = Interval()
     if reward.is_complete and not first:
         known = Interval(min(0.0, step.low * ticks), max(0.0, step.high * ticks))
-    elif reward.is_complete and step.finite:
+    elif reward.is_complete and step.is_finite:
         known = Interval(step.low * ticks, step.high * ticks)
     return Ranges(analysis, {"episode_return": known}, (float(first), float(last)))
 
@@ -211,7 +211,7 @@ def timeout_as_termination(context: RuleContext) -> Iterator[Finding]:
     }
     for ending in context.program.endings if not shown & _CLOCK else ():
         names = _leaves(analysis, analysis.scalars(ending.value)[0]) if ending.foreign is None else set()
-        if names and names <= _CLOCK and not analysis.ranges.of(analysis.scalars(ending.value)[0]).single:
+        if names and names <= _CLOCK and not analysis.ranges.of(analysis.scalars(ending.value)[0]).is_single:
             headline = f"`{ending.value.name}` depends only on the time, which the policy does not observe"
             kept = " or ".join(f"`{'max_time: 5 s' if name == 'time' else 'max_steps: 200'}`" for name in sorted(names))
             yield Finding("DB805", ending.value.span, headline, help=f"limit the episode under `truncation`: {kept}")
@@ -233,7 +233,7 @@ def ends_at_reset(context: RuleContext) -> Iterator[Finding]:
         if ending.foreign is None and start.of(analysis.scalars(ending.value)[0]) == ALWAYS != _truth_over_episode(analysis, ending):
             headline = f"`{ending.value.name}` already holds when an episode begins"
             sides = [side for entry in analysis.comparisons(ending.value) for side in _sides(entry, start)]
-            notes = tuple(f"`{text}` begins {words}" for text, known, words in sides if known.finite)
+            notes = tuple(f"`{text}` begins {words}" for text, known, words in sides if known.is_finite)
             help = "change the initial state under `reset`, widen the limit, or reverse the comparison"
             yield Finding("DB806", ending.value.span, headline, help=help, notes=notes)
 
@@ -433,9 +433,9 @@ def _height(analysis: Analysis, subject: str, shape: Shape | RobotModel) -> floa
     known = start.initial(World("position", (subject,), "z"))
     if known is None:
         return None
-    if known.single:
+    if known.is_single:
         return known.low
-    return footprint.resting_height(shape) if not known.finite else None
+    return footprint.resting_height(shape) if not known.is_finite else None
 
 
 def _core(shape: Shape, height: float, *, upright: bool) -> list[SolidProfile]:
@@ -505,7 +505,7 @@ def _only_outcome(analysis: Analysis, test: ScenarioTest, expected: Expected) ->
     if not _OF_LAST_STEP.isdisjoint(names_in(expected.condition.typed)):
         return None  # their ranges are those of the step before
     known = analysis.ranges_in(1.0, float(test.steps)).of(analysis.scalars(expected.condition)[0])
-    return known == ALWAYS if known.single else None
+    return known == ALWAYS if known.is_single else None
 
 
 STATIC_RULES = (never_true, always_true, shadowed_limit, timeout_as_termination, ends_at_reset, after_the_end, unreachable_goal, idle_test)

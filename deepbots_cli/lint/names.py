@@ -225,7 +225,7 @@ class _Wrapping:
     def _differ(self, heading: Typed, other: Typed) -> bool:
         """Whether two angles can lie on both sides of 180 deg; a constant near 0 cannot."""
         known = other.type.interval
-        return self._wraps(heading) and (self._wraps(other) or (known.finite and max(-known.low, known.high) > pi / 2 + 1e-9))
+        return self._wraps(heading) and (self._wraps(other) or (known.is_finite and max(-known.low, known.high) > pi / 2 + 1e-9))
 
     def _wraps(self, node: Typed) -> bool:
         if node.type.dimension != ANGLE or node.type.stage is not Stage.STEP:

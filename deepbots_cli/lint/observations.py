@@ -316,7 +316,7 @@ def observation_unbounded(context: RuleContext) -> Iterator[Finding]:
         observation: {speed: -0.8 .. 0.8 m/s}
     """
     analysis = context.analysis
-    loose = [number for number in ranged_numbers(analysis) if not number.entry.clip and not analysis.ranges.of(number.node).finite]
+    loose = [number for number in ranged_numbers(analysis) if not number.entry.clip and not analysis.ranges.of(number.node).is_finite]
     for entry in {id(number.entry): number.entry for number in loose}.values():
         headline = f"`{entry.value.name}` is not clipped to its range, and can be arbitrarily large"
         fix = removal_fix(context.values.root, ("observation", entry.value.name, "clip"))
@@ -343,7 +343,7 @@ def bounds_mismatch(context: RuleContext) -> Iterator[Finding]:
         known = analysis.ranges.of(number.node)
         if number.is_outside(known):
             headline = f"`{number.name}` is {between(known, number.dimension)}, outside of its range in the observation"
-            is_known = known.finite and not known.single
+            is_known = known.is_finite and not known.is_single
             help = "write the range of the value" + (f": `{range_text(known, number.dimension)}`" if is_known else "")
             fix = replace_range(context, number, known, number.dimension) if is_known else None
             yield Finding("DB602", context.range_span(number.entry), headline, help=help, fix=fix)

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.dimensions import ANGLE, NUMBER, Dimension
-from deepbots_cli.expressions.functions import FUNCTIONS, operation
-from deepbots_cli.expressions.intervals import EVERYTHING, INF, NEVER, TRUTH, Interval, exact, hull
+from deepbots_cli.expressions.functions import FUNCTIONS, function_named
+from deepbots_cli.expressions.intervals import EVERYTHING, INF, NEVER, TRUTH, Interval, hull, single
 from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar, State, World
 from deepbots_cli.program.resets import Placement, Region, Top
 
@@ -64,7 +64,7 @@ class Ranges:
 
     def _of(self, node: Scalar) -> Interval:
         if isinstance(node, Const):
-            return exact(float(node.value))
+            return single(float(node.value))
         if self._base is not None and self.analysis.names_behind(node).isdisjoint(self.given):
             return self._base.of(node)  # worked out once for all steps
         if self._kept is not None and self.analysis.identity(node) == self._kept[0]:
@@ -91,7 +91,7 @@ class Ranges:
             if goal is not None and node.name in ("achieved", "desired"):  # both are clipped to the range of the goal
                 names = goal.achieved.components or (None,)
                 at = names.index(node.component) if node.component in names else 0
-                known = iv.clamped(known, exact(goal.low[at]), exact(goal.high[at]))
+                known = iv.clamp(known, single(goal.low[at]), single(goal.high[at]))
             self._names[node] = known
         return self._names[node]
 
@@ -131,12 +131,12 @@ class Ranges:
             chosen = args[1:2] if condition.low > 0.0 else args[2:] if condition.high <= 0.0 else args[1:]
             return hull([self.of(arg) for arg in chosen])
         if op == "mul" and args[0] == args[1]:
-            return iv.power(self.of(args[0]), exact(2.0))
+            return iv.power(self.of(args[0]), single(2.0))
         if op == "sub" and self.analysis.identity(args[0]) == self.analysis.identity(args[1]):
             return NEVER
         if op == "and" and self._is_contradictory(args):
             return NEVER
-        return operation(op).interval(*[self.of(arg) for arg in args])
+        return function_named(op).interval(*[self.of(arg) for arg in args])
 
     def _is_contradictory(self, conditions: Sequence[Scalar]) -> bool:
         """Whether a quantity would have to be above and below: `x > 20 cm and x < 10 cm`."""
@@ -258,16 +258,16 @@ class StartRanges(Ranges):
                 return EVERYTHING
             if isinstance(region, Region):
                 return Interval(region.low[axis], region.high[axis])
-            return hull([exact(spot[axis]) for spot in region.spots])
+            return hull([single(spot[axis]) for spot in region.spots])
         coordinate = place.coordinates.get(key)
         if coordinate is None:
-            return EVERYTHING if key == "z" and place.rests else exact(0.0)
+            return EVERYTHING if key == "z" and place.rests else single(0.0)
         return self.of(coordinate.scalar)
 
     def _quaternion(self, place: Placement) -> tuple[Interval, ...]:
         """(x, y, z, w) of a body turned by roll, pitch and yaw about fixed axes, in this order."""
-        halves = [iv.multiply(self._coordinate(place, key), exact(0.5)) for key in _TURNS]
-        halves[2] = iv.add(halves[2], exact(place.heading / 2))
+        halves = [iv.multiply(self._coordinate(place, key), single(0.5)) for key in _TURNS]
+        halves[2] = iv.add(halves[2], single(place.heading / 2))
         (cr, cp, cy), (sr, sp, sy) = map(iv.cosine, halves), map(iv.sine, halves)
         return (
             iv.subtract(_product(sr, cp, cy), _product(cr, sp, sy)),
@@ -291,7 +291,7 @@ class StartRanges(Ranges):
 
 def is_level(pose: Mapping[str, Interval]) -> bool:
     """Whether a pose of `StartRanges.poses` is neither rolled nor pitched."""
-    return pose["roll"] == pose["pitch"] == exact(0.0)
+    return pose["roll"] == pose["pitch"] == single(0.0)
 
 
 def _product(a: Interval, b: Interval, c: Interval) -> Interval:
@@ -313,9 +313,9 @@ def range_text(interval: Interval, dimension: Dimension) -> str:
 
 def between(interval: Interval, dimension: Dimension) -> str:
     """`between 0 and 15 deg`, `at least 2 m`."""
-    if interval.single:
+    if interval.is_single:
         return f"always {with_unit(interval.low, dimension)}"
-    if interval.finite:
+    if interval.is_finite:
         return f"between {_number(interval.low, dimension)} and {with_unit(interval.high, dimension)}"
     known = interval.low if interval.low > -math.inf else interval.high
     return f"{'at least' if interval.low > -math.inf else 'at most'} {with_unit(known, dimension)}"

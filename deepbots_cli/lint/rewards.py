@@ -54,7 +54,7 @@ def reward_unbounded(context: RuleContext) -> Iterator[Finding]:
     analysis = context.analysis
     search = _PoleSearch(analysis)
     for term in context.program.policy.reward:
-        if term.foreign is None and not search.ranges.of(analysis.scalars(term)[0]).finite:
+        if term.foreign is None and not search.ranges.of(analysis.scalars(term)[0]).is_finite:
             found = search.pole(term, term.typed)
             search.met.clear()
             if found is not None:
@@ -90,7 +90,7 @@ class _PoleSearch:
 
     def pole(self, value: Expression, node: Typed) -> Pole | None:
         """The first part that is infinite because of a pole or an exponential."""
-        if node.type.boolean or all(known.finite for known in self._known(value, node)):
+        if node.type.boolean or all(known.is_finite for known in self._known(value, node)):
             return None
         match node:
             case Operation(operator="div", args=(_, below)) if self._may_be_zero(value, below):
@@ -116,7 +116,7 @@ class _PoleSearch:
         """Whether a divisor may be zero; one between two finite bounds is DB405."""
         for part in self._analysis.lowered(node, value.owner):
             known = self.ranges.of(part)
-            if 0.0 in known and not known.finite and self._guarded.isdisjoint(map(self._analysis.identity, walk(part))):
+            if 0.0 in known and not known.is_finite and self._guarded.isdisjoint(map(self._analysis.identity, walk(part))):
                 return True
         return False
 
@@ -147,7 +147,7 @@ def term_dominates(context: RuleContext) -> Iterator[Finding]:
     for term, node in ordinary:
         known = reward.running().of(node)
         high = max(abs(known.low), abs(known.high)) * reward.analysis.last * reward.program.action_repeat
-        if known.single or high <= _DOMINATES * prize:
+        if known.is_single or high <= _DOMINATES * prize:
             continue
         low = _smallest_sum(reward, node)
         if low > _DOMINATES * prize:
@@ -492,7 +492,7 @@ def nothing_to_learn(context: RuleContext) -> Iterator[Finding]:
         reward: {alive: 1}
         termination: {failure: {fallen: abs(cart.pole_angle) > fall_angle}}
     """
-    if context.program.policy.training is None or not all(return_range(analysis).single for analysis in context.versions):
+    if context.program.policy.training is None or not all(return_range(analysis).is_single for analysis in context.versions):
         return
     worth = return_range(context.analysis).low
     headline = f"every episode has the return {worth:.4g}, whatever the policy does"

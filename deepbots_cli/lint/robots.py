@@ -72,7 +72,7 @@ def command_cut_off(context: RuleContext) -> Iterator[Finding]:
                 continue
             asked = hull([analysis.ranges.of(tree) for tree in trees])
             done = min(asked.high, limits.high) - max(asked.low, limits.low)
-            if asked.finite and not asked.single and done < _MIN_SHARE * (asked.high - asked.low):
+            if asked.is_finite and not asked.is_single and done < _MIN_SHARE * (asked.high - asked.low):
                 dimension = command.target.typed.type.dimension
                 able = f"receives commands of {range_text(asked, dimension)}, and its limits are {range_text(limits, dimension)}"
                 help = "scale the action to the limits of the actuator"
@@ -418,7 +418,7 @@ class Heights:
         found: set[Frame] = set()
         for place, pose in self._analysis.start.poses(body.name):
             known = [pose[key] for key in ("z", "roll", "pitch")]
-            if body.fixed_base and all(interval.single for interval in known):
+            if body.fixed_base and all(interval.is_single for interval in known):
                 found.add(((0.0, 0.0, pose["z"].low), quaternion(pose["roll"].low, pose["pitch"].low, 0.0)))
             elif height is not None and is_level(pose) and (place.rests or all(abs(end - height) < _NEAR for end in pose["z"])):
                 found.add(((0.0, 0.0, height), frames.IDENTITY_ROTATION))

@@ -183,7 +183,7 @@ def _saturated_at_start(context: RuleContext) -> Iterator[Finding]:
         first, fact = analysis.start.of(number.node), analysis.meaning(number.node)
         is_beyond = first.low > number.high + number.slack or first.high < number.low - number.slack
         drawn = analysis.start.initial(fact) if isinstance(fact, World) else None
-        if drawn is not None and drawn.finite:  # exactly what is drawn, not a wider range around it
+        if drawn is not None and drawn.is_finite:  # exactly what is drawn, not a wider range around it
             is_beyond = drawn.high > number.high + number.slack or drawn.low < number.low - number.slack
         if is_beyond:
             headline = f"`{number.name}` can start outside its range: its initial value is {between(first, number.dimension)}"
@@ -200,7 +200,7 @@ def _goal_out_of_range(context: RuleContext) -> Iterator[Finding]:
         drawn = analysis.start.of(meant) if isinstance(meant, Draw) else None
         drawn = analysis.start.initial(meant) if isinstance(meant, World) else drawn
         slack = _ROUNDING * (high - low)
-        if drawn is not None and drawn.finite and (drawn.low < low - slack or drawn.high > high + slack):
+        if drawn is not None and drawn.is_finite and (drawn.low < low - slack or drawn.high > high + slack):
             headline = f"`desired` can begin outside its range: it is drawn {between(drawn, goal.desired.typed.type.dimension)}"
             yield Finding(
                 "DB611", context.values.span(("goal", "range")), headline, help="widen the range of the goal, or draw from a smaller one"

@@ -8,7 +8,7 @@ from deepbots_cli.diagnostics import Finding, Fix, Label
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH
 from deepbots_cli.expressions.intervals import NEVER, Interval
 from deepbots_cli.expressions.scalar import Name, Op, Scalar, State, World, children
-from deepbots_cli.expressions.unification import negated
+from deepbots_cli.expressions.unification import negated_text
 from deepbots_cli.lint.analysis import FOLLOWING, Analysis, Comparison, RewardTerms, RuleContext, Terms, Threshold, is_clock, thresholds
 from deepbots_cli.lint.ranges import Ranges, with_unit
 from deepbots_cli.program.task import Ending
@@ -68,7 +68,7 @@ def suspicious_sign(context: RuleContext) -> Iterator[Finding]:
 
 
 def _wrong_sign(term: Expression, headline: str, also: tuple[Label, ...]) -> Finding:
-    turned = negated(term.typed)(term.text)
+    turned = negated_text(term.typed)(term.text)
     fix = Fix.replacing(term.span, term.text, turned, safe=False)
     help = f"reverse the sign: `{turned}`" if len(turned) <= _MAX_SHOWN else "reverse the sign"
     return Finding("DB703", term.span, headline, help=help, labels=also, fix=fix)

@@ -14,8 +14,8 @@ from deepbots_cli.diagnostics import Finding, Label, Span
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, MASS
-from deepbots_cli.expressions.functions import draws
-from deepbots_cli.expressions.intervals import ALWAYS, exact
+from deepbots_cli.expressions.functions import contains_draw
+from deepbots_cli.expressions.intervals import ALWAYS, single
 from deepbots_cli.expressions.scalar import World
 from deepbots_cli.expressions.types import Stage
 from deepbots_cli.lint.analysis import Analysis, RuleContext, names_in
@@ -128,8 +128,8 @@ def _is_within(start: StartRanges, robot: RobotBody, thing: ObjectBody, shape: S
     for (place, here), (stand, there) in pairs:
         if not (is_level(here) and is_level(there)):
             return False
-        middle = exact(lying) if place.rests else here["z"]
-        root = exact(standing) if stand.rests else there["z"]
+        middle = single(lying) if place.rests else here["z"]
+        root = single(standing) if stand.rests else there["z"]
         apart = [max(here[axis].high - there[axis].low, there[axis].high - here[axis].low) for axis in "xy"]
         shared = min(root.low + high, middle.low + half) - max(root.high - standing, middle.high - half)
         if hypot(*apart) >= radius or shared < _INSIDE:
@@ -278,7 +278,7 @@ def identical_episodes(context: RuleContext) -> Iterator[Finding]:
         or _varies(context.analysis)
     ):
         return
-    if any(draws(tree) for reading in context.values.readings for tree in reading.trees):
+    if any(contains_draw(tree) for reading in context.values.readings for tree in reading.trees):
         return
     headline = f"nothing is drawn, so the {program.evaluation.episodes} episodes of an evaluation are identical"
     if program.reset.joint_starts:
@@ -321,7 +321,7 @@ def _has_noise(sensor: Sensor) -> bool:
 
 
 def _draws_coordinates(place: Placement) -> bool:
-    return any(draws(coordinate.typed) for coordinate in place.coordinates.values())
+    return any(contains_draw(coordinate.typed) for coordinate in place.coordinates.values())
 
 
 def requirement_not_redrawn(context: RuleContext) -> Iterator[Finding]:
@@ -372,7 +372,7 @@ def _is_of_root(program: Program, fact: World) -> bool:
 
 def _is_drawn_again(program: Program, places: list[Placement], bent: set[str]) -> bool:
     """Whether the next attempt differs: in the place of a body, in the layout, or in a joint of a robot in `bent`."""
-    joints = any(start.robot in bent and draws(start.position.typed) for start in program.reset.joint_starts)
+    joints = any(start.robot in bent and contains_draw(start.position.typed) for start in program.reset.joint_starts)
     moved = any(_draws_coordinates(place) or place.spot is not None or place.at_most is not None for place in places)
     return joints or moved or (bool(places) and len(program.reset.layouts) > 1)
 

@@ -21,7 +21,7 @@ from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions import parser, syntax
 from deepbots_cli.expressions.check import check
 from deepbots_cli.expressions.dimensions import UNITS, Unit
-from deepbots_cli.expressions.functions import ALLOWED, FUNCTIONS, Family, Form, Param
+from deepbots_cli.expressions.functions import ALLOWED_FAMILIES, FUNCTIONS, Family, Form, Param
 from deepbots_cli.expressions.types import Context, Kind, Scope, Type
 from deepbots_cli.lsp.cursor import value_at
 from deepbots_cli.lsp.lookup import (
@@ -341,7 +341,7 @@ def _expression_choices(text: str, scope: Scope, checked: Checked) -> Iterator[C
     if "." in word:
         yield from _components(word.rpartition(".")[0], scope)
     yield from _names(scope, checked)
-    yield from functions(ALLOWED[scope.context])
+    yield from functions(ALLOWED_FAMILIES[scope.context])
     for word, doc in {**_GRAMMAR, **(_REPEATS if scope.context is Context.PARAMETER else {})}.items():
         yield Choice(word, CompletionItemKind.Keyword, "", doc)
 
@@ -354,10 +354,10 @@ def _units(text: str, field: FieldType) -> Iterator[Choice]:
     goes_on = text[: len(text) - len(_word_before(text))].endswith(("*", "/"))
     wanted = [unit for measure in _measures(field) if (unit := _unit(measure)) is not None]
     if not goes_on:
-        yield from (Choice(unit.text, CompletionItemKind.Unit, unit.dimension.words) for unit in wanted if unit.text not in UNITS)
+        yield from (Choice(unit.text, CompletionItemKind.Unit, unit.dimension.description) for unit in wanted if unit.text not in UNITS)
     dimensions = [unit.dimension for unit in wanted]
     for unit in sorted(UNITS.values(), key=lambda unit: unit.dimension not in dimensions):
-        yield Choice(unit.text, CompletionItemKind.Unit, unit.dimension.words)
+        yield Choice(unit.text, CompletionItemKind.Unit, unit.dimension.description)
     if isinstance(field, Expression) and not goes_on:
         yield from (Choice(word, CompletionItemKind.Keyword, "", _GRAMMAR[word]) for word in ("when", "and", "or"))
 
@@ -385,7 +385,7 @@ def _names(scope: Scope, checked: Checked) -> Iterator[Choice]:
     robot = scope.robot if isinstance(scope, RobotScope) else None
     for name in list(dict.fromkeys(scope.names()))[:_MAX_NAMES]:
         symbol = scope.lookup(name)
-        if symbol is not None and symbol.refused is None:
+        if symbol is not None and symbol.refusal is None:
             found = definition(checked, name, robot)
             yield Choice(name, CompletionItemKind.Variable, describe_symbol(symbol), found.what if found else "built in")
 
@@ -413,7 +413,7 @@ def _component_choices(vector: Type | None, before: str) -> Iterator[Choice]:
     """Each component of a vector, and `xy` for a vector in space."""
     components = (vector and vector.components) or ()
     for picked in (*components, *(("xy",) if components == ("x", "y", "z") else ())):
-        words = vector._replace(components=None).words if vector else ""
+        words = vector._replace(components=None).description if vector else ""
         yield Choice(f"{before}{picked}", CompletionItemKind.Field, words)
 
 
@@ -421,7 +421,7 @@ def _parts(scope: Scope, kinds: frozenset[Kind]) -> Iterator[Choice]:
     for name in list(dict.fromkeys((*scope.subjects(), "ground")))[:_MAX_NAMES]:
         subject = scope.subject(name, kinds)
         if subject is not None and subject.kind in kinds:
-            yield Choice(name, CompletionItemKind.Reference, subject.kind.words)
+            yield Choice(name, CompletionItemKind.Reference, subject.kind.description)
 
 
 def _expected_parts(before: str) -> frozenset[Kind] | None:

@@ -23,7 +23,7 @@ from deepbots_cli.expressions.check import check
 from deepbots_cli.expressions.dimensions import UNITS
 from deepbots_cli.expressions.functions import FUNCTIONS, Form, Function
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
-from deepbots_cli.expressions.types import Kind, Symbol, Type, Typed, children, shown
+from deepbots_cli.expressions.types import Kind, Symbol, Type, Typed, children, shortened_list
 from deepbots_cli.lint import pages_of
 from deepbots_cli.lsp.cursor import value_at
 from deepbots_cli.lsp.workspace import Document, Locator, View, uri_of
@@ -427,13 +427,13 @@ def _name_text(view: View, found: ExpressionNode, name: str) -> str | None:
     named = definition(checked, name, found.robot)
     if found.kinds is not None:
         subject = found.reading.scope.subject(name, found.kinds)
-        return f"`{name}`: {subject.kind.words}{_definition_line(named)}" if subject else None
+        return f"`{name}`: {subject.kind.description}{_definition_line(named)}" if subject else None
     symbol = found.reading.scope.lookup(name)
     if symbol is None:  # a component of a vector, or a unit
         known = found.type
         if known:
             return f"`{name}`: {describe_type(known)}{_definition_line(named)}"
-        return f"`{name}`: {UNITS[name].dimension.words}" if name in UNITS else None
+        return f"`{name}`: {UNITS[name].dimension.description}" if name in UNITS else None
     what = f"{named.what}, " if named else ""
     return f"`{name}`: {what}{describe_symbol(symbol)}{_definition_line(named)}"
 
@@ -541,19 +541,19 @@ def describe_type(known: Type) -> str:
     if known.picture is not None:
         rows, columns, channels = known.picture
         return f"a picture of {columns} x {rows} pixels with {channels} channel{'s' if channels > 1 else ''}"
-    words = [known.words]
+    words = [known.description]
     if known.components is not None:
-        words.append(f"with the components {shown(known.components)}")
+        words.append(f"with the components {shortened_list(known.components)}")
     if not known.boolean and known.interval != EVERYTHING:
         words.append(_interval(known.interval, str(known.dimension)))
-    return ", ".join([*words, known.stage.words])
+    return ", ".join([*words, known.stage.description])
 
 
 def _interval(interval: Interval, dimension: str) -> str:
     unit = "" if dimension == "1" else f" {dimension}"
-    if interval.single:
+    if interval.is_single:
         return f"{interval.low:.6g}{unit}"
-    if not interval.finite:
+    if not interval.is_finite:
         low, high = interval.low > -float("inf"), interval.high < float("inf")
         return f"at least {interval.low:.6g}{unit}" if low else f"at most {interval.high:.6g}{unit}" if high else ""
     return f"from {interval.low:.6g} to {interval.high:.6g}{unit}"
@@ -561,8 +561,8 @@ def _interval(interval: Interval, dimension: str) -> str:
 
 def describe_symbol(symbol: Symbol) -> str:
     """The type and value of a name, or the reason why it has no value."""
-    if symbol.refused is not None:
-        return f"no value here: {symbol.refused}"
+    if symbol.refusal is not None:
+        return f"no value here: {symbol.refusal}"
     if symbol.type is None:
         return "its definition has a finding"
     text = describe_type(symbol.type)

@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import Literal, NamedTuple
 
 from deepbots_cli import footprint
-from deepbots_cli.expressions.lower import op
+from deepbots_cli.expressions.lower import fold_operation
 from deepbots_cli.expressions.scalar import Const, Scalar, is_drawn
 from deepbots_cli.program.values import Expression, NamedScalars
 from deepbots_cli.program.world import EngineParameter
@@ -88,7 +88,7 @@ class Placement:
 
     @cached_property
     def rpy(self) -> Triple:
-        return self._coordinate("roll"), self._coordinate("pitch"), op("add", Const(self.heading), self._coordinate("yaw"))
+        return self._coordinate("roll"), self._coordinate("pitch"), fold_operation("add", Const(self.heading), self._coordinate("yaw"))
 
     @cached_property
     def xyz(self) -> Triple:
@@ -232,7 +232,7 @@ class RandomizedParameter:
         if not self.max:
             return found
         pairs = zip(found, self.max, strict=True)
-        return tuple(scalar if limit is None else op("min", scalar, Const(limit)) for scalar, limit in pairs)
+        return tuple(scalar if limit is None else fold_operation("min", scalar, Const(limit)) for scalar, limit in pairs)
 
     def digest_fields(self) -> dict[str, object]:
         return {"what": self.what, "of": self.of, "scalars": self.scalars}

@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Literal
 
 from deepbots_cli.expressions.intervals import Interval
-from deepbots_cli.expressions.lower import op
+from deepbots_cli.expressions.lower import fold_operation
 from deepbots_cli.expressions.scalar import Const, Name, Scalar, World
 from deepbots_cli.program.values import Expression, NamedScalars
 from deepbots_cli.robots.model import Pose
@@ -361,7 +361,7 @@ class Command:
         if self.opening:
             closed, open_ = self.opening
             share = _clamped(values[0], 0.0, 1.0, reach)
-            values = (op("add", Const(closed), op("mul", Const(open_ - closed), share)),)
+            values = (fold_operation("add", Const(closed), fold_operation("mul", Const(open_ - closed), share)),)
         values = values * len(self.components) if len(values) == 1 else values
         match self.actuator:
             case Motor(kind="velocity_motor", max_velocity=limits):
@@ -378,7 +378,7 @@ class Command:
 
 def _clamped(value: Scalar, low: float, high: float, reach: Interval) -> Scalar:
     """The value kept within bounds, where it may leave them: it is known to stay within `reach`."""
-    return value if low <= reach.low and reach.high <= high else op("clamp", value, Const(low), Const(high))
+    return value if low <= reach.low and reach.high <= high else fold_operation("clamp", value, Const(low), Const(high))
 
 
 @dataclass(frozen=True, eq=False)

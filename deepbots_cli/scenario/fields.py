@@ -22,7 +22,7 @@ from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, cor
 from deepbots_cli.diagnostics.nearest import Replacement, nearest_word, suggest_replacement
 from deepbots_cli.expressions import parser, syntax
 from deepbots_cli.expressions.dimensions import NUMBER, UNITS, Dimension
-from deepbots_cli.expressions.types import PLANE, SPACE, Components, shown
+from deepbots_cli.expressions.types import PLANE, SPACE, Components, shortened_list
 
 Stage = Literal["fixed", "episode", "step"]
 Scalar = str | int | float
@@ -110,7 +110,7 @@ def other_name(word: str, known: Iterable[str]) -> str | None:
 def choose_from(word: str, words: Sequence[str]) -> str:
     """The help for an unknown word: the probable word, and all known words."""
     near = other_name(word, words) or nearest_word(word, words)
-    listed = shown((f"`{known}`" for known in words), _LISTED)
+    listed = shortened_list((f"`{known}`" for known in words), _LISTED)
     return f"did you mean `{near}`? known names: {listed}" if near else f"known names: {listed}"
 
 
