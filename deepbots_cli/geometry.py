@@ -25,8 +25,8 @@ from deepbots_cli.errors import DeepbotsError, EngineError
 from deepbots_cli.expressions.scalar import Name
 from deepbots_cli.files import MAX_PICTURE_BYTES, picture_problem
 from deepbots_cli.program.world import Formula, Picture, Pit, Terrain, TerrainShape
-from deepbots_cli.robots.meshes import checked_bytes
-from deepbots_cli.robots.model import Inertial, Link, Mesh, Pose, RobotModel, with_link, write
+from deepbots_cli.robots.meshes import read_verified
+from deepbots_cli.robots.model import Inertial, Link, Mesh, Pose, RobotModel, to_urdf, with_link
 
 if TYPE_CHECKING:
     import trimesh
@@ -225,7 +225,7 @@ def triangles(mesh: Mesh) -> NDArray[np.float64]:
     """
     import trimesh
 
-    data = checked_bytes(mesh)
+    data = read_verified(mesh)
     try:
         loaded = trimesh.load_mesh(BytesIO(data), file_type=Path(mesh.path).suffix[1:].lower(), process=False, skip_materials=True)
     except (ValueError, IndexError) as error:
@@ -265,8 +265,8 @@ def _solid(link: Link) -> trimesh.Trimesh:
     shapes = link.collisions or link.visuals
     for geometry in shapes:
         if isinstance(geometry.shape, Mesh):
-            checked_bytes(geometry.shape)
-    text = write(RobotModel("robot", (Link(link.name, collisions=shapes),), (), link.name))
+            read_verified(geometry.shape)
+    text = to_urdf(RobotModel("robot", (Link(link.name, collisions=shapes),), (), link.name))
     robot = yourdfpy.URDF.load(
         BytesIO(text.encode()),
         build_scene_graph=False,

@@ -92,7 +92,11 @@ def opened_robot(reference: str) -> tuple[RobotFile, list[Finding]]:
         UsageError: There is no such file.
         ScenarioError: It cannot be read as a robot.
     """
-    found = meshes.locate(reference, Path.cwd()) if reference.startswith("package://") else shipped.robot_path(reference) or Path(reference)
+    found = (
+        meshes.locate_mesh(reference, Path.cwd())
+        if reference.startswith("package://")
+        else shipped.robot_path(reference) or Path(reference)
+    )
     if isinstance(found, meshes.UnusableMesh) or not found.is_file():
         names = shipped.robot_names()
         near = meshes.library_reference(reference) or nearest_word(reference, names)

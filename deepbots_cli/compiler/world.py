@@ -104,7 +104,7 @@ def mesh(namespace: Namespace, spec: world_spec.Mesh | world_spec.MeshTerrain) -
         return None
     loaded = meshes.MeshReader(lambda _reference: found).load(reference)
     if isinstance(loaded, meshes.UnusableMesh):
-        values.findings.add("DB301", values.span(place), loaded.why, help=loaded.help)
+        values.findings.add("DB301", values.span(place), loaded.headline, help=loaded.help)
         return None
     if 0.0 in factors:
         values.findings.add(

@@ -25,7 +25,7 @@ from deepbots_cli.footprint import bounds
 from deepbots_cli.frames import Triple
 from deepbots_cli.port import STILL, View
 from deepbots_cli.program.world import Colour, Line, WorldModel
-from deepbots_cli.robots.meshes import checked_bytes
+from deepbots_cli.robots.meshes import read_verified
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Geometry, Mesh, Pose, RobotModel, Sphere
 from deepbots_cli.view.frames import Beams, Layout, LinkName, WorldFrame
 
@@ -54,7 +54,7 @@ def triangles(mesh: Mesh) -> Any:
     """
     import trimesh
 
-    data, kind = checked_bytes(mesh), Path(mesh.path).suffix[1:].lower()
+    data, kind = read_verified(mesh), Path(mesh.path).suffix[1:].lower()
     try:
         loaded = trimesh.load_scene(BytesIO(data), file_type=kind, skip_materials=True).to_mesh()
     except Exception as error:  # the readers of trimesh raise many kinds

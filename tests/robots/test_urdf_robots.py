@@ -10,7 +10,7 @@ import pytest
 from deepbots_cli.compiler.robots import match
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.robots.meshes import mesh_resolver
-from deepbots_cli.robots.model import Box, Cylinder, Sphere, homogeneous, write
+from deepbots_cli.robots.model import Box, Cylinder, Sphere, homogeneous_inertial, to_urdf
 from deepbots_cli.robots.reader import RobotFile, read, read_bytes
 
 SHIPPED = Path(__file__).parents[2] / "robots/urdf"
@@ -43,14 +43,14 @@ def shipped(name: str) -> RobotFile:
 
 def moments(link, shape, origin):
     """What the file says, beside the closed form."""
-    said, right = link.inertial, homogeneous(shape, link.inertial.mass, origin)
+    said, right = link.inertial, homogeneous_inertial(shape, link.inertial.mass, origin)
     return [said.ixx, said.iyy, said.izz], pytest.approx([right.ixx, right.iyy, right.izz], rel=1e-9)
 
 
 @pytest.mark.parametrize("path", sorted(SHIPPED.glob("*.urdf")), ids=lambda path: path.stem)
 def test_a_shipped_robot_is_silent_and_survives_the_round_trip(path: Path):
     robot = shipped(path.name)
-    again = read_bytes(write(robot.model).encode(), "x", Findings(), resolve_mesh=Path)
+    again = read_bytes(to_urdf(robot.model).encode(), "x", Findings(), resolve_mesh=Path)
     assert again is not None
     assert again.model == robot.model
 
@@ -129,7 +129,7 @@ def test_a_published_robot_is_read_with_warnings_at_most(library, name):
     assert findings.errors == []
     assert robot is not None
     assert {finding.code for finding in findings} == PUBLISHED[name]
-    again = read_bytes(write(robot.model).encode(), "x", Findings(), resolve_mesh=Path)
+    again = read_bytes(to_urdf(robot.model).encode(), "x", Findings(), resolve_mesh=Path)
     assert again is not None
     assert again.model == robot.model
 

@@ -19,8 +19,8 @@ from deepbots_cli.errors import EngineError
 from deepbots_cli.geometry import HeightGrid, grid, triangles
 from deepbots_cli.port import STILL
 from deepbots_cli.program.world import GROUND
-from deepbots_cli.robots.meshes import checked_bytes
-from deepbots_cli.robots.model import Friction, Joint, Limit, Link, Mesh, RobotModel, write
+from deepbots_cli.robots.meshes import read_verified
+from deepbots_cli.robots.model import Friction, Joint, Limit, Link, Mesh, RobotModel, to_urdf
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -135,7 +135,7 @@ def _object(client: int, thing: ObjectBody, file: Path) -> Body:
 
 
 def _load(client: int, name: str, model: RobotModel, fixed: bool, file: Path, inertia_known: bool = True) -> Body:
-    file.write_text(write(for_loader(model)), encoding="utf-8")
+    file.write_text(to_urdf(for_loader(model)), encoding="utf-8")
     flags = p.URDF_USE_IMPLICIT_CYLINDER | (p.URDF_USE_INERTIA_FROM_FILE if inertia_known else 0)
     with capture_native_output() as said:
         try:
@@ -260,7 +260,7 @@ def for_loader(model: RobotModel) -> RobotModel:
     for index, link in enumerate(model.links):
         for geometry in (*link.visuals, *link.collisions):
             if isinstance(geometry.shape, Mesh):
-                checked_bytes(geometry.shape)
+                read_verified(geometry.shape)
         colour = PALETTE[index % len(PALETTE)]
         visuals = tuple(replace(seen, colour=seen.colour or colour) for seen in link.visuals or link.collisions)
         links.append(replace(link, visuals=visuals))
