@@ -28,11 +28,11 @@ from deepbots_cli.scenario.base import (
     MappingOf,
     Section,
     Shape,
-    about,
     default_of,
-    description,
     example_of,
-    fields,
+    key_description,
+    section_description,
+    section_fields,
     unit_of,
 )
 from deepbots_cli.scenario.fields import Expression, FieldType, Quantity
@@ -74,8 +74,8 @@ class _Keys:
     def _section(self, title: str, part: type[Section], route: Route) -> Iterator[str]:
         if part not in self._met:
             self._met.add(part)
-            rows = [(_Key(part, key), "") for key in fields(part)]
-            yield from self._table(title, about(part), rows, route)
+            rows = [(_Key(part, key), "") for key in section_fields(part)]
+            yield from self._table(title, section_description(part), rows, route)
 
     def _kinds(self, title: str, spec: Kinds, route: Route) -> Iterator[str]:
         """One table for all kinds; a key that only some have says so."""
@@ -85,7 +85,7 @@ class _Keys:
         self._met.update(models.values())
         owners: dict[_Key, list[str]] = {}
         for name, model in models.items():
-            for key in fields(model):
+            for key in section_fields(model):
                 owners.setdefault(_Key(model, key, kind=next(iter(models)) if key == spec.key else ""), []).append(name)
         rows = [(key, "" if len(names) == len(models) else f"{_listed(names)}: ") for key, names in owners.items()]
         doc = f"`{spec.key}` is one of {_listed(models)}."
@@ -117,7 +117,7 @@ class _Keys:
                 parts = [option for option in options if isinstance(option, type) and option is not PythonTerm]
                 for option in options:
                     named = isinstance(option, type) and len(parts) > 1
-                    yield from self._below(f"{title} with {next(iter(fields(option)))}" if named else title, option, route)
+                    yield from self._below(f"{title} with {next(iter(section_fields(option)))}" if named else title, option, route)
             case Kinds():
                 yield from self._kinds(title, spec, route)
 
@@ -154,8 +154,8 @@ class _Key:
 
     def __init__(self, part: type[Section], name: str, kind: str = "") -> None:
         self.name = name
-        self.spec = fields(part)[name]
-        self.meaning = _cell(description(part, name))
+        self.spec = section_fields(part)[name]
+        self.meaning = _cell(key_description(part, name))
         default = "**required**" if part.model_fields[name].is_required() else f"`{written}`" if (written := default_of(part, name)) else ""
         example = found.text if (found := example_of(part, name)) else kind
         value = "a kind" if kind else _value(self.spec)

@@ -48,7 +48,7 @@ from deepbots_cli.document import Document
 from deepbots_cli.document.hints import number_fix
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Evaluation, Policy, ScenarioTest, Truncation
-from deepbots_cli.scenario.base import visit
+from deepbots_cli.scenario.base import visit_values
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.validate import validate, with_new_names
 
@@ -116,7 +116,7 @@ def _check(document: Document) -> Checked:
     if document.root is None or spec is None:
         return Checked(document, findings)
     invalid = invalid_names(document.root, spec.pruned, (found.span for found in findings.errors))
-    namespace = Namespace(Values(document.root, findings, {path: kind for path, kind, _ in visit(spec)}, invalid), document, spec)
+    namespace = Namespace(Values(document.root, findings, {path: kind for path, kind, _ in visit_values(spec)}, invalid), document, spec)
     program = _program(namespace)
     tests = scenario_tests(namespace, program)
     robots = {name: robot for name, robot in namespace.robots.items() if robot is not None}

@@ -33,7 +33,7 @@ from deepbots_cli.program.task import ActionPart, ActionRange
 from deepbots_cli.program.values import Expression
 from deepbots_cli.robots.model import Joint
 from deepbots_cli.scenario import actuators as specs
-from deepbots_cli.scenario.base import parameters
+from deepbots_cli.scenario.base import kind_parameters
 
 Limits = tuple[float | None, ...]
 
@@ -112,7 +112,7 @@ class Actuators:
                 motor = Motor(name, spec.type, names, max_torque, max_velocity, response=self._response(spec, names))
             case _:
                 slides = joint_dimension(joints[0]) == LENGTH
-                own = self._namespace.parameters(spec, parameters(type(spec), specs.JointActuator), dimension, slides=slides)
+                own = self._namespace.parameters(spec, kind_parameters(type(spec), specs.JointActuator), dimension, slides=slides)
                 if own is None:
                     return None
                 low, high = (end if math.isfinite(end) else None for end in spec.interval)

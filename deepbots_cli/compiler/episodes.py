@@ -39,7 +39,7 @@ from deepbots_cli.program.robots import Direction, Robot, Route
 from deepbots_cli.program.task import Ending, Outcome, Solved, Truncation
 from deepbots_cli.program.values import Expression, Foreign
 from deepbots_cli.program.world import MAX_SETTLING_STEPS, ObjectBody, WorldModel
-from deepbots_cli.scenario.fields import Quantity, choose_from
+from deepbots_cli.scenario.fields import Quantity, choices_help
 from deepbots_cli.scenario.scenario import Disturbance as DisturbanceSpec
 from deepbots_cli.scenario.scenario import JointState, Measured, PythonTerm
 from deepbots_cli.scenario.scenario import Reset as ResetSpec
@@ -217,7 +217,7 @@ def _joint_start(key: str, spec: ResetSpec, namespace: Namespace, poses: Mapping
         movable = [name for name, (kind, _) in robot.groups.items() if kind in _JOINTS] + [
             joint.name for joint in robot.model.moving_joints
         ]
-        help = choose_from(key, [f"{key}.{name}" for name in movable]) if movable else "no joint of this robot can move"
+        help = choices_help(key, [f"{key}.{name}" for name in movable]) if movable else "no joint of this robot can move"
         namespace.values.findings.add("DB203", text.span, f"the robot `{key}` where a joint or a group of joints is needed", help=help)
         return None
     subject = robot.subject(part, _JOINTS)

@@ -13,8 +13,8 @@ from deepbots_cli.diagnostics import Span
 from deepbots_cli.document.nodes import MappingNode, NodePath, descend
 from deepbots_cli.expressions.types import Context, Kind
 from deepbots_cli.robots.model import Joint
-from deepbots_cli.scenario.fields import article
-from deepbots_cli.scenario.json_schema import Known, Names, Offer
+from deepbots_cli.scenario.fields import with_article
+from deepbots_cli.scenario.json_schema import Names, OfferedNames, ScenarioNames
 from deepbots_cli.scenario.scenario import DiscreteAction, Scenario
 
 _OF_ROBOTS = {
@@ -210,7 +210,7 @@ def _parts_of(namespace: Namespace, scene: RobotScene, sections: tuple[str, ...]
         if "groups" in sections or ("joints" if kind is Kind.JOINTS else "links") in sections:
             yield _keyed(namespace, (*home, "groups", name), f"{kind.description} ({', '.join(members)})")
     for joint in scene.model.moving_joints if "joints" in sections else ():
-        yield Named(joint.name, f"{article(joint.type)} joint", scene.file.joint_spans.get(joint.name))
+        yield Named(joint.name, f"{with_article(joint.type)} joint", scene.file.joint_spans.get(joint.name))
     for link in scene.link_names if "links" in sections else ():
         yield Named(link, "a link", scene.file.link_spans.get(link))
 
@@ -246,11 +246,11 @@ _SUPERVISED = {
 }
 
 
-def known(checked: Checked) -> Known:
+def known(checked: Checked) -> ScenarioNames:
     """What is known of the names of a scenario; nothing where its text could not be read."""
     namespace, spec = checked.namespace, checked.spec
     if namespace is None or spec is None:
-        return Known()
+        return ScenarioNames()
     everywhere = {kind: _offer(_named(checked, kind, path)) for kind, path in _PLACES.items()}
     choices = {option: "an option" for part in spec.action.values() if isinstance(part, DiscreteAction) for option in part.choices}
     is_whole = all(namespace.robots.values()) and not any(path[:1] == ("robots",) for path in spec.pruned)
@@ -258,11 +258,11 @@ def known(checked: Checked) -> Known:
     everywhere["joints"] = _offer(_named(checked, "joints"), only=is_whole)
     everywhere |= _expressions(namespace)
     scenes = [scene for scene in namespace.robots.values() if scene is not None]
-    return Known(everywhere, {scene.name: _names_on_board(checked, scene, spec) for scene in scenes[:_MAX_ROBOTS]})
+    return ScenarioNames(everywhere, {scene.name: _names_on_board(checked, scene, spec) for scene in scenes[:_MAX_ROBOTS]})
 
 
-def _offer(said: Mapping[str, str], *, only: bool = False) -> Offer:
-    return Offer(said if len(said) <= _MAX_NAMES else {}, only)
+def _offer(said: Mapping[str, str], *, only: bool = False) -> OfferedNames:
+    return OfferedNames(said if len(said) <= _MAX_NAMES else {}, only)
 
 
 def _expressions(namespace: Namespace) -> Names:

@@ -44,7 +44,7 @@ from deepbots_cli.program.robots import Parameter
 from deepbots_cli.program.values import Expression, Noise
 from deepbots_cli.program.world import Colour
 from deepbots_cli.scenario.base import Section
-from deepbots_cli.scenario.fields import COLOURS, Column, FieldType, Quantity, Range, colour_options, dimension_of, si
+from deepbots_cli.scenario.fields import COLOURS, Column, FieldType, Quantity, Range, colour_options, dimension_of, measure_dimension
 from deepbots_cli.scenario.scenario import Scenario
 
 _MAX_NAMES_IN_CYCLE = 12
@@ -229,7 +229,7 @@ class Namespace:
     ) -> Ends | None:
         """The ends of a fixed range, in any order where it may be `falling`; None after a finding."""
         text = self.values.field(section, *steps)
-        dimension = context.get("dimension") or (si(text.kind.dimension) if isinstance(text.kind, Range) else None)
+        dimension = context.get("dimension") or (measure_dimension(text.kind.dimension) if isinstance(text.kind, Range) else None)
         scope, components = context.get("scope") or self.scope(Context.FIXED), context.get("components")
         return self.values.ends(text, what or f"`{text.path[-1]}`", scope, dimension=dimension, components=components, falling=falling)
 
@@ -316,7 +316,7 @@ class Namespace:
         axes, own = (kind.axes, kind.stage) if isinstance(kind, Quantity) else (ANY_SHAPE, "fixed")
         stage = context.get("stage", Stage[own.upper()])
         scope = context.get("scope") or self.scope(Context.FIELD if stage else Context.FIXED)
-        return scope, context.get("dimension") or si(kind.dimension), context.get("components") or axes, stage
+        return scope, context.get("dimension") or measure_dimension(kind.dimension), context.get("components") or axes, stage
 
     def is_randomized(self, what: Randomizable, of: Owner) -> bool:
         """Whether an episode draws this value."""

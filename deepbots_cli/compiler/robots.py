@@ -37,7 +37,7 @@ from deepbots_cli.robots.model import (
 )
 from deepbots_cli.robots.reader import RobotFile, read
 from deepbots_cli.scenario.base import Section
-from deepbots_cli.scenario.fields import choose_from
+from deepbots_cli.scenario.fields import choices_help
 from deepbots_cli.scenario.scenario import JointOverride, LinkOverride
 from deepbots_cli.scenario.scenario import Robot as RobotSpec
 from deepbots_cli.scenario.sensors import Camera
@@ -117,7 +117,7 @@ def unmatched(values: Values, span: Span, pattern: str, what: str, names: Sequen
     if not set(pattern) & set("*?["):
         values.report_unknown(span, what, pattern, names, "DB302" if what == "joint" else "DB201")
     else:
-        values.findings.add("DB206", span, f"`{pattern}` matches no {what}", help=choose_from(pattern, names))
+        values.findings.add("DB206", span, f"`{pattern}` matches no {what}", help=choices_help(pattern, names))
 
 
 def joint_missing(values: Values, span: Span, pattern: str, model: RobotModel) -> None:

@@ -18,7 +18,7 @@ from deepbots_cli.program.resets import OfSensor
 from deepbots_cli.program.robots import MAX_SENSED_RAYS, MIN_RESOLUTION, CalibrationTable, CameraIntrinsics, NoiseModel, RayConfig, Sensor
 from deepbots_cli.program.task import MAX_OBSERVED_BYTES
 from deepbots_cli.robots.model import Pose, Vector
-from deepbots_cli.scenario.base import parameters
+from deepbots_cli.scenario.base import kind_parameters
 from deepbots_cli.scenario.sensors import BASES, Camera, ContactSensor, JointSensor, LinkSensor, RayScan, RaySensor, Touch
 from deepbots_cli.scenario.sensors import CalibrationTable as TableSpec
 from deepbots_cli.scenario.sensors import Sensor as SensorSpec
@@ -66,7 +66,7 @@ class Sensing:
             return
         sensor, known = made
         slides = isinstance(spec, JointSensor) and joint_dimension(self._scene.model.joint(sensor.subjects[0])) == LENGTH
-        own = self._namespace.parameters(spec, parameters(type(spec), *BASES), known.dimension, slides=slides)
+        own = self._namespace.parameters(spec, kind_parameters(type(spec), *BASES), known.dimension, slides=slides)
         if own is None:
             return
         faults, reach = _noise_model(self._namespace, spec, known)

@@ -29,8 +29,8 @@ from deepbots_cli.expressions.types import (
 )
 from deepbots_cli.expressions.unification import expect_kind, expect_range, expect_value
 from deepbots_cli.program.values import Expression, Noise
-from deepbots_cli.scenario.base import Section, fields
-from deepbots_cli.scenario.fields import FieldType, Quantity, choose_from, other_name
+from deepbots_cli.scenario.base import Section, section_fields
+from deepbots_cli.scenario.fields import FieldType, Quantity, choices_help, word_for_foreign_name
 from deepbots_cli.scenario.validate import replacement_for
 
 _KEY_BEFORE = re.compile(r"(?<![\w.])([\w.]+)['\"]?\s*:\s*$")
@@ -103,7 +103,7 @@ class Text(NamedTuple):
     @property
     def unit(self) -> str | None:
         """What a number without a unit is probably in."""
-        return self.kind.usual if isinstance(self.kind, Quantity) else None
+        return self.kind.usual_unit if isinstance(self.kind, Quantity) else None
 
 
 class Ends(NamedTuple):
@@ -164,7 +164,7 @@ class Values:
         value: Any = getattr(section, str(steps[0]))
         for step in steps[1:]:
             value = value[step]
-        text, kind = self.text((*section.path, *steps), value), fields(type(section))[str(steps[0])]
+        text, kind = self.text((*section.path, *steps), value), section_fields(type(section))[str(steps[0])]
         return text if text.kind or not isinstance(kind, FieldType) else text._replace(kind=kind)
 
     def key_text(self, path: NodePath) -> Text:
@@ -194,7 +194,7 @@ class Values:
     def report_unknown(self, span: Span, what: str, name: str, known: Sequence[str], code: str = "DB201") -> None:
         """A finding that `name` is none of the `known`, unless its definition had one."""
         if not self.is_invalid(name):
-            help = choose_from(name, known) if known else f"no {what} is defined"
+            help = choices_help(name, known) if known else f"no {what} is defined"
             near = suggest_replacement(name, known)
             fix = Fix.replacing(span, name, near.text, safe=near.safe) if near else None
             self.findings.add(code, span, f"there is no {what} `{name}`", help=help, fix=fix)
@@ -218,7 +218,7 @@ class Values:
     def _word_replacement(text: Text, piece: str) -> str | None:
         """Of a field that takes words beside numbers, the one that an unknown name stands for."""
         words = text.kind.words if isinstance(text.kind, Quantity) and piece == text.text.strip() else ()
-        return other_name(piece, words) or nearest_word(piece, words) if words else None
+        return word_for_foreign_name(piece, words) or nearest_word(piece, words) if words else None
 
     def parsed(self, text: Text) -> syntax.Node | None:
         return parser.parse(text.text, self.report(text))

@@ -34,8 +34,7 @@ from deepbots_cli.lsp.lookup import (
     summary,
 )
 from deepbots_cli.lsp.workspace import Analysis, View
-from deepbots_cli.scenario.base import Kinds, MappingOf, Section, about, example_of, fields
-from deepbots_cli.scenario.base import hover as hover_text
+from deepbots_cli.scenario.base import Kinds, MappingOf, Section, example_of, hover_text, section_description, section_fields
 from deepbots_cli.scenario.fields import (
     COLOURS,
     MEASURES,
@@ -121,7 +120,7 @@ def _key_choices(view: View, data: Any) -> Iterator[Choice]:
 
 
 def _section_keys(section: type[Section]) -> Iterator[Choice]:
-    for key in fields(section):
+    for key in section_fields(section):
         yield Choice(key, CompletionItemKind.Property, summary(section, key), hover_text(section, key))
 
 
@@ -181,7 +180,9 @@ def _word_choices(view: View, data: Any) -> Iterator[Choice]:
     path = view.place.path
     for shape in shapes_at(path[:-1], data) if path else ():
         if isinstance(shape, Kinds) and shape.key == path[-1]:
-            yield from (Choice(word, CompletionItemKind.EnumMember, shape.key, about(shape.models[word])) for word in shape.names)
+            yield from (
+                Choice(word, CompletionItemKind.EnumMember, shape.key, section_description(shape.models[word])) for word in shape.names
+            )
     if path and path[-1] in ("include", "extends"):
         yield from _files(view, (".yaml", ".yml"))
     for shape in shapes_at(path, data):

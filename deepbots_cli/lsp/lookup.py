@@ -28,8 +28,18 @@ from deepbots_cli.lint import pages_of
 from deepbots_cli.lsp.cursor import value_at
 from deepbots_cli.lsp.workspace import Document, Locator, View, uri_of
 from deepbots_cli.robots import meshes
-from deepbots_cli.scenario.base import Forms, Kinds, ListOf, MappingOf, Section, Shape, about, fields, noun_of
-from deepbots_cli.scenario.base import hover as hover_text
+from deepbots_cli.scenario.base import (
+    Forms,
+    Kinds,
+    ListOf,
+    MappingOf,
+    Section,
+    Shape,
+    hover_text,
+    noun_of,
+    section_description,
+    section_fields,
+)
 from deepbots_cli.scenario.fields import FieldType, FilePath, Pattern, Reference
 from deepbots_cli.scenario.scenario import Scenario
 
@@ -55,7 +65,7 @@ def section_of(path: NodePath, data: Any) -> type[Section] | None:
         return None
     for shape in shapes_at(path[:-1], data):
         for section in _sections(shape, value_at(data, path[:-1])):
-            if path[-1] in fields(section):
+            if path[-1] in section_fields(section):
                 return section
     return None
 
@@ -81,8 +91,8 @@ def _shapes(shape: Shape, data: Any, path: NodePath) -> Iterator[Shape]:
             return
         case _:
             for section in _sections(shape, data):
-                if step in fields(section):
-                    yield from _shapes(fields(section)[str(step)], below, rest)
+                if step in section_fields(section):
+                    yield from _shapes(section_fields(section)[str(step)], below, rest)
 
 
 def _forms(shape: Forms, data: Any, goes_on: bool) -> tuple[Shape, ...]:
@@ -100,7 +110,7 @@ def _sections(shape: Shape, data: Any) -> tuple[type[Section], ...]:
     """The sections whose keys data of this shape may hold."""
     if isinstance(shape, Kinds):
         found = shape.find(data)
-        return (found,) if found else shape.every
+        return (found,) if found else shape.distinct_models
     return (shape,) if isinstance(shape, type) else ()
 
 
@@ -502,7 +512,7 @@ def _value_text(view: View, found: KeyOrValue) -> str | None:
             return named
     kinds = _kinds(view, found)
     if kinds is not None and found.text in kinds.names:
-        return f"`{found.text}`: {about(kinds.models[found.text])}"
+        return f"`{found.text}`: {section_description(kinds.models[found.text])}"
     steps = next((found.path[:end] for end in range(len(found.path), 0, -1) if isinstance(found.path[end - 1], str)), ())
     part = section_of(steps, view.data)
     return hover_text(part, str(steps[-1])) if part is not None else None
@@ -521,7 +531,7 @@ _LONGEST_NOUN = 120
 
 def summary(part: type[Section], key: str) -> str:
     """The noun of a key's value, shortened for a completion list."""
-    noun = noun_of(fields(part)[key])
+    noun = noun_of(section_fields(part)[key])
     return noun if len(noun) <= _LONGEST_NOUN else f"{noun[:_LONGEST_NOUN]}…"
 
 

@@ -32,11 +32,11 @@ from deepbots_cli.scenario.base import (
     Section,
     Shape,
     chosen_shape,
-    fields,
     noun_of,
-    sections,
+    section_fields,
     set_paths,
     shape_at,
+    walk_sections,
 )
 from deepbots_cli.scenario.fields import FieldType, error, mismatch
 from deepbots_cli.scenario.scenario import VERSION, Scenario
@@ -350,14 +350,14 @@ def _keys_of(shape: Shape | None) -> str | None:
 
 def about_key(data: object, path: NodePath) -> str | None:
     """The sentence about the innermost known key of a path."""
-    from deepbots_cli.scenario.base import description, example_of  # only on the way to a finding
+    from deepbots_cli.scenario.base import example_of, key_description  # only on the way to a finding
 
     steps = next((path[:depth] for depth in range(len(path), 0, -1) if isinstance(path[depth - 1], str)), ())
     section = shape_at(Scenario, data, steps[:-1]) if steps else None
     key = str(steps[-1]) if steps else ""
     if not isinstance(section, type) or key not in section.model_fields:
         return None
-    text = description(section, key).rstrip(".")
+    text = key_description(section, key).rstrip(".")
     example = None if re.search("such as `|`{", text) else example_of(section, key)
     shown = f". Example: `{key}: {example.text}`" if example and "\n" not in example.text and len(example.text) <= _EXEMPLARY else ""
     return f"`{key}`: {text[:1].lower()}{text[1:]}{shown}"
@@ -403,7 +403,7 @@ def replacement_for(data: object, path: NodePath) -> Replacement | None:
 def _homes() -> Mapping[str, frozenset[tuple[str, ...]]]:
     """The paths of the sections that have each key; `*` stands for a name that the user chooses."""
     found: dict[str, set[tuple[str, ...]]] = {}
-    for home, section, _ in sections(Scenario):
+    for home, section, _ in walk_sections(Scenario):
         for key in section.model_fields if isinstance(section, type) else ():
             found.setdefault(key, set()).add(home)
     return {key: frozenset(places) for key, places in found.items()}
@@ -475,7 +475,7 @@ def _section(node: nodes.MappingNode, section: type[Section], findings: Findings
             is_twice = other is not None and other.key.span.source is entry.key.span.source
             entry = Entry(_renamed(entry.key, rename, findings, fixed=not is_twice), entry.value)
         key = entry.key.text if rename else name
-        below = fields(section).get(key)
+        below = section_fields(section).get(key)
         word = next((each for each in RENAMES if each.key == key and _is_word_of(each, section, entry.value)), None)
         value = _renamed(entry.value, word, findings) if word and isinstance(entry.value, ScalarNode) else entry.value
         entries[key] = Entry(entry.key, _with_new_names(value, below, findings))  # of two files, the one that extends the other wins
@@ -500,7 +500,7 @@ def _is_key_of(rename: Rename, section: type[Section]) -> bool:
     owner = next((base for base in section.__mro__ if base.__name__ == rename.section), None)
     if owner is None or rename.key or rename.old in section.model_fields:
         return False
-    return fields(section).get(rename.new) == fields(owner)[rename.new]
+    return section_fields(section).get(rename.new) == section_fields(owner)[rename.new]
 
 
 def _is_word_of(rename: Rename, section: type[Section], value: Node) -> bool:

@@ -19,7 +19,7 @@ from deepbots_cli.document.load import merge
 from deepbots_cli.document.nodes import Entry, MappingNode, Node, NodePath, descend, to_data, walk, without_paths
 from deepbots_cli.document.nodes import with_entry as replaced
 from deepbots_cli.scenario import Scenario
-from deepbots_cli.scenario.base import Section, example_of, examples, fields, sections, shape_at
+from deepbots_cli.scenario.base import Section, example_of, examples, section_fields, shape_at, walk_sections
 from deepbots_cli.scenario.training import ALGORITHMS, Training
 
 ROOT = FilePath(__file__).parents[2]
@@ -54,8 +54,8 @@ def declared(part: type[Section], name: str) -> type[Section]:
     return [base for base in part.__mro__ if issubclass(base, Section) and name in base.model_fields][-1]
 
 
-PARTS = list(dict.fromkeys((section, kind) for _, section, kind in sections(Scenario) if isinstance(section, type)))
-KEYS = sorted({Key(declared(part, name), name) for part, kind in PARTS for name in fields(part) if name != kind}, key=str)
+PARTS = list(dict.fromkeys((section, kind) for _, section, kind in walk_sections(Scenario) if isinstance(section, type)))
+KEYS = sorted({Key(declared(part, name), name) for part, kind in PARTS for name in section_fields(part) if name != kind}, key=str)
 KEYS = [key for key in KEYS if not issubclass(key.owner, Training) or key.owner is Training]
 
 
@@ -74,7 +74,7 @@ def places() -> tuple[Place, ...]:
 
 def fitting(key: Key) -> list[Place]:
     """Where an example may be tried, cheap hosts first: where the key stands already, where nothing excludes it, then anywhere."""
-    found = [place for place in places() if issubclass(place.part, key.owner) and key.name in fields(place.part)]
+    found = [place for place in places() if issubclass(place.part, key.owner) and key.name in section_fields(place.part)]
 
     def order(place: Place) -> tuple[bool, ...]:
         costly = place.document.path.stem in COSTLY
@@ -133,12 +133,12 @@ def tried(key: Key) -> tuple[Checked | None, str]:
 @pytest.mark.parametrize("part", dict.fromkeys(part for part, _ in PARTS), ids=lambda part: part.__name__)
 def test_every_key_has_an_example(part: type[Section]):
     kinds = {kind for model, kind in PARTS if model is part}
-    assert [name for name in fields(part) if example_of(part, name) is None and name not in kinds] == []
+    assert [name for name in section_fields(part) if example_of(part, name) is None and name not in kinds] == []
 
 
 def test_every_example_is_of_a_key():
     known = {base.__name__: set(base.model_fields) for part, _ in PARTS for base in part.__mro__ if issubclass(base, Section)}
-    known["Training"] |= {name for part, _ in PARTS if issubclass(part, Training) for name in fields(part)}
+    known["Training"] |= {name for part, _ in PARTS if issubclass(part, Training) for name in section_fields(part)}
     assert [f"{part}.{key}" for part, keys in examples().items() for key in keys if key not in known.get(part, set())] == []
 
 

@@ -13,7 +13,7 @@ from deepbots_cli.compiler.inventory import known
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.document import to_data
 from deepbots_cli.document.parse import parse
-from deepbots_cli.scenario.json_schema import json_schema, to_text
+from deepbots_cli.scenario.json_schema import json_schema, schema_text
 from tests.few import every
 from tests.fuzz.mutations import case
 from tests.fuzz.workbench import Workbench
@@ -68,9 +68,9 @@ def test_every_right_scenario_fits_its_own_schema_and_the_general_one(path: Path
 
 
 def test_its_own_schema_is_a_schema_and_the_same_on_every_run() -> None:
-    schema = to_text(known(api.load("cartpole")))
+    schema = schema_text(known(api.load("cartpole")))
     jsonschema.Draft202012Validator.check_schema(json.loads(schema))
-    assert schema == to_text(known(api.load("cartpole")))
+    assert schema == schema_text(known(api.load("cartpole")))
 
 
 def test_joints_are_listed_with_their_type_and_limits(own: Own) -> None:

@@ -15,12 +15,12 @@ from deepbots_cli.document.nodes import MappingNode, ScalarNode, to_data, walk
 from deepbots_cli.document.parse import parse
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.lint.fixes import Fixer
-from deepbots_cli.scenario.base import Kinds, sections, shape_at
+from deepbots_cli.scenario.base import Kinds, shape_at, walk_sections
 from deepbots_cli.scenario.scenario import Scenario
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = sorted([*(ROOT / "golden/lint/ok").glob("*.yaml"), *(ROOT / "data/scenarios").glob("*.yaml"), *(ROOT / "world").glob("*.yaml")])
-MODELS = {model.__name__: model for _, part, _ in sections(Scenario) if isinstance(part, type) for model in part.__mro__}
+MODELS = {model.__name__: model for _, part, _ in walk_sections(Scenario) if isinstance(part, type) for model in part.__mro__}
 
 
 @cache
@@ -83,17 +83,19 @@ def test_the_language_knows_the_new_name_and_not_the_old_one(rename: Rename) -> 
         assert rename.new in MODELS[rename.section].model_fields
         assert rename.old not in MODELS[rename.section].model_fields
     else:
-        kinds = [set(part.names) for _, part, _ in sections(Scenario) if isinstance(part, Kinds) and part.key == rename.key]
-        words = [set(shape.words) for _, part, _ in sections(Scenario) if isinstance(part, type) for shape in shapes_of(part, rename.key)]
+        kinds = [set(part.names) for _, part, _ in walk_sections(Scenario) if isinstance(part, Kinds) and part.key == rename.key]
+        words = [
+            set(shape.words) for _, part, _ in walk_sections(Scenario) if isinstance(part, type) for shape in shapes_of(part, rename.key)
+        ]
         assert any(rename.new in known for known in (*kinds, *words))
         assert not any(rename.old in known for known in (*kinds, *words))
 
 
 def shapes_of(section: type, key: str) -> list:
-    from deepbots_cli.scenario.base import fields
+    from deepbots_cli.scenario.base import section_fields
     from deepbots_cli.scenario.fields import Word
 
-    return [shape for name, shape in fields(section).items() if name == key and isinstance(shape, Word)]
+    return [shape for name, shape in section_fields(section).items() if name == key and isinstance(shape, Word)]
 
 
 def load(tmp_path: Path, **texts: str) -> api.Checked:

@@ -22,7 +22,7 @@ from deepbots_cli.diagnostics.render import summary
 from deepbots_cli.errors import UsageError, install_source
 from deepbots_cli.files import atomic
 from deepbots_cli.program import identity
-from deepbots_cli.scenario.json_schema import to_text
+from deepbots_cli.scenario.json_schema import schema_text
 
 
 def compile_(
@@ -167,12 +167,12 @@ def schema(
     if output == Path("-"):
         output = None
     if scenario is None:
-        _write(to_text(), output)
+        _write(schema_text(), output)
         return
     checked = api.load(scenario, allow_paths=allow_paths or ())
     if output is not None and _is_read(checked, output):
         raise UsageError(f"{output} is an input of the scenario; name another output file")
-    _write(to_text(known(checked)), output)
+    _write(schema_text(known(checked)), output)
     if checked.findings.errors:
         terminal.note(f"{summary(checked.findings.errors)}: names in unreadable parts are missing; see: deepbots lint {quote(scenario)}")
     if output is not None and Path(scenario).is_file():

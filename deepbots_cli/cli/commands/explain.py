@@ -23,8 +23,19 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.dimensions import UNITS
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.lint import pages_of
-from deepbots_cli.scenario.base import Kinds, Section, about, default_of, description, example_of, fields, noun_of, sections, unit_of
-from deepbots_cli.scenario.fields import article
+from deepbots_cli.scenario.base import (
+    Kinds,
+    Section,
+    default_of,
+    example_of,
+    key_description,
+    noun_of,
+    section_description,
+    section_fields,
+    unit_of,
+    walk_sections,
+)
+from deepbots_cli.scenario.fields import with_article
 from deepbots_cli.scenario.scenario import Scenario
 
 _FINDING = re.compile(r"db\d|.*-", re.IGNORECASE)
@@ -191,14 +202,14 @@ def misspelt(word: str) -> str | None:
 def _blocks(word: str) -> list[list[str]]:
     """The function, the unit, the kinds and the keys of this name."""
     places: dict[Lines, dict[str, None]] = {}
-    for path, part, mark in sections(Scenario):
+    for path, part, mark in walk_sections(Scenario):
         place = f"`{'.'.join('<name>' if step == '*' else step for step in path)}`" if path else "a scenario"
         for lines in _explained_in(part, mark, word):
             places.setdefault(lines, {})[place] = None
     blocks = [block for block in (list(_of_function(word)), list(_of_unit(word))) if block]
     for (what, *text), paths in list(places.items())[:_SHOWN]:
         more = f" and {len(paths) - _SHOWN} more places" if len(paths) > _SHOWN else ""
-        blocks.append([f"{word}: {article(what)} of {', '.join([*paths][:_SHOWN])}{more}", *text])
+        blocks.append([f"{word}: {with_article(what)} of {', '.join([*paths][:_SHOWN])}{more}", *text])
     return blocks
 
 
@@ -229,8 +240,8 @@ def _others(word: str, shown: Iterable[str]) -> list[str]:
 def _words() -> dict[str, None]:
     """Every function, unit, kind and key."""
     names = [*FUNCTIONS, *UNITS]
-    for _, part, _ in sections(Scenario):
-        names += part.names if isinstance(part, Kinds) else fields(part)
+    for _, part, _ in walk_sections(Scenario):
+        names += part.names if isinstance(part, Kinds) else section_fields(part)
     return dict.fromkeys(names)
 
 
@@ -268,7 +279,7 @@ def _of_unit(word: str) -> Iterator[str]:
 def _explained_in(part: type[Section] | Kinds, mark: str, word: str) -> Iterator[Lines]:
     """The explanations of a word as a key or a kind of a section; `mark` is the key that names the kind."""
     if not isinstance(part, Kinds):
-        if word in fields(part) and word != mark:
+        if word in section_fields(part) and word != mark:
             yield "key", *_of_key(part, word)
         return
     if part.key == word:
@@ -278,7 +289,7 @@ def _explained_in(part: type[Section] | Kinds, mark: str, word: str) -> Iterator
 
 
 def _of_kind(kinds: Kinds, name: str) -> Iterator[str]:
-    yield about(kinds.models[name])
+    yield section_description(kinds.models[name])
     model = kinds.models[name]
     keys = {key: info.is_required() for key, info in model.model_fields.items() if key != kinds.key}
     needed, others = ([key for key, required in keys.items() if required is wanted] for wanted in (True, False))
@@ -289,8 +300,8 @@ def _of_kind(kinds: Kinds, name: str) -> Iterator[str]:
 
 
 def _of_key(part: type[Section], key: str) -> Iterator[str]:
-    yield description(part, key)
-    spec, default = fields(part)[key], default_of(part, key)
+    yield key_description(part, key)
+    spec, default = section_fields(part)[key], default_of(part, key)
     unit = unit_of(spec)
     measured = "" if unit in ("", "1") or unit.startswith("of ") else f", {unit}"
     required = "; required" if part.model_fields[key].is_required() else ""

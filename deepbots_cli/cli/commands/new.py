@@ -29,7 +29,7 @@ from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import unwritable
 from deepbots_cli.robots import reader
-from deepbots_cli.scenario.json_schema import to_text
+from deepbots_cli.scenario.json_schema import schema_text
 
 Files = dict[PurePosixPath, bytes]
 """Contents by path below the folder that they are written to."""
@@ -314,4 +314,4 @@ def write_with_schema(files: Files, folder: Path) -> list[Path]:
         raise UsageError(f"nothing was written, since there is already: {folder / schema}")
     led = f"{modeline(folder / target, folder / schema)}\n\n".encode() + text
     written = write_new({target: led, **dict(others)}, folder)
-    return [*written, *write_new({PurePosixPath(schema): to_text(known(api.load(written[0]))).encode()}, folder)]
+    return [*written, *write_new({PurePosixPath(schema): schema_text(known(api.load(written[0]))).encode()}, folder)]
