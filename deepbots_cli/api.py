@@ -303,8 +303,8 @@ def build(
     Args:
         fixed: The parameters that no episode draws.
     """
-    if program.foreign and not allow_code:
-        names = ", ".join(map(str, program.foreign))
+    if program.python_functions and not allow_code:
+        names = ", ".join(map(str, program.python_functions))
         raise UsageError(f"{program.name} runs Python code ({names}); allow it with --allow-code (allow_code=True) if you trust it")
     try:
         from gymnasium.envs.registration import EnvSpec

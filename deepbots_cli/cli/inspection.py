@@ -232,7 +232,7 @@ def _scenario(scenario: Program) -> Row:
         "max_steps": scenario.truncation.max_steps,
         "max_time_s": scenario.truncation.max_time,
         "copies": f"{copies.count} of {copies.robot}" if (copies := scenario.policy.copies) else None,
-        "solved": scenario.solved.words if scenario.solved else "",
+        "solved": scenario.solved.description if scenario.solved else "",
     }
 
 
@@ -454,7 +454,7 @@ def _observation(scenario: Program) -> list[Row]:
             "low": entry.low,
             "high": entry.high,
             "unit": entry.unit,
-            "seen_as": "0 or 1" if entry.truth else "-1 .. 1" if entry.clip else "-1 .. 1, not clipped",
+            "seen_as": "0 or 1" if entry.is_truth else "-1 .. 1" if entry.clip else "-1 .. 1, not clipped",
         }
         for index, (entry, ago) in enumerate(seen)
     ]

@@ -129,7 +129,7 @@ def not_batched(scenario: Program) -> list[str]:
     reasons = [
         (policy.copies is not None, "it has several copies of a robot"),
         (bool(policy.images) or any(sensor.optics for robot in scenario.robots for sensor in robot.sensors), "it has cameras"),
-        (bool(scenario.foreign), "it runs code of packages"),
+        (bool(scenario.python_functions), "it runs code of packages"),
         (any(option.forbidden for part in policy.action if isinstance(part, Choices) for option in part.options), "it forbids choices"),
     ]
     found = [reason for holds, reason in reasons if holds]

@@ -188,7 +188,7 @@ class Controller:
 def devices(scenario: Program, robot: Robot) -> dict[str, Sensor]:
     """The sensors that are sampled once per timestep, by name: those that something reads, and that are no facts."""
     on_board = [value for entry in (*robot.emitted, *robot.commands) for value in entry.scalars]
-    computed = [value for entry in scenario.computed for value in entry.scalars]
+    computed = [value for entry in scenario.computed_expressions for value in entry.scalars]
     read = {leaf.name for value in on_board for leaf in names_in(value)}
     asked = {node.subjects[0] for value in (*on_board, *computed) for node in walk(value) if isinstance(node, World)}
     used = [sensor for sensor in robot.sensors if sensor.name in read or f"{robot.name}.{sensor.name}" in asked]

@@ -475,7 +475,7 @@ def _observed(workspace: Workspace, printer: Printer, entry: Observation) -> str
     # the reward of this step is known here; everywhere else the name means that of the step before
     code = "self.reward" if entry.value.scalars == (Name("previous_reward"),) else printer.either(components, entry.value.scalars)
     star = "*" if components else ""
-    if entry.numbers[0].truth:
+    if entry.numbers[0].is_truth:
         as_it_is = components or code.replace("_", "").isalnum() or not printer.on_floats
         return f"{star}{code}" if as_it_is else f"bool({code})"
     if entry.name == "previous_action" and entry.noise is None and {*entry.low, *entry.high} == {-1.0, 1.0}:

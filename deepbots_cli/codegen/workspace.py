@@ -237,7 +237,7 @@ class Workspace:
         self.sent = [value for robot in scenario.robots for entry in robot.received for value in entry.scalars]
         self.forbids = bool(conditions)
         """Whether an option of a choice may ever be forbidden."""
-        self.settable = {id(value): full for entry in scenario.settable for full, value in entry.numbers if is_drawn(value)}
+        self.settable = {id(value): full for entry in scenario.settable_draws for full, value in entry.numbers if is_drawn(value)}
         self._used = {leaf.name for expression in (*evaluated, *self.scripted) for leaf in names_in(expression)}
         self._ages = {f"{robot.name}.{sensor}": f"{robot.name}.{field}" for robot in scenario.robots for sensor, field in robot.ages}
         self._parameters = {entry.name: entry.components for entry in scenario.parameters}
@@ -311,8 +311,8 @@ class Workspace:
         return [self.local(name) for name in self._results() if name in named]
 
     def kept_names(self) -> list[str]:
-        """Names of the values that a timestep stores: those in messages, in `kept` and in scripts, with parts of the action."""
-        sent, read = self.named(self.sent), {*self.named(self.scripted), *self.scenario.kept} if self.target is SCALAR else set()
+        """Names of the values that a timestep stores: those in messages, in `stored_signals` and in scripts, with parts of the action."""
+        sent, read = self.named(self.sent), {*self.named(self.scripted), *self.scenario.stored_signals} if self.target is SCALAR else set()
         acted = [name for name, _ in (*self.variables, *self.given) if name in read]
         ended = [name for name in (*(ending.name for ending in self.scenario.endings), *_GOAL) if name in read]
         return [*(name for name in self._results() if name in sent or name in read), *acted, *ended]

@@ -487,7 +487,7 @@ def with_reading_ages(program: Program) -> Program:
     """
     if all(sensor.is_direct for robot in program.robots for sensor in robot.sensors):
         return program
-    timed = (value for value in program.computed if "age" in value.text)
+    timed = (value for value in program.computed_expressions if "age" in value.text)
     calls = (node for value in timed for node in walk(value.typed) if isinstance(node, Invocation) and node.function == "age")
     asked = dict.fromkeys(call.subjects[0].name for call in calls)
     return replace(program, robots=tuple(_with_ages(robot, asked) for robot in program.robots)) if asked else program

@@ -28,8 +28,8 @@ from deepbots_cli.program.task import (
     ActionRange,
     Choices,
     Criterion,
-    Expected,
     ExpectedKey,
+    ExpectedResult,
     FixedAction,
     Hindsight,
     Hyperparameter,
@@ -392,7 +392,7 @@ class _Reader:
 
     # What is expected
 
-    def _expected(self, spec: Expectation) -> Iterator[Expected]:
+    def _expected(self, spec: Expectation) -> Iterator[ExpectedResult]:
         ends = self._scenario.termination
         endings = {"success_rate": ends.success or self._scenario.goal, "failure_rate": ends.failure}
         for key in _RATES:
@@ -404,7 +404,7 @@ class _Reader:
                     help = f"add a condition under `termination.{key.removesuffix('_rate')}`, or expect something else, such as `ends_by`"
                     self._values.findings.add("DB407", text.span, headline, help=help)
                 if bounds is not None:
-                    yield Expected(key, text.span, text.text, *bounds)
+                    yield ExpectedResult(key, text.span, text.text, *bounds)
         if spec.ends_by is not None:
             yield from self._ends_by(spec)
         for key in _CONDITIONS:
@@ -434,7 +434,7 @@ class _Reader:
             return None
         return low, high
 
-    def _ends_by(self, spec: Expectation) -> Iterator[Expected]:
+    def _ends_by(self, spec: Expectation) -> Iterator[ExpectedResult]:
         termination, limits = self._scenario.termination, self._program.truncation
         cuts = [name for name in ("max_steps", "max_time") if getattr(limits, name) is not None]
         known = [*termination.success, *termination.failure, *cuts]
@@ -445,9 +445,9 @@ class _Reader:
             if name not in known:
                 place: NodePath = (*spec.path, "ends_by", index) if several else (*spec.path, "ends_by")
                 self._values.report_unknown(self._values.span(place), "ending", name, known)
-        yield Expected("ends_by", self._values.span((*spec.path, "ends_by")), " or ".join(names), endings=tuple(names))
+        yield ExpectedResult("ends_by", self._values.span((*spec.path, "ends_by")), " or ".join(names), endings=tuple(names))
 
-    def _condition(self, key: ExpectedKey, place: NodePath) -> Iterator[Expected]:
+    def _condition(self, key: ExpectedKey, place: NodePath) -> Iterator[ExpectedResult]:
         text = self._values.text(place)
         typed = self._values.condition(text, self._scope)
         if typed is not None:
@@ -455,7 +455,7 @@ class _Reader:
                 Expression(text.text[part.start : part.end], text.span, text.text[part.start : part.end], part, text.owner)
                 for part in _compared(typed)
             )
-            yield Expected(key, text.span, text.text, condition=text.expression(typed), compared=compared[:_COMPARED])
+            yield ExpectedResult(key, text.span, text.text, condition=text.expression(typed), compared=compared[:_COMPARED])
 
 
 def _compared(tree: Typed) -> Iterator[Typed]:

@@ -173,7 +173,7 @@ def _observed(program: Program) -> list[Observed]:
     numbers = program.policy.numbers
     seen = [(numbers[index], age) for index, age in policy_inputs(numbers, program.policy.frame_stack)]
     return [
-        Observed(name=n.full_name, unit=n.unit.removeprefix("1"), low=n.low, high=n.high, truth=n.truth, clipped=n.clip, steps_ago=age)
+        Observed(name=n.full_name, unit=n.unit.removeprefix("1"), low=n.low, high=n.high, truth=n.is_truth, clipped=n.clip, steps_ago=age)
         for n, age in seen
     ]
 

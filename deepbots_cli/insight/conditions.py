@@ -91,7 +91,7 @@ class Watch:
 
     def read(self, agent: Supervisor) -> Values:
         """What this step left in a supervisor of the program."""
-        found = {name: getattr(agent, f"last_{name}") for name in self.program.kept}
+        found = {name: getattr(agent, f"last_{name}") for name in self.program.stored_signals}
         goal = self.program.policy.goal
         values = {name: tuple(value) if isinstance(value, list | tuple) else (float(value),) for name, value in found.items()}
         return values if goal is None else {**values, _GOAL: (_distance(goal, agent),), f"{_GOAL}_bound": (goal.tolerance,)}
@@ -104,7 +104,7 @@ def measured(program: Program) -> Watch:
     if program.policy.goal is not None:
         conditions.setdefault("goal_reached", made.goal(program.policy.goal, negated=False))
     kept = frozenset(made.probes)
-    return Watch(replace(program, signals=(*program.signals, *made.probes.values()), kept=kept), conditions)
+    return Watch(replace(program, signals=(*program.signals, *made.probes.values()), stored_signals=kept), conditions)
 
 
 class _UnmeasuredError(Exception):

@@ -196,7 +196,7 @@ def saturated_observation(t: Training) -> Numbers | None:
     seen, numbers = _observations(traces), t.program.policy.numbers
     if len(seen) < 2 * _ENOUGH:
         return None
-    shares = {n.full_name: float((np.abs(seen[:, i]) >= 1.0).mean()) for i, n in enumerate(numbers) if n.clip and not n.truth
+    shares = {n.full_name: float((np.abs(seen[:, i]) >= 1.0).mean()) for i, n in enumerate(numbers) if n.clip and not n.is_truth
               and n.name != "previous_action" and np.ptp(seen[:, i]) >= 0.01}  # fmt: skip
     worst = sorted((name for name, share in shares.items() if share >= 0.4), key=lambda name: -shares[name])
     if not worst:

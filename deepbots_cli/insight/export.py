@@ -207,7 +207,7 @@ def _bounds(program: Program, name: str) -> tuple[Any, Any]:
         return np.array(program.policy.goal.low), np.array(program.policy.goal.high)
     numbers = program.policy.numbers
     seen = [numbers[index] for index, _ in policy_inputs(numbers, program.policy.frame_stack)]
-    return np.array([-1.0 if n.truth else n.low for n in seen]), np.array([1.0 if n.truth else n.high for n in seen])
+    return np.array([-1.0 if n.is_truth else n.low for n in seen]), np.array([1.0 if n.is_truth else n.high for n in seen])
 
 
 def _memory(graph: _Graph, lstm: nn.LSTM, value: str) -> str:

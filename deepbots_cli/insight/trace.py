@@ -85,7 +85,7 @@ class Trace:
     def saturation(self) -> dict[str, float]:
         """The share of moments in which each clipped number of the observation was at an end of its range, the largest first."""
         shares = (np.abs(self.observations) >= 1.0).mean(axis=0)
-        found = {n.full_name: float(shares[i]) for i, n in enumerate(self.numbers) if n.clip and not n.truth}
+        found = {n.full_name: float(shares[i]) for i, n in enumerate(self.numbers) if n.clip and not n.is_truth}
         return dict(sorted(found.items(), key=lambda entry: -entry[1]))
 
     def options(self) -> dict[str, dict[str, float]]:

@@ -339,7 +339,7 @@ def _first_frame(program: Program) -> dict[str, int]:
     """Where the newest value of each clipped number stands in an observation, by name; a truth value is always at an end of its range."""
     numbers = program.policy.numbers
     places = enumerate(policy_inputs(numbers, program.policy.frame_stack))
-    return {numbers[i].full_name: place for place, (i, age) in places if age == 0 and numbers[i].clip and not numbers[i].truth}
+    return {numbers[i].full_name: place for place, (i, age) in places if age == 0 and numbers[i].clip and not numbers[i].is_truth}
 
 
 def option_shares(program: Program, actions: npt.NDArray[Any]) -> dict[str, float]:

@@ -64,7 +64,7 @@ class Policy:
         self.observation_space, self.action_space = observation_space(program), action_space(program)
         numbers = program.policy.numbers
         self.observation = tuple(
-            ObservedValue(n.full_name, n.unit.removeprefix("1"), n.low, n.high, n.truth, age)
+            ObservedValue(n.full_name, n.unit.removeprefix("1"), n.low, n.high, n.is_truth, age)
             for n, age in ((numbers[index], age) for index, age in policy_inputs(numbers, program.policy.frame_stack))
         )
         self.action = tuple(value for part in program.policy.action for value in _values(part))

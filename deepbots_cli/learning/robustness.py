@@ -292,7 +292,7 @@ def _noise(root: MappingNode, program: Program, share: float) -> Change:
     widths: dict[str, tuple[float, str]] = {}
     for number in program.policy.numbers:
         width = number.high - number.low
-        if number.truth or not 0 < width < 1e9:
+        if number.is_truth or not 0 < width < 1e9:
             continue
         widths[number.name] = min((width, number.unit), widths.get(number.name, (width, number.unit)))
     change: Change = {}

@@ -17,7 +17,7 @@ from deepbots_cli.lint.ranges import Ranges, between, with_unit
 from deepbots_cli.lint.simulation import Simulation
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Thrust
-from deepbots_cli.program.task import Ending, Expected, ScenarioTest
+from deepbots_cli.program.task import Ending, ExpectedResult, ScenarioTest
 from deepbots_cli.program.values import Expression
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, RobotModel, Shape, Sphere
 
@@ -493,7 +493,7 @@ def idle_test(context: RuleContext) -> Iterator[Finding]:
                 yield Finding("DB813", expected.span, headline, help=help)
 
 
-def _only_outcome(analysis: Analysis, test: ScenarioTest, expected: Expected) -> bool | None:
+def _only_outcome(analysis: Analysis, test: ScenarioTest, expected: ExpectedResult) -> bool | None:
     """Whether an expectation is met in any case (True) or in none (False)."""
     if expected.endings:
         limits = analysis.program.truncation

@@ -61,7 +61,7 @@ def _unused_parts(context: RuleContext) -> Iterator[Finding]:
     """Sensors and actuators of a robot, and what it receives."""
     read = {
         subject.name
-        for value in context.program.computed
+        for value in context.program.computed_expressions
         for node in walk(value.typed)
         if isinstance(node, Invocation)
         for subject in node.subjects

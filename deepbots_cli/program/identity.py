@@ -162,8 +162,8 @@ def _range(low: float, high: float, unit: str) -> str:
 
 
 def _observed(observed: ObservedNumber) -> str:
-    text = "true or false" if observed.truth else _range(observed.low, observed.high, observed.unit)
-    text += "" if observed.clip or observed.truth else ", not clipped"
+    text = "true or false" if observed.is_truth else _range(observed.low, observed.high, observed.unit)
+    text += "" if observed.clip or observed.is_truth else ", not clipped"
     return f"{text}, {observed.history} in a row" if observed.history > 1 else text
 
 

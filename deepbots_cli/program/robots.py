@@ -22,7 +22,7 @@ MIN_RESOLUTION = 1e-12
 
 Parameter = float | bool | str | tuple[float, ...] | None
 """A parameter of a sensor or an actuator: a number or a vector in SI units, or a word."""
-Combined = Literal["each", "nearest", "mean"]
+RayReduction = Literal["each", "nearest", "mean"]
 Channels = Literal["rgb", "grayscale", "depth", "segmentation"]
 
 
@@ -65,7 +65,7 @@ class RayConfig:
 
     rays: tuple[Pose, ...]
     reach: float
-    combined: Combined = "each"
+    combined: RayReduction = "each"
     lookup: CalibrationTable | None = None
 
 

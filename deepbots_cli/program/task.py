@@ -159,7 +159,7 @@ class ObservedNumber(NamedTuple):
     low: float
     high: float
     unit: str
-    truth: bool
+    is_truth: bool
     history: int
     clip: bool
     std: Scalar | None
@@ -317,19 +317,19 @@ class Script:
 class FixedAction:
     """The same action always: the index of an option of each choice, and a number in [-1, 1] for each component of the ranges.
 
-    `words` are what `deepbots run --actions` takes.
+    `text` is what `deepbots run --actions` takes.
     """
 
     choices: tuple[int, ...]
     ranges: tuple[float, ...]
-    words: str
+    text: str
 
 
 ExpectedKey = Literal["success_rate", "failure_rate", "mean_return", "ends_by", "always", "eventually"]
 
 
 @dataclass(frozen=True, eq=False)
-class Expected:
+class ExpectedResult:
     """One expected result, its place and its text in the file.
 
     A rate or a return is expected from `low` to `high`; one of the `endings` is expected to end every episode; a `condition` has the
@@ -359,12 +359,12 @@ class ScenarioTest:
     episodes: int
     seed: int
     steps: int
-    expected: tuple[Expected, ...]
+    expected: tuple[ExpectedResult, ...]
     case: str | None = None
     stage: str | None = None
 
     @property
-    def conditions(self) -> tuple[Expected, ...]:
+    def conditions(self) -> tuple[ExpectedResult, ...]:
         return tuple(entry for entry in self.expected if entry.condition is not None)
 
     @property
@@ -488,7 +488,7 @@ class Solved:
     success_rate: float | None = None
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         """`mean return 195 over 100 episodes`."""
         wanted = [f"mean return {self.mean_return:g}"] if self.mean_return is not None else []
         wanted += [f"success rate {self.success_rate:g}"] if self.success_rate is not None else []

@@ -25,8 +25,8 @@ def observation_space(scenario: Program) -> gym.Space[Any]:
     columns, channels), and `achieved_goal` and `desired_goal`.
     """
     entries = [scenario.policy.numbers[index] for index, _ in policy_inputs(scenario.policy.numbers, scenario.policy.frame_stack)]
-    low = np.array([0.0 if entry.truth else -1.0 if entry.clip else -np.inf for entry in entries], np.float32)
-    high = np.array([1.0 if entry.truth or entry.clip else np.inf for entry in entries], np.float32)
+    low = np.array([0.0 if entry.is_truth else -1.0 if entry.clip else -np.inf for entry in entries], np.float32)
+    high = np.array([1.0 if entry.is_truth or entry.clip else np.inf for entry in entries], np.float32)
     box = gym.spaces.Box(low, high, dtype=np.float32)
     if scenario.policy.goal is None and not scenario.policy.images:
         return box

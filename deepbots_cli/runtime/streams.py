@@ -108,7 +108,7 @@ def episode_values(scenario: Program, options: Mapping[str, Any], fixed: Collect
     """
     if not isinstance(options, Mapping):
         raise UsageError(f"options of reset must be a mapping from names to values, not {type(options).__name__}")
-    known = {entry.name: entry for entry in scenario.settable}
+    known = {entry.name: entry for entry in scenario.settable_draws}
     found: dict[str, float] = {}
     for given, value in options.items():
         name = str(given).removeprefix("parameters.")

@@ -140,7 +140,7 @@ class WorldFrame:
 def observation_fields(program: Program) -> tuple[Field, ...]:
     """The numbers of the newest observation, then those of the goal."""
     policy = program.policy
-    named = [Field(n.full_name, n.name, 0.0 if n.truth else n.low, 1.0 if n.truth else n.high, n.unit) for n in policy.numbers]
+    named = [Field(n.full_name, n.name, 0.0 if n.is_truth else n.low, 1.0 if n.is_truth else n.high, n.unit) for n in policy.numbers]
     goal = policy.goal
     for word in ("achieved", "desired") if goal else ():
         parts = goal.components or ("",) if goal else ()
@@ -342,7 +342,7 @@ def _newest(program: Program) -> tuple[NDArray[np.intp], list[bool]]:
     """Where the newest value of each number stands in the observation, and whether it is a truth value."""
     numbers = program.policy.numbers
     places = [at for at, (_, age) in enumerate(policy_inputs(numbers, program.policy.frame_stack)) if age == 0]
-    return np.array(places, np.intp), [number.truth for number in numbers]
+    return np.array(places, np.intp), [number.is_truth for number in numbers]
 
 
 def _beams(part: LinkName, sensor: Sensor) -> tuple[Beams, Sequence[Frame]]:

@@ -147,7 +147,7 @@ def constant(scenario: Program, rollouts: list[list[Any]]) -> set[str]:
     seen = np.array([numbers(observation) for one in rollouts for observation, *_ in one])
     entries = [scenario.policy.numbers[index] for index, _ in policy_inputs(scenario.policy.numbers, scenario.policy.frame_stack)]
     spreads = np.ptp(seen, axis=0).reshape(-1, len(entries)).max(axis=0)
-    return {entry.full_name for entry, spread in zip(entries, spreads, strict=True) if spread == 0.0 and not entry.truth}
+    return {entry.full_name for entry, spread in zip(entries, spreads, strict=True) if spread == 0.0 and not entry.is_truth}
 
 
 def test_no_observation_is_constant(environment: Supervisor, rollouts: list[list[Any]]) -> None:

@@ -130,7 +130,7 @@ def _command(scenario: str, result: TestResult, miss: Miss, given: Sequence[str]
     where = " ".join([quote(scenario), *settings, *given])
     if isinstance(test.policy, str):
         return f"deepbots view {where} --script {test.policy} --seed {test.seed} --episode {episode}"
-    actions, seed = ",".join(action.words for action in test.policy), derive_seed(test.seed, "evaluation", episode)
+    actions, seed = ",".join(action.text for action in test.policy), derive_seed(test.seed, "evaluation", episode)
     return f"deepbots run {where} --actions={actions} --steps {len(test.policy)} --episodes 1 --seed {seed}"
 
 

@@ -175,7 +175,7 @@ def _announce(program: Program, seeds: str, timesteps: int | None, *, full: bool
     """Say what is trained, when it ends, and how to end it earlier."""
     training, solved = program.policy.training, program.solved
     if training is not None:
-        until = f", or until it is solved ({solved.words})" if solved and not full else ""
+        until = f", or until it is solved ({solved.description})" if solved and not full else ""
         terminal.note(f"training {program.name} with {training.algorithm} from {seeds}")
         terminal.note(f"at most {timesteps or training.total_timesteps:,} timesteps{until}; Ctrl-C ends it and keeps the policy")
 
