@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deepbots_cli import engine_kinds
-from deepbots_cli.compiler import Checked, check
+from deepbots_cli.compiler import CheckedScenario, check
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document import load as read
@@ -103,7 +103,7 @@ def load(
     drafts: Drafts = NO_DRAFTS,
     project: Path | None = None,
     tests: bool = False,
-) -> Checked:
+) -> CheckedScenario:
     """Read and check a scenario; problems are in `.findings`, and nothing is raised for them.
 
     Args:
@@ -146,11 +146,11 @@ def lint(
     try:
         return review(checked, preview=preview)
     finally:
-        checked.release()
+        checked.release_names()
 
 
 def compile(
-    source: str | Path | Scenario | Checked,
+    source: str | Path | Scenario | CheckedScenario,
     *,
     sets: Sequence[str] = (),
     allow_paths: Iterable[str | Path] = (),
@@ -162,7 +162,7 @@ def compile(
         ScenarioError: The scenario has findings at error level.
         UsageError: There is no such file.
     """
-    checked = source if isinstance(source, Checked) else load(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code)
+    checked = source if isinstance(source, CheckedScenario) else load(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code)
     findings = review(checked)
     if checked.program is None or any(finding.severity == "error" and not finding.is_internal_error for finding in findings):
         raise ScenarioError(findings)
@@ -181,7 +181,7 @@ def compile(
 
 
 def make(
-    source: str | Path | Scenario | Checked | Compiled | Program,
+    source: str | Path | Scenario | CheckedScenario | Compiled | Program,
     *,
     sets: Sequence[str] = (),
     allow_paths: Iterable[str | Path] = (),
@@ -202,7 +202,7 @@ def make(
         MissingExtraError: The simulator is not installed.
         EngineError: The engine cannot build this world.
     """
-    if isinstance(source, (str, Path, Scenario, Checked)):
+    if isinstance(source, (str, Path, Scenario, CheckedScenario)):
         source = compile(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code)
     if isinstance(source, Compiled):
         allowed = allow_code or source.allow_code
@@ -211,7 +211,7 @@ def make(
 
 
 def make_vec(
-    source: str | Path | Scenario | Checked | Compiled | Program,
+    source: str | Path | Scenario | CheckedScenario | Compiled | Program,
     num_envs: int = 256,
     *,
     sets: Sequence[str] = (),
@@ -233,7 +233,7 @@ def make_vec(
         UsageError: There is no such file.
         MissingExtraError: The simulator is not installed.
     """
-    if isinstance(source, (str, Path, Scenario, Checked)):
+    if isinstance(source, (str, Path, Scenario, CheckedScenario)):
         source = compile(source, sets=sets, allow_paths=allow_paths)
     program, fixed = (source.program, source.fixed) if isinstance(source, Compiled) else (source, ())
     batch = build_batch(program, num_envs, engine=engine, fixed=fixed)

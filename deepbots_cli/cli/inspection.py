@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from deepbots_cli.cli.sources import wording
 from deepbots_cli.cli.tables import Row, formula
-from deepbots_cli.compiler.robots import carries
+from deepbots_cli.compiler.robots import joint_moves_link
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.render import render
 from deepbots_cli.document import MappingNode, Node, descend
@@ -336,7 +336,7 @@ def end_links(scenario: Program) -> list[tuple[str, str]]:
             placed = [model.joint(joint) for start in scenario.reset.joint_starts if start.robot == robot.name for joint in start.joints]
             parents = {joint.parent for joint in model.joints}
             leaves = [link.name for link in model.links if link.name not in parents]
-            named = [leaf for leaf in leaves if any(carries(model, joint, leaf) for joint in placed)]
+            named = [leaf for leaf in leaves if any(joint_moves_link(model, joint, leaf) for joint in placed)]
         found += [(robot.name, link) for link in dict.fromkeys(named)]
     return found
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deepbots_cli import api
-from deepbots_cli.compiler.inputs import RESOLVED
+from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.diagnostics import Finding, Findings, Source
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document import MappingNode, Node, descend, files, inline_text, shipped
@@ -71,7 +71,7 @@ def opened(source: str, sets: Sequence[str], allow_paths: Iterable[Path], *, all
     if path.is_dir() and ((path / "run.json").exists() or shipped.scenario_path(source) is None):
         if sets:
             raise UsageError(f"--set changes a scenario, and {source} is a run, which stays as it was trained")
-        run, resolved = Run.open(path), path / RESOLVED
+        run, resolved = Run.open(path), path / RESOLVED_NAME
         return Opened(run.program, parse(Source(str(resolved), resolved.read_text(encoding="utf-8-sig")), Findings()), run)
     checked = api.load(source, sets=with_engine(sets, engine), allow_paths=allow_paths, allow_code=allow_code)
     compiled = api.compile(checked)

@@ -8,8 +8,8 @@ from functools import partial
 
 from deepbots_cli.compiler.namespace import Namespace, Origin, ParameterScope, SupervisorScope
 from deepbots_cli.compiler.places import Layouts, PlacementChecker, Places
-from deepbots_cli.compiler.robots import joint_dimension, joint_missing, warn_beyond
-from deepbots_cli.compiler.values import Text, Values
+from deepbots_cli.compiler.robots import joint_dimension, report_missing_joint, warn_beyond_limits
+from deepbots_cli.compiler.values import SourceText, ValueReader
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.diagnostics.nearest import Replacement
 from deepbots_cli.document.nodes import NodePath
@@ -106,7 +106,7 @@ def _setting(spec: RouteSpec, name: str, namespace: Namespace) -> Expression | N
     return Expression(name, text.span, text.text, typed, name, redraw=redraw)
 
 
-def _check_burst(burst: float, loss: Expression, span: Span, values: Values) -> None:
+def _check_burst(burst: float, loss: Expression, span: Span, values: ValueReader) -> None:
     """Losses in runs of mean length b with at least one message between make up b / (b + 1) of all, at most."""
     highest = loss.typed.type.interval.high
     if burst / (burst + 1.0) < min(highest, 1.0) < 1.0:
@@ -115,7 +115,7 @@ def _check_burst(burst: float, loss: Expression, span: Span, values: Values) -> 
         values.findings.add("DB105", span, headline, help=f"give a `burst` of at least {least}")
 
 
-def is_repeated_as_a_whole(typed: Typed, redraw: Redraw | None, text: Text, values: Values) -> bool:
+def is_repeated_as_a_whole(typed: Typed, redraw: Redraw | None, text: SourceText, values: ValueReader) -> bool:
     """Whether a value that changes within an episode says how often its own draws are repeated."""
     if redraw is not None or typed.type.stage is not Stage.STEP or not contains_draw(typed):
         return _has_period(redraw, text, values)
@@ -125,7 +125,7 @@ def is_repeated_as_a_whole(typed: Typed, redraw: Redraw | None, text: Text, valu
     return False
 
 
-def _has_period(redraw: Redraw | None, text: Text, values: Values) -> bool:
+def _has_period(redraw: Redraw | None, text: SourceText, values: ValueReader) -> bool:
     period = redraw.period if redraw else None
     if period is None:
         return True
@@ -222,7 +222,7 @@ def _joint_start(key: str, spec: ResetSpec, namespace: Namespace, poses: Mapping
         return None
     subject = robot.subject(part, _JOINTS)
     if subject is None or subject.kind not in _JOINTS:
-        joint_missing(namespace.values, text.part(len(robot_name + dot), len(key)), part, robot.model)
+        report_missing_joint(namespace.values, text.part(len(robot_name + dot), len(key)), part, robot.model)
         return None
     joints = tuple(member.partition(".")[2] for member in subject.members) or (part,)
     scope, given = namespace.scope(Context.RESET, poses.get(robot_name)), spec.set[key]
@@ -236,7 +236,7 @@ def _joint_start(key: str, spec: ResetSpec, namespace: Namespace, poses: Mapping
 
 
 def _start_value(
-    text: Text, key: str, dimension: Dimension, subject: Subject, scope: ParameterScope, joints: Components
+    text: SourceText, key: str, dimension: Dimension, subject: Subject, scope: ParameterScope, joints: Components
 ) -> Expression | None:
     """A draw that is written once is drawn anew for each joint of a group."""
     namespace, values = scope.namespace, scope.namespace.values
@@ -246,7 +246,7 @@ def _start_value(
     reach, limits = typed.type.interval, subject.interval
     if dimension == subject.dimension and reach.is_finite and not reach.is_within(limits):
         help = "set a position within the limits: an engine pushes the joint back at once"
-        warn_beyond(values, text, dimension, limits, "a start at", reach, help)
+        warn_beyond_limits(values, text, dimension, limits, "a start at", reach, help)
     return text.expression(typed, key, per_component=joints if len(joints) > 1 else None)
 
 
@@ -258,7 +258,7 @@ _UNMOVED = {
 }
 
 
-def arrangement(namespace: Namespace, world: WorldModel) -> tuple[Reset, tuple[ObjectBody, ...]]:
+def compile_reset(namespace: Namespace, world: WorldModel) -> tuple[Reset, tuple[ObjectBody, ...]]:
     """How bodies are arranged, and the walls that only maps put up.
 
     Bodies stand in the order of the file; one that a layout does not place stands at its own `pose`, and of a group no
@@ -269,9 +269,9 @@ def arrangement(namespace: Namespace, world: WorldModel) -> tuple[Reset, tuple[O
     places = Places(namespace, world, room)
     layouts = Layouts(namespace, places, world)
     common = places.placements(spec.reset.place, ("reset", "place"))
-    found = layouts.used()
+    found = layouts.weighted_layouts()
     placed = {placement.body for layout in found for placement in layout.placements} | {placement.body for placement in common}
-    common += [places.at_home(body) for body in (*spec.objects, *spec.robots) if body not in placed and body not in namespace.groups]
+    common += [places.at_own_pose(body) for body in (*spec.objects, *spec.robots) if body not in placed and body not in namespace.groups]
     completed = tuple(replace(layout, placements=(*layout.placements, *_left_out(layout, placed, places, namespace))) for layout in found)
     _require_places(namespace)
     room.check_surroundings(common, completed)
@@ -283,7 +283,7 @@ def _left_out(layout: Layout, placed: set[str], places: Places, namespace: Names
     """Bodies at home that other layouts place."""
     here = {placement.body for placement in layout.placements}
     known = {*namespace.names_of(Origin.ROBOT, Origin.OBJECT)} - set(namespace.groups)
-    return [places.at_home(body) for body in namespace.definitions if body in placed - here and body in known]
+    return [places.at_own_pose(body) for body in namespace.definitions if body in placed - here and body in known]
 
 
 def _require_places(namespace: Namespace) -> None:
@@ -334,7 +334,7 @@ def settling_time(namespace: Namespace, timestep: float) -> float:
 # Signals, reward and endings
 
 
-def foreign(name: str, given: PythonTerm, namespace: Namespace, *, boolean: bool) -> Expression:
+def python_term(name: str, given: PythonTerm, namespace: Namespace, *, boolean: bool) -> Expression:
     """A term of which nothing is known but whether it is a truth value."""
     values, text = namespace.values, namespace.values.field(given, "python")
     if namespace.document.allow_code:
@@ -352,7 +352,7 @@ def foreign(name: str, given: PythonTerm, namespace: Namespace, *, boolean: bool
 _SHOWN = 60
 MAX_ENDINGS = 200
 """Whatever is paid is held against every one of them."""
-NO_SUCCESS = "a success rate, but the scenario defines no success"
+NO_SUCCESS_DEFINED = "a success rate, but the scenario defines no success"
 
 
 class Signals:
@@ -400,7 +400,7 @@ class Signals:
 
     def _typed(self, name: str, given: object, place: NodePath, context: Context) -> Symbol:
         if isinstance(given, PythonTerm):
-            self.valued[name] = foreign(name, given, self._namespace, boolean=True)
+            self.valued[name] = python_term(name, given, self._namespace, boolean=True)
             return Symbol(name, self.valued[name].typed.type)
         text = self._values.field(given, "value") if isinstance(given, Measured) else self._values.text(place, given)
         typed = self._values.expression(text, SupervisorScope(self._namespace, context))
@@ -431,7 +431,7 @@ def reward_terms(namespace: Namespace) -> tuple[Expression, ...]:
     terms = []
     for name, given in namespace.scenario.reward.items():
         if isinstance(given, PythonTerm):
-            terms.append(foreign(name, given, namespace, boolean=False))
+            terms.append(python_term(name, given, namespace, boolean=False))
             continue
         text = namespace.values.field(namespace.scenario, "reward", name)
         typed = _amount(text, namespace)
@@ -440,7 +440,7 @@ def reward_terms(namespace: Namespace) -> tuple[Expression, ...]:
     return tuple(terms)
 
 
-def _amount(text: Text, namespace: Namespace) -> Typed | None:
+def _amount(text: SourceText, namespace: Namespace) -> Typed | None:
     """What a term pays."""
     report = namespace.values.report(text)
     typed = namespace.values.expression(text, SupervisorScope(namespace, Context.REWARD))
@@ -475,7 +475,7 @@ def solved(namespace: Namespace) -> Solved | None:
     known = spec.termination.success or spec.goal or any(map(values.is_invalid, ("success", "termination", "goal")))
     if rate is not None and not known:
         help = "add a condition under `termination.success`, or require a `mean_return`"
-        values.findings.add("DB407", values.field(spec.solved, "success_rate").span, NO_SUCCESS, help=help)
+        values.findings.add("DB407", values.field(spec.solved, "success_rate").span, NO_SUCCESS_DEFINED, help=help)
     mean_return = None if spec.solved.mean_return is None else float(spec.solved.mean_return)
     return Solved(spec.solved.episodes, mean_return, rate)
 

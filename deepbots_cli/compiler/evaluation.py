@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
-from deepbots_cli.compiler.episodes import NO_SUCCESS
+from deepbots_cli.compiler.episodes import NO_SUCCESS_DEFINED
 from deepbots_cli.compiler.namespace import Namespace, SupervisorScope
 from deepbots_cli.compiler.policy import Decisions
 from deepbots_cli.diagnostics import Findings, Label, Span
@@ -50,7 +50,7 @@ from deepbots_cli.scenario.training import ActionNoise as ActionNoiseSpec
 from deepbots_cli.scenario.training import Hindsight as HindsightSpec
 
 if TYPE_CHECKING:
-    from deepbots_cli.compiler import Checked
+    from deepbots_cli.compiler import CheckedScenario
 
 _ONE_CHOICE = frozenset({"DQN"})
 _CHOICES = frozenset({"DQN", "MaskablePPO"})
@@ -147,13 +147,13 @@ MAX_VALUES = 40_000
 _FIXED = ("deepbots", "name", "summary", "agent", "action", "observation", "goal", "curriculum", "evaluation", "solved", "train")
 _OTHERS: tuple[NodePath, ...] = (("curriculum",), ("evaluation", "cases"))
 
-Check = Callable[[Document], "Checked"]
+Check = Callable[[Document], "CheckedScenario"]
 VariantKind = Literal["case", "stage"]
 
 
 def with_cases(
     document: Document, spec: Scenario, program: Program, findings: Findings, check: Check
-) -> tuple[tuple[Checked, ...], Program]:
+) -> tuple[tuple[CheckedScenario, ...], Program]:
     """Check every case and stage of a scenario that is sound itself: what came of each, and the task with those that are sound too."""
     if document.root is None:
         return (), program
@@ -187,7 +187,7 @@ class _Maker:
     """Checks the scenario under one group of settings after the other."""
 
     def __init__(self, document: Document, root: MappingNode, program: Program, findings: Findings, check: Check) -> None:
-        self.checked: list[Checked] = []
+        self.checked: list[CheckedScenario] = []
         self._document = document
         self._root = root
         self._base = program
@@ -213,7 +213,7 @@ class _Maker:
             found = read_until(stage.until)
             if found and found[0] == "success_rate" and not (spec.termination.success or spec.goal):
                 help = "add a condition under `termination.success`, or require a `mean_return`"
-                self.report("DB407", (*path, "until"), NO_SUCCESS, help)
+                self.report("DB407", (*path, "until"), NO_SUCCESS_DEFINED, help)
             if stage.until is None and not last:
                 help = "add `until: success_rate >= 0.7 over 40 episodes`"
                 self._findings.add("DB102", here, f"the stage `{stage.name}` never ends, so the next stage never begins", help=help)
@@ -400,7 +400,7 @@ class _Reader:
                 text = self._values.field(spec, key)
                 bounds = self._bounds(spec, key)
                 if not endings.get(key, True) and not any(map(self._values.is_invalid, ("success", "failure", "termination", "goal"))):
-                    headline = NO_SUCCESS if key == "success_rate" else "a failure rate, but the scenario defines no failure"
+                    headline = NO_SUCCESS_DEFINED if key == "success_rate" else "a failure rate, but the scenario defines no failure"
                     help = f"add a condition under `termination.{key.removesuffix('_rate')}`, or expect something else, such as `ends_by`"
                     self._values.findings.add("DB407", text.span, headline, help=help)
                 if bounds is not None:

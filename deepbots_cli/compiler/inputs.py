@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path, PurePath
 
-from deepbots_cli.compiler.robots import RobotScene
+from deepbots_cli.compiler.robots import ResolvedRobot
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.document import Document, Entry, Node, ScalarNode, descend, shipped
 from deepbots_cli.document.layout import to_yaml
@@ -16,8 +16,8 @@ from deepbots_cli.document.nodes import NodePath, walk, with_entry
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import unwritable
 
-RESOLVED = "resolved.yaml"
-FOLDER = "inputs"
+RESOLVED_NAME = "resolved.yaml"
+INPUTS_FOLDER = "inputs"
 """Where the copies lie, beside the resolved scenario."""
 
 _SETTINGS = (("evaluation",), ("curriculum",))
@@ -31,7 +31,7 @@ class Inputs:
     """
 
     document: Document
-    robots: Mapping[str, RobotScene]
+    robots: Mapping[str, ResolvedRobot]
     files: Mapping[NodePath, Path] = field(default_factory=dict)
     variants: tuple[Inputs, ...] = ()
 
@@ -44,7 +44,7 @@ class Inputs:
         return copy_names([*self._texts, *meshes, *files], (shipped.data_dir(), *self.document.roots, *packages))
 
     @property
-    def _all_robots(self) -> list[RobotScene]:
+    def _all_robots(self) -> list[ResolvedRobot]:
         return [robot for each in (self, *self.variants) for robot in each.robots.values()]
 
     @property
@@ -75,7 +75,7 @@ class Inputs:
         for path, file in (self._named | self._set()).items():
             written, key, _ = descend(root, path)
             if isinstance(written, ScalarNode) and key is not None:
-                text = f"{FOLDER}/{self.names[file]}"
+                text = f"{INPUTS_FOLDER}/{self.names[file]}"
                 root = with_entry(root, path, Entry(key, ScalarNode(written.span, text, text)))
         return to_yaml(root)
 
@@ -102,7 +102,10 @@ def write_copies(folder: Path, resolved: str, contents: Mapping[str, bytes]) -> 
         UsageError: The disk refuses it.
     """
     try:
-        for name, content in {RESOLVED: resolved.encode(), **{f"{FOLDER}/{name}": content for name, content in contents.items()}}.items():
+        for name, content in {
+            RESOLVED_NAME: resolved.encode(),
+            **{f"{INPUTS_FOLDER}/{name}": content for name, content in contents.items()},
+        }.items():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_bytes(content)
     except OSError as error:

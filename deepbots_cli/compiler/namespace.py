@@ -17,8 +17,8 @@ from enum import Enum
 from pathlib import Path as FilePath
 from typing import TypedDict, TypeVar, Unpack
 
-from deepbots_cli.compiler.robots import RobotScene
-from deepbots_cli.compiler.values import ANY, Ends, Text, Values
+from deepbots_cli.compiler.robots import ResolvedRobot
+from deepbots_cli.compiler.values import ANY_NAME, RangeEnds, SourceText, ValueReader
 from deepbots_cli.document import Document
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import NUMBER, TIME, Dimension
@@ -90,7 +90,7 @@ class Definition:
     name: str
     origin: Origin
     path: NodePath
-    make: Callable[[], Symbol] | None = None
+    make_symbol: Callable[[], Symbol] | None = None
     symbol: Symbol | None = None
     uses: int = 0
 
@@ -98,14 +98,14 @@ class Definition:
 class Namespace:
     """All definitions of one scenario."""
 
-    def __init__(self, values: Values, document: Document, scenario: Scenario) -> None:
+    def __init__(self, values: ValueReader, document: Document, scenario: Scenario) -> None:
         self.values = values
         self.document = document
         self.scenario = scenario
         self.files: dict[NodePath, FilePath] = {}
         """Files that the world is made from, by where the scenario names them."""
         self.definitions: dict[str, Definition] = {}
-        self.robots: dict[str, RobotScene | None] = {}
+        self.robots: dict[str, ResolvedRobot | None] = {}
         self.lengths: dict[str, float] = {}
         """Of painted lines, m."""
         self.walls: dict[str, tuple[str, ...]] = {}
@@ -132,7 +132,7 @@ class Namespace:
     def scope(self, context: Context, own: Mapping[str, Symbol] | None = None) -> ParameterScope:
         return ParameterScope(self, context, own or {})
 
-    def typed(self, text: Text, what: str | None = None, **context: Unpack[FieldContext]) -> Typed | None:
+    def typed(self, text: SourceText, what: str | None = None, **context: Unpack[FieldContext]) -> Typed | None:
         """The tree of a quantity; None after a finding, which calls the field `what`."""
         return self.values.quantity(text, what or f"`{text.path[-1]}`", *self._expected_type(text, context))
 
@@ -158,7 +158,7 @@ class Namespace:
             return None
         return self._si_values(typed, text, len(components or ("",))) if typed else None
 
-    def _si_values(self, typed: Typed, text: Text, count: int) -> tuple[float, ...] | None:
+    def _si_values(self, typed: Typed, text: SourceText, count: int) -> tuple[float, ...] | None:
         """The values of a fixed tree; a single one stands for all of `count`."""
         fixed = self.values.fixed(typed, text, f"`{text.path[-1]}`")
         return None if fixed is None else tuple(map(float, fixed * count if len(fixed) == 1 else fixed))
@@ -212,7 +212,7 @@ class Namespace:
         ends = [end for end in typed.type.interval if math.isfinite(end)]
         return (sum(ends) / len(ends) if ends else 0.0,) * count
 
-    def _is_bounded(self, typed: Typed, text: Text) -> bool:
+    def _is_bounded(self, typed: Typed, text: SourceText) -> bool:
         """Whether a drawn value keeps the bounds of its field: a normal distribution has none."""
         reach, kind = typed.type.interval, text.kind
         if not isinstance(kind, Quantity) or typed.type.stage is Stage.FIXED:
@@ -226,7 +226,7 @@ class Namespace:
 
     def ends(
         self, section: Section, *steps: str | int, what: str | None = None, falling: bool = False, **context: Unpack[FieldContext]
-    ) -> Ends | None:
+    ) -> RangeEnds | None:
         """The ends of a fixed range, in any order where it may be `falling`; None after a finding."""
         text = self.values.field(section, *steps)
         dimension = context.get("dimension") or (measure_dimension(text.kind.dimension) if isinstance(text.kind, Range) else None)
@@ -307,10 +307,10 @@ class Namespace:
             self.colours.append(RandomizedParameter("colour", of, replace(drawn, owner=_owner(text, of))))
         return options[0]
 
-    def _text_of(self, section: Section, steps: tuple[str | int, ...]) -> Text | None:
+    def _text_of(self, section: Section, steps: tuple[str | int, ...]) -> SourceText | None:
         return None if getattr(section, str(steps[0])) is None else self.values.field(section, *steps)
 
-    def _expected_type(self, text: Text, context: FieldContext) -> tuple[Scope, Dimension | None, Components | None, Stage]:
+    def _expected_type(self, text: SourceText, context: FieldContext) -> tuple[Scope, Dimension | None, Components | None, Stage]:
         kind = text.kind
         assert isinstance(kind, (Quantity, Column))  # of nothing else numbers are asked for
         axes, own = (kind.axes, kind.stage) if isinstance(kind, Quantity) else (ANY_SHAPE, "fixed")
@@ -343,14 +343,14 @@ class Namespace:
     def resolve(self, name: str) -> Symbol | None:
         """Type a name if it is not typed yet; None where there is no such value. This does not count as a use."""
         definition = self.definitions.get(name)
-        if definition is None or definition.make is None:
+        if definition is None or definition.make_symbol is None:
             return None
         if definition.symbol is None and definition in self._being_resolved:
             self._report_cycle(definition)
         elif definition.symbol is None:
             self._being_resolved.append(definition)
             try:
-                made = definition.make()
+                made = definition.make_symbol()
             except RecursionError:
                 if self._being_resolved[0] is not definition:
                     raise
@@ -419,10 +419,10 @@ class Namespace:
     def is_invalid(self, name: str) -> bool:
         """Whether the definition of `name` had a finding, or that of the robot it belongs to."""
         head = name.partition(".")[0]
-        return self.values.is_invalid(name) or self.values.is_invalid(ANY) or (head in self.robots and self.robots[head] is None)
+        return self.values.is_invalid(name) or self.values.is_invalid(ANY_NAME) or (head in self.robots and self.robots[head] is None)
 
 
-def _owner(text: Text, of: tuple[str, ...]) -> str:
+def _owner(text: SourceText, of: tuple[str, ...]) -> str:
     return ":".join((text.owner, *filter(None, of)))
 
 
@@ -437,7 +437,7 @@ AFTER_SIGNALS = (Context.REWARD, Context.ENDING, Context.TEST)
 _FROM_ZERO = Interval(0.0, float("inf"))
 _END_FLAGS = ("terminated", "truncated", "ended")
 _PAST_REWARDS = ("previous_reward", "episode_return")
-GOAL_IS_LATE = "the goal is computed after the signals, and only endings and rewards can use it"
+GOAL_AFTER_SIGNALS = "the goal is computed after the signals, and only endings and rewards can use it"
 _BUILT_IN = ("time", "step", "previous_action", "goal_reached", *_PAST_REWARDS, *_END_FLAGS)
 
 
@@ -484,7 +484,7 @@ class SupervisorScope(_Scope):
         if origin is Origin.ENDING and self.context not in AFTER_SIGNALS:
             return Symbol(name, None, refusal="endings are computed after the signals; use the condition itself")
         if origin is Origin.GOAL and self.context not in AFTER_SIGNALS:
-            return Symbol(name, None, refusal=GOAL_IS_LATE)
+            return Symbol(name, None, refusal=GOAL_AFTER_SIGNALS)
         robot, _, rest = name.partition(".")
         scene = self.namespace.robots.get(robot)
         if origin is None and scene is not None and rest in scene.spec.sensors and not self.namespace.is_invalid(name):

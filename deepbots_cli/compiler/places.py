@@ -9,7 +9,7 @@ from math import atan2, degrees, hypot, pi
 
 from deepbots_cli import footprint
 from deepbots_cli.compiler.namespace import Namespace, Origin
-from deepbots_cli.compiler.values import Text
+from deepbots_cli.compiler.values import SourceText
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, Dimension
@@ -266,14 +266,14 @@ class Places:
                 self._values.report_unknown(self._values.key_span((*path, body)), "robot or object", body, known)
         return found
 
-    def at_home(self, body: str) -> Placement:
+    def at_own_pose(self, body: str) -> Placement:
         """At the body's own `pose`."""
         thing = self._spec.robots[body] if body in self._spec.robots else self._spec.objects[body]
         return self.placement(body, thing.pose)
 
     def placement(self, body: str, pose: Pose, *, used: bool = True) -> Placement:
         """The placement of a known body; what had findings is left out of it."""
-        place = Placement(body, self.coordinates(pose), owner=owner_of(pose.path))
+        place = Placement(body, self.coordinates(pose), owner=draws_owner(pose.path))
         if not isinstance(pose, PlacementSpec):
             return self.resting_placement(place)
         place = replace(
@@ -402,7 +402,7 @@ class Places:
             self._values.findings.add("DB105", self._values.key_span(path), headline, help=help)
 
 
-def owner_of(path: NodePath) -> str:
+def draws_owner(path: NodePath) -> str:
     """The place of an item in the scenario, after which its draws are named."""
     return ".".join(map(str, path))
 
@@ -423,7 +423,7 @@ class Layouts:
         self._world = world
         self.walls: list[ObjectBody] = []
 
-    def used(self) -> tuple[Layout, ...]:
+    def weighted_layouts(self) -> tuple[Layout, ...]:
         """Each layout with its share; all others are read for their findings alone."""
         spec, layouts = self._spec.reset.layout, self._spec.reset.layouts
         shares = self._shares() if isinstance(spec, dict) else {spec: 1.0} if spec is not None else dict.fromkeys(list(layouts)[:1], 1.0)
@@ -488,7 +488,7 @@ class Layouts:
                 self._values.report_unknown(self._values.field(layout, "legend", letter).span, "robot or object", body, known)
         return found
 
-    def _is_small(self, text: Text) -> bool:
+    def _is_small(self, text: SourceText) -> bool:
         if len(text.text.split()) <= _MAX_CELLS:
             return True
         self._values.findings.add("DB005", text.span, f"the map has more than {_MAX_CELLS:,} cells", help="use larger cells")
@@ -516,10 +516,10 @@ class Layouts:
             name = f"{layout} wall"
             if used:
                 self._build(name, cell, len(spots))
-            return Placement(name, {}, rests=True, spot=Cells(spots), owner=owner_of((*path, _WALL)))
-        home = self._places.at_home(body)
+            return Placement(name, {}, rests=True, spot=Cells(spots), owner=draws_owner((*path, _WALL)))
+        home = self._places.at_own_pose(body)
         turned = {key: coordinate for key, coordinate in home.coordinates.items() if key not in ("x", "y")}
-        return replace(home, coordinates=turned, spot=Cells(spots), owner=owner_of((*path, body)))
+        return replace(home, coordinates=turned, spot=Cells(spots), owner=draws_owner((*path, body)))
 
     def _build(self, name: str, cell: float, count: int) -> None:
         arena = self._world.arena
@@ -535,7 +535,7 @@ class Layouts:
         self.walls += [ObjectBody(copy, Box((cell, cell, height)), colour=colour, fixed=True, pooled=True) for copy in group.copies]
 
 
-def _rows(text: Text) -> list[list[tuple[str, Span]]]:
+def _rows(text: SourceText) -> list[list[tuple[str, Span]]]:
     """The cells of each row that is not empty, with their places in the file."""
     rows = (re.compile(r"\S+").finditer(text.text, *line.span()) for line in re.finditer(r"[^\n]+", text.text))
     found = ([(cell[0], text.part(*cell.span())) for cell in row] for row in rows)

@@ -9,8 +9,8 @@ from dataclasses import replace
 from functools import partial
 
 from deepbots_cli.compiler.controllers import driven_parts
-from deepbots_cli.compiler.namespace import AFTER_SIGNALS, GOAL_IS_LATE, Namespace, Origin, SupervisorScope
-from deepbots_cli.compiler.values import Text
+from deepbots_cli.compiler.namespace import AFTER_SIGNALS, GOAL_AFTER_SIGNALS, Namespace, Origin, SupervisorScope
+from deepbots_cli.compiler.values import SourceText
 from deepbots_cli.document.nodes import MappingNode, NodePath
 from deepbots_cli.expressions import syntax
 from deepbots_cli.expressions.dimensions import NUMBER
@@ -232,7 +232,7 @@ class Actions:
 
 Bounds = tuple[tuple[float, ...], tuple[float, ...]]
 
-MIN_SIDE = 36
+MIN_IMAGE_SIDE = 36
 """Pixels: filters of 8, 4 and 3 with strides of 4, 2 and 1 leave one of them."""
 
 
@@ -268,7 +268,7 @@ class Observations:
         history, clip = (given.history, given.clip) if isinstance(given, Observed) else (1, True)
         return kind(text.expression(typed), *bounds, history, clip, added)
 
-    def _observed(self, text: Text) -> Typed | None:
+    def _observed(self, text: SourceText) -> Typed | None:
         tree = self._values.parsed(text)
         if tree is None:
             return None
@@ -282,7 +282,7 @@ class Observations:
             return None
         return self._values.expression(text, SupervisorScope(self._namespace, Context.OBSERVATION))
 
-    def _bounds(self, typed: Typed, text: Text) -> Bounds | None:
+    def _bounds(self, typed: Typed, text: SourceText) -> Bounds | None:
         count = len(typed.type.components or ("",))
         if typed.type.picture:
             if text.text != "auto":
@@ -326,8 +326,8 @@ class Observations:
             if picture is None:
                 continue
             rows, columns, channels = picture[0], picture[1], picture[2] * entry.history * self._spec.agent.frame_stack
-            if min(rows, columns) < MIN_SIDE:
-                headline = f"pictures of {columns} x {rows} pixels, where the network needs {MIN_SIDE} x {MIN_SIDE}"
+            if min(rows, columns) < MIN_IMAGE_SIDE:
+                headline = f"pictures of {columns} x {rows} pixels, where the network needs {MIN_IMAGE_SIDE} x {MIN_IMAGE_SIDE}"
                 self._values.findings.add("DB612", entry.value.span, headline, help="raise the `resolution` of the camera")
             elif channels >= min(rows, columns):
                 headline = f"pictures of {columns} x {rows} pixels with {channels} channels in all, more than the sides have pixels"
@@ -408,7 +408,7 @@ class Goals:
     def _reached(self, context: Context) -> Symbol:
         name = "goal_reached"
         if context not in AFTER_SIGNALS:
-            return Symbol(name, None, refusal=GOAL_IS_LATE)
+            return Symbol(name, None, refusal=GOAL_AFTER_SIGNALS)
         for part in self._namespace.names_of(Origin.GOAL):
             symbol = self._namespace.resolve(part)
             if symbol is None or symbol.type is None:
@@ -463,15 +463,15 @@ class Decisions:
         self._names = list(namespace.scenario.action)
         self._called = ""
 
-    def read(self, place: NodePath, given: Mapping[str, object], called: str) -> tuple[ScriptedChoice | ScriptedRange, ...] | None:
-        """The decisions at `place`, which findings call `called`; None after a finding."""
-        self._called = called
+    def read(self, place: NodePath, given: Mapping[str, object], description: str) -> tuple[ScriptedChoice | ScriptedRange, ...] | None:
+        """The decisions at `place`, which findings call `description`; None after a finding."""
+        self._called = description
         for part in given:
             if part not in self._names:
                 self._values.report_unknown(self._values.key_span((*place, part)), "action", part, self._names)
         for part in self._names:
             if part not in given and not self._values.is_invalid(part):
-                headline = f"{called} does not decide `{part}`"
+                headline = f"{description} does not decide `{part}`"
                 self._values.findings.add("DB102", self._values.key_span(place), headline, help=self._example(part))
         decided = {part: self._decision((*place, part), self._parts[part], given[part]) for part in self._parts if part in given}
         parts = [decided.get(part) for part in self._names]

@@ -8,8 +8,8 @@ from itertools import pairwise
 from typing import Any
 
 from deepbots_cli.compiler.namespace import Namespace
-from deepbots_cli.compiler.robots import RobotScene, hull, joint_dimension
-from deepbots_cli.compiler.values import Values
+from deepbots_cli.compiler.robots import ResolvedRobot, joint_dimension, position_interval
+from deepbots_cli.compiler.values import ValueReader
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import LENGTH, NUMBER, TIME, Dimension
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
@@ -28,10 +28,10 @@ _LINKS = frozenset({Kind.LINK})
 _FELT = frozenset({Kind.GROUND, Kind.ROBOT, Kind.OBJECT, Kind.OBJECTS, Kind.LINK, Kind.LINKS, Kind.WALL, Kind.WALLS})
 
 
-class Sensing:
+class SensorsCompiler:
     """The sensors of one robot. Those with findings are missing, and their names have no type."""
 
-    def __init__(self, scene: RobotScene, namespace: Namespace) -> None:
+    def __init__(self, scene: ResolvedRobot, namespace: Namespace) -> None:
         self._scene = scene
         self._namespace = namespace
         self._values = namespace.values
@@ -42,7 +42,7 @@ class Sensing:
             self._add(name, spec)
         self._check_size()
 
-    def finished(self, timestep: float) -> tuple[Sensor, ...]:
+    def compiled(self, timestep: float) -> tuple[Sensor, ...]:
         """The sensors in a world whose timestep is `timestep` s, which their periods are multiples of."""
         specs = self._scene.spec.sensors
         return tuple(
@@ -88,7 +88,7 @@ class Sensing:
                     subjects, dimension, interval = (
                         tuple(j.name for j in joints),
                         spec.dimension_of(joints[0]),
-                        spec.interval_of(hull(joints)),
+                        spec.interval_of(position_interval(joints)),
                     )
                 components = subjects if spec.joints is not None else ()
             case ContactSensor():
@@ -290,7 +290,7 @@ def _noise_model(namespace: Namespace, spec: SensorSpec, known: Type) -> tuple[N
     return None if model == NoiseModel() and len(namespace.variations) == drawn else model, reach
 
 
-def _refuse_errors(values: Values, spec: SensorSpec, known: Type) -> None:
+def _refuse_errors(values: ValueReader, spec: SensorSpec, known: Type) -> None:
     tells, keys = ("takes pictures", _OF_NUMBERS[:-2]) if known.picture else ("reads true or false", _OF_NUMBERS)
     for key in keys:
         if key in spec.model_fields_set:

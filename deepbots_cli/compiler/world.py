@@ -10,7 +10,7 @@ from pathlib import Path as FilePath
 from typing import Any, cast, get_args
 
 from deepbots_cli.compiler.namespace import Namespace, Origin
-from deepbots_cli.compiler.robots import RobotScene, located
+from deepbots_cli.compiler.robots import ResolvedRobot, locate_file
 from deepbots_cli.diagnostics import Edit, Fix
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import LENGTH
@@ -65,7 +65,7 @@ def define_bodies(namespace: Namespace) -> None:
     for name, wall in spec.world.walls.items():
         namespace.define(name, Origin.WALL, ("world", "walls", name))
         if namespace.origin(name) is Origin.WALL:
-            namespace.walls[name] = pieces(name, wall)
+            namespace.walls[name] = wall_piece_names(name, wall)
     if spec.world.arena is not None:
         namespace.walls["arena"] = ARENA_WALLS
     for name in spec.world.lines:
@@ -99,7 +99,7 @@ def mesh(namespace: Namespace, spec: world_spec.Mesh | world_spec.MeshTerrain) -
     """The mesh file of an object or a terrain; None after a finding."""
     values, reference, place = namespace.values, spec.file, (*spec.path, "file")
     factors = (1.0, 1.0, 1.0) if spec.scale is None else namespace.triple(spec, "scale")
-    found = located(reference, values.span(place), namespace.document, values)
+    found = locate_file(reference, values.span(place), namespace.document, values)
     if found is None or factors is None:
         return None
     loaded = meshes.MeshReader(lambda _reference: found).load(reference)
@@ -137,7 +137,7 @@ def _is_sensible(namespace: Namespace, place: NodePath, file: FilePath, mesh: Me
 def picture(namespace: Namespace, path: NodePath, reference: str) -> tuple[str, str] | None:
     """The path and the digest of a grey picture; None after a finding."""
     span = namespace.values.span(path)
-    found = located(reference, span, namespace.document, namespace.values)
+    found = locate_file(reference, span, namespace.document, namespace.values)
     if found is None:
         return None
     data = read_at_most(found, MAX_PICTURE_BYTES + 1)
@@ -192,7 +192,7 @@ def walls(namespace: Namespace) -> tuple[ObjectBody, ...]:
     return tuple(box for name, wall in namespace.scenario.world.walls.items() for box in _wall(name, wall, namespace))
 
 
-def pieces(name: str, spec: world_spec.Wall) -> tuple[str, ...]:
+def wall_piece_names(name: str, spec: world_spec.Wall) -> tuple[str, ...]:
     """The names of the boxes of a wall; the blank keeps them apart from every object."""
     return tuple(f"{name} {number}" for number in range(1, len(spec.points) + (1 if spec.closed else 0)))
 
@@ -201,7 +201,7 @@ def _wall(name: str, spec: world_spec.Wall, namespace: Namespace) -> Sequence[Ob
     points = _points(spec, namespace)
     height, thickness = namespace.fixed(spec, "height"), namespace.fixed(spec, "thickness")
     ends = () if points is None else (*points[1:], points[0]) if spec.closed else points[1:]
-    names = pieces(name, spec)
+    names = wall_piece_names(name, spec)
     friction = namespace.scalar_or_randomized(spec, "friction", "walls_friction", OfWalls(names), None)
     if points is None or height is None or thickness is None or friction is None:
         namespace.values.mark_invalid(name)
@@ -391,7 +391,7 @@ def _usual_mass(made: Shape, thing: world_spec.Material, namespace: Namespace, *
 _SHORTEST, _SHORT, _LONG, _LONGEST = 1e-6, 1e-4, 1.0, 60.0
 
 
-def world(namespace: Namespace, robots: list[RobotScene], painted: tuple[Line, ...]) -> WorldModel:
+def world(namespace: Namespace, robots: list[ResolvedRobot], painted: tuple[Line, ...]) -> WorldModel:
     """The world with `robots` and `painted` lines in it."""
     values, given = namespace.values, namespace.scenario.world
     timestep = namespace.fixed(given, "timestep")

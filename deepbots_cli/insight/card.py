@@ -19,7 +19,7 @@ from pathlib import Path, PurePosixPath
 from pydantic import BaseModel, ConfigDict, Field
 
 import deepbots_cli
-from deepbots_cli.compiler.inputs import FOLDER, RESOLVED
+from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME
 from deepbots_cli.errors import MissingExtraError, RunError
 from deepbots_cli.learning.listing import last_evaluation
 from deepbots_cli.learning.run import Format, KeptEvaluation, ModelName, Run, read_json
@@ -136,7 +136,7 @@ def bundle(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
         summary=program.summary,
         scenario_digest=run.digest,
         task_digest=identity.task_digest(program),
-        licences=_licences(run.path / FOLDER),
+        licences=_licences(run.path / INPUTS_FOLDER),
         algorithm=program.policy.training.algorithm if program.policy.training else "",
         model=name,
         training_seed=record.seed,
@@ -158,14 +158,14 @@ def bundle(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
         files={name: hashlib.sha256(content).hexdigest() for name, content in graphs.items()},
         versions=record.versions,
     )
-    scenario = (run.path / RESOLVED).read_text(encoding="utf-8")
+    scenario = (run.path / RESOLVED_NAME).read_text(encoding="utf-8")
     texts = {NAME: card.model_dump_json(indent=2) + "\n", "README.md": readme(card), "scenario.yaml": scenario}
     # The scenario names the copies of its robot files; the YAML files that it was put together from are in it.
-    robots = {name: (run.path / FOLDER / name).read_bytes() for name in record.inputs if not name.endswith((".yaml", ".yml"))}
+    robots = {name: (run.path / INPUTS_FOLDER / name).read_bytes() for name in record.inputs if not name.endswith((".yaml", ".yml"))}
     return {
         **{PurePosixPath(name): content for name, content in graphs.items()},
         **{PurePosixPath(name): text.encode() for name, text in texts.items()},
-        **{PurePosixPath(FOLDER, name): content for name, content in robots.items()},
+        **{PurePosixPath(INPUTS_FOLDER, name): content for name, content in robots.items()},
     }
 
 

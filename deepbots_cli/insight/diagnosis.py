@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from deepbots_cli.compiler.inputs import RESOLVED
+from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.errors import RunError
 from deepbots_cli.insight.statements import Finder, Numbers, Share, Statement, listed, state_all
 from deepbots_cli.insight.trace import Array, Trace
@@ -162,7 +162,7 @@ def lint_warns(t: Training) -> Numbers | None:
         return None
     shown = "; ".join([f"{finding.headline} ({finding.code})" for finding in found[:2]] + [f"{len(found) - 2} more"] * (len(found) > 2))
     return {"likelihood": 0.91 if found[0].code in _UNLEARNABLE else 0.3, "count": f"{len(found)} warning{'s' * (len(found) > 1)}",
-            "findings": shown, "codes": [finding.code for finding in found], "path": str(t.run.path / RESOLVED)}  # fmt: skip
+            "findings": shown, "codes": [finding.code for finding in found], "path": str(t.run.path / RESOLVED_NAME)}  # fmt: skip
 
 
 # Observations

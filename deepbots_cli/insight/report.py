@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import deepbots_cli
-from deepbots_cli.compiler.inputs import RESOLVED
+from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.errors import DeepbotsError, EngineError, MissingExtraError, RunError, UsageError
 from deepbots_cli.files import atomic, unwritable
 from deepbots_cli.frames import Frame
@@ -268,9 +268,9 @@ class Report:
             if figure is not None
         ]
         run = self.members[0].run
-        lines = (run.path / RESOLVED).read_text("utf-8").splitlines()
+        lines = (run.path / RESOLVED_NAME).read_text("utf-8").splitlines()
         found = findings(run)
-        here = {finding.span.start_position.line for finding in found if finding.span.source.name.endswith(RESOLVED)}
+        here = {finding.span.start_position.line for finding in found if finding.span.source.name.endswith(RESOLVED_NAME)}
         ordered = ((label, self.clips[label]) for label in LABELS if label in self.clips)
         clips = {label: (caption, _uri("video/mp4", data)) for label, (caption, data) in ordered}
         return environment.get_template("report.html.j2").render(

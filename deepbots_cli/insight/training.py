@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli import api
-from deepbots_cli.compiler.inputs import RESOLVED
+from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.insight.conditions import measured
@@ -123,7 +123,7 @@ def _meets(solved: Solved, evaluation: Mapping[str, Any]) -> bool:
 
 def findings(run: Run) -> list[Finding]:
     """What lint says of the scenario of a run."""
-    return review(api.load(run.path / RESOLVED, allow_code=True, project=run.path))
+    return review(api.load(run.path / RESOLVED_NAME, allow_code=True, project=run.path))
 
 
 def read(run: Run) -> Training:

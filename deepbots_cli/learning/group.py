@@ -21,7 +21,7 @@ from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt, PositiveInt
 import deepbots_cli
 from deepbots_cli import api, engine_kinds
 from deepbots_cli.api import Compiled
-from deepbots_cli.compiler.inputs import FOLDER, RESOLVED, write_copies
+from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME, write_copies
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.learning.report import Reporter
 from deepbots_cli.learning.run import (
@@ -91,7 +91,7 @@ class Group:
         record = read_json(path / GROUP_NAME, GroupRecord, _LIMIT)
         if len(set(record.seeds)) < len(record.seeds):
             raise RunError(f"{path / GROUP_NAME} is damaged: it names a seed twice")
-        for name in (GROUP_NAME, RESOLVED, FOLDER, *(f"seed-{seed}" for seed in record.seeds)):
+        for name in (GROUP_NAME, RESOLVED_NAME, INPUTS_FOLDER, *(f"seed-{seed}" for seed in record.seeds)):
             if (path / name).is_symlink():
                 raise RunError(f"{path / name} is a symbolic link, which no group of ours holds")
         return Group(path, record)
@@ -225,7 +225,7 @@ def resume_group(
     """
     known = Group.open(group)
     with run_lock(known.path):
-        compiled = api.compile(api.load(known.path / RESOLVED, allow_code=True, project=known.path))
+        compiled = api.compile(api.load(known.path / RESOLVED_NAME, allow_code=True, project=known.path))
         compiled = replace(compiled, source=Path(known.record.source), allow_code=allow_code)
         return _train_seeds(known, compiled, total_timesteps, stop_when_solved, progress, on_seed, build, allow_code=allow_code)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from statistics import fmean
 from typing import Literal
 
-from deepbots_cli.compiler.inputs import RESOLVED
+from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.document import MappingNode, load
 from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.files import read_at_most
@@ -203,7 +203,7 @@ def _cpu_of_checkpoint(run: Path) -> float | None:
 def _defines_success(run: Path) -> bool:
     """Whether the scenario of a run has a goal or an ending that is a success."""
     try:
-        root = load(run / RESOLVED, project=run).root
+        root = load(run / RESOLVED_NAME, project=run).root
     except DeepbotsError:
         return False
     endings = root.get("termination") if root is not None else None

@@ -15,7 +15,7 @@ from typing import Any, Literal
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
 from deepbots_cli.compiler import check
-from deepbots_cli.compiler.inputs import RESOLVED
+from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.document import MappingNode, Node, ScalarNode, load
 from deepbots_cli.errors import DeepbotsError, ScenarioError, UsageError
 from deepbots_cli.learning.evaluation import EvaluationResult, evaluate
@@ -147,7 +147,7 @@ def evaluate_robustness(
         UsageError: There is no such scenario, or nothing of this name has a mass.
     """
     known = run if isinstance(run, Run) else Run.open(run)
-    base, project = (known.path / RESOLVED, known.path) if scenario is None else (api.locate(scenario)[0], None)
+    base, project = (known.path / RESOLVED_NAME, known.path) if scenario is None else (api.locate(scenario)[0], None)
     base = base.resolve()
 
     code = allow_code or scenario is None  # worlds that run the functions of a run ask again

@@ -36,7 +36,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
-from deepbots_cli.compiler.inputs import FOLDER, RESOLVED, write_copies
+from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME, write_copies
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.files import atomic, unwritable
 from deepbots_cli.learning.curriculum import StageEnd
@@ -58,8 +58,8 @@ M = TypeVar("M", bound=BaseModel)
 _LIMIT = 4_000_000
 _EVALUATION_LIMIT = 200_000_000
 _DISTRIBUTIONS = ("gymnasium", "mujoco", "numpy", "pybullet", "stable-baselines3", "torch")
-_FILES = (NAME, RESOLVED, "monitor.csv", ".lock")
-_FOLDERS = (FOLDER, "tensorboard", "models", "evaluations", "logs", "checkpoints", "failures")
+_FILES = (NAME, RESOLVED_NAME, "monitor.csv", ".lock")
+_FOLDERS = (INPUTS_FOLDER, "tensorboard", "models", "evaluations", "logs", "checkpoints", "failures")
 
 
 class Result(BaseModel):
@@ -291,11 +291,11 @@ class Run:
         path = Path(path)
         record = Record.read(path)
         _check_plain(path)
-        if not (path / RESOLVED).is_file():
-            raise RunError(f"{path / RESOLVED} is missing")
+        if not (path / RESOLVED_NAME).is_file():
+            raise RunError(f"{path / RESOLVED_NAME} is missing")
         try:
             # The functions of Python that it names are not called before a world is built, which asks again whether they may.
-            compiled = api.compile(api.load(path / RESOLVED, allow_code=True, project=path))
+            compiled = api.compile(api.load(path / RESOLVED_NAME, allow_code=True, project=path))
         except DeepbotsError as error:
             raise RunError(f"{path} cannot be used, since its scenario does not compile: {' '.join(str(error).split())[:500]}") from error
         differences = identity.compare_interfaces(record.interface, identity.interface(compiled.program), words=("trained", "now"))

@@ -27,7 +27,7 @@ from inspect import cleandoc
 from pathlib import Path
 from textwrap import dedent, fill, indent
 
-from deepbots_cli.compiler import Checked
+from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.diagnostics import MAX_FINDINGS, RULES, Finding, Findings, Source, Span, exceptions_as_findings
 from deepbots_cli.diagnostics.findings import internal_error_finding, suppress
 from deepbots_cli.document.nodes import to_data
@@ -69,7 +69,7 @@ def code_of(rule: Callable[..., Iterator[Finding]]) -> str:
     return (rule.__doc__ or "").partition(":")[0]
 
 
-def run(checked: Checked, *, preview: bool = False) -> Iterator[Finding]:
+def run(checked: CheckedScenario, *, preview: bool = False) -> Iterator[Finding]:
     """The findings of all static rules; none for a scenario with errors.
 
     A rule that raises an exception is reported as DB903, and the other rules run.
@@ -92,7 +92,7 @@ def _found(check: Callable[[], Iterator[Finding]]) -> Iterator[Finding]:
         return
 
 
-def review(checked: Checked, *, preview: bool = False, measured: Iterable[Finding] | None = None) -> list[Finding]:
+def review(checked: CheckedScenario, *, preview: bool = False, measured: Iterable[Finding] | None = None) -> list[Finding]:
     """All findings of the compiler and of the rules, without suppressed ones and warnings about robot files of other packages.
 
     `inspect` of a robot file shows the latter. `measured` are the findings of a simulation, None if there was none; a static finding
@@ -127,7 +127,7 @@ class Simulated:
     left: str | None = None
 
 
-def simulate(checked: Checked, *, preview: bool = False, limits: Limits = Limits()) -> Simulated:  # noqa: B008  # immutable
+def simulate(checked: CheckedScenario, *, preview: bool = False, limits: Limits = Limits()) -> Simulated:  # noqa: B008  # immutable
     """Simulate a scenario without errors in a process of its own, and apply the simulated rules.
 
     If these find errors, warnings are dropped except `_CAUSES`: the behaviour would follow from the errors. A rule that raises an
@@ -159,7 +159,7 @@ class CascadeFilter:
     A value whose finding is suppressed by a comment is not doubtful.
     """
 
-    def __init__(self, checked: Checked) -> None:
+    def __init__(self, checked: CheckedScenario) -> None:
         doubtful = [finding for finding in checked.findings if finding.code in _DOUBTFUL]
         spans = [finding.span for finding in suppress(doubtful, checked.document.sources)[0]] if doubtful else []
         self._texts = _Texts(_depending_on(checked, spans) if spans else ())
@@ -184,7 +184,7 @@ class _Texts:
         return spans[at] if at >= 0 and place.end <= spans[at].end else None
 
 
-def _depending_on(checked: Checked, doubtful: list[Span]) -> set[Span]:
+def _depending_on(checked: CheckedScenario, doubtful: list[Span]) -> set[Span]:
     """The texts of the doubtful values, and all texts that refer to names that these define, however indirectly."""
     assert checked.namespace is not None  # the scenario has no errors
     values = checked.namespace.values

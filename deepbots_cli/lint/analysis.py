@@ -11,9 +11,9 @@ from functools import cached_property
 from typing import NamedTuple, cast
 from weakref import proxy
 
-from deepbots_cli.compiler import Checked
+from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.compiler.namespace import Namespace
-from deepbots_cli.compiler.values import Text, Values
+from deepbots_cli.compiler.values import SourceText, ValueReader
 from deepbots_cli.diagnostics import Finding, Span
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.dimensions import Dimension
@@ -578,17 +578,17 @@ class RuleContext:
     `program` is what it compiles to, `analysis` what several rules ask about that, and `values` the places in its text.
     """
 
-    def __init__(self, checked: Checked, program: Program, namespace: Namespace) -> None:
+    def __init__(self, checked: CheckedScenario, program: Program, namespace: Namespace) -> None:
         self.checked = checked
         self.program = program
         self.namespace = namespace
-        self.values: Values = namespace.values
+        self.values: ValueReader = namespace.values
         self.analysis = Analysis(program)
         variants = [*(case.program for case in program.cases), *(stage.program for stage in program.curriculum)]
         self.versions = (self.analysis, *map(Analysis, variants))
         """The scenario itself, and under the settings of each case and each stage."""
 
-    def text(self, owner: str) -> Text:
+    def text(self, owner: str) -> SourceText:
         """The text of an expression, by its owner."""
         return self.values.text(tuple(owner.split(".")))
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from deepbots_cli.compiler import Checked
+from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.diagnostics import Edit, Finding, Findings, Source
 from deepbots_cli.document import files, shipped
 from deepbots_cli.document.load import NO_DRAFTS, Drafts
@@ -33,7 +33,7 @@ _BETWEEN_ENTRIES = frozenset({"DB002", "DB202"})
 _PER_SCENARIO = frozenset({"DB205", "DB901"})
 """A definition that this scenario does not use may be used by another one that includes the same file."""
 
-Load = Callable[..., Checked]
+Load = Callable[..., CheckedScenario]
 """`api.load`, or a partial of it; called with a name and `drafts`."""
 
 

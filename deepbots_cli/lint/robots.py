@@ -7,8 +7,8 @@ from math import ceil, degrees, hypot, inf, pi, radians
 from typing import TypeGuard
 
 from deepbots_cli import footprint, frames
-from deepbots_cli.compiler.robots import carries, joint_dimension
-from deepbots_cli.compiler.values import Values
+from deepbots_cli.compiler.robots import joint_dimension, joint_moves_link
+from deepbots_cli.compiler.values import ValueReader
 from deepbots_cli.diagnostics import Finding, Label, Span
 from deepbots_cli.expressions.dimensions import LENGTH, TIME
 from deepbots_cli.expressions.intervals import NEVER, Interval, hull
@@ -153,7 +153,7 @@ def _held_joints(actuator: Actuator) -> tuple[str, ...]:
             return ()
 
 
-def _joints_span(values: Values, robot: str, actuator: str) -> Span:
+def _joints_span(values: ValueReader, robot: str, actuator: str) -> Span:
     place = ("robots", robot, "actuators", actuator)
     key = next((key for key in ("joint", "joints") if values.is_present((*place, key))), None)
     return values.span((*place, key)) if key else values.key_span(place)
@@ -257,7 +257,7 @@ def _moved(model: RobotModel, where: Mapping[str, Frame], joint: Joint, limit: f
     axis = frames.rotate(turned, joint.axis)
     load = inertia = 0.0
     for link in model.links:
-        if link.inertial is None or not carries(model, joint, link.name):
+        if link.inertial is None or not joint_moves_link(model, joint, link.name):
             continue
         mass = link.inertial.mass
         centre, own = frames.compose(where[link.name], frames.frame(link.inertial.origin))
@@ -512,7 +512,7 @@ def _centre_of_mass(model: RobotModel) -> tuple[float, float]:
     return sum(weight * at[0] for weight, at in known) / mass, sum(weight * at[1] for weight, at in known) / mass
 
 
-def _passing_over(values: Values, robot: str, sensor: str, clearance: Clearance, notes: tuple[str, ...] = ()) -> Finding:
+def _passing_over(values: ValueReader, robot: str, sensor: str, clearance: Clearance, notes: tuple[str, ...] = ()) -> Finding:
     base = clearance.tallest.partition("#")[0]
     height, top, lower = (with_unit(length, LENGTH) for length in (clearance.lowest, clearance.top, clearance.lowest - clearance.top))
     help = f"lower the `pose` of the sensor by more than {lower}"

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import deepbots_cli
-from deepbots_cli.compiler import Checked
+from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.compiler.inputs import Inputs
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.diagnostics import Span
@@ -430,7 +430,7 @@ class FailedExpression(NamedTuple):
 class Simulation(RuleContext):
     """A scenario and the report of its simulation."""
 
-    def __init__(self, checked: Checked, program: Program, namespace: Namespace, report: Report) -> None:
+    def __init__(self, checked: CheckedScenario, program: Program, namespace: Namespace, report: Report) -> None:
         super().__init__(checked, program, namespace)
         self.plan = planned(program)
         self.report = report

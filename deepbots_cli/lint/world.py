@@ -9,7 +9,7 @@ from typing import Any
 
 from deepbots_cli import footprint
 from deepbots_cli.compiler.robots import joint_dimension
-from deepbots_cli.compiler.values import Values
+from deepbots_cli.compiler.values import ValueReader
 from deepbots_cli.diagnostics import Finding, Label, Span
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.engine_kinds import ENGINES
@@ -107,7 +107,7 @@ def _forms(thing: ObjectBody) -> Iterator[tuple[NodePath, Variant]]:
         yield path, Variant(thing.name, thing.shape, thing.mass, fixed=thing.fixed)
 
 
-def _around(start: StartRanges, thing: ObjectBody, kind: Variant, robots: _Robots, path: NodePath, values: Values) -> Finding | None:
+def _around(start: StartRanges, thing: ObjectBody, kind: Variant, robots: _Robots, path: NodePath, values: ValueReader) -> Finding | None:
     """An object with a small robot inside, wherever both are placed."""
     if not thing.solid or isinstance(kind.shape, Mesh):
         return None
@@ -148,7 +148,7 @@ def _inner_cylinder(shape: Shape) -> tuple[float, float]:
             return footprint.of_shape(shape).inradius, footprint.resting_height(shape)
 
 
-def _odd_mass(thing: ObjectBody, kind: Variant, robots: _Robots, path: NodePath, values: Values) -> Finding | None:
+def _odd_mass(thing: ObjectBody, kind: Variant, robots: _Robots, path: NodePath, values: ValueReader) -> Finding | None:
     """A movable object with the density of no material, or one that outweighs all robots by far."""
     size = volume(kind.shape)
     if not thing.solid or kind.fixed or not size or kind.mass <= 0.0:
@@ -168,13 +168,13 @@ def _odd_mass(thing: ObjectBody, kind: Variant, robots: _Robots, path: NodePath,
     return Finding("DB507", _span(path, ("mass", "radius", "size"), values), headline, help=_in_centimetres(path, values))
 
 
-def _span(path: NodePath, keys: tuple[str, ...], values: Values) -> Span:
+def _span(path: NodePath, keys: tuple[str, ...], values: ValueReader) -> Span:
     """The value of the first of these keys that the object has, or else its name."""
     place = next(((*path, key) for key in keys if values.is_present((*path, key))), None)
     return values.span(place) if place else values.key_span(path)
 
 
-def _in_centimetres(path: NodePath, values: Values) -> str:
+def _in_centimetres(path: NodePath, values: ValueReader) -> str:
     """A help with the same size in centimetres, where it is written in metres."""
     written = _span(path, ("radius", "size"), values).text
     found = _METRES.fullmatch(written)

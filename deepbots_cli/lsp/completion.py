@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 from lsprotocol.types import CompletionItem, CompletionItemKind, CompletionList, MarkupContent, MarkupKind, TextEdit
 
-from deepbots_cli.compiler import Checked
-from deepbots_cli.compiler.inventory import action_at, definition, names
+from deepbots_cli.compiler import CheckedScenario
+from deepbots_cli.compiler.inventory import action_at, definition, names_at
 from deepbots_cli.compiler.namespace import ParameterScope, RobotScope, SupervisorScope
 from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.document import shipped
@@ -220,8 +220,8 @@ def _words(words: Iterable[str], detail: str) -> Iterator[Choice]:
 def _named(view: View, field: FieldType, path: NodePath) -> Iterator[Choice]:
     """The names that a reference may take."""
     if isinstance(field, (Reference, Pattern)):
-        known = names(view.checked, field.kind, path) if view.checked is not None else ()
-        yield from (Choice(found.name, CompletionItemKind.Reference, found.what) for found in known)
+        known = names_at(view.checked, field.kind, path) if view.checked is not None else ()
+        yield from (Choice(found.name, CompletionItemKind.Reference, found.description) for found in known)
         yield from (Choice(name, CompletionItemKind.Reference, field.kind) for name in _names_in_text(field.kind, path, view.data))
 
 
@@ -328,7 +328,7 @@ def _expected_kind(text: str, field: FieldType) -> str:
     return "value on board" if field.context in _ROBOT_CONTEXTS else "value"
 
 
-def _expression_choices(text: str, scope: Scope, checked: Checked) -> Iterator[Choice]:
+def _expression_choices(text: str, scope: Scope, checked: CheckedScenario) -> Iterator[Choice]:
     """What may replace the name at the end of `text`, except units."""
     word = _word_before(text)
     before = text[: len(text) - len(word)]
@@ -382,13 +382,13 @@ def functions(families: frozenset[Family]) -> Iterator[Choice]:
             yield Choice(f"{function.name}(", CompletionItemKind.Function, function.signature, describe_function(function))
 
 
-def _names(scope: Scope, checked: Checked) -> Iterator[Choice]:
+def _names(scope: Scope, checked: CheckedScenario) -> Iterator[Choice]:
     robot = scope.robot if isinstance(scope, RobotScope) else None
     for name in list(dict.fromkeys(scope.names()))[:_MAX_NAMES]:
         symbol = scope.lookup(name)
         if symbol is not None and symbol.refusal is None:
             found = definition(checked, name, robot)
-            yield Choice(name, CompletionItemKind.Variable, describe_symbol(symbol), found.what if found else "built in")
+            yield Choice(name, CompletionItemKind.Variable, describe_symbol(symbol), found.description if found else "built in")
 
 
 def _components(name: str, scope: Scope) -> Iterator[Choice]:

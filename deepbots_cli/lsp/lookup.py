@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 
 from lsprotocol import types
 
-from deepbots_cli.compiler.inventory import Named, definition, names
+from deepbots_cli.compiler.inventory import NameEntry, definition, names_at
 from deepbots_cli.compiler.namespace import RobotScope
-from deepbots_cli.compiler.values import Reading, Text
+from deepbots_cli.compiler.values import ScopedExpression, SourceText
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.document import Entry, MappingNode, ScalarNode, descend, shipped
@@ -125,7 +125,7 @@ class ExpressionNode(NamedTuple):
     `cursor` is the cursor's offset in the text of the expression. `kinds` is given if the node names a part of the world.
     """
 
-    reading: Reading
+    reading: ScopedExpression
     cursor: int
     node: syntax.Node
     kinds: frozenset[Kind] | None = None
@@ -207,7 +207,7 @@ def _end(pattern: re.Pattern[str], text: str, start: int) -> int:
     return found.end() if found else start
 
 
-def _size_around(view: View, reading: Reading) -> int | None:
+def _size_around(view: View, reading: ScopedExpression) -> int | None:
     """The length of the expression's text if it holds the cursor, otherwise None; a default has no text in the file."""
     text, then = reading.text, view.known_offset
     first, last = text.part(0, 1), text.part(max(0, len(text.text) - 1), len(text.text))
@@ -217,7 +217,7 @@ def _size_around(view: View, reading: Reading) -> int | None:
     return None if is_default else last.end - first.start
 
 
-def _index(text: Text, offset: int) -> int:
+def _index(text: SourceText, offset: int) -> int:
     """The index in `text` of the character at an offset of its file."""
     return next((index for index in range(len(text.text)) if text.part(index, index + 1).end > offset), len(text.text))
 
@@ -318,7 +318,9 @@ def _by_reference(view: View, found: KeyOrValue) -> list[Span]:
         kinds = [shape.key for shape in shapes_at(found.path[:-1], view.data) if isinstance(shape, MappingOf)]
     for field in kinds:
         if isinstance(field, (Reference, Pattern)):
-            fitting = [known.span for known in names(checked, field.kind, found.path) if fnmatchcase(known.name, found.text) and known.span]
+            fitting = [
+                known.span for known in names_at(checked, field.kind, found.path) if fnmatchcase(known.name, found.text) and known.span
+            ]
             if fitting:
                 return fitting
             if field.kind == "setting":
@@ -444,11 +446,11 @@ def _name_text(view: View, found: ExpressionNode, name: str) -> str | None:
         if known:
             return f"`{name}`: {describe_type(known)}{_definition_line(named)}"
         return f"`{name}`: {UNITS[name].dimension.description}" if name in UNITS else None
-    what = f"{named.what}, " if named else ""
+    what = f"{named.description}, " if named else ""
     return f"`{name}`: {what}{describe_symbol(symbol)}{_definition_line(named)}"
 
 
-def _definition_line(named: Named | None) -> str:
+def _definition_line(named: NameEntry | None) -> str:
     """The source line of a definition as a code block; empty if there is none."""
     if named is None or named.span is None:
         return ""
@@ -522,8 +524,8 @@ def _reference_text(view: View, found: KeyOrValue, field: FieldType) -> str | No
     checked = view.checked
     if checked is None or not isinstance(field, (Reference, Pattern)):
         return None
-    match = next((known for known in names(checked, field.kind, found.path) if known.name == found.text), None)
-    return f"`{match.name}`: {match.what}{_definition_line(match)}" if match else None
+    match = next((known for known in names_at(checked, field.kind, found.path) if known.name == found.text), None)
+    return f"`{match.name}`: {match.description}{_definition_line(match)}" if match else None
 
 
 _LONGEST_NOUN = 120

@@ -20,8 +20,8 @@ from lsprotocol import types
 from pygls import uris
 from pygls.workspace import PositionCodec
 
-from deepbots_cli.compiler import Checked, check
-from deepbots_cli.compiler.values import Reading
+from deepbots_cli.compiler import CheckedScenario, check
+from deepbots_cli.compiler.values import ScopedExpression
 from deepbots_cli.diagnostics import Finding, Findings, Source, Span
 from deepbots_cli.diagnostics.findings import Selection
 from deepbots_cli.document import MappingNode, descend, files, load, to_data
@@ -147,7 +147,7 @@ class Analysis:
     document: Document
     drafts: Drafts
     findings: tuple[Finding, ...] = ()
-    checked: Checked | None = None
+    checked: CheckedScenario | None = None
     settings_error: str | None = None
     selection: Selection = field(default_factory=Selection)
 
@@ -184,7 +184,7 @@ class Analysis:
         return next((source for source, read in self.paths.items() if read == path), None)
 
     @cached_property
-    def readings(self) -> tuple[Reading, ...]:
+    def readings(self) -> tuple[ScopedExpression, ...]:
         """Every expression of the scenario; expressions of cases and stages come last."""
         if self.checked is None:
             return ()
@@ -255,7 +255,7 @@ class View:
     is_settled: bool
 
     @property
-    def checked(self) -> Checked | None:
+    def checked(self) -> CheckedScenario | None:
         return self.analysis.checked if self.analysis else None
 
     @cached_property

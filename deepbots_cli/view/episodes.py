@@ -13,7 +13,7 @@ import numpy as np
 from gymnasium.vector.utils import batch_space
 
 from deepbots_cli import api
-from deepbots_cli.compiler import Checked
+from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import EngineError, MissingExtraError, RunError, ScenarioError, UsageError
@@ -77,7 +77,7 @@ class Source:
         parameters = {name: str(value) for name, value in checked.spec.parameters.items()} if checked.spec else {}
         return Opened(self._chosen(compiled.program), compiled.findings, files, self, run, compiled=compiled, parameters=parameters)
 
-    def _kept(self, folder: Path) -> Checked:
+    def _kept(self, folder: Path) -> CheckedScenario:
         """The scenario of a run or a recording, which reads only files of its folder."""
         # The functions of Python that it names are not called before a world is built, which asks again whether they may.
         return api.load(folder / "resolved.yaml", project=folder, sets=self.sets, allow_paths=self.allow_paths, allow_code=True)

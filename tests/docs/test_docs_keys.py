@@ -12,7 +12,7 @@ from typing import NamedTuple
 import pytest
 
 from deepbots_cli import api, lint
-from deepbots_cli.compiler import Checked, check
+from deepbots_cli.compiler import CheckedScenario, check
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.document import Document, load, loads
 from deepbots_cli.document.load import merge
@@ -89,7 +89,7 @@ def excluded(place: Place, key: Key) -> set[str]:
     return set().union(*groups) & place.keys - {key.name}
 
 
-def with_example(place: Place, key: Key) -> Checked:
+def with_example(place: Place, key: Key) -> CheckedScenario:
     """The scenario with the example in this place, merged as a file that extends it would."""
     assert place.document.root is not None
     root: Node = without_paths(place.document.root, [(*place.path, other) for other in excluded(place, key)])
@@ -105,7 +105,7 @@ def with_example(place: Place, key: Key) -> Checked:
     return check(replace(place.document, root=changed, findings=Findings(), base=place.document.path.parent))
 
 
-def findings_of(checked: Checked) -> list[str]:
+def findings_of(checked: CheckedScenario) -> list[str]:
     """What lint says; that nothing uses a definition is said of examples that define something, and is no fault of theirs."""
     found = [f"{finding.code} {finding.headline}" for finding in [*checked.findings, *lint.run(checked)]]
     return [finding for finding in found if not finding.startswith("DB205")]
@@ -118,7 +118,7 @@ def known_findings(host: FilePath) -> frozenset[str]:
 
 
 @cache
-def tried(key: Key) -> tuple[Checked | None, str]:
+def tried(key: Key) -> tuple[CheckedScenario | None, str]:
     """The first scenario in which the example lints clean; None, with what is said of it elsewhere."""
     said = []
     for place in fitting(key)[:50]:

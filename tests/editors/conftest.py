@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.compiler.inventory import known
+from deepbots_cli.compiler.inventory import scenario_names
 from deepbots_cli.scenario.json_schema import FILE_NAME, schema_text
 from tests.lsp.client import Client, Message, position
 
@@ -61,7 +61,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the schemas; below `general` and `own` a comment leads to them."""
     root = tmp_path_factory.mktemp("scenarios")
     (root / FILE_NAME).write_text(schema_text(), encoding="utf-8")
-    (root / "cartpole.schema.json").write_text(schema_text(known(api.load("cartpole"))), encoding="utf-8")
+    (root / "cartpole.schema.json").write_text(schema_text(scenario_names(api.load("cartpole"))), encoding="utf-8")
     return root
 
 

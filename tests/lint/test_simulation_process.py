@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.compiler import Checked
+from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.document import shipped
 from deepbots_cli.lint import Limits, Simulated, simulate
@@ -50,7 +50,7 @@ def checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
 
-    def make(function: str = "") -> Checked:
+    def make(function: str = "") -> CheckedScenario:
         text = CARTPOLE.replace("  alive: 1\n", f"  alive: 1\n  odd: {{python: 'hostile:{function}'}}\n" if function else "  alive: 1\n")
         (tmp_path / "cartpole.yaml").write_text(text)
         return api.load(tmp_path / "cartpole.yaml", allow_code=True)

@@ -98,7 +98,7 @@ def shapes_of(section: type, key: str) -> list:
     return [shape for name, shape in section_fields(section).items() if name == key and isinstance(shape, Word)]
 
 
-def load(tmp_path: Path, **texts: str) -> api.Checked:
+def load(tmp_path: Path, **texts: str) -> api.CheckedScenario:
     (tmp_path / "deepbots.toml").touch()
     for name, text in texts.items():
         (tmp_path / f"{name}.yaml").write_text(text, encoding="utf-8")

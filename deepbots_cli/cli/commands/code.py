@@ -15,9 +15,9 @@ from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Scenario, Sets
 from deepbots_cli.cli.commands.new import Files, modeline, write_new
 from deepbots_cli.codegen import emit
 from deepbots_cli.codegen.text import class_name
-from deepbots_cli.compiler import Checked
-from deepbots_cli.compiler.inputs import FOLDER, RESOLVED
-from deepbots_cli.compiler.inventory import known
+from deepbots_cli.compiler import CheckedScenario
+from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME
+from deepbots_cli.compiler.inventory import scenario_names
 from deepbots_cli.diagnostics.render import summary
 from deepbots_cli.errors import UsageError, install_source
 from deepbots_cli.files import atomic
@@ -110,13 +110,13 @@ def project(compiled: api.Compiled) -> Files:
         "version": deepbots_cli.__version__,
         "digest": compiled.digest[:12],
         "supervisor": f"{class_name(compiled.program.name)}Supervisor",
-        "resolved": RESOLVED,
-        "inputs": FOLDER,
+        "resolved": RESOLVED_NAME,
+        "inputs": INPUTS_FOLDER,
         "options": ", allow_code=True" if compiled.allow_code else "",
     }
     made = {name: templates.get_template(f"{name}.j2").render(words) for name in ("README.md", "task.py", "run.py", "train.py")}
-    made |= {"environment.py": compiled.code, RESOLVED: compiled.resolved, "requirements.txt": _requirements()}
-    copies = {PurePosixPath(FOLDER, path): content for path, content in compiled.inputs.items()}
+    made |= {"environment.py": compiled.code, RESOLVED_NAME: compiled.resolved, "requirements.txt": _requirements()}
+    copies = {PurePosixPath(INPUTS_FOLDER, path): content for path, content in compiled.inputs.items()}
     return {PurePosixPath(path): text.encode() for path, text in made.items()} | copies
 
 
@@ -172,14 +172,14 @@ def schema(
     checked = api.load(scenario, allow_paths=allow_paths or ())
     if output is not None and _is_read(checked, output):
         raise UsageError(f"{output} is an input of the scenario; name another output file")
-    _write(schema_text(known(checked)), output)
+    _write(schema_text(scenario_names(checked)), output)
     if checked.findings.errors:
         terminal.note(f"{summary(checked.findings.errors)}: names in unreadable parts are missing; see: deepbots lint {quote(scenario)}")
     if output is not None and Path(scenario).is_file():
         terminal.note(f"write as the first line of {checked.document.path.name}: {modeline(checked.document.path, output)}")
 
 
-def _is_read(checked: Checked, output: Path) -> bool:
+def _is_read(checked: CheckedScenario, output: Path) -> bool:
     """Whether the file is an input of the scenario, by its path or its content."""
     if output.resolve() in checked.document.files:
         return True

@@ -17,7 +17,7 @@ from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Json, Sets
 from deepbots_cli.cli.commands.insight import repeat_failed
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import table
-from deepbots_cli.compiler.inputs import RESOLVED
+from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import check_writable
@@ -345,7 +345,7 @@ def _judged(
         return None
     options: dict[str, Any] = {"sets": with_engine(sets, engine), "allow_paths": allow_paths or (), "allow_code": allow_code}
     if scenario is None:
-        return api.compile(api.load(folder / RESOLVED, project=folder, **options))
+        return api.compile(api.load(folder / RESOLVED_NAME, project=folder, **options))
     compiled = api.compile(api.load(scenario, **options))
     terminal.note_warnings(compiled.findings, scenario)
     return compiled

@@ -18,7 +18,7 @@ from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import AllowCode, AllowPaths, Sets, whole
 from deepbots_cli.cli.commands import rewriting
 from deepbots_cli.cli.exits import FAILED, FAULT
-from deepbots_cli.compiler import Checked
+from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.diagnostics import Edit, Finding, Severity, Source
 from deepbots_cli.diagnostics.findings import RuleSelectors, Selection, exception_finding
 from deepbots_cli.diagnostics.render import escape_log_commands, github, junit, render, sarif, summary
@@ -275,7 +275,7 @@ class Look:
         document = load(path, self.sets, display=display, allow_paths=self.allow_paths, drafts={path: data})
         return self._reviewed(check(replace(document, allow_code=self.allow_code)), display)
 
-    def _reviewed(self, checked: Checked, called: str) -> list[Finding]:
+    def _reviewed(self, checked: CheckedScenario, called: str) -> list[Finding]:
         """The findings from the text and then from a simulation; a scenario with errors cannot be simulated."""
         try:
             found = review(checked, preview=self.preview)
@@ -290,7 +290,7 @@ class Look:
                 terminal.note(f"{called}: the simulation was stopped {simulated.left}; its further findings are missing")
             return review(checked, preview=self.preview, measured=simulated.findings)
         finally:
-            checked.release()
+            checked.release_names()
 
     def called(self, name: str) -> str:
         """The name of the scenario `name` in findings."""

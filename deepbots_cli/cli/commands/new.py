@@ -20,7 +20,7 @@ from deepbots_cli import api
 from deepbots_cli.cli import starters, terminal
 from deepbots_cli.cli.command import Json
 from deepbots_cli.cli.sources import opened_robot
-from deepbots_cli.compiler.inventory import known
+from deepbots_cli.compiler.inventory import scenario_names
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document import ScalarNode, files, shipped, walk
@@ -314,4 +314,4 @@ def write_with_schema(files: Files, folder: Path) -> list[Path]:
         raise UsageError(f"nothing was written, since there is already: {folder / schema}")
     led = f"{modeline(folder / target, folder / schema)}\n\n".encode() + text
     written = write_new({target: led, **dict(others)}, folder)
-    return [*written, *write_new({PurePosixPath(schema): schema_text(known(api.load(written[0]))).encode()}, folder)]
+    return [*written, *write_new({PurePosixPath(schema): schema_text(scenario_names(api.load(written[0]))).encode()}, folder)]
