@@ -60,9 +60,9 @@ class Compiled:
     @property
     def code(self) -> str:
         """The Python module that runs."""
-        from deepbots_cli.codegen import emit
+        from deepbots_cli.codegen import generate_module
 
-        return emit(self.program) if self.edited_code is None else self.edited_code
+        return generate_module(self.program) if self.edited_code is None else self.edited_code
 
     @property
     def digest(self) -> str:
@@ -250,13 +250,13 @@ def build_batch(program: Program, count: int, *, engine: str = "mujoco", fixed: 
         from deepbots_cli import engines
     except ModuleNotFoundError as error:
         raise MissingExtraError("sim", "running a scenario") from error
-    from deepbots_cli.codegen import emit, load_module
+    from deepbots_cli.codegen import generate_module, load_module
     from deepbots_cli.codegen.text import class_name
     from deepbots_cli.program.identity import digest
 
     name, mark = class_name(program.name), digest(program)[:12]
-    of_batch = load_module(emit(program, "batch"), f"deepbots_batch_{name}", f"<deepbots {name} {mark} batch>")
-    of_one = load_module(emit(program), f"deepbots_generated_{name}", f"<deepbots {name} {mark}>")
+    of_batch = load_module(generate_module(program, "batch"), f"deepbots_batch_{name}", f"<deepbots {name} {mark} batch>")
+    of_one = load_module(generate_module(program), f"deepbots_generated_{name}", f"<deepbots {name} {mark}>")
     made = engines.create_batch(engine, program.world, count)
     singles = [vars(of_one)[f"{name}Supervisor"](program, member) for member in made.members]
     for single in singles:
@@ -313,13 +313,13 @@ def build(
         from deepbots_cli.runtime import make_environment
     except ModuleNotFoundError as error:
         raise MissingExtraError("sim", "running a scenario") from error
-    from deepbots_cli.codegen import emit, load_module
+    from deepbots_cli.codegen import generate_module, load_module
     from deepbots_cli.codegen.text import class_name
     from deepbots_cli.program.identity import digest
 
     engine = engine_kinds.chosen(engine or program.engine)
     name = class_name(program.name)
-    module = load_module(emit(program), f"deepbots_generated_{name}", f"<deepbots {name} {digest(program)[:12]}>")
+    module = load_module(generate_module(program), f"deepbots_generated_{name}", f"<deepbots {name} {digest(program)[:12]}>")
     environment = make_environment(vars(module)[f"{name}Supervisor"], program, partial(engines.create, engine), render_mode)
     environment.fixed = fixed
     builder = Builder(program, allow_code, fixed)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
 from deepbots_cli import api, engines
-from deepbots_cli.codegen import not_batched
+from deepbots_cli.codegen import batch_obstacles
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.learning.environments import BuildWorld, VectorEnvironment, last_info
 from deepbots_cli.learning.episodes import Episode
@@ -32,7 +32,7 @@ def reasons_against(program: Program, worlds: int, engine: str, build: BuildWorl
         return [f"there are fewer than {SMALLEST} worlds"]
     own = [] if getattr(build, "func", None) is api.build else ["its worlds are made by a function of the caller"]
     stages = [stage.program for stage in program.curriculum]
-    return list(dict.fromkeys([*own, *(reason for one in (program, *stages) for reason in not_batched(one))]))
+    return list(dict.fromkeys([*own, *(reason for one in (program, *stages) for reason in batch_obstacles(one))]))
 
 
 def described(program: Program, worlds: int, engine: str, build: BuildWorld) -> str:

@@ -18,7 +18,7 @@ import pytest
 import yaml
 
 from deepbots_cli import api
-from deepbots_cli.codegen import emit
+from deepbots_cli.codegen import generate_module
 from deepbots_cli.compiler import check
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.document.load import loads
@@ -151,4 +151,4 @@ def test_a_name_that_is_no_identifier_is_never_printed(name: str) -> None:
     """The compiler lets none through; should it do so by mistake, nothing is printed."""
     program = api.compile("cartpole").program
     with pytest.raises(ValueError, match="name"):
-        emit(program.with_policies(reward=(replace(program.policy.reward[0], name=name),)))
+        generate_module(program.with_policies(reward=(replace(program.policy.reward[0], name=name),)))

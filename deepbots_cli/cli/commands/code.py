@@ -13,7 +13,7 @@ from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Scenario, Sets
 from deepbots_cli.cli.commands.new import Files, modeline, write_new
-from deepbots_cli.codegen import emit
+from deepbots_cli.codegen import generate_module
 from deepbots_cli.codegen.text import class_name
 from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME
@@ -60,7 +60,7 @@ def compile_(
     if output is not None and output.is_file() and output.read_bytes() in compiled.inputs.values():
         raise UsageError(f"{output} is an input of the scenario; name another output file")
     terminal.note_warnings(compiled.findings, scenario)
-    code = compiled.code if target == "scalar" else emit(compiled.program, target)
+    code = compiled.code if target == "scalar" else generate_module(compiled.program, target)
     if as_json:
         data = {"name": compiled.program.name, "digest": compiled.digest, "code": code, "inputs": list(compiled.inputs)}
         text = terminal.json_text(data)
