@@ -47,7 +47,7 @@ from deepbots_cli.learning.curriculum import CurriculumState
 from deepbots_cli.learning.environments import VectorEnvironment, fingerprint
 from deepbots_cli.learning.episodes import StatisticsState
 from deepbots_cli.learning.run import Run, read_json
-from deepbots_cli.runtime.batch import Running
+from deepbots_cli.runtime.batch import EpisodeHistory
 from deepbots_cli.runtime.streams import derive_seed
 
 Array = npt.NDArray[Any]
@@ -377,7 +377,7 @@ class Checkpoints:
         env = _environment(model)
         if len(state.starts) != len(env.worlds):
             raise ValueError(f"{len(state.starts)} worlds")
-        histories = [Running(start, list(arrays[f"actions/{index}"])) for index, start in enumerate(state.starts)]
+        histories = [EpisodeHistory(start, list(arrays[f"actions/{index}"])) for index, start in enumerate(state.starts)]
         if fingerprint(env.repeat(histories)) == state.observed:
             return True
         self._note(f"the episodes that ran at {model.num_timesteps:,} steps gave different results when repeated, so they were restarted")

@@ -19,7 +19,7 @@ from deepbots_cli.plugins import attribute
 from deepbots_cli.port import STILL, Engine, MotorWriter, Part, Pusher
 from deepbots_cli.program.robots import CustomActuator, MotorKind
 
-Origin = Callable[[], Sequence[float]]
+InitialValue = Callable[[], Sequence[float]]
 _EARLY = 1e-9  # of a substep; what a sum of durations may be off
 PerJoint = float | Sequence[float]
 """One for all joints, or one for each."""
@@ -36,7 +36,9 @@ class Response:
     next `reset`. A negative one, such as a normal distribution may draw, counts as 0.
     """
 
-    def __init__(self, substep: float, origin: Origin, delay: float = 0.0, time_constant: float = 0.0, rates: Sequence[float] = ()) -> None:
+    def __init__(
+        self, substep: float, origin: InitialValue, delay: float = 0.0, time_constant: float = 0.0, rates: Sequence[float] = ()
+    ) -> None:
         """`substep` is the length of one, s; without `rates` a command may jump."""
         self.delay = delay
         self.time_constant = time_constant

@@ -11,7 +11,7 @@ import numpy as np
 
 from deepbots_cli.errors import UsageError
 from deepbots_cli.runtime import Supervisor
-from deepbots_cli.runtime.batch import Direct, columns_array
+from deepbots_cli.runtime.batch import BatchChannel, columns_array
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.view.episodes import HAND, POLICY, RANDOM, ZERO, Driver, Player, Scripted, Trained
 from deepbots_cli.view.frames import FrameReader, Message, WorldFrame, row_of
@@ -144,7 +144,7 @@ class BatchPlayer(Player):
         """The newest message; one that may be late or lost passed through the channel of the single world."""
         robot, _, direction = key.partition("/")
         channel = self.batch.channels[robot, direction]
-        if not isinstance(channel, Direct):
+        if not isinstance(channel, BatchChannel):
             return message
         columns = [columns_array(value, self.worlds) for value in channel.receive()]
         return Message(tuple(float(x) for column in columns for x in np.atleast_1d(column[..., self.world])), 0.0, True)

@@ -394,7 +394,7 @@ class Player:
     def ways(self) -> list[list[tuple[float, float]]]:
         """The shortest paths (points in m) whose lengths the scenario reads with `path_distance`."""
         found = (getattr(agent, "ways", None) for agent in self.env.agents.values())
-        return [points for ways in found if isinstance(ways, Ways) for points in ways.shown()]
+        return [points for ways in found if isinstance(ways, Ways) for points in ways.last_read_paths()]
 
     def episode(self, seed: int, episode: int, steps: int | None = None) -> Iterator[WorldFrame]:
         """The frames of an episode, at most those of so many steps."""

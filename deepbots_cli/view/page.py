@@ -25,7 +25,7 @@ from deepbots_cli.diagnostics.render import render
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.frames import Triple, add, scaled
 from deepbots_cli.port import STILL
-from deepbots_cli.runtime.overview import around, beside, extent, strays
+from deepbots_cli.runtime.overview import extent, follows_robot, shift_beside, view_around
 from deepbots_cli.view import panel, server
 from deepbots_cli.view.batch import BatchPlayer
 from deepbots_cli.view.episodes import HAND, RANDOM, ZERO, Opened, Player, Repeated, Source, stamps
@@ -235,10 +235,10 @@ class Page:
             self._clear()
         boxes, right = extent(player.program), STILL
         for other in players[1:]:
-            right = beside(boxes, extent(other.program))
+            right = shift_beside(boxes, extent(other.program))
             boxes += [(add(low, right), add(high, right)) for low, high in extent(other.program)]
         self._boxes = boxes
-        view = around(boxes, 480, 400)  # a usual window beside the panel
+        view = view_around(boxes, 480, 400)  # a usual window beside the panel
         size = look(self.server, view)
         self.shown = []
         for number, each in enumerate(players):
@@ -283,7 +283,7 @@ class Page:
         moved = framed and not any(np.allclose(camera.position, eye, rtol=0.01) for eye in framed.values())
         if not self.shown or min(size) < 1 or moved or (framed and next(reversed(framed)) == size):
             return
-        view = around(self._boxes, *size)
+        view = view_around(self._boxes, *size)
         camera.position, camera.look_at = view.eye, view.target
         framed.pop(size, None)
         framed[size] = view.eye
@@ -411,7 +411,7 @@ class Page:
         self._switches = {what: gui.add_checkbox(what, on) for what, on in self.world.shows.items() if what not in useless}
         for what, box in self._switches.items():
             box.on_update(lambda event, what=what: self._todo.put(lambda: self._switch(what, event.target.value)))
-        self._follows = gui.add_checkbox("camera follows the robot", strays(self.shown[0].player.env.world))
+        self._follows = gui.add_checkbox("camera follows the robot", follows_robot(self.shown[0].player.env.world))
         self._goes_on = gui.add_checkbox("next episode after the end", True)
         dark = gui.add_checkbox("dark", False)
         dark.on_update(lambda _: self._theme(dark=dark.value))

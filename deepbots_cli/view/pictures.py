@@ -19,7 +19,7 @@ from deepbots_cli.files import atomic, check_writable
 from deepbots_cli.footprint import bounds
 from deepbots_cli.frames import Triple
 from deepbots_cli.port import View
-from deepbots_cli.runtime.overview import around, overview
+from deepbots_cli.runtime.overview import overview, view_around
 from deepbots_cli.view.episodes import Player
 from deepbots_cli.view.frames import WorldFrame
 from deepbots_cli.view.page import COLOURS
@@ -132,7 +132,7 @@ def _on_robots(player: Player, shot: Shot) -> View:
         origin, _ = player.frame.links[robot.name, robot.model.root]
         low, high = bounds(robot.model)
         boxes.append((frames.add(origin, low), frames.add(origin, high)))
-    view = around(boxes, shot.width, shot.height)
+    view = view_around(boxes, shot.width, shot.height)
     # Room for labels on both sides.
     return replace(view, eye=frames.add(view.target, frames.scaled(frames.subtract(view.eye, view.target), 1.5)))
 

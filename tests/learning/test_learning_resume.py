@@ -34,7 +34,7 @@ from deepbots_cli.learning.report import TrainingProgress
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionNoise, Hindsight, Hyperparameter, Network, Schedule, Solved, Training
-from deepbots_cli.runtime.batch import Running
+from deepbots_cli.runtime.batch import EpisodeHistory
 from deepbots_cli.scenario import Scenario
 from tests.few import few
 
@@ -316,7 +316,7 @@ def test_a_shipped_world_is_brought_back_in_the_middle_of_an_episode(name: str) 
             ended, steps = ended + bool(dones[0]), 0 if dones[0] else steps + 1
         (history,) = env.histories()
         seen = fingerprint(env.last_observations)
-    kept = Running(json.loads(json.dumps(history.start)), list(np.array(history.actions)))
+    kept = EpisodeHistory(json.loads(json.dumps(history.start)), list(np.array(history.actions)))
     with closing(VectorEnvironment([api.build(compiled.program, allow_code=True)], [8])) as env:
         env.reset()
         assert fingerprint(env.repeat([kept])) == seen

@@ -139,12 +139,12 @@ def _inspect_robot(reference: str, picture: Path | None, engine: str, as_json: b
 def _rendered(model: RobotModel, engine: str) -> Image:
     """The robot on a floor, its joints at 0."""
     from deepbots_cli import engines
-    from deepbots_cli.runtime.overview import around
+    from deepbots_cli.runtime.overview import view_around
 
     pose = Pose((0.0, 0.0, resting_height(model)))
     world = WorldModel(0.01, 1, robots=(RobotBody("robot", model, fixed_base=True, pose=pose),))
     low, high = bounds(model)
-    view = around([(add(low, pose.xyz), add(high, pose.xyz))])
+    view = view_around([(add(low, pose.xyz), add(high, pose.xyz))])
     with closing(engines.create(engine, world)) as opened_engine:
         return opened_engine.render(view)
 
