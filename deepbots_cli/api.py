@@ -27,7 +27,7 @@ from deepbots_cli.document import load as read
 from deepbots_cli.document import loads, shipped
 from deepbots_cli.document.load import NO_DRAFTS, TESTS, Drafts
 from deepbots_cli.errors import MissingExtraError, ScenarioError, UsageError
-from deepbots_cli.lint import review
+from deepbots_cli.lint import all_findings
 from deepbots_cli.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -144,7 +144,7 @@ def lint(
     """
     checked = load(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code)
     try:
-        return review(checked, preview=preview)
+        return all_findings(checked, preview=preview)
     finally:
         checked.release_names()
 
@@ -163,7 +163,7 @@ def compile(
         UsageError: There is no such file.
     """
     checked = source if isinstance(source, CheckedScenario) else load(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code)
-    findings = review(checked)
+    findings = all_findings(checked)
     if checked.program is None or any(finding.severity == "error" and not finding.is_internal_error for finding in findings):
         raise ScenarioError(findings)
     program = checked.program

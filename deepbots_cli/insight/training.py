@@ -24,7 +24,7 @@ from deepbots_cli.learning import failures
 from deepbots_cli.learning.defaults import effective
 from deepbots_cli.learning.episodes import read_log
 from deepbots_cli.learning.run import Run
-from deepbots_cli.lint import review
+from deepbots_cli.lint import all_findings
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionRange, Choices, Schedule, Solved
 from deepbots_cli.runtime.streams import derive_seed
@@ -123,7 +123,7 @@ def _meets(solved: Solved, evaluation: Mapping[str, Any]) -> bool:
 
 def findings(run: Run) -> list[Finding]:
     """What lint says of the scenario of a run."""
-    return review(api.load(run.path / RESOLVED_NAME, allow_code=True, project=run.path))
+    return all_findings(api.load(run.path / RESOLVED_NAME, allow_code=True, project=run.path))
 
 
 def read(run: Run) -> Training:

@@ -69,7 +69,7 @@ def code_of(rule: Callable[..., Iterator[Finding]]) -> str:
     return (rule.__doc__ or "").partition(":")[0]
 
 
-def run(checked: CheckedScenario, *, preview: bool = False) -> Iterator[Finding]:
+def static_findings(checked: CheckedScenario, *, preview: bool = False) -> Iterator[Finding]:
     """The findings of all static rules; none for a scenario with errors.
 
     A rule that raises an exception is reported as DB903, and the other rules run.
@@ -82,7 +82,7 @@ def run(checked: CheckedScenario, *, preview: bool = False) -> Iterator[Finding]
     for code, check in checks:
         if preview or not RULES[code].preview:
             found = exceptions_as_findings(f"the rule {code}", source, partial(_found, check))
-            yield from (finding for finding in found if not cascade.drops(finding))
+            yield from (finding for finding in found if not cascade.is_consequence(finding))
 
 
 def _found(check: Callable[[], Iterator[Finding]]) -> Iterator[Finding]:
@@ -92,7 +92,7 @@ def _found(check: Callable[[], Iterator[Finding]]) -> Iterator[Finding]:
         return
 
 
-def review(checked: CheckedScenario, *, preview: bool = False, measured: Iterable[Finding] | None = None) -> list[Finding]:
+def all_findings(checked: CheckedScenario, *, preview: bool = False, measured: Iterable[Finding] | None = None) -> list[Finding]:
     """All findings of the compiler and of the rules, without suppressed ones and warnings about robot files of other packages.
 
     `inspect` of a robot file shows the latter. `measured` are the findings of a simulation, None if there was none; a static finding
@@ -100,7 +100,7 @@ def review(checked: CheckedScenario, *, preview: bool = False, measured: Iterabl
     """
     models = (checked.robots or {}).values()
     sources = (*checked.document.sources, *(robot.file.source for robot in models))
-    found = [*checked.findings, *run(checked, preview=preview)]
+    found = [*checked.findings, *static_findings(checked, preview=preview)]
     known = {(finding.code, finding.span) for finding in found}
     found += [finding for finding in measured or () if (finding.code, finding.span) not in known]
     kept, unused = suppress(found, sources, preview=preview, deep=measured is not None)
@@ -120,14 +120,14 @@ def _limited(found: list[Finding]) -> list[Finding]:
 
 
 @dataclass(frozen=True)
-class Simulated:
-    """The findings of a simulation; `left` says why it ended early, where that is no finding."""
+class SimulationFindings:
+    """The findings of a simulation; `incomplete` says why it ended early, where that is no finding."""
 
     findings: list[Finding]
-    left: str | None = None
+    incomplete: str | None = None
 
 
-def simulate(checked: CheckedScenario, *, preview: bool = False, limits: Limits = Limits()) -> Simulated:  # noqa: B008  # immutable
+def simulate(checked: CheckedScenario, *, preview: bool = False, limits: Limits = Limits()) -> SimulationFindings:  # noqa: B008  # immutable
     """Simulate a scenario without errors in a process of its own, and apply the simulated rules.
 
     If these find errors, warnings are dropped except `_CAUSES`: the behaviour would follow from the errors. A rule that raises an
@@ -138,7 +138,7 @@ def simulate(checked: CheckedScenario, *, preview: bool = False, limits: Limits 
     source = checked.document.source
     report = measure(checked.inputs, limits, allow_code=checked.document.allow_code)
     if report.fault is not None:
-        return Simulated([internal_error_finding("the simulation", source, report.fault)])
+        return SimulationFindings([internal_error_finding("the simulation", source, report.fault)])
     simulation = Simulation(checked, checked.program, checked.namespace, report)
     rules = [(code_of(rule), rule) for rule in SIMULATED_RULES]
     active = [(code, rule) for code, rule in rules if preview or not RULES[code].deep_preview]
@@ -147,7 +147,7 @@ def simulate(checked: CheckedScenario, *, preview: bool = False, limits: Limits 
     if not all(finding.is_internal_error for finding in errors):
         found = [finding for finding in found if finding.severity == "error" or finding.code in _CAUSES]
     halt = report.halt
-    return Simulated(found, f"{simulation.when()}, after {halt.what}" if halt is not None and halt.kind == "slow" else None)
+    return SimulationFindings(found, f"{simulation.when()}, after {halt.description}" if halt is not None and halt.kind == "slow" else None)
 
 
 # Findings that follow from others
@@ -164,7 +164,7 @@ class CascadeFilter:
         spans = [finding.span for finding in suppress(doubtful, checked.document.sources)[0]] if doubtful else []
         self._texts = _Texts(_depending_on(checked, spans) if spans else ())
 
-    def drops(self, finding: Finding) -> bool:
+    def is_consequence(self, finding: Finding) -> bool:
         places = (finding.span, *(label.span for label in finding.labels))
         return finding.severity == "warning" and any(map(self._texts.around, places))
 

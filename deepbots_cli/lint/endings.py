@@ -12,8 +12,8 @@ from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import LENGTH, TIME
 from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, TRUTH, Interval, hull
 from deepbots_cli.expressions.scalar import Name, Op, Scalar, World
-from deepbots_cli.lint.analysis import Analysis, Comparison, RuleContext, Threshold, has_choice, names_in, thresholds, total
-from deepbots_cli.lint.ranges import Ranges, between, with_unit
+from deepbots_cli.lint.analysis import Analysis, Comparison, RuleContext, Threshold, has_choice, names_in, thresholds, total_range
+from deepbots_cli.lint.ranges import Ranges, bounds_text, with_unit
 from deepbots_cli.lint.simulation import Simulation
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Thrust
@@ -70,10 +70,10 @@ def _reasons(analysis: Analysis, ending: Ending) -> Iterator[str]:
     for entry in never:
         yield from (f"`{text}` is {words}" for text, known, words in _sides(entry, ranges) if known.low > -INF or known.high < INF)
     (node,) = analysis.scalars(ending.value)
-    touched = (part for part in analysis.unfold(node) if isinstance(part, World) and part.function in ("contact", "collided"))
+    touched = (part for part in analysis.walk_definitions(node) if isinstance(part, World) and part.function in ("contact", "collided"))
     intangible = sorted({name for part in touched for name in analysis.intangible.intersection(part.subjects)})
     yield from (f"nothing touches `{name}`, which is not solid" for name in intangible)
-    if not never and not intangible and isinstance(meaning := analysis.meaning(node), Op) and meaning.op == "and":
+    if not never and not intangible and isinstance(meaning := analysis.resolve_aliases(node), Op) and meaning.op == "and":
         yield "its parts are never true at the same time"
 
 
@@ -82,7 +82,7 @@ def _sides(entry: Comparison, ranges: Ranges) -> Iterator[tuple[str, Interval, s
     for arg in entry.node.args:
         known = hull([ranges.of(part) for part in ranges.analysis.lowered(arg, entry.value.owner)])
         if not known.is_single:
-            yield entry.value.text[arg.start : arg.end], known, between(known, arg.type.dimension)
+            yield entry.value.text[arg.start : arg.end], known, bounds_text(known, arg.type.dimension)
 
 
 def always_true(context: RuleContext) -> Iterator[Finding]:
@@ -120,7 +120,7 @@ def shadowed_limit(context: RuleContext) -> Iterator[Finding]:
     """
     yield from _later_limit(context)
     yield from _later_ending(context)
-    analysis, last = context.analysis, context.analysis.last
+    analysis, last = context.analysis, context.analysis.last_step
     for ending in context.program.endings:
         if _truth_over_episode(analysis, ending).is_single or ending.foreign:
             continue  # DB801, DB802
@@ -143,7 +143,7 @@ def shadowed_limit(context: RuleContext) -> Iterator[Finding]:
 def _with_return(analysis: Analysis, first: int, last: int) -> Ranges:
     """Ranges in these steps, with the range of the return; `first` is 0 or `last`."""
     reward = analysis.reward
-    step = total(reward.terms, reward.running())
+    step = total_range(reward.terms, reward.ranges_while_running())
     ticks = float((last - bool(first)) * analysis.program.action_repeat)
     known = Interval()
     if reward.is_complete and not first:
@@ -185,7 +185,7 @@ def _later_ending(context: RuleContext) -> Iterator[Finding]:
 def _leaves(analysis: Analysis, node: Scalar) -> set[str]:
     """The names without definition that a value depends on, except parameters; facts of the world by their function."""
     parameters = {value.name for value in analysis.program.parameters}
-    nodes = list(analysis.unfold(node))
+    nodes = list(analysis.walk_definitions(node))
     names = {part.name for part in nodes if isinstance(part, Name)} - parameters
     return names | {f"{part.function}()" for part in nodes if isinstance(part, World)}
 
@@ -241,7 +241,7 @@ def ends_at_reset(context: RuleContext) -> Iterator[Finding]:
 def sometimes_ends_at_reset(simulation: Simulation) -> Iterator[Finding]:
     """DB806: an ending holds when an episode begins, with at least one seed."""
     for ending in simulation.program.endings:
-        seeds = simulation.report.early.get(ending.value.name, [])
+        seeds = simulation.report.endings_at_reset.get(ending.value.name, [])
         if seeds:
             headline = f"`{ending.value.name}` already holds at the start of {len(seeds)} of {simulation.plan.resets} episodes"
             more = ", ..." if len(seeds) > _MAX_SEEDS else ""
@@ -257,8 +257,8 @@ def undefined_value(simulation: Simulation) -> Iterator[Finding]:
         help = "write an expression that is always defined, such as `x / max(y, 1 cm)`"
         yield Finding("DB808", failed.span, f"`{failed.name}` has no value", help=help, notes=failed.notes)
     elif failed is None and stop.get("kind") == "value":
-        span = simulation.values.key_span(("reset",) if simulation.report.where.doing == "reset" else ("robots",))
-        headline = "an episode cannot begin" if simulation.report.where.doing == "reset" else "an episode cannot continue"
+        span = simulation.values.key_span(("reset",) if simulation.report.where.activity == "reset" else ("robots",))
+        headline = "an episode cannot begin" if simulation.report.where.activity == "reset" else "an episode cannot continue"
         yield Finding("DB808", span, headline, notes=(simulation.when(), str(stop.get("text", ""))))
 
 
@@ -280,7 +280,7 @@ def after_the_end(context: RuleContext) -> Iterator[Finding]:
           knock: {body: cart, force: 5 0 0 N, at: 2 s, duration: 50 ms}
     """
     times = [{path: time for _, time, path in _delays(analysis)} for analysis in context.versions]
-    end = max(analysis.last * analysis.period for analysis in context.versions)  # s
+    end = max(analysis.last_step * analysis.period for analysis in context.versions)  # s
     for what, time, path in _delays(context.analysis):
         if time >= end and all(known.get(path, time) >= end for known in times):
             headline = f"{what} {with_unit(time, TIME)} or more, and no episode lasts longer than {with_unit(end, TIME)}"
@@ -372,8 +372,8 @@ def unreachable_goal(context: RuleContext) -> Iterator[Finding]:
 
 def _unreachable(analysis: Analysis, asked: Threshold) -> tuple[str, str] | None:
     """Why two bodies cannot come so near, and a help; None where they can, or where that is unknown."""
-    pair = analysis.pair(asked.quantity)
-    if pair is None or len(pair) != 2 or isinstance(analysis.meaning(asked.quantity), World):
+    pair = analysis.distance_pair(asked.quantity)
+    if pair is None or len(pair) != 2 or isinstance(analysis.resolve_aliases(asked.quantity), World):
         return None
     a, b = sorted(pair)
     limit = asked.bound.high
@@ -499,7 +499,7 @@ def _only_outcome(analysis: Analysis, test: ScenarioTest, expected: ExpectedResu
         limits = analysis.program.truncation
         every = {ending.name for ending in analysis.program.endings}
         every |= {name for name in ("max_steps", "max_time") if getattr(limits, name) is not None}
-        return True if every <= set(expected.endings) and test.steps >= analysis.last else None
+        return True if every <= set(expected.endings) and test.steps >= analysis.last_step else None
     if expected.condition is None:
         return True if expected.key != "mean_return" and expected.low <= 0.0 and expected.high >= 1.0 else None
     if not _OF_LAST_STEP.isdisjoint(names_in(expected.condition.typed)):

@@ -20,7 +20,7 @@ from deepbots_cli.document.load import NO_DRAFTS, Drafts
 from deepbots_cli.document.nodes import MappingNode, enclosing_entry, to_data
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
-from deepbots_cli.lint import review
+from deepbots_cli.lint import all_findings
 
 _ROUNDS = 10
 _EFFORT = 150
@@ -47,7 +47,7 @@ class Rewrite:
 
 
 @dataclass(frozen=True)
-class Linted:
+class LintResult:
     """The findings of a scenario and the files that it was read from, its own first.
 
     `root` is None where the text is no YAML; `compiled` says whether lint rules have run.
@@ -118,14 +118,14 @@ class Fixer:
         return [Rewrite(path, self._originals[path], data) for path, data in self.drafts.items() if data != self._originals[path]]
 
     @property
-    def left(self) -> list[Finding]:
+    def remaining_findings(self) -> list[Finding]:
         """The findings of the drafts."""
         return [finding for linted in self._linted.values() for finding in linted.findings]
 
-    def _lint(self, name: str, drafts: Drafts) -> Linted:
+    def _lint(self, name: str, drafts: Drafts) -> LintResult:
         checked = self._load(name, drafts=drafts)
         document = checked.document
-        return Linted(review(checked, preview=self._preview), document.files, document.root, checked.program is not None)
+        return LintResult(all_findings(checked, preview=self._preview), document.files, document.root, checked.program is not None)
 
     def _round(self, name: str) -> bool:
         """Whether any fix of a scenario was applied."""
@@ -142,7 +142,7 @@ class Fixer:
         self.fixed += applied
         return bool(applied)
 
-    def _applicable(self, linted: Linted) -> list[Finding]:
+    def _applicable(self, linted: LintResult) -> list[Finding]:
         """Findings whose fixes do not overlap. Errors first: a warning may follow from an error that keeps rules from running."""
         chosen: list[Finding] = []
         ends: dict[Source, int] = {}
@@ -153,7 +153,7 @@ class Fixer:
                 ends |= {edit.span.source: edit.span.end for edit in edits}
         return chosen
 
-    def _is_applicable(self, finding: Finding, linted: Linted) -> bool:
+    def _is_applicable(self, finding: Finding, linted: LintResult) -> bool:
         if finding.fix is None or not (finding.fix.safe or self._unsafe) or not self._wanted(finding):
             return False
         if any(edit.span.source not in linted.editable for edit in finding.fix.edits):
@@ -162,12 +162,12 @@ class Fixer:
             return False
         return finding.code != "DB901" or _keeps_values(finding.span.source, finding.fix.edits)
 
-    def _try(self, name: str, fixes: list[Finding], before: dict[str, Linted], drafts: Drafts) -> bool:
+    def _try(self, name: str, fixes: list[Finding], before: dict[str, LintResult], drafts: Drafts) -> bool:
         """Apply fixes to the state at the beginning of a round; they stay applied if they do no harm."""
         self._effort -= 1 + sum(len(source.text) for source in before[name].files.values()) // _USUAL_SIZE
         edits = [edit for finding in fixes if finding.fix for edit in finding.fix.edits]
         edited = self._edited(before[name], edits)
-        after: dict[str, Linted] = {}
+        after: dict[str, LintResult] = {}
         for other, known in before.items():
             if other != name and known.files.keys().isdisjoint(edited):
                 continue
@@ -186,7 +186,7 @@ class Fixer:
         self.drafts, self._linted = {**drafts, **edited}, {**before, **after}
         return True
 
-    def _edited(self, linted: Linted, edits: Iterable[Edit]) -> dict[Path, bytes]:
+    def _edited(self, linted: LintResult, edits: Iterable[Edit]) -> dict[Path, bytes]:
         by_source: dict[Source, list[Edit]] = {}
         for edit in edits:
             by_source.setdefault(edit.span.source, []).append(edit)
@@ -241,7 +241,7 @@ def _counted(findings: Iterable[Finding]) -> Counter[tuple[str, str, str]]:
     return Counter(map(_key, findings))
 
 
-def _added(after: Linted, before: Linted) -> list[Finding]:
+def _added(after: LintResult, before: LintResult) -> list[Finding]:
     """The errors that were not there before."""
     added = _counted(after.errors) - _counted(before.errors)
     return [finding for finding in after.errors if added[_key(finding)]]

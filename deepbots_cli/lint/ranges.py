@@ -42,7 +42,7 @@ class Ranges:
         `steps` are the first and the last step, by default all steps of an episode.
         """
         self.analysis = analysis
-        first, last = self.steps = steps or (0.0, float(analysis.last))
+        first, last = self.steps = steps or (0.0, float(analysis.last_step))
         before = max(0.0, first - 1.0) * analysis.period + (analysis.program.world.timestep if first else 0.0)
         self._time = Interval(before, last * analysis.period)
         self.given = {"step": Interval(first, last), "time": self._time, **given}
@@ -65,7 +65,7 @@ class Ranges:
     def _of(self, node: Scalar) -> Interval:
         if isinstance(node, Const):
             return single(float(node.value))
-        if self._base is not None and self.analysis.names_behind(node).isdisjoint(self.given):
+        if self._base is not None and self.analysis.dependencies(node).isdisjoint(self.given):
             return self._base.of(node)  # worked out once for all steps
         if self._kept is not None and self.analysis.identity(node) == self._kept[0]:
             return self._kept[1]
@@ -85,7 +85,7 @@ class Ranges:
         if node.name in self.given:
             return self.given[node.name]
         if node not in self._names:
-            meaning = self.analysis.meaning(node)
+            meaning = self.analysis.resolve_aliases(node)
             known = self._leaf(meaning) if isinstance(meaning, Name) else self.of(meaning)
             goal = self.analysis.program.policy.goal
             if goal is not None and node.name in ("achieved", "desired"):  # both are clipped to the range of the goal
@@ -100,7 +100,7 @@ class Ranges:
             return self.given[node.name]
         if self.analysis.is_noisy(node.name):
             return EVERYTHING
-        foreign = self.analysis.named(node.name)
+        foreign = self.analysis.expression_named(node.name)
         return foreign.typed.type.interval if foreign is not None else self.analysis.leaves.get(node.name, EVERYTHING)
 
     def _world(self, node: World) -> Interval:
@@ -155,7 +155,7 @@ class Ranges:
         met: set[int] = set()
         waiting = list(conditions)
         while waiting and len(met) < _MAX_CONDITIONS:
-            condition = analysis.meaning(waiting.pop())
+            condition = analysis.resolve_aliases(waiting.pop())
             if analysis.identity(condition) in met:
                 continue
             met.add(analysis.identity(condition))
@@ -166,7 +166,7 @@ class Ranges:
                     high = self.of(large).high
                     high = math.nextafter(high, -INF) if condition.op in ("less", "greater") else high
                     yield analysis.identity(small), Interval(-INF, high)
-                    if isinstance(inner := analysis.meaning(small), Op) and inner.op == "abs":
+                    if isinstance(inner := analysis.resolve_aliases(small), Op) and inner.op == "abs":
                         yield analysis.identity(inner.args[0]), Interval(-high, high)
                     yield analysis.identity(large), Interval(self.of(small).low, INF)
 
@@ -311,7 +311,7 @@ def range_text(interval: Interval, dimension: Dimension) -> str:
     return f"{_number(interval.low, dimension)} .. {_number(interval.high, dimension)}{_unit(dimension)}"
 
 
-def between(interval: Interval, dimension: Dimension) -> str:
+def bounds_text(interval: Interval, dimension: Dimension) -> str:
     """`between 0 and 15 deg`, `at least 2 m`."""
     if interval.is_single:
         return f"always {with_unit(interval.low, dimension)}"

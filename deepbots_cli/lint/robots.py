@@ -17,7 +17,7 @@ from deepbots_cli.footprint import link_frames
 from deepbots_cli.frames import Frame, Triple, quaternion
 from deepbots_cli.lint.analysis import Analysis, RuleContext
 from deepbots_cli.lint.ranges import is_level, range_text, with_unit
-from deepbots_cli.lint.simulation import ARENA, SINK, Clearance, Miss, Simulation, Where, casts_rays
+from deepbots_cli.lint.simulation import ARENA, MAX_SINK, Clearance, Simulation, SimulationPosition, UnreachedPose, casts_rays
 from deepbots_cli.program.robots import Actuator, Cartesian, CustomActuator, Motor, Robot, Thrust
 from deepbots_cli.program.world import ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots.meshes import mesh_bounds
@@ -97,7 +97,7 @@ def _limits(actuator: Actuator, model: RobotModel) -> Interval | None:
 def _follows_action(analysis: Analysis, target: Scalar, robot: Robot) -> bool:
     """Whether a command depends on nothing but the action."""
     received = {value.name for value in robot.receive}
-    for node in analysis.unfold(target):
+    for node in analysis.walk_definitions(target):
         match node:
             case Const() | Op():
                 continue
@@ -281,21 +281,21 @@ def pose_out_of_reach(simulation: Simulation) -> Iterator[Finding]:
     """DB315: a `cartesian` actuator is commanded to a pose that the inverse kinematics does not reach."""
     reported: set[tuple[str, str]] = set()
     for miss in simulation.report.misses:
-        if (miss.turn or miss.out >= _OFTEN * miss.commands) and (miss.robot, miss.actuator) not in reported:
+        if (miss.turn or miss.unreached_commands >= _OFTEN * miss.commands) and (miss.robot, miss.actuator) not in reported:
             reported.add((miss.robot, miss.actuator))
             yield _turned_in_place(simulation, miss) if miss.turn else _missed(simulation, miss)
 
 
-def _missed(simulation: Simulation, miss: Miss) -> Finding:
+def _missed(simulation: Simulation, miss: UnreachedPose) -> Finding:
     model = simulation.analysis.body(miss.robot).model
     is_turned = miss.angle > _SLIGHT_ANGLE
     span = simulation.values.span(("robots", miss.robot, "actuators", miss.actuator, "rpy" if is_turned else "link"))
     distance = f"{miss.distance:.3g} m" if miss.distance > _SLIGHT_DISTANCE else ""
     by = " and ".join(filter(None, [distance, f"{degrees(miss.angle):.3g} deg" if is_turned else ""]))
-    notes = [simulation.when(Where(miss.by, miss.seed, miss.step))]
+    notes = [simulation.when(SimulationPosition(miss.policy, miss.seed, miss.step))]
     for name, limit in miss.at_limit.items():
         notes.append(f"joint `{name}` is at its limit of {with_unit(limit, joint_dimension(model.joint(name)))}")
-    notes += [f"{miss.out} of {miss.commands} commands in this episode are out of reach"] if miss.commands > 1 else []
+    notes += [f"{miss.unreached_commands} of {miss.commands} commands in this episode are out of reach"] if miss.commands > 1 else []
     remedy = (
         "write another `rpy`, or leave it out if any attitude is allowed" if is_turned else "command positions within the reach of the arm"
     )
@@ -304,14 +304,17 @@ def _missed(simulation: Simulation, miss: Miss) -> Finding:
     return Finding("DB315", span, headline, help=help, notes=tuple(notes))
 
 
-def _turned_in_place(simulation: Simulation, miss: Miss) -> Finding:
+def _turned_in_place(simulation: Simulation, miss: UnreachedPose) -> Finding:
     """The first command turns a link far in place, because the link starts in another attitude."""
     span = simulation.values.span(("robots", miss.robot, "actuators", miss.actuator, "rpy"))
     angles = [round(degrees(angle)) for angle in miss.start]
     start = " ".join(str(180 if angle == -180 else angle) for angle in angles)
     headline = f"the first command turns `{miss.actuator}` by {degrees(miss.turn):.3g} deg in place"
     help = f"write `rpy: {start} deg`, which is near the initial attitude, or start the arm in another pose"
-    notes = (simulation.when(Where(miss.by, miss.seed, miss.step)), "the joints may move far before the link reaches the pose")
+    notes = (
+        simulation.when(SimulationPosition(miss.policy, miss.seed, miss.step)),
+        "the joints may move far before the link reaches the pose",
+    )
     return Finding("DB315", span, headline, help=help, notes=notes)
 
 
@@ -372,7 +375,7 @@ class Heights:
             return None
         tallest, highest = "", -inf
         for name, top in self._tops(robot):
-            if top + SINK >= lowest:
+            if top + MAX_SINK >= lowest:
                 return None  # before the meshes of other robots are read
             if top > highest:
                 tallest, highest = name, top

@@ -207,7 +207,7 @@ def unstable_simulation(simulation: Simulation) -> Iterator[Finding]:
         notes = [simulation.when()]
         if fastest:
             notes.append(f"the fastest body before was `{fastest[0]}`, at {fastest[1]:.3g} m/s")
-        yield Finding("DB309", simulation.body_span(body), headline.format(halt.what), help=help, notes=tuple(notes))
+        yield Finding("DB309", simulation.body_span(body), headline.format(halt.description), help=help, notes=tuple(notes))
     elif stop is not None:
         yield from _stopped(simulation, stop)
 
@@ -349,11 +349,11 @@ def requirement_not_redrawn(context: RuleContext) -> Iterator[Finding]:
         return
     (node,) = analysis.scalars(require)
     drawn = {value.name for value in program.parameters if value.typed.type.stage is not Stage.FIXED}
-    facts = [fact for fact in analysis.unfold(node) if isinstance(fact, World)]
+    facts = [fact for fact in analysis.walk_definitions(node) if isinstance(fact, World)]
     bodies = {subject.partition(".")[0].partition("#")[0] for fact in facts for subject in fact.subjects}
     places = [place for place in analysis.placements if place.body in bodies]
     names = {name for place in places for coordinate in place.coordinates.values() for name in names_in(coordinate.typed)}
-    sources = sorted((analysis.sources(node) | names) & drawn)
+    sources = sorted((analysis.drawn_dependencies(node) | names) & drawn)
     bent = {subject.partition(".")[0] for fact in facts if not _is_of_root(program, fact) for subject in fact.subjects}
     if sources and not _is_drawn_again(program, places, bent) and analysis.start.of(node) != ALWAYS:
         headline = (

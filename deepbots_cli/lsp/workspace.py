@@ -30,7 +30,7 @@ from deepbots_cli.document.load import Drafts
 from deepbots_cli.document.nodes import Node, NodePath
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
-from deepbots_cli.lint import review
+from deepbots_cli.lint import all_findings
 from deepbots_cli.lint.settings import Settings, is_scenario, settings
 from deepbots_cli.lsp.cursor import Place, place, value_at
 
@@ -211,7 +211,7 @@ def analyse(document: Document, drafts: Drafts, *, allow_paths: Iterable[Path] =
     except UsageError:  # a folder, or a name that no file can have
         return Analysis(document, drafts)
     checked = check(replace(read, allow_code=allow_code))
-    found = review(checked, preview=preview)
+    found = all_findings(checked, preview=preview)
     wanted = (*selection.inactive_rules(), *filter(selection.selects, found))
     return Analysis(document, drafts, wanted, checked, settings_error, selection)
 

@@ -144,7 +144,7 @@ def test_a_wrong_option_is_shown_as_it_was_typed(deepbots, words, said):
 def test_a_fault_of_ours_is_told_apart_and_its_traceback_kept(deepbots, monkeypatch, tmp_path):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
-    monkeypatch.setattr(api, "review", lambda *_, **__: 1 // 0)
+    monkeypatch.setattr(api, "all_findings", lambda *_, **__: 1 // 0)
     ran = deepbots("compile", "cartpole")
     assert ran.code == 3
     assert "ZeroDivisionError" in ran.err
@@ -157,7 +157,7 @@ def test_a_fault_of_ours_is_told_apart_and_its_traceback_kept(deepbots, monkeypa
 
 def test_a_fault_of_ours_is_raised_for_those_who_debug(deepbots, monkeypatch):
     monkeypatch.setenv("DEEPBOTS_DEBUG", "1")
-    monkeypatch.setattr(api, "review", lambda *_, **__: 1 // 0)
+    monkeypatch.setattr(api, "all_findings", lambda *_, **__: 1 // 0)
     with pytest.raises(ZeroDivisionError):
         deepbots("compile", "cartpole")
 

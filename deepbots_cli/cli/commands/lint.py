@@ -23,7 +23,7 @@ from deepbots_cli.diagnostics import Edit, Finding, Severity, Source
 from deepbots_cli.diagnostics.findings import RuleSelectors, Selection, exception_finding
 from deepbots_cli.diagnostics.render import escape_log_commands, github, junit, render, sarif, summary
 from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
-from deepbots_cli.lint import review, simulate
+from deepbots_cli.lint import all_findings, simulate
 from deepbots_cli.lint.fixes import Fixer
 from deepbots_cli.lint.settings import Settings, scenarios_in, settings
 
@@ -193,7 +193,7 @@ def _fixed(names: Sequence[str], look: Look, selection: Selection, *, unsafe: bo
     if fixer.fixed:
         verb, files = "would be fixed" if show else "fixed", len(rewrites)
         terminal.note(f"{len(fixer.fixed)} {verb} in {files} file{'s' if files > 1 else ''}")
-    return fixer.left, bool(rewrites)
+    return fixer.remaining_findings, bool(rewrites)
 
 
 def _change(edit: Edit | None) -> str:
@@ -278,7 +278,7 @@ class Look:
     def _reviewed(self, checked: CheckedScenario, called: str) -> list[Finding]:
         """The findings from the text and then from a simulation; a scenario with errors cannot be simulated."""
         try:
-            found = review(checked, preview=self.preview)
+            found = all_findings(checked, preview=self.preview)
             if not self.deep:
                 return found
             if any(finding.severity == "error" and not finding.is_internal_error for finding in found):
@@ -286,9 +286,9 @@ class Look:
                 return found
             with terminal.passing(f"{called}: simulating"):
                 simulated = simulate(checked, preview=self.preview)
-            if simulated.left:
-                terminal.note(f"{called}: the simulation was stopped {simulated.left}; its further findings are missing")
-            return review(checked, preview=self.preview, measured=simulated.findings)
+            if simulated.incomplete:
+                terminal.note(f"{called}: the simulation was stopped {simulated.incomplete}; its further findings are missing")
+            return all_findings(checked, preview=self.preview, measured=simulated.findings)
         finally:
             checked.release_names()
 
