@@ -33,7 +33,7 @@ from deepbots_cli.lsp.lookup import (
     shapes_at,
     summary,
 )
-from deepbots_cli.lsp.workspace import Analysis, View
+from deepbots_cli.lsp.workspace import Analysis, CursorView
 from deepbots_cli.scenario.base import Kinds, MappingOf, Section, example_of, hover_text, section_description, section_fields
 from deepbots_cli.scenario.fields import (
     COLOURS,
@@ -72,7 +72,7 @@ _CODES = re.compile(r"deepbots:[ \t]*ignore\[(?:[^\]]*,)?[ \t]*([A-Za-z0-9]*)$")
 _COLON = re.compile(r"[\w]*[ \t]*:")
 
 
-def completion(view: View) -> CompletionList:
+def completion(view: CursorView) -> CompletionList:
     """All completions at the place; the client filters them by the text before the cursor.
 
     The list is marked as incomplete until the current text is analysed, so that the client asks again at the next letter.
@@ -94,7 +94,7 @@ def completion(view: View) -> CompletionList:
 # Keys
 
 
-def _keys(view: View) -> Iterator[CompletionItem]:
+def _keys(view: CursorView) -> Iterator[CompletionItem]:
     place, data = view.place, view.data
     given = view.keys
     colon = "" if _COLON.match(view.document.plain, view.offset) else ": "
@@ -103,7 +103,7 @@ def _keys(view: View) -> Iterator[CompletionItem]:
             yield _item(view, choice, place.start, choice.text + colon)
 
 
-def _key_choices(view: View, data: Any) -> Iterator[Choice]:
+def _key_choices(view: CursorView, data: Any) -> Iterator[Choice]:
     path = view.place.path
     for shape in shapes_at(path, data):
         match shape:
@@ -137,7 +137,7 @@ def _kind_keys(shape: Kinds, data: Any) -> Iterator[Choice]:
 # Values
 
 
-def _values(view: View) -> Iterator[CompletionItem]:
+def _values(view: CursorView) -> Iterator[CompletionItem]:
     place, data = view.place, view.data
     words = list(_word_choices(view, data)) or [*_example(view, data)]
     yield from (_item(view, choice, place.start) for choice in _unique(words))
@@ -149,7 +149,7 @@ def _values(view: View) -> Iterator[CompletionItem]:
             return
 
 
-def _expression_items(view: View, field: FieldType, data: Any) -> Iterator[Choice]:
+def _expression_items(view: CursorView, field: FieldType, data: Any) -> Iterator[Choice]:
     """What may come next in an expression, including names in the text that no analysis knows yet."""
     path, text = view.place.path, view.place.text
     if _expects_unit(text):
@@ -167,7 +167,7 @@ def _expression_items(view: View, field: FieldType, data: Any) -> Iterator[Choic
         yield from functions(frozenset(Family))
 
 
-def _example(view: View, data: Any) -> Iterator[Choice]:
+def _example(view: CursorView, data: Any) -> Iterator[Choice]:
     """The documented example of the key at the cursor, for values without a vocabulary."""
     path = view.place.path
     section = section_of(path, data) if not view.place.text.strip() else None
@@ -176,7 +176,7 @@ def _example(view: View, data: Any) -> Iterator[Choice]:
         yield Choice(found.text, CompletionItemKind.Value, "an example")
 
 
-def _word_choices(view: View, data: Any) -> Iterator[Choice]:
+def _word_choices(view: CursorView, data: Any) -> Iterator[Choice]:
     path = view.place.path
     for shape in shapes_at(path[:-1], data) if path else ():
         if isinstance(shape, Kinds) and shape.key == path[-1]:
@@ -190,7 +190,7 @@ def _word_choices(view: View, data: Any) -> Iterator[Choice]:
             yield from _field_choices(view, shape, path)
 
 
-def _field_choices(view: View, field: FieldType, path: NodePath) -> Iterator[Choice]:
+def _field_choices(view: CursorView, field: FieldType, path: NodePath) -> Iterator[Choice]:
     match field:
         case Word(words=words):
             yield from _words(words, "a word of the language")
@@ -217,7 +217,7 @@ def _words(words: Iterable[str], detail: str) -> Iterator[Choice]:
     return (Choice(word, CompletionItemKind.EnumMember, detail) for word in words)
 
 
-def _named(view: View, field: FieldType, path: NodePath) -> Iterator[Choice]:
+def _named(view: CursorView, field: FieldType, path: NodePath) -> Iterator[Choice]:
     """The names that a reference may take."""
     if isinstance(field, (Reference, Pattern)):
         known = names_at(view.checked, field.kind, path) if view.checked is not None else ()
@@ -228,7 +228,7 @@ def _named(view: View, field: FieldType, path: NodePath) -> Iterator[Choice]:
 # Comments
 
 
-def _codes(view: View) -> list[CompletionItem]:
+def _codes(view: CursorView) -> list[CompletionItem]:
     """The warnings that a comment may suppress."""
     found = _CODES.search(view.document.plain[max(0, view.offset - 200) : view.offset])
     if found is None:
@@ -248,7 +248,7 @@ def _unique(found: Iterable[Choice]) -> Iterable[Choice]:
     return first.values()
 
 
-def _item(view: View, choice: Choice, start: int, text: str | None = None) -> CompletionItem:
+def _item(view: CursorView, choice: Choice, start: int, text: str | None = None) -> CompletionItem:
     before = view.document.plain[: view.offset]
     start = max(start, len(before) - len(before.rpartition("\n")[2].lstrip()))  # the protocol wants the edit on one line
     span = view.document.lines.range(start, view.offset)
@@ -508,7 +508,7 @@ def _sections(kind: str, path: NodePath) -> tuple[NodePath, ...]:
 _MAX_FILES = 300
 
 
-def _files(view: View, suffixes: tuple[str, ...], *, robots: bool = False) -> Iterator[Choice]:
+def _files(view: CursorView, suffixes: tuple[str, ...], *, robots: bool = False) -> Iterator[Choice]:
     """The files and folders that may continue the path at the cursor."""
     folder, slash, _ = view.place.text.rpartition("/")
     if robots and not slash:

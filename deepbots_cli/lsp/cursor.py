@@ -49,7 +49,7 @@ class _EndedError(Exception):
         self.opening = opening
 
 
-def place(text: str, offset: int) -> Place:
+def place_at(text: str, offset: int) -> Place:
     """The key or value at `offset`."""
     offset = min(offset, len(text), MAX_BYTES)
     text = text[:offset]

@@ -26,7 +26,7 @@ from deepbots_cli.expressions.intervals import EVERYTHING, Interval
 from deepbots_cli.expressions.types import Kind, Symbol, Type, Typed, children, shortened_list
 from deepbots_cli.lint import pages_of
 from deepbots_cli.lsp.cursor import value_at
-from deepbots_cli.lsp.workspace import Document, Locator, View, uri_of
+from deepbots_cli.lsp.workspace import CursorView, Document, Locator, uri_of
 from deepbots_cli.robots import meshes
 from deepbots_cli.scenario.base import (
     Forms,
@@ -171,7 +171,7 @@ class KeyOrValue(NamedTuple):
     is_key: bool
 
 
-def expression_at(view: View) -> ExpressionNode | None:
+def expression_at(view: CursorView) -> ExpressionNode | None:
     """The innermost node of the expression under the cursor."""
     if view.analysis is None or view.source is None or view.known_offset is None:
         return None
@@ -187,7 +187,7 @@ def expression_at(view: View) -> ExpressionNode | None:
     return _innermost(ExpressionNode(reading, index, tree))
 
 
-def key_or_value_at(view: View) -> KeyOrValue | None:
+def key_or_value_at(view: CursorView) -> KeyOrValue | None:
     """The key or the single value under the cursor."""
     place, text = view.place, view.document.plain
     if place.role == "aside":
@@ -207,7 +207,7 @@ def _end(pattern: re.Pattern[str], text: str, start: int) -> int:
     return found.end() if found else start
 
 
-def _size_around(view: View, reading: ScopedExpression) -> int | None:
+def _size_around(view: CursorView, reading: ScopedExpression) -> int | None:
     """The length of the expression's text if it holds the cursor, otherwise None; a default has no text in the file."""
     text, then = reading.text, view.known_offset
     first, last = text.part(0, 1), text.part(max(0, len(text.text) - 1), len(text.text))
@@ -255,7 +255,7 @@ _START = types.Range(types.Position(0, 0), types.Position(0, 0))
 _ALIAS = re.compile(r"\*([\w-]+)")
 
 
-def definitions(view: View, open_uris: dict[Path, str]) -> list[types.Location]:
+def definitions(view: CursorView, open_uris: dict[Path, str]) -> list[types.Location]:
     """The definitions of the name, alias or file under the cursor; several for a pattern that matches several names."""
     anchor = _anchor(view)
     if anchor is not None:
@@ -270,7 +270,7 @@ def definitions(view: View, open_uris: dict[Path, str]) -> list[types.Location]:
     return [locator.location(span) for span in _by_name(view) or (_by_reference(view, found) if found else [])]
 
 
-def _anchor(view: View) -> types.Location | None:
+def _anchor(view: CursorView) -> types.Location | None:
     """The anchor of the alias under the cursor."""
     text = view.document.plain
     begin = text.rfind("\n", 0, view.offset) + 1
@@ -281,7 +281,7 @@ def _anchor(view: View) -> types.Location | None:
     return None
 
 
-def _file(view: View, found: KeyOrValue, open_uris: dict[Path, str]) -> types.Location | None:
+def _file(view: CursorView, found: KeyOrValue, open_uris: dict[Path, str]) -> types.Location | None:
     kinds = [field.kind for field in field_types_at(found.path, view.data) if isinstance(field, FilePath)]
     if found.is_key or not (kinds or found.path[-1:] in (("include",), ("extends",))):
         return None
@@ -289,7 +289,7 @@ def _file(view: View, found: KeyOrValue, open_uris: dict[Path, str]) -> types.Lo
     return types.Location(open_uris.get(path) or uri_of(path), _START) if path is not None else None
 
 
-def _located(view: View, reference: str, *, robots: bool) -> Path | None:
+def _located(view: CursorView, reference: str, *, robots: bool) -> Path | None:
     """The file that a reference names; None if no such file exists or the scenario may not read it."""
     if reference.startswith("package://"):
         return meshes.package_file(reference)
@@ -299,7 +299,7 @@ def _located(view: View, reference: str, *, robots: bool) -> Path | None:
     return shipped.robot_path(reference) if robots else None
 
 
-def _by_name(view: View) -> list[Span]:
+def _by_name(view: CursorView) -> list[Span]:
     """The definition of the name under the cursor in an expression."""
     found = expression_at(view)
     if found is None or found.name is None or view.checked is None:
@@ -308,7 +308,7 @@ def _by_name(view: View) -> list[Span]:
     return [named.span] if named and named.span else []
 
 
-def _by_reference(view: View, found: KeyOrValue) -> list[Span]:
+def _by_reference(view: CursorView, found: KeyOrValue) -> list[Span]:
     """The definitions of a reference or pattern outside of expressions."""
     checked = view.checked
     if checked is None or checked.document.root is None:
@@ -382,7 +382,7 @@ _CODE = re.compile(r"DB\d{3}")
 _LONGEST = 300
 
 
-def hover(view: View) -> types.Hover | None:
+def hover(view: CursorView) -> types.Hover | None:
     """The hover text of a place; None for white space and text without a meaning."""
     found = _suppressed_code(view) or _expression(view) or _key_or_value(view)
     if found is None:
@@ -395,7 +395,7 @@ HoverText = tuple[str, int, int]
 """Markdown, and the start and end of the described text as offsets in the document."""
 
 
-def _suppressed_code(view: View) -> HoverText | None:
+def _suppressed_code(view: CursorView) -> HoverText | None:
     """The page of a rule whose code a suppressing comment names."""
     text = view.document.plain
     begin = text.rfind("\n", 0, view.offset) + 1
@@ -408,7 +408,7 @@ def _suppressed_code(view: View) -> HoverText | None:
     return None
 
 
-def _expression(view: View) -> HoverText | None:
+def _expression(view: CursorView) -> HoverText | None:
     found = expression_at(view)
     if found is None or view.known_offset is None:
         return None
@@ -420,7 +420,7 @@ def _expression(view: View) -> HoverText | None:
     return text, span.start + moved, span.end + moved
 
 
-def _node_text(view: View, found: ExpressionNode) -> str | None:
+def _node_text(view: CursorView, found: ExpressionNode) -> str | None:
     node, name = found.node, found.name
     if isinstance(node, syntax.Call) and found.cursor <= node.name_end and node.function in FUNCTIONS:
         known = found.type
@@ -432,7 +432,7 @@ def _node_text(view: View, found: ExpressionNode) -> str | None:
     return f"`{source[:_LONGEST]}`: {describe_type(known)}" if known else None
 
 
-def _name_text(view: View, found: ExpressionNode, name: str) -> str | None:
+def _name_text(view: CursorView, found: ExpressionNode, name: str) -> str | None:
     checked = view.checked
     if checked is None:
         return None
@@ -459,7 +459,7 @@ def _definition_line(named: NameEntry | None) -> str:
     return f"\n\n```{language}\n{line}\n```"
 
 
-def _key_or_value(view: View) -> HoverText | None:
+def _key_or_value(view: CursorView) -> HoverText | None:
     found = key_or_value_at(view)
     if found is None or not found.text or not found.start <= view.offset <= found.end:
         return None
@@ -467,7 +467,7 @@ def _key_or_value(view: View) -> HoverText | None:
     return (text, found.start, found.end) if text else None
 
 
-def _key_text(view: View, found: KeyOrValue) -> str | None:
+def _key_text(view: CursorView, found: KeyOrValue) -> str | None:
     kinds = _kinds(view, found)
     if kinds is not None:
         return f"**{found.text}**: one of {', '.join(f'`{name}`' for name in kinds.names)}"
@@ -481,13 +481,13 @@ def _key_text(view: View, found: KeyOrValue) -> str | None:
     return None
 
 
-def _kinds(view: View, found: KeyOrValue) -> Kinds | None:
+def _kinds(view: CursorView, found: KeyOrValue) -> Kinds | None:
     """The kinds among which the value of this key chooses."""
     above = shapes_at(found.path[:-1], view.data) if found.path else ()
     return next((shape for shape in above if isinstance(shape, Kinds) and shape.key == found.path[-1]), None)
 
 
-def _defined_name_text(view: View, found: KeyOrValue) -> str | None:
+def _defined_name_text(view: CursorView, found: KeyOrValue) -> str | None:
     """The description of a name at its definition."""
     checked = view.checked
     if view.analysis is None or checked is None or checked.namespace is None or checked.document.root is None:
@@ -507,7 +507,7 @@ def _defined_name_text(view: View, found: KeyOrValue) -> str | None:
     return f"`{found.text}`: {describe_type(read.trees[0].type)}" if read is not None else None
 
 
-def _value_text(view: View, found: KeyOrValue) -> str | None:
+def _value_text(view: CursorView, found: KeyOrValue) -> str | None:
     for field in field_types_at(found.path, view.data):
         named = _reference_text(view, found, field)
         if named:
@@ -520,7 +520,7 @@ def _value_text(view: View, found: KeyOrValue) -> str | None:
     return hover_text(part, str(steps[-1])) if part is not None else None
 
 
-def _reference_text(view: View, found: KeyOrValue, field: FieldType) -> str | None:
+def _reference_text(view: CursorView, found: KeyOrValue, field: FieldType) -> str | None:
     checked = view.checked
     if checked is None or not isinstance(field, (Reference, Pattern)):
         return None

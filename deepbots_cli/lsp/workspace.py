@@ -32,7 +32,7 @@ from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
 from deepbots_cli.lint import all_findings
 from deepbots_cli.lint.settings import Settings, is_scenario, settings
-from deepbots_cli.lsp.cursor import Place, place, value_at
+from deepbots_cli.lsp.cursor import Place, place_at, value_at
 
 _LINE_END = re.compile(r"\r\n|\n|\r")
 _BOM = "\ufeff"
@@ -240,7 +240,7 @@ class Locator:
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class CursorView:
     """A place in the current text of a document, and the last analysis that resolved the names of its scenario, if any.
 
     `source` is the text of the document in that analysis. `known_offset` is the offset of the place in `source`, None if
@@ -264,7 +264,7 @@ class View:
         return self.place_at(self.offset)
 
     def place_at(self, offset: int) -> Place:
-        found = place(self.document.plain, offset)
+        found = place_at(self.document.plain, offset)
         return found._replace(path=(*self._prefix, *found.path), data=_nested(found.data, self._prefix))
 
     @property
@@ -361,7 +361,7 @@ class Workspace:
             if source is not None and source.text == document.plain:
                 yield analysis, source
 
-    def view(self, uri: str, position: types.Position) -> View | None:
+    def view(self, uri: str, position: types.Position) -> CursorView | None:
         """The view of a position; None if the document is not open or not part of a scenario."""
         document = self.document(uri)
         if document is None:
@@ -370,7 +370,7 @@ class Workspace:
         analysis = self._resolved.get(uri) or next((known for known in self._resolved.values() if known.source(document.path)), None)
         source = analysis.source(document.path) if analysis else None
         known_offset = None if source is None else _map_offset(offset, document.plain, source.text)
-        return View(document, offset, analysis, source, known_offset, any(True for _ in self.analyses_of(document)))
+        return CursorView(document, offset, analysis, source, known_offset, any(True for _ in self.analyses_of(document)))
 
 
 def _map_offset(offset: int, now: str, then: str) -> int | None:
@@ -401,7 +401,7 @@ def _include_path(node: Node | None, source: Source, path: NodePath = ()) -> Nod
     if isinstance(node, MappingNode):
         for entry in node.entries.values():
             if entry.key.span.source is source:
-                within = place(source.text, entry.key.span.end).path
+                within = place_at(source.text, entry.key.span.end).path
                 return path[: len(path) - len(within)]
         for name, entry in node.entries.items():
             if found := _include_path(entry.value, source, (*path, name)):
