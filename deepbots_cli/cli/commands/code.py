@@ -89,7 +89,7 @@ def eject(
     _check(folder)
     compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
     terminal.note_warnings(compiled.findings, scenario)
-    written = write_new(project(compiled), folder)
+    written = write_new(project_files(compiled), folder)
     if as_json:
         terminal.show_json({"project": folder, "files": written})
         return
@@ -98,7 +98,7 @@ def eject(
     terminal.note(f"\nnext: cd {quote(str(folder))} && python run.py")
 
 
-def project(compiled: api.Compiled) -> Files:
+def project_files(compiled: api.Compiled) -> Files:
     """The files of the project, README first; the templates are in `project/`."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 

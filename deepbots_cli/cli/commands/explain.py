@@ -69,12 +69,12 @@ def command(
     """
     found = matching_rules(finding)
     if not found:
-        lines = explained(finding)
-        if not lines and not _FINDING.match(finding) and (meant := misspelt(finding)):
+        lines = explain_word(finding)
+        if not lines and not _FINDING.match(finding) and (meant := misspelt_word(finding)):
             terminal.note(f"there is no entry '{finding}'; this is the entry '{meant}'\n")
-            lines = explained(meant)
+            lines = explain_word(meant)
         if not lines:
-            raise UsageError(unknown_rule_message(finding) if _FINDING.match(finding) else unknown(finding))
+            raise UsageError(unknown_rule_message(finding) if _FINDING.match(finding) else unknown_word_message(finding))
         if as_json:
             raise UsageError(f"--json prints findings, and '{finding}' is not a finding; leave it out")
         terminal.print_result("\n".join(map(_wrapped, lines)))
@@ -171,7 +171,7 @@ def _topic(name: str, entry: dict[str, str]) -> Topic:
     return Topic(name, names, entry["about"].strip(), entry.get("example", "").strip(), entry["read"])
 
 
-def explained(word: str) -> list[str]:
+def explain_word(word: str) -> list[str]:
     """Paragraphs and examples about `word`; empty if nothing has this name.
 
     A concept of this name comes first, then functions, units, kinds and keys. Other names of a concept count only if the language has no
@@ -193,7 +193,7 @@ def explained(word: str) -> list[str]:
     return [line for number, block in enumerate(blocks) for line in ([""] if number else []) + block]
 
 
-def misspelt(word: str) -> str | None:
+def misspelt_word(word: str) -> str | None:
     """The concept or word of the language that differs from `word` by one letter, such as `curiculum`; None if there is none."""
     concepts = [name for topic in topics() for name in (topic.name, *topic.names)]
     return next((name for name in (*concepts, *_words()) if is_typo(_plain(word), _plain(name))), None)
@@ -245,7 +245,7 @@ def _words() -> dict[str, None]:
     return dict.fromkeys(names)
 
 
-def unknown(word: str) -> str:
+def unknown_word_message(word: str) -> str:
     """The error for a word that has no entry."""
     concepts = [name for topic in topics() for name in (topic.name, *topic.names)]
     near = nearest_word(word, concepts, 0.8) or nearest_word(word, list(_words())) or nearest_word(word, concepts)

@@ -11,8 +11,8 @@ import typer
 from deepbots_cli import api
 from deepbots_cli.cli import inspection, terminal
 from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Engine, Json, Sets, Stage, with_case_or_stage
-from deepbots_cli.cli.sources import is_robot, opened, opened_robot
-from deepbots_cli.cli.tables import pairs, table
+from deepbots_cli.cli.sources import is_robot, open_robot, open_source
+from deepbots_cli.cli.tables import row_as_lines, table
 from deepbots_cli.diagnostics import Source, Span
 from deepbots_cli.document import MappingNode
 from deepbots_cli.document.load import with_settings_at
@@ -80,7 +80,7 @@ def command(
     if is_robot(scenario):
         _inspect_robot(scenario, picture, chosen(engine), as_json)
         return
-    side = opened(scenario, sets or (), allow_paths or (), allow_code=allow_code, engine=engine)
+    side = open_source(scenario, sets or (), allow_paths or (), allow_code=allow_code, engine=engine)
     terminal.note_warnings(side.findings, scenario)
     program = with_case_or_stage(side.program, case, stage)
     root = side.root if isinstance(side.root, MappingNode) else MappingNode(Span(Source(scenario, ""), 0, 0), {})
@@ -89,7 +89,7 @@ def command(
     elif stage is not None:
         root = with_settings_at(root, ("curriculum", [known.name for known in side.program.curriculum].index(stage)))
     engine = engine or (side.run.engine_for(program) if side.run else None)
-    tables = {**inspection.of_scenario(program, root, side.run), **_start(program, picture, engine, allow_code=allow_code)}
+    tables = {**inspection.scenario_tables(program, root, side.run), **_start(program, picture, engine, allow_code=allow_code)}
     if as_json:
         terminal.show_json(tables)
     else:
@@ -122,8 +122,8 @@ def _start(program: Program, picture: Path | None, engine: str | None, *, allow_
 
 
 def _inspect_robot(reference: str, picture: Path | None, engine: str, as_json: bool) -> None:
-    robot, findings = opened_robot(reference)
-    tables = inspection.of_robot(robot, findings)
+    robot, findings = open_robot(reference)
+    tables = inspection.robot_tables(robot, findings)
     if picture is not None:
         _draw(_rendered(robot.model, engine), picture)
     if as_json:
@@ -168,4 +168,4 @@ def _draw(image: Image, picture: Path) -> None:
 def _show(tables: inspection.Tables) -> None:
     for name, rows in tables.items():
         terminal.print_result(f"{name}{f': {_CAPTIONS[name]}' if name in _CAPTIONS else ''}")
-        terminal.print_result((table(rows) if isinstance(rows, list) else pairs(rows)) + "\n")
+        terminal.print_result((table(rows) if isinstance(rows, list) else row_as_lines(rows)) + "\n")

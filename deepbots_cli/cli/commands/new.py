@@ -19,7 +19,7 @@ import typer
 from deepbots_cli import api
 from deepbots_cli.cli import starters, terminal
 from deepbots_cli.cli.command import Json
-from deepbots_cli.cli.sources import opened_robot
+from deepbots_cli.cli.sources import open_robot
 from deepbots_cli.compiler.inventory import scenario_names
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.diagnostics.nearest import nearest_word
@@ -71,7 +71,7 @@ def new(
 
     Next: `deepbots run mine.yaml` runs random actions, and `deepbots train mine.yaml` trains a policy.
     """
-    name = checked(name)
+    name = validated_name(name)
     if template and urdf:
         raise UsageError("--template and --urdf exclude each other; a template has its own robot")
     if not (template or urdf):
@@ -102,7 +102,7 @@ _TEMPLATES = Path(starters.__file__).parent
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,63}")
 
 
-def checked(name: str) -> str:
+def validated_name(name: str) -> str:
     """The name of a new scenario without the suffix .yaml.
 
     Raises:
@@ -135,7 +135,7 @@ def from_robot(robot: str, name: str, folder: Path) -> Files:
         UsageError: The file does not exist, a scenario in the folder may not read it, or the robot has no joint that can be driven.
         ScenarioError: The file is not a valid robot.
     """
-    model = opened_robot(robot)[0].model
+    model = open_robot(robot)[0].model
     text = starters.scenario(model, _reference(robot, folder), _title(name))
     return {PurePosixPath(f"{name}.yaml"): text.encode()}
 
@@ -178,7 +178,7 @@ def copy(
 
     Next: change the copy, then run `deepbots lint cartpole.yaml` and `deepbots train cartpole.yaml`.
     """
-    found = collect(name)
+    found = shipped_files(name)
     kept = _present(found, folder)
     written = write_new(found, folder)
     if as_json:
@@ -189,7 +189,7 @@ def copy(
     terminal.note(f"\nnext:\n  deepbots lint {scenario}\n  deepbots train {scenario}")
 
 
-def collect(name: str) -> Files:
+def shipped_files(name: str) -> Files:
     """The files of the shipped scenario `name`, the scenario first, by their paths in the new folder.
 
     Files of `scenarios/` move to the top of the folder. The paths in scenarios are rewritten; comments stay.

@@ -14,7 +14,7 @@ import typer
 from deepbots_cli import api
 from deepbots_cli.cli import results, terminal
 from deepbots_cli.cli.command import AllowCode, AllowPaths, Engine, Json, Sets
-from deepbots_cli.cli.commands.lint import named
+from deepbots_cli.cli.commands.lint import scenario_names
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.diagnostics import Finding
@@ -67,7 +67,7 @@ def command(
     """
     if junit is not None:
         check_writable(junit)
-    began, names = time.perf_counter(), named(scenarios, settings())
+    began, names = time.perf_counter(), scenario_names(scenarios, settings())
     options: dict[str, Any] = {"sets": with_engine(sets, engine), "allow_paths": allow_paths or (), "allow_code": allow_code, "tests": True}
     given = [f"--engine {engine}"] if engine else []
     given += [f"--set {quote(text)}" for text in sets or ()]
