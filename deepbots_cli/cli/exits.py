@@ -52,7 +52,7 @@ def _exit_code(run: Callable[[], object]) -> int:
         terminal.show_findings(error.findings)
         return FAILED
     except DeepbotsError as error:
-        terminal.print_error(error.full)
+        terminal.print_error(error.full_message)
         return WRONG_USAGE if isinstance(error, UsageError) else FAILED
     except KeyboardInterrupt:  # before the command begins, or after its end; `Commands.invoke` tells of one in between
         terminal.note("interrupted")

@@ -20,7 +20,7 @@ from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.render import render
 from deepbots_cli.document import MappingNode, Node, descend
 from deepbots_cli.expressions.scalar import Const, Name, Scalar, State, children, names_in
-from deepbots_cli.footprint import bounds, resting_height
+from deepbots_cli.footprint import resting_height, robot_bounds
 from deepbots_cli.frames import roll_pitch_yaw
 from deepbots_cli.learning.defaults import Effective, effective
 from deepbots_cli.learning.run import Run
@@ -94,7 +94,7 @@ def scenario_tables(scenario: Program, root: Node, run: Run | None = None) -> Ta
 def robot_tables(file: RobotFile, findings: list[Finding]) -> Tables:
     """The tables of a robot file: the whole, its links and joints, and the findings; all joints are at 0."""
     model = file.model
-    low, high = bounds(model)
+    low, high = robot_bounds(model)
     listed = json.loads(render(findings, "json"))
     above = {joint.child: joint.name for joint in model.joints}
     return _filled(

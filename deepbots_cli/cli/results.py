@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.tables import Row, row_as_lines, table
 from deepbots_cli.errors import RunError
-from deepbots_cli.files import atomic
+from deepbots_cli.files import atomic_write
 from deepbots_cli.learning.episodes import DrawnBin, Interval, Summary
 from deepbots_cli.learning.report import to_json
 from deepbots_cli.learning.run import POLICY, Run, TrainingResult
@@ -316,7 +316,7 @@ def write_csv(path: Path, results: Iterable[EvaluationResult]) -> None:
             row |= {f"reward.{name}": value for name, value in episode.terms.items()}
             rows.append(row | {f"drawn.{name}": value for name, value in episode.drawn.items()})
     columns = {name: None for row in rows for name in row}
-    with atomic(path) as draft, draft.open("w", newline="", encoding="utf-8") as stream:
+    with atomic_write(path) as draft, draft.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, [*columns])
         writer.writeheader()
         writer.writerows(rows)
@@ -350,5 +350,5 @@ def write_junit(path: Path, command: str, suites: Mapping[str, Sequence[JUnitCas
         root = ElementTree.Element("testsuites")
         root.extend(found)
     ElementTree.indent(root)
-    with atomic(path) as draft:
+    with atomic_write(path) as draft:
         draft.write_bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")

@@ -14,7 +14,7 @@ from deepbots_cli.document import Document, Entry, Node, ScalarNode, descend, sh
 from deepbots_cli.document.layout import to_yaml
 from deepbots_cli.document.nodes import NodePath, walk, with_entry
 from deepbots_cli.errors import UsageError
-from deepbots_cli.files import unwritable
+from deepbots_cli.files import unwritable_message
 
 RESOLVED_NAME = "resolved.yaml"
 INPUTS_FOLDER = "inputs"
@@ -109,7 +109,7 @@ def write_copies(folder: Path, resolved: str, contents: Mapping[str, bytes]) -> 
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_bytes(content)
     except OSError as error:
-        raise UsageError(unwritable(folder, error)) from error
+        raise UsageError(unwritable_message(folder, error)) from error
 
 
 def copy_names(files: Iterable[Path], homes: tuple[Path, ...]) -> dict[Path, str]:

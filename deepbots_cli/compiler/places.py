@@ -103,7 +103,7 @@ class PlacementChecker:
             add("DB203", span, f"the top of `{spot.of}` is not level", help="place it upright, without `roll` and `pitch`")
             return
         kinds = self._footprints(place)
-        top = footprint.of_shape(next(thing.shape for thing in self._world.objects if thing.name == spot.of))
+        top = footprint.shape_footprint(next(thing.shape for thing in self._world.objects if thing.name == spot.of))
         margin = 0.0 if self._is_fixed(place) else place.clearance
         turns = None if _is_tilted(place) else _turn_between(place, support)
         copies = self.copies(place)
@@ -167,11 +167,11 @@ class PlacementChecker:
         first = group.copies[0] if group else place.body
         for robot in self._world.robots:
             if robot.name in (place.body, first):
-                return [footprint.of_robot(robot.model)]
+                return [footprint.robot_footprint(robot.model)]
         for thing in self._world.objects:
             if thing.name == first:
                 shapes = [variant.shape for variant in thing.variants] or [thing.shape]
-                return [] if any(isinstance(shape, Mesh) for shape in shapes) else [footprint.of_shape(shape) for shape in shapes]
+                return [] if any(isinstance(shape, Mesh) for shape in shapes) else [footprint.shape_footprint(shape) for shape in shapes]
         return []
 
 
@@ -180,11 +180,11 @@ def _standing_patch(thing: ObjectBody, place: Placement | None) -> Patch | None:
     low, high = footprint.bounds_of_shape(thing.shape)
     if place is None:  # a piece of a wall
         (x, y, z), rpy = thing.pose.xyz, thing.pose.rpy
-        return footprint.of_shape(thing.shape).at(x, y, rpy[2]) if z + high[2] > 1e-6 else None
+        return footprint.shape_footprint(thing.shape).at(x, y, rpy[2]) if z + high[2] > 1e-6 else None
     height = -low[2] if place.rests else _coordinate(place, "z")
     if _is_tilted(place) or height is None or height + high[2] < 1e-6:
         return None
-    return _patch(place, footprint.of_shape(thing.shape))
+    return _patch(place, footprint.shape_footprint(thing.shape))
 
 
 def _patch(place: Placement, covered: Footprint) -> Patch | None:
@@ -371,7 +371,7 @@ class Places:
 
     def _check_spots(self, spot: Region | Cells | Top | None, path: NodePath) -> None:
         if isinstance(spot, Top):
-            reach = next(footprint.of_shape(thing.shape).radius for thing in self._world.objects if thing.name == spot.of)
+            reach = next(footprint.shape_footprint(thing.shape).radius for thing in self._world.objects if thing.name == spot.of)
             spot = Region((-reach, -reach), (reach, reach), spot.mesh)
         if isinstance(spot, Region) and spot.spots > MAX_SPOTS:
             headline = f"the region has {spot.spots:,.0f} cells; the limit is {MAX_SPOTS:,}"

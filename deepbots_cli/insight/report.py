@@ -24,7 +24,7 @@ import numpy as np
 import deepbots_cli
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.errors import DeepbotsError, EngineError, MissingExtraError, RunError, UsageError
-from deepbots_cli.files import atomic, unwritable
+from deepbots_cli.files import atomic_write, unwritable_message
 from deepbots_cli.frames import Frame
 from deepbots_cli.insight import figures
 from deepbots_cli.insight.card import result_text
@@ -245,11 +245,11 @@ class Report:
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise UsageError(unwritable(folder, error)) from error
+            raise UsageError(unwritable_message(folder, error)) from error
         for name, _, figure in self.figures("light"):
             if figure is not None:
                 written.append(folder / f"{name}.png")
-                with atomic(written[-1]) as draft:
+                with atomic_write(written[-1]) as draft:
                     figure.savefig(draft, dpi=150)
         return written
 

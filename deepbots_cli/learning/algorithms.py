@@ -25,7 +25,7 @@ from torch import nn
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning import defaults
-from deepbots_cli.plugins import attribute
+from deepbots_cli.plugins import import_attribute
 from deepbots_cli.program.task import ActionNoise as NoiseSettings
 from deepbots_cli.program.task import Hindsight, Hyperparameter, Network, Schedule, Training
 from deepbots_cli.scenario.training import ALGORITHMS
@@ -128,7 +128,7 @@ def _device(wanted: str, *, to_learn: bool) -> str:
 
 def _imported(algorithm: type[Model]) -> type[BaseAlgorithm]:
     try:
-        found: type[BaseAlgorithm] = attribute(algorithm.import_path)
+        found: type[BaseAlgorithm] = import_attribute(algorithm.import_path)
     except ModuleNotFoundError as error:
         raise MissingExtraError("contrib", f"training with {algorithm.import_path.rpartition(':')[2]}") from error
     return found

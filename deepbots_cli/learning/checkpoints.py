@@ -39,7 +39,7 @@ from stable_baselines3.common.type_aliases import RolloutReturn
 from stable_baselines3.her import HerReplayBuffer
 
 from deepbots_cli.errors import RunError
-from deepbots_cli.files import unwritable
+from deepbots_cli.files import unwritable_message
 from deepbots_cli.learning import models
 from deepbots_cli.learning.algorithms import DecayingNoise
 from deepbots_cli.learning.callbacks import CallbackState, TrainingCallback, check_finite
@@ -237,7 +237,7 @@ class Checkpoints:
                 copy.unlink()
             if isinstance(error, RunError):
                 raise
-            raise RunError(unwritable(self.run.checkpoints, error)) from error
+            raise RunError(unwritable_message(self.run.checkpoints, error)) from error
         kept = {whole, self._replay, *(self._segment(*segment) for segment in self._segments)}
         for path in [*self.run.checkpoints.iterdir(), *(self._replay.iterdir() if self._replay.is_dir() else ())]:
             if path not in kept:

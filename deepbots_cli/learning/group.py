@@ -181,7 +181,7 @@ def train_group(
         deepbots=deepbots_cli.__version__,
         scenario=compiled.program.name,
         source=str(compiled.source),
-        engine=engine_kinds.chosen(engine or compiled.program.engine),
+        engine=engine_kinds.chosen_engine(engine or compiled.program.engine),
         seeds=tuple(seeds),
         total_timesteps=total_timesteps,
         stop_when_solved=stop_when_solved,
@@ -286,7 +286,7 @@ def _train_seeds(
         except DeepbotsError as error:
             if not group.runs:  # nothing can be trained with these settings, or written there
                 raise
-            failed[seed] = error.full
+            failed[seed] = error.full_message
             continue
         except KeyboardInterrupt:  # before the training handles it itself
             return GroupTraining(group.path, tuple(trained), tuple(skipped), failed, record.seeds[number - 1 :])

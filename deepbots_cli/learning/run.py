@@ -38,7 +38,7 @@ from deepbots_cli import api
 from deepbots_cli.api import Compiled
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME, write_copies
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
-from deepbots_cli.files import atomic, unwritable
+from deepbots_cli.files import atomic_write, unwritable_message
 from deepbots_cli.learning.curriculum import StageEnd
 from deepbots_cli.learning.episodes import SolvedAt
 from deepbots_cli.program import Program, identity
@@ -196,7 +196,7 @@ def read_json(path: Path, model: type[M], limit: int) -> M:
 
 
 def write_text(path: Path, text: str) -> None:
-    with atomic(path, RunError) as draft:
+    with atomic_write(path, RunError) as draft:
         draft.write_bytes(text.encode())
 
 
@@ -278,7 +278,7 @@ class Run:
         except BaseException as error:  # also Ctrl-C: half a directory is no run, and would stand in the way of the next one
             shutil.rmtree(path, ignore_errors=True)
             if isinstance(error, OSError):
-                raise RunError(unwritable(path, error)) from error
+                raise RunError(unwritable_message(path, error)) from error
             raise
 
     @staticmethod
@@ -372,7 +372,7 @@ def write_numbered(folder: Path, text: str) -> Path:
             except FileExistsError:
                 number += 1  # another process was faster
     except OSError as error:
-        raise RunError(unwritable(path, error)) from error
+        raise RunError(unwritable_message(path, error)) from error
     try:
         write_text(path, text)
     except RunError:
@@ -423,7 +423,7 @@ def run_lock(folder: Path) -> Iterator[None]:
     except Timeout:
         raise UsageError(f"another training is at work in {folder}; wait for its end, or end it") from None
     except OSError as error:
-        raise UsageError(unwritable(folder, error)) from error
+        raise UsageError(unwritable_message(folder, error)) from error
     with lock:
         yield
 
@@ -468,7 +468,7 @@ def new_directory(wanted: str | Path | None, parent: str | Path, scenario: str, 
     except FileExistsError as error:
         raise UsageError(f"{error.filename} already exists; choose another directory, because runs are not overwritten") from error
     except OSError as error:
-        raise UsageError(unwritable(wanted or parent, error)) from error
+        raise UsageError(unwritable_message(wanted or parent, error)) from error
 
 
 def _number(name: str, stem: str) -> int:

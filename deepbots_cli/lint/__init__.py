@@ -78,7 +78,7 @@ def static_findings(checked: CheckedScenario, *, preview: bool = False) -> Itera
         return
     context, cascade, source = RuleContext(checked, checked.program, checked.namespace), CascadeFilter(checked), checked.document.source
     checks: list[tuple[str, Callable[[], Iterator[Finding]]]] = [(code_of(rule), partial(rule, context)) for rule in STATIC_RULES]
-    checks += [(rule.code, partial(rule.check, checked)) for rule in RULES.added.values() if rule.check is not None]
+    checks += [(rule.code, partial(rule.check, checked)) for rule in RULES.from_plugins.values() if rule.check is not None]
     for code, check in checks:
         if preview or not RULES[code].preview:
             found = exceptions_as_findings(f"the rule {code}", source, partial(_found, check))

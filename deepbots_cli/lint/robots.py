@@ -450,7 +450,7 @@ class Heights:
         top = -inf
         for shape, fixed in kinds:
             box = footprint.bounds_of_shape(shape)
-            size, high = footprint.sides(box), box[1][2]
+            size, high = footprint.box_sides(box), box[1][2]
             top = max(top, -inf if fixed else max(size))
             if not poses:  # a wall
                 top = max(top, size[2], thing.pose.xyz[2] + high)
@@ -465,7 +465,7 @@ class Heights:
         root = self._root(body)
         if root is None or root[1] != frames.IDENTITY_ROTATION or not _keeps(body.model, _HIGHEST):
             return inf
-        return root[0][2] + footprint.bounds(body.model)[1][2]
+        return root[0][2] + footprint.robot_bounds(body.model)[1][2]
 
 
 def _attitudes(model: RobotModel) -> Iterator[dict[str, float]]:
@@ -487,7 +487,7 @@ def _keeps(model: RobotModel, end: int) -> bool:
     Meshes do not count.
     """
     plain = footprint.without_meshes(model)
-    known, *others = [footprint.bounds(plain, positions)[end][2] for positions in _attitudes(model)]
+    known, *others = [footprint.robot_bounds(plain, positions)[end][2] for positions in _attitudes(model)]
     return all(abs(other - known) <= _SAME for other in others)
 
 

@@ -548,7 +548,7 @@ class RayWatch:
         if not self.clearances:
             return lambda: None
         tops = {thing.name: _top_of(engine, thing) for thing in self._world.objects if thing.solid}
-        tops |= {body.name: _top_of_robot(engine, body.name, footprint.bounds(body.model)) for body in self._world.robots}
+        tops |= {body.name: _top_of_robot(engine, body.name, footprint.robot_bounds(body.model)) for body in self._world.robots}
         if self._world.arena is not None:
             wall = self._world.arena.wall_height
             tops[ARENA] = lambda: wall

@@ -85,7 +85,7 @@ def odd_scale(context: RuleContext) -> Iterator[Finding]:
         objects: {puck: {shape: cylinder, radius: 4 cm, height: 3 cm, mass: 200 g, pose: {x: 50 cm, z: 10 cm}}}
     """
     world, values = context.program.world, context.values
-    sizes = [(robot, max(footprint.sides(footprint.bounds(footprint.without_meshes(robot.model))))) for robot in world.robots]
+    sizes = [(robot, max(footprint.box_sides(footprint.robot_bounds(footprint.without_meshes(robot.model))))) for robot in world.robots]
     robots = [(robot, size) for robot, size in sizes if size > 0.0]
     met: set[NodePath] = set()
     for thing in world.objects:
@@ -111,7 +111,7 @@ def _around(start: StartRanges, thing: ObjectBody, kind: Variant, robots: _Robot
     """An object with a small robot inside, wherever both are placed."""
     if not thing.solid or isinstance(kind.shape, Mesh):
         return None
-    width = 2.0 * footprint.of_shape(kind.shape).inradius
+    width = 2.0 * footprint.shape_footprint(kind.shape).inradius
     for robot, size in robots:
         if width >= _DWARFS * size and _is_within(start, robot, thing, kind.shape):
             headline = f"`{path[-1]}` is {with_unit(width, LENGTH)} across, and `{robot.name}` ({with_unit(size, LENGTH)}) begins inside it"
@@ -122,7 +122,7 @@ def _around(start: StartRanges, thing: ObjectBody, kind: Variant, robots: _Robot
 def _is_within(start: StartRanges, robot: RobotBody, thing: ObjectBody, shape: Shape) -> bool:
     """Whether the origin of a robot lies within the outline of an object, seen from above, and part of the robot at the same height."""
     radius, half = _inner_cylinder(shape)
-    high = footprint.bounds(footprint.without_meshes(robot.model))[1][2]
+    high = footprint.robot_bounds(footprint.without_meshes(robot.model))[1][2]
     standing, lying = footprint.resting_height(robot.model), footprint.resting_height(shape)
     pairs = [(one, other) for one in start.poses(thing.name) for other in start.poses(robot.name)]
     for (place, here), (stand, there) in pairs:
@@ -145,7 +145,7 @@ def _inner_cylinder(shape: Shape) -> tuple[float, float]:
         case Capsule(radius, length) | Cylinder(radius, length):
             return radius, length / 2
         case _:
-            return footprint.of_shape(shape).inradius, footprint.resting_height(shape)
+            return footprint.shape_footprint(shape).inradius, footprint.resting_height(shape)
 
 
 def _odd_mass(thing: ObjectBody, kind: Variant, robots: _Robots, path: NodePath, values: ValueReader) -> Finding | None:

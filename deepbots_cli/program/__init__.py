@@ -29,7 +29,7 @@ from functools import cached_property
 from typing import Any, TypeVar
 
 from deepbots_cli.diagnostics.nearest import nearest_word
-from deepbots_cli.engine_kinds import DEFAULT
+from deepbots_cli.engine_kinds import DEFAULT_ENGINE
 from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.scalar import is_drawn
 from deepbots_cli.program.resets import Disturbance, Reset
@@ -81,7 +81,7 @@ class Program:
     tests: tuple[ScenarioTest, ...] = ()
 
     def digest_fields(self) -> dict[str, object]:
-        left_out = {"augmented", "stored_signals", "tests"} | ({"engine"} if self.engine in (None, DEFAULT) else set())
+        left_out = {"augmented", "stored_signals", "tests"} | ({"engine"} if self.engine in (None, DEFAULT_ENGINE) else set())
         return {name: value for name, value in vars(self).items() if name in self.__dataclass_fields__ and name not in left_out}
 
     @cached_property

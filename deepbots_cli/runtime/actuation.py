@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from deepbots_cli import frames
 from deepbots_cli.frames import Triple, quaternion
-from deepbots_cli.plugins import attribute
+from deepbots_cli.plugins import import_attribute
 from deepbots_cli.port import STILL, Engine, MotorWriter, Part, Pusher
 from deepbots_cli.program.robots import CustomActuator, MotorKind
 
@@ -284,7 +284,7 @@ class CustomMotor(Motor):
 
     def __init__(self, site: Site) -> None:
         actuator, response = site.actuator, site.actuator.response
-        self._law: ControlLaw = attribute(actuator.drive)(site)
+        self._law: ControlLaw = import_attribute(actuator.drive)(site)
         limits = [inf if limit is None else limit for limit in actuator.max_torque]
         super().__init__(
             site.engine,

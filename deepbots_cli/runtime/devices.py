@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deepbots_cli.plugins import attribute
+from deepbots_cli.plugins import import_attribute
 from deepbots_cli.program.robots import NoiseModel, Sensor
 from deepbots_cli.runtime.readers import ON_COLUMNS
 from deepbots_cli.runtime.sensing import BLOCK, Device, Lookup, Normals, Site
@@ -129,7 +129,7 @@ class BatchDevice:
         self.reading: Any = np.zeros((self._width, count))
         self._tick, self._delay, self.measured = (np.zeros(count, np.intp) for _ in range(3))
         self._ring: list[Any] = []
-        reader = attribute(sensor.reader)
+        reader = import_attribute(sensor.reader)
         self._read: Callable[[], Any] | None = None
         varies = any(variation.what == "gravity" for variation in batch.scenario.reset.variations)
         joins = sensor.beams is not None and sensor.beams.combined not in (None, "each")

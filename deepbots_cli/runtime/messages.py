@@ -30,7 +30,7 @@ from deepbots_cli.errors import MessageError
 from deepbots_cli.expressions.scalar import Const
 from deepbots_cli.frames import Triple
 from deepbots_cli.message_formats import FORMATS
-from deepbots_cli.plugins import attribute
+from deepbots_cli.plugins import import_attribute
 from deepbots_cli.program.robots import MessageField, MessageLayout, Route
 from deepbots_cli.runtime.streams import Streams
 
@@ -146,7 +146,7 @@ def zero_values(layout: MessageLayout) -> list[Any]:
 
 def codec(layout: MessageLayout, format: str) -> Codec:
     """The codec of `format` for `layout`; `none` has no messages and no codec."""
-    made: Codec = attribute(FORMATS[format].codec)(layout.layout_hash, struct_codes(layout))
+    made: Codec = import_attribute(FORMATS[format].codec)(layout.layout_hash, struct_codes(layout))
     pictures = {index: value.shape for index, value in enumerate(zero_values(layout)) if isinstance(value, np.ndarray)}
     return _with_pictures(made, pictures) if pictures else made
 

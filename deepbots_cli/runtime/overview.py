@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from deepbots_cli.expressions.scalar import Const, Draw, Name, Scalar
-from deepbots_cli.footprint import Bounds, bounds, bounds_of_shape
+from deepbots_cli.footprint import Bounds, bounds_of_shape, robot_bounds
 from deepbots_cli.frames import Triple, add, cross, dot, scaled
 from deepbots_cli.port import STILL, View
 from deepbots_cli.program import Program
@@ -128,7 +128,7 @@ def _robots(scenario: Program, places: dict[str, Placement], parameters: Paramet
     for robot in scenario.world.robots:
         states = [state for start in scenario.reset.joint_starts if start.robot == robot.name for state in start.states]
         joints = {joint: sum(_ends(position, parameters)) / 2 for joint, position, _ in states}
-        box = bounds(robot.model, joints)
+        box = robot_bounds(robot.model, joints)
         turns = robot.name in places or robot.pose.rpy[2] != 0.0
         box = _all_round(box) if turns else box
         if follows_robot(scenario.world):

@@ -18,7 +18,7 @@ from deepbots_cli import footprint
 from deepbots_cli.errors import EvaluationError
 from deepbots_cli.footprint import Footprint, Patch, Spot
 from deepbots_cli.frames import Triple, quaternion
-from deepbots_cli.geometry import height
+from deepbots_cli.geometry import ground_height
 from deepbots_cli.port import STILL, Engine
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import RobotCopies
@@ -48,7 +48,7 @@ class Arrangement:
     def __init__(self, scenario: Program, engine: Engine) -> None:
         world, placed = scenario.world, _placed(scenario)
         self._engine = engine
-        self._height = height(world.terrain)
+        self._height = ground_height(world.terrain)
         self.forms = Forms(world)
         self._floor = Floor(world.arena.size if world.arena else None)
         built_in = [thing.name for thing in world.objects if not thing.pooled and thing.name not in placed]
@@ -345,11 +345,11 @@ class Forms:
         self.models = {robot.name: robot.model for robot in world.robots}
         self.things: dict[str, ObjectBody] = {thing.name: thing for thing in world.objects}
         self.chosen: dict[str, Variant] = {}
-        self._robots = {name: footprint.of_robot(model) for name, model in self.models.items()}
+        self._robots = {name: footprint.robot_footprint(model) for name, model in self.models.items()}
         self._widths = {name: footprint.half_width(model) for name, model in self.models.items()}
         shapes = [thing.shape for thing in world.objects]
         shapes += [variant.shape for thing in world.objects for variant in thing.variants]
-        self._upright = {shape: footprint.of_shape(shape) for shape in shapes}
+        self._upright = {shape: footprint.shape_footprint(shape) for shape in shapes}
 
     def draw(self, body: str, streams: Streams) -> None:
         """Draw the variant of a body anew; a body without variants stays."""
@@ -372,7 +372,7 @@ class Forms:
         if known is not None:
             return known
         shape = self.shape(body)
-        return self._upright[shape] if rpy[0] == rpy[1] == 0.0 else footprint.of_shape(shape, rpy[0], rpy[1])
+        return self._upright[shape] if rpy[0] == rpy[1] == 0.0 else footprint.shape_footprint(shape, rpy[0], rpy[1])
 
     def half_width(self, body: str) -> float:
         """Half the width of the narrowest passage that it fits through, m."""

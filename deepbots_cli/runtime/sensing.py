@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from deepbots_cli import frames
 from deepbots_cli.frames import Frame
-from deepbots_cli.plugins import attribute
+from deepbots_cli.plugins import import_attribute
 from deepbots_cli.port import Engine
 from deepbots_cli.program.robots import NoiseModel, Sensor
 from deepbots_cli.program.world import WorldModel
@@ -204,7 +204,7 @@ def instrument(sensor: Sensor, robot: str, world: WorldModel, engine: Engine) ->
     Raises:
         EngineError: The robot has no such joint or link, or the engine cannot sense so.
     """
-    made: Instrument = attribute(sensor.reader)(Site(engine, robot, sensor, world))
+    made: Instrument = import_attribute(sensor.reader)(Site(engine, robot, sensor, world))
     return made
 
 

@@ -15,8 +15,8 @@ import numpy as np
 
 from deepbots_cli import frames
 from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.files import atomic, check_writable
-from deepbots_cli.footprint import bounds
+from deepbots_cli.files import atomic_write, check_writable
+from deepbots_cli.footprint import robot_bounds
 from deepbots_cli.frames import Triple
 from deepbots_cli.port import View
 from deepbots_cli.runtime.overview import overview, view_around
@@ -130,7 +130,7 @@ def _on_robots(player: Player, shot: Shot) -> View:
     boxes = []
     for robot in player.env.world.robots[:1]:
         origin, _ = player.frame.links[robot.name, robot.model.root]
-        low, high = bounds(robot.model)
+        low, high = robot_bounds(robot.model)
         boxes.append((frames.add(origin, low), frames.add(origin, high)))
     view = view_around(boxes, shot.width, shot.height)
     # Room for labels on both sides.
@@ -247,7 +247,7 @@ def clip(
     """
     steps = None if seconds is None else max(1, round(seconds / player.program.period))
     shown = player.episode(seed, episode, steps)
-    with atomic(path) as draft:
+    with atomic_write(path) as draft:
         if path.suffix.lower() == ".html":
             _write_page(player, draft, shown, speed)
         elif path.suffix.lower() == ".gif":

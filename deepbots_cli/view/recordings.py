@@ -37,7 +37,7 @@ import numpy as np
 import deepbots_cli
 from deepbots_cli import frames
 from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.files import atomic, read_at_most
+from deepbots_cli.files import atomic_write, read_at_most
 from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.view.episodes import Player
 from deepbots_cli.view.frames import AgentFrame, Beams, Image, Layout, Message, WorldFrame
@@ -277,7 +277,7 @@ def record(
     opened = player.opened
     text, inputs, digest = opened.texts()
     describer, time, channels, last = Describer(player), 0, dict[str, int](), list[WorldFrame]()
-    with atomic(path) as draft, draft.open("wb") as stream:
+    with atomic_write(path) as draft, draft.open("wb") as stream:
         writer = Writer(stream)
         writer.start("", f"deepbots {deepbots_cli.__version__}")
         writer.add_metadata("deepbots", _metadata(player, seed, digest))

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from deepbots_cli import frames, geometry
 from deepbots_cli.engines import objects
 from deepbots_cli.errors import EngineError
-from deepbots_cli.footprint import bounds
+from deepbots_cli.footprint import robot_bounds
 from deepbots_cli.frames import Triple
 from deepbots_cli.port import STILL, View
 from deepbots_cli.program.world import Colour, Line, WorldModel
@@ -178,10 +178,10 @@ class WorldScene:
     def _build_surroundings(self, world: WorldModel) -> None:
         scene, root, light = self._scene, self._root, min(1.0, world.light)
         if world.terrain is not None:
-            relief = geometry.grid(world.terrain.shape)
+            relief = geometry.height_grid(world.terrain.shape)
             if relief is not None:
-                surface = relief.coarser(_MAX_CELLS).triangles()
-                contour = _contour(relief.coarser(_MAX_CELLS), 0.001 * self._size)
+                surface = relief.with_at_most(_MAX_CELLS).triangles()
+                contour = _contour(relief.with_at_most(_MAX_CELLS), 0.001 * self._size)
                 colours = np.full(contour.shape, 110, np.uint8)  # a smooth relief of one colour is hard to see
                 scene.add_line_segments(f"{root}/contour", contour, colours, thickness=1.0, thickness_units="screen")
             else:
@@ -392,7 +392,7 @@ class WorldScene:
         for part in touching - self._dots.keys():
             model = self._layout.robots[part[0]]
             head, pose = rigid_groups(model)[part[1]]
-            name, radius = f"{self._path_of((part[0], head))}/touch_{part[1]}", 0.035 * math.dist(*bounds(model))
+            name, radius = f"{self._path_of((part[0], head))}/touch_{part[1]}", 0.035 * math.dist(*robot_bounds(model))
             self._dots[part] = self._scene.add_icosphere(name, radius, (225, 60, 40), opacity=0.5, position=pose[0], visible=False)
         for part, dot in self._dots.items():
             if dot.visible != (part in touching):

@@ -16,7 +16,7 @@ from deepbots_cli import api
 from deepbots_cli.cli.command import Commands
 from deepbots_cli.cli.commands import COMMANDS, installation
 from deepbots_cli.engine_kinds import ENGINES
-from deepbots_cli.errors import installing
+from deepbots_cli.errors import install_hint
 from tests.few import few
 
 EXTRA = ("numpy", "pybullet", "torch", "gymnasium", "stable_baselines3")
@@ -204,7 +204,7 @@ def test_a_missing_extra_is_one_line_with_the_command_that_installs_it(words, ab
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert done.stderr.startswith("error: ")
-    assert done.stderr.endswith(f"{installing(extra)}\n")
+    assert done.stderr.endswith(f"{install_hint(extra)}\n")
     assert done.stderr.count("\n") == 1
 
 

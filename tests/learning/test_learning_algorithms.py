@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import stand_in
 
-from deepbots_cli.errors import MissingExtraError, UsageError, installing
+from deepbots_cli.errors import MissingExtraError, UsageError, install_hint
 from deepbots_cli.learning import TrainingResult, algorithms, defaults, evaluate, models, resume, train, training
 from deepbots_cli.learning.algorithms import DecayingNoise
 from deepbots_cli.learning.checkpoints import Resumable
@@ -190,7 +190,7 @@ def test_masks_are_not_asked_for_where_nothing_is_forbidden(tmp_path: Path) -> N
 
 def test_what_is_not_installed_is_told_with_how_to_install_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(algorithms.ALGORITHMS["TQC"], "import_path", "not_there:TQC")
-    with pytest.raises(MissingExtraError, match=re.escape(f"training with TQC needs the 'contrib' extra; {installing('contrib')}")):
+    with pytest.raises(MissingExtraError, match=re.escape(f"training with TQC needs the 'contrib' extra; {install_hint('contrib')}")):
         learned(stand_in.build, tmp_path, Training("TQC", 300), continuous=True)
     assert not (tmp_path / "run").exists()
 

@@ -95,8 +95,8 @@ def test_one_that_fails_is_named_and_the_training_can_go_on(tmp_path: Path, name
     with pytest.raises(PluginError, match=f"^{sentence}(?m:$)") as caught:
         short(tmp_path / "run", **names)
     if "odd" not in sentence:
-        assert "the last checkpoint" in caught.value.full
-        assert f"deepbots train --resume {tmp_path / 'run'}" in caught.value.full
+        assert "the last checkpoint" in caught.value.full_message
+        assert f"deepbots train --resume {tmp_path / 'run'}" in caught.value.full_message
     assert Record.read(tmp_path / "run").status == "failed"
 
 

@@ -20,7 +20,7 @@ from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME
 from deepbots_cli.compiler.inventory import scenario_names
 from deepbots_cli.diagnostics.render import summary
 from deepbots_cli.errors import UsageError, install_source
-from deepbots_cli.files import atomic
+from deepbots_cli.files import atomic_write
 from deepbots_cli.program import identity
 from deepbots_cli.scenario.json_schema import schema_text
 
@@ -190,5 +190,5 @@ def _write(text: str, output: Path | None) -> None:
     if output is None:
         print(text, end="")
     else:
-        with atomic(output) as draft:
+        with atomic_write(output) as draft:
             draft.write_text(text, encoding="utf-8")

@@ -16,10 +16,10 @@ from deepbots_cli.cli.tables import row_as_lines, table
 from deepbots_cli.diagnostics import Source, Span
 from deepbots_cli.document import MappingNode
 from deepbots_cli.document.load import with_settings_at
-from deepbots_cli.engine_kinds import chosen
+from deepbots_cli.engine_kinds import chosen_engine
 from deepbots_cli.errors import EngineError, EvaluationError, MissingExtraError, UsageError
-from deepbots_cli.files import atomic
-from deepbots_cli.footprint import bounds, resting_height
+from deepbots_cli.files import atomic_write
+from deepbots_cli.footprint import resting_height, robot_bounds
 from deepbots_cli.frames import add
 from deepbots_cli.program import Program
 from deepbots_cli.program.world import RobotBody, WorldModel
@@ -78,7 +78,7 @@ def command(
     if picture is not None:
         _check(picture)
     if is_robot(scenario):
-        _inspect_robot(scenario, picture, chosen(engine), as_json)
+        _inspect_robot(scenario, picture, chosen_engine(engine), as_json)
         return
     side = open_source(scenario, sets or (), allow_paths or (), allow_code=allow_code, engine=engine)
     terminal.note_warnings(side.findings, scenario)
@@ -143,7 +143,7 @@ def _rendered(model: RobotModel, engine: str) -> Image:
 
     pose = Pose((0.0, 0.0, resting_height(model)))
     world = WorldModel(0.01, 1, robots=(RobotBody("robot", model, fixed_base=True, pose=pose),))
-    low, high = bounds(model)
+    low, high = robot_bounds(model)
     view = view_around([(add(low, pose.xyz), add(high, pose.xyz))])
     with closing(engines.create(engine, world)) as opened_engine:
         return opened_engine.render(view)
@@ -161,7 +161,7 @@ def _draw(image: Image, picture: Path) -> None:
     """Write an image (uint8, height x width x 3) as PNG."""
     import PIL.Image  # of the extra that draws
 
-    with atomic(picture) as draft:
+    with atomic_write(picture) as draft:
         PIL.Image.fromarray(image).save(draft, format="PNG")
 
 

@@ -27,7 +27,7 @@ from deepbots_cli.document import ScalarNode, files, shipped, walk
 from deepbots_cli.document.files import UnusableFile, project_root, resolve_reference
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
-from deepbots_cli.files import unwritable
+from deepbots_cli.files import unwritable_message
 from deepbots_cli.robots import reader
 from deepbots_cli.scenario.json_schema import schema_text
 
@@ -292,7 +292,7 @@ def write_new(files: Files, folder: Path) -> list[Path]:
         except OSError as error:
             for other in begun:
                 other.unlink(missing_ok=True)
-            raise UsageError(unwritable(path, error)) from error
+            raise UsageError(unwritable_message(path, error)) from error
     return list(wanted)
 
 

@@ -9,7 +9,7 @@ import typer
 
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import whole_number
-from deepbots_cli.files import atomic
+from deepbots_cli.files import atomic_write
 
 
 def command(
@@ -43,6 +43,6 @@ def command(
     with terminal.transient_line("reading the logs ..."):
         logs = plots.read(runs, window)
     figure = plots.plot(logs, theme="dark" if dark else "light")
-    with atomic(out) as draft:
+    with atomic_write(out) as draft:
         figure.savefig(draft, format=out.suffix[1:].lower(), dpi=130)
     terminal.print_result(f"{out} ({len(logs)} run{'s' * (len(logs) > 1)})")

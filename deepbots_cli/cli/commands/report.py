@@ -41,7 +41,7 @@ def command(
 
     Next: open the file in a browser.
     """
-    from deepbots_cli.files import atomic, check_folder, check_writable
+    from deepbots_cli.files import atomic_write, check_folder, check_writable
 
     target = out or Path(f"{run.resolve().name}.html")
     if target.suffix.lower() not in (".html", ".htm"):
@@ -62,7 +62,7 @@ def command(
     with terminal.progress("episodes") as show:
         report.run_again(report.chosen(episodes), show or (lambda done, of: None), clips=clips, allow_code=allow_code)
     with terminal.transient_line("drawing ..."):
-        with atomic(target) as draft:
+        with atomic_write(target) as draft:
             draft.write_text(report.html(), encoding="utf-8")
         written = report.write_figures(figures) if figures is not None else []
     for note in report.notes:

@@ -28,7 +28,7 @@ from deepbots_cli.document import ScalarNode, files
 from deepbots_cli.document.layout import canonical_text
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import ScenarioError, UsageError
-from deepbots_cli.files import atomic
+from deepbots_cli.files import atomic_write
 from deepbots_cli.lint.fixes import Fixer, Rewrite
 from deepbots_cli.lint.settings import scenarios_in, settings
 from deepbots_cli.scenario.scenario import VERSION
@@ -250,7 +250,7 @@ def write(rewrite: Rewrite) -> None:
         UsageError: It has changed since it was read, or the system refuses it; nothing is written.
     """
     path = rewrite.path
-    with atomic(path) as draft:
+    with atomic_write(path) as draft:
         if path.read_bytes() != rewrite.before:
             raise UsageError(f"{files.display_path(path)} was changed by someone else meanwhile, and is left alone")
         with path.open("r+b"):  # a file that its owner made read-only stays as it is, though its folder would let it be replaced

@@ -13,7 +13,7 @@ import typer
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Seed, Sets, Stage, known_engine, whole_number
 from deepbots_cli.errors import UsageError
-from deepbots_cli.files import atomic
+from deepbots_cli.files import atomic_write
 
 if TYPE_CHECKING:
     from deepbots_cli.view.episodes import Source
@@ -248,7 +248,7 @@ def picture(
     with player(source, driver) as world:
         trace = list(world.episode(seed, episode, None if path and not steps else steps))
         image = pictures.picture(world, shot, labels=labels, rays=rays, path=trace if path else ())
-    with atomic(out) as draft:
+    with atomic_write(out) as draft:
         image.save(draft, "PNG")
     terminal.print_result(str(out))
 
