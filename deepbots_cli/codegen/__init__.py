@@ -142,7 +142,7 @@ def batch_obstacles(scenario: Program) -> list[str]:
 
 
 def _names(scenario: Program) -> Iterator[str]:
-    """What the scenario defines and the code is made with."""
+    """The names that the scenario defines."""
     robots = scenario.robots
     parts: list[tuple[Any, ...]] = [
         part for robot in robots for part in (robot.sensors, robot.actuators, robot.received, robot.emitted, robot.commands)

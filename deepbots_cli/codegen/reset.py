@@ -256,7 +256,7 @@ def _print_first_draws(workspace: Workspace, printer: Printer) -> None:
 
 
 def print_redraws(workspace: Workspace, printer: Printer) -> None:
-    """What a step draws or computes anew before it sends anything; it is not yet counted itself."""
+    """Print the values that a step draws or computes anew before it sends messages; the step is not counted yet."""
     changing: set[str] = set()
     for entry in workspace.scenario.parameters:
         if entry.redraw is not None or _reads(entry.scalars, changing):

@@ -104,7 +104,7 @@ def _terms(workspace: Workspace) -> list[str]:
 
 
 def choice_tables(workspace: Workspace) -> list[str]:
-    """What each choice sets, as one dictionary per discrete part of the action; and itself as one-hot where that is read."""
+    """The values that each option sets, as one dictionary per choice; and the one-hot vector of the choice where it is read."""
     lines = []
     hot = ("1.0", "0.0") if workspace.ranges else ("True", "False")
     for part in workspace.choices:
@@ -122,7 +122,7 @@ def _table(rows: list[str]) -> str:
 
 
 def _print_acting(workspace: Workspace, printer: Printer) -> None:
-    """What happens once per step: the action, and the messages that carry it."""
+    """Print the statements that run once per step: the action, and the messages that carry it."""
     _print_decoding(workspace, printer)
     if printer.on_floats:
         print_redraws(workspace, printer)
@@ -363,7 +363,7 @@ def _print_endings(workspace: Workspace, printer: Printer) -> None:
 
 
 def _print_endings_of_batch(workspace: Workspace, printer: Printer, failures: list[Ending], successes: list[Ending]) -> None:
-    """The same, for each world by itself."""
+    """Print the endings of a batch, for each world by itself."""
     names = [workspace.local(ending.name) for ending in [*failures, *successes]]
     if names:
         held = ", ".join(f"{quoted(ending.name)}: {local}" for ending, local in zip([*failures, *successes], names, strict=True))
@@ -505,7 +505,7 @@ def _observed(workspace: Workspace, printer: Printer, entry: Observation) -> str
 
 
 def _print_masks(workspace: Workspace, printer: Printer) -> None:
-    """What the agent may choose next; where it has to choose, it must be something."""
+    """Print the options that the agent may choose next; at least one option of each choice must be allowed."""
     if not workspace.forbids_options:
         return
     repeat = workspace.scenario.action_repeat

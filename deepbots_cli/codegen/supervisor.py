@@ -250,7 +250,7 @@ def _print_pick(workspace: Workspace, printer: Printer, part: Choices, pick: Scr
 
 
 def _share(printer: Printer, part: ActionRange, value: Scalar) -> str:
-    """Where in [-1, 1] the agent's number stands for the value; a constant is clamped here."""
+    """The code of the number in [-1, 1] that stands for the value; a constant is clamped here."""
     half, middle = (part.high - part.low) / 2, (part.high + part.low) / 2
     share = fold_operation("div", fold_operation("sub", value, Const(middle)), Const(half))
     if isinstance(share, Const):

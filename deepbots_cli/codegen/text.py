@@ -285,12 +285,12 @@ def _split(code: str, sign: str) -> list[str]:
 
 
 def _places(code: str, sign: str) -> Iterator[int]:
-    """Where `sign` stands outside of brackets and quotes."""
+    """The offsets of `sign` outside of brackets and quotes."""
     return (index for index, depth in _depths(code) if depth == 0 and code.startswith(sign, index))
 
 
 def _groups(code: str) -> Iterator[tuple[int, int]]:
-    """Where brackets that stand in no others open and close."""
+    """The offsets at which outermost brackets open and close."""
     start = 0
     for index, depth in _depths(code):
         if depth == 0 and code[index] in "([{":

@@ -281,12 +281,12 @@ class Workspace:
 
     @property
     def action_names_read(self) -> list[tuple[str, Sequence[str]]]:
-        """What the expressions of a timestep read of the action, with its components: variables, and what the agent itself gave."""
+        """The action values that expressions of a timestep read, with their components: variables, and the action as the agent gave it."""
         return [*(v for v in self.variables if self.uses(v[0])), *self.agent_action_read]
 
     @property
     def agent_action_read(self) -> list[tuple[str, Sequence[str]]]:
-        """What the agent itself gave, where an expression of every timestep reads it."""
+        """The action as the agent gave it, if an expression of every timestep reads it."""
         return [("previous_action", self._components["previous_action"])] if self.uses("previous_action") else []
 
     def uses(self, name: str) -> bool:
@@ -325,7 +325,7 @@ class Workspace:
         return [f"self.last_{local} = {local}" for local in map(self.local, self.stored_names())]
 
     def _results(self) -> list[str]:
-        """What a timestep comes to: signals, and the fields that robots sent."""
+        """The results of a timestep: signals, and the fields that robots sent."""
         sent = (f"{robot.name}.{entry.name}" for robot in self.scenario.robots for entry in robot.emitted)
         return [*(entry.name for entry in self.scenario.signals), *sent]
 
@@ -336,7 +336,7 @@ class Workspace:
         return {node.name for node in nodes if isinstance(node, Name)} | {self._ages[subject] for subject in asked if subject in self._ages}
 
     def of_one_world(self) -> Workspace:
-        """The same for code that runs in one world."""
+        """The workspace of code that runs in one world."""
         other = copy(self)
         other.target = SCALAR
         return other

@@ -213,7 +213,7 @@ class Actuators:
         return _tighter(own, found)
 
     def _max_velocity(self, spec: specs.Actuator, joints: tuple[Joint, ...]) -> Limits:
-        """The same for velocities, which are not drawn."""
+        """The largest velocity of each joint, which is not drawn: the tighter limit of scenario and robot file."""
         own = tuple(joint.limit.velocity for joint in joints)
         if getattr(spec, "max_velocity", None) is None:
             # A spring pulls as it is said to, and its torque is what bounds it.

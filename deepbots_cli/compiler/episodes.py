@@ -75,7 +75,7 @@ class Parameters:
 
 
 def route(direction: Direction, namespace: Namespace) -> Route:
-    """What `messages.to_robot` or `messages.from_robot` says."""
+    """The route that `messages.to_robot` or `messages.from_robot` describes."""
     spec: RouteSpec = getattr(namespace.scenario.messages, direction)
     values = namespace.values
     if namespace.scenario.messages.format == "none" and spec.model_fields_set:
@@ -420,7 +420,7 @@ class Signals:
         return tuple(self.valued[name] for name in self._namespace.order if name in self.valued and self._namespace.origin(name) in wanted)
 
     def endings(self) -> tuple[Ending, ...]:
-        """In file order."""
+        """The endings in file order."""
         for name in self._outcomes:
             self._namespace.resolve(name)
         return tuple(Ending(self.valued[name], outcome) for name, outcome in self._outcomes.items() if name in self.valued)
@@ -441,7 +441,7 @@ def reward_terms(namespace: Namespace) -> tuple[Expression, ...]:
 
 
 def _amount(text: SourceText, namespace: Namespace) -> Typed | None:
-    """What a term pays."""
+    """The value of a reward term."""
     report = namespace.values.report(text)
     typed = namespace.values.expression(text, SupervisorScope(namespace, Context.REWARD))
     if typed is not None and typed.type.boolean:

@@ -244,7 +244,7 @@ class _Maker:
         return checked.program if checked.program is not None and self._is_bearable(checked.program, word, name, here) else None
 
     def _tests(self, word: VariantKind, name: str) -> Iterator[NodePath]:
-        """What the variant leaves out of `tests`: all other tests, and the keys that name the variant, which has no variants itself."""
+        """The paths that a variant leaves out of `tests`: all other tests, and the keys that name the variant."""
         tests = self._root.get("tests")
         for test, entry in tests.entries.items() if isinstance(tests, MappingNode) else ():
             named = entry.value.get(word) if isinstance(entry.value, MappingNode) else None

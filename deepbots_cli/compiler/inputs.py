@@ -85,7 +85,7 @@ class Inputs:
         return {("robots", name, "urdf"): robot.path for name, robot in self.robots.items()} | dict(self.files)
 
     def _set(self) -> dict[NodePath, Path]:
-        """The same for files that only the settings of a case or a stage name: found again by their place in the text."""
+        """The files that only the settings of a case or a stage name, by their place in the text."""
         assert self.document.root is not None
         files: dict[Span, Path] = {}
         for variant in self.variants:

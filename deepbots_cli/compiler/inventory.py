@@ -49,7 +49,7 @@ class NameEntry(NamedTuple):
 
 
 def names_at(checked: CheckedScenario, kind: str, path: NodePath = ()) -> list[NameEntry]:
-    """What a `Reference` or a `Pattern` of this kind may name at `path`, a place of the scenario; nothing where that is not known.
+    """The names that a `Reference` or a `Pattern` of this kind may take at `path` of the scenario; none if they are unknown.
 
     Inside of a robot its parts go by their short names, elsewhere by full ones, as `cart.pole_hinge`.
     """
@@ -103,7 +103,7 @@ _OF_TESTS = ("policy", "case", "stage", "ending")
 
 
 def _of_tests(namespace: Namespace, kind: str) -> list[NameEntry]:
-    """What a test may name."""
+    """The names that a test may use."""
     spec = namespace.scenario
     limits = spec.truncation.model_fields_set if spec.truncation else ()
     found: dict[str, list[tuple[NodePath, str, str]]] = {
@@ -193,7 +193,7 @@ def _bodies(namespace: Namespace) -> list[NameEntry]:
 
 
 def _parts(namespace: Namespace, robot: str | None, sections: tuple[str, ...]) -> Iterator[NameEntry]:
-    """What robots are made of, by short names of one `robot`, or by full names of all."""
+    """The parts of robots, by short names of one `robot`, or by full names of all."""
     scenes = [namespace.robots.get(robot)] if robot else namespace.robots.values()
     for scene in scenes:
         for part in _parts_of(namespace, scene, sections) if scene is not None else ():
@@ -247,7 +247,7 @@ _SUPERVISED = {
 
 
 def scenario_names(checked: CheckedScenario) -> ScenarioNames:
-    """What is known of the names of a scenario; nothing where its text could not be read."""
+    """The names of a scenario; none if its text could not be read."""
     namespace, spec = checked.namespace, checked.spec
     if namespace is None or spec is None:
         return ScenarioNames()
@@ -266,7 +266,7 @@ def _offer(said: Mapping[str, str], *, only: bool = False) -> OfferedNames:
 
 
 def _expressions(namespace: Namespace) -> Names:
-    """Where an expression of the supervisor is due, the names that may stand in it."""
+    """The names that an expression of the supervisor may use, by kind of expression."""
     scopes = {word: SupervisorScope(namespace, context).names() for word, context in _SUPERVISED.items()}
     parameters = dict.fromkeys(("require", "parameter"), namespace.names_of(Origin.PARAMETER))
     return {f"{word} expression": _offer(_said(namespace, found)) for word, found in (scopes | parameters).items()}

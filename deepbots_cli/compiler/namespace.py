@@ -52,7 +52,7 @@ Default = TypeVar("Default")
 
 
 class FieldContext(TypedDict, total=False):
-    """What the annotation of a field leaves open, given by the caller: a joint turns or slides, a sensor has components.
+    """The properties of a field that its annotation leaves open and the caller gives: a joint turns or slides, a sensor has components.
 
     With `per_component`, a value is drawn anew for each of these components.
     """
@@ -65,7 +65,7 @@ class FieldContext(TypedDict, total=False):
 
 
 class Origin(Enum):
-    """What kind of definition a name has; the value is how a finding calls it."""
+    """The kind of definition of a name; the value is the noun in findings."""
 
     PARAMETER = "a parameter"
     ACTION = "an action variable"
@@ -164,17 +164,17 @@ class Namespace:
         return None if fixed is None else tuple(map(float, fixed * count if len(fixed) == 1 else fixed))
 
     def fixed(self, section: Section, *steps: str | int, **context: Unpack[FieldContext]) -> float | None:
-        """The same for a single value."""
+        """The SI value of a fixed field that is a single number; None as in `numbers`."""
         found = self.numbers(section, *steps, **context)
         return found[0] if found else None
 
     def pair(self, section: Section, *steps: str | int) -> tuple[float, float] | None:
-        """The same in the plane."""
+        """The two SI values of a fixed field in the plane; None as in `numbers`."""
         found = self.numbers(section, *steps)
         return (found[0], found[1]) if found else None
 
     def triple(self, section: Section, *steps: str | int, **context: Unpack[FieldContext]) -> tuple[float, float, float] | None:
-        """The same in space."""
+        """The three SI values of a fixed field in space; None as in `numbers`."""
         found = self.numbers(section, *steps, **context)
         return (found[0], found[1], found[2]) if found else None
 
@@ -192,7 +192,7 @@ class Namespace:
     def vector_or_randomized(
         self, section: Section, key: str, what: Randomizable, of: Owner, **context: Unpack[FieldContext]
     ) -> tuple[float, ...] | None:
-        """The same for a vector."""
+        """The SI values of a vector that an episode may draw; None where none is given, and after a finding."""
         text = self._text_of(section, (key,))
         if text is None:
             return None
@@ -443,7 +443,7 @@ _BUILT_IN = ("time", "step", "previous_action", "goal_reached", *_PAST_REWARDS, 
 
 @dataclass(frozen=True)
 class _Scope:
-    """What all scopes share: the parts of the world."""
+    """Base of all scopes: the parts of the world."""
 
     namespace: Namespace
     context: Context
@@ -515,7 +515,7 @@ class SupervisorScope(_Scope):
 
 @dataclass(frozen=True)
 class RobotScope(_Scope):
-    """What one robot knows on board. `own` holds its sensors, received fields and poses by name."""
+    """The names that one robot knows on board. `own` holds its sensors, received fields and poses by name."""
 
     robot: str
     own: dict[str, Symbol]

@@ -162,7 +162,7 @@ class PlacementChecker:
         return any(thing.name in (place.body, *(group.copies if group else ())) and thing.fixed for thing in self._world.objects)
 
     def _footprints(self, place: Placement) -> list[Footprint]:
-        """Of each form that a body may take; none that is known for a mesh."""
+        """The footprint of each form that a body may take; a mesh has none."""
         group = self._namespace.groups.get(place.body)
         first = group.copies[0] if group else place.body
         for robot in self._world.robots:
@@ -176,7 +176,7 @@ class PlacementChecker:
 
 
 def _standing_patch(thing: ObjectBody, place: Placement | None) -> Patch | None:
-    """What an object covers that rises above level ground; None where it does not, or where it stands is not fixed."""
+    """The patch of an object that rises above level ground; None if it does not, or if its place is not fixed."""
     low, high = footprint.bounds_of_shape(thing.shape)
     if place is None:  # a piece of a wall
         (x, y, z), rpy = thing.pose.xyz, thing.pose.rpy
@@ -188,7 +188,7 @@ def _standing_patch(thing: ObjectBody, place: Placement | None) -> Patch | None:
 
 
 def _patch(place: Placement, covered: Footprint) -> Patch | None:
-    """What a body covers that stands upright at fixed coordinates; None where they are drawn."""
+    """The patch of a body that stands upright at fixed coordinates; None if they are drawn."""
     x, y, yaw = (_coordinate(place, key) for key in ("x", "y", "yaw"))
     yaw = 0.0 if covered.half is None else yaw
     return None if place.spot is not None or x is None or y is None or yaw is None else covered.at(x, y, yaw + place.heading)
@@ -208,7 +208,7 @@ def _is_tilted(place: Placement) -> bool:
 
 
 def _turn_between(place: Placement, support: Placement) -> float | None:
-    """By how much a body is turned against what it stands on, rad; None where that is drawn."""
+    """The angle (rad) between a body and its support about the vertical; None if it is drawn."""
     yaw, below = _coordinate(place, "yaw"), _coordinate(support, "yaw")
     return None if yaw is None or below is None else yaw + place.heading - below - support.heading
 
@@ -299,7 +299,7 @@ class Places:
         return self.resting_placement(place)
 
     def coordinates(self, pose: Pose) -> dict[str, Expression]:
-        """What the pose says of x, y, z, roll, pitch and yaw, each by itself or as a component of `xyz` or `rpy`."""
+        """The coordinates x, y, z, roll, pitch and yaw of a pose, given singly or as components of `xyz` or `rpy`."""
         found: dict[str, Expression | None] = {}
         for whole, parts in (("xyz", SPACE), ("rpy", _TURNS)):
             for part in parts:

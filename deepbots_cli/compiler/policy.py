@@ -51,7 +51,7 @@ _TOGETHER: tuple[tuple[NodePath, str], ...] = (
 
 
 def copies(namespace: Namespace) -> RobotCopies | None:
-    """What `agent.each` and the `count` of its robot say; None for a single robot, and after a finding."""
+    """The copies that `agent.each` and the `count` of its robot ask for; None for a single robot, and after a finding."""
     spec = namespace.scenario
     name, values = spec.agent.each, namespace.values
     for robot, given in spec.robots.items():
@@ -151,7 +151,7 @@ class Actions:
         return found
 
     def _own_action(self, context: Context) -> Symbol:
-        """What the agent itself gave last: numbers in [-1, 1], and each choice as one-hot."""
+        """The last action as the agent gave it: numbers in [-1, 1], and each choice as one-hot."""
         name = "previous_action"
         if context is Context.RECEIVE:
             variable = next(iter(self._namespace.names_of(Origin.ACTION)), None)
@@ -181,7 +181,7 @@ class Actions:
         self._parts[name] = Choices(name, variables, tuple(Option(option, row) for option, row in rows.items()))
 
     def _numbers(self, part: DiscreteAction, option: str, variables: tuple[str, ...], *, named: bool) -> tuple[float, ...]:
-        """What one option makes of each of the variables; 0 after a finding."""
+        """The value of each variable under one option; 0 after a finding."""
         given, place = part.choices[option], (*part.path, "choices", option)
         number = partial(self._namespace.fixed, part, "choices", option, dimension=NUMBER)
         if not isinstance(given, dict):
@@ -387,7 +387,7 @@ class Goals:
             self._values.findings.add("DB709", span, "a reward over several timesteps, which hindsight cannot recompute", help=help)
 
     def _part(self, spec: GoalSpec, name: str) -> Symbol:
-        """What is achieved or desired; what is desired has the dimension and the components of what is achieved."""
+        """The achieved or the desired goal; both have the same dimension and components."""
         text = self._values.field(spec, name)
         typed = self._values.expression(text, SupervisorScope(self._namespace, Context.GOAL), boolean=False)
         wanted = None

@@ -47,12 +47,12 @@ if TYPE_CHECKING:
 
 
 def joint_dimension(joint: Joint) -> Dimension:
-    """Of a joint's position: a length where it slides, else an angle."""
+    """The dimension of a joint's position: a length for a sliding joint, else an angle."""
     return LENGTH if joint.type == "prismatic" else ANGLE
 
 
 def effort_dimension(joint: Joint) -> Dimension:
-    """Of what drives it: a force where it slides, else a torque."""
+    """The dimension of a joint's effort: a force for a sliding joint, else a torque."""
     return FORCE if joint.type == "prismatic" else TORQUE
 
 

@@ -102,12 +102,12 @@ class SourceText(NamedTuple):
 
     @property
     def unit(self) -> str | None:
-        """What a number without a unit is probably in."""
+        """The probable unit of a number without a unit."""
         return self.kind.usual_unit if isinstance(self.kind, Quantity) else None
 
 
 class RangeEnds(NamedTuple):
-    """What a range goes from and to, per component, in SI units."""
+    """The ends of a range per component, in SI units."""
 
     dimension: Dimension
     low: tuple[float, ...]
@@ -140,11 +140,11 @@ class ValueReader:
         self._invalid = set(invalid)
 
     def span(self, path: NodePath) -> Span:
-        """Where the value at `path` stands, or the nearest thing around it."""
+        """The span of the value at `path`, or of the nearest node around it."""
         return descend(self.root, path)[0].span
 
     def key_span(self, path: NodePath) -> Span:
-        """Where the key at the end of `path` stands; the value where there is none, and of the whole file its first line."""
+        """The span of the last key of `path`; of the value if there is no key, and of the first line for the whole file."""
         node, key, _ = descend(self.root, path)
         if key is None and node is self.root:
             end = node.span.source.text.find("\n", node.span.start, node.span.end)
@@ -200,7 +200,7 @@ class ValueReader:
             self.findings.add(code, span, f"there is no {what} `{name}`", help=help, fix=fix)
 
     def report(self, text: SourceText) -> FindingReporter:
-        """Takes findings at offsets of `text`."""
+        """A function that takes findings at offsets of `text`."""
 
         def report(code: str, start: int, end: int, headline: str, help: str | None = None, replacement: Replacement | None = None) -> None:
             span, piece = text.part(start, end), text.text[start:end]
@@ -216,7 +216,7 @@ class ValueReader:
 
     @staticmethod
     def _word_replacement(text: SourceText, piece: str) -> str | None:
-        """Of a field that takes words beside numbers, the one that an unknown name stands for."""
+        """The probable word for an unknown name, if the field takes words beside numbers."""
         words = text.kind.words if isinstance(text.kind, Quantity) and piece == text.text.strip() else ()
         return word_for_foreign_name(piece, words) or nearest_word(piece, words) if words else None
 
@@ -233,7 +233,7 @@ class ValueReader:
         return expect_kind(typed, self.report(text), boolean=boolean)
 
     def condition(self, text: SourceText, scope: Scope) -> Typed | None:
-        """The same for a single truth value."""
+        """The typed tree of a single truth value."""
         typed = self.expression(text, scope, boolean=True)
         return typed and expect_value(typed, self.report(text), "a condition", boolean=True)
 

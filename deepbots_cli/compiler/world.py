@@ -370,7 +370,7 @@ def shape(thing: world_spec.Material | world_spec.Placed, namespace: Namespace) 
 
 
 def _mass(thing: world_spec.Material, made: Shape, of: OfLink, namespace: Namespace) -> float:
-    """In kg."""
+    """The mass in kg."""
     still = bool(thing.fixed) or thing.solid is False
     if thing.mass is None:
         return _usual_mass(made, thing, namespace, still=still)
@@ -380,7 +380,7 @@ def _mass(thing: world_spec.Material, made: Shape, of: OfLink, namespace: Namesp
 
 
 def _usual_mass(made: Shape, thing: world_spec.Material, namespace: Namespace, *, still: bool) -> float:
-    """That of as much water, in kg; a mesh that can move has to say its own."""
+    """The mass (kg) of the same volume of water; a mesh that can move needs a mass of its own."""
     if isinstance(made, Mesh) and not still:
         help = "give its `mass`, or write `fixed: true`"
         namespace.values.findings.add("DB102", namespace.values.key_span(thing.path), "a mesh that can move has no `mass`", help=help)
@@ -422,7 +422,7 @@ def world(namespace: Namespace, robots: list[ResolvedRobot], painted: tuple[Line
 
 
 def _parameters(spec: world_spec.World, namespace: Namespace) -> dict[str, Any]:
-    """What an engine sets of the world, by the fields of `WorldModel`; those that are not given, or had a finding, are left out."""
+    """The fields of `WorldModel` that the section gives, without fields that had a finding."""
     whats: tuple[WorldParameter, ...] = get_args(WorldParameter)
     found = {what: namespace.vector_or_randomized(spec, what, what, OfWorld()) for what in whats}
     return {what: numbers if len(numbers) > 1 else numbers[0] for what, numbers in found.items() if numbers}

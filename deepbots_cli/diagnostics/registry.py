@@ -32,7 +32,7 @@ class Rule:
     deep: Literal["no", "too", "only"] = "no"
     deep_preview: bool = False
     check: Callable[[Any], Iterator[Any]] | None = None
-    """Of a plug-in: from a `compiler.CheckedScenario` without errors to findings; its docstring is the page of the rule."""
+    """For a plug-in: yields findings about a `compiler.CheckedScenario` without errors; its docstring is the page of the rule."""
 
     @property
     def family(self) -> str:

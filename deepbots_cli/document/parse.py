@@ -247,7 +247,7 @@ class _Builder:
         self.end = end if end > start else self.end
 
     def start(self, event: Event) -> int:
-        """Where a value begins, behind its anchor."""
+        """The offset at which a value begins, behind its anchor."""
         _, start, end = self.span(event)
         if event.anchor is not None and (anchor := _ANCHOR.match(self.text, start)):
             return min(anchor.end(), end) if isinstance(event, ScalarEvent) else anchor.end()

@@ -80,7 +80,7 @@ PRESSURE = FORCE / LENGTH**2
 
 
 class PhysicalQuantity(NamedTuple):
-    """What messages say about a dimension.
+    """The words of messages about a dimension.
 
     `unit` replaces a combination of base units. Values beyond `plausible_limit` (SI) get a warning: their unit or exponent is
     probably wrong. `bare_is_si` lets a field take a number without a unit.

@@ -34,7 +34,7 @@ ENTRY_POINT_GROUP = "deepbots.functions"
 
 
 class Family(Enum):
-    """What kind of knowledge a function needs, which decides where it may be called."""
+    """The knowledge that a function needs; it decides where the function may be called."""
 
     PURE = auto()
     WORLD = auto()

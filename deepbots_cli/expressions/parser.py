@@ -359,7 +359,7 @@ class _Parser:
             raise _SyntaxError(token.start, token.end, f"more than {MAX_NESTING} levels of nesting", _SMALLER, code="DB005")
 
     def _close(self, opening: Token) -> int:
-        """Where the parenthesis ends that closes `opening`."""
+        """The end of the parenthesis that closes `opening`."""
         self._nesting -= 1
         if not self._peek.text:
             raise _SyntaxError(opening.start, opening.end, _NEVER_CLOSED)
@@ -386,7 +386,7 @@ def _borrow_unit(left: Node, right: Node) -> Node:
 
 
 class _Hint(NamedTuple):
-    """What to write instead, in words and, where it has one meaning wherever it stands, as text."""
+    """The correction in words and, if it has only one meaning, as text."""
 
     help: str
     text: str | None = None

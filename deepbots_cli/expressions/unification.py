@@ -143,7 +143,7 @@ def _plain_name(*values: Typed) -> str | None:
 
 
 def _remedy(value: Typed, needed: Dimension) -> str:
-    """What to write instead of a value of another dimension."""
+    """The help for a value of another dimension."""
     given = value.type.dimension
     if needed == NUMBER:
         unit = str(given)

@@ -138,7 +138,7 @@ class Analysis:
 
     @property
     def placements(self) -> list[Placement]:
-        """Those of the reset and of all its layouts."""
+        """The placements of the reset and of all its layouts."""
         reset = self.program.reset
         return [*reset.placements, *(place for layout in reset.layouts for place in layout.placements)]
 
@@ -180,7 +180,7 @@ class Analysis:
         return None if self.is_noisy(node.name) else self.definition_without_noise(node)
 
     def definition_without_noise(self, node: Name) -> Scalar | None:
-        """The same regardless of noise: the exact value behind a name."""
+        """The definition of a name regardless of noise: the exact value."""
         if node.name not in self._defined or self._defined[node.name][0].foreign is not None:
             return None
         if node.name not in self._components:
@@ -371,7 +371,7 @@ Terms = list[tuple[Expression, Scalar]]
 
 
 class RewardTerms:
-    """What each term pays, in a step after which the episode goes on and in the step that ends it.
+    """The value of each reward term, in a step after which the episode goes on and in the step that ends it.
 
     `terms` are those that are not written in Python; `is_complete` says whether these are all.
     """
@@ -475,7 +475,7 @@ def has_choice(analysis: Analysis, condition: Expression) -> bool:
 
 
 def thresholds(comparison: Comparison, ranges: Ranges) -> Iterator[Threshold]:
-    """What a comparison needs of each quantity that its sides are made of, for each component."""
+    """The thresholds that a comparison sets for each quantity of its sides, for each component."""
     analysis, node = ranges.analysis, comparison.node
     left, right = (analysis.lowered(arg, comparison.value.owner) for arg in node.args)
     count = max(len(left), len(right))

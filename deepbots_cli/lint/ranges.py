@@ -52,7 +52,7 @@ class Ranges:
         self._names: dict[Name, Interval] = {}
 
     def where(self, quantity: int, kept: Interval) -> Ranges:
-        """The same where the quantity of this identity stays within `kept`."""
+        """The ranges while the quantity of this identity stays within `kept`."""
         return type(self)(self.analysis, self.given, self.steps, (quantity, kept))
 
     def of(self, node: Scalar) -> Interval:

@@ -339,7 +339,7 @@ def _short_of_the_goal(reward: RewardTerms) -> Ranges:
 
 
 class UnchangedRanges(Ranges):
-    """The same, where values that are compared with the step before do not change."""
+    """Ranges in which values that are compared with the step before do not change."""
 
     def _state(self, node: State) -> Interval:
         match node.function:
@@ -398,7 +398,7 @@ def hovering_pays(context: RuleContext) -> Iterator[Finding]:
 
 
 def _staying_outside(ranges: Ranges, threshold: Threshold) -> Ranges:
-    """The same within a fifth of a threshold, on the side where the episode goes on."""
+    """The ranges within a fifth of a threshold, on the side where the episode goes on."""
     low, high = threshold.bound
     kept = Interval(low - 0.2 * abs(low), low) if threshold.above else Interval(high, high + 0.2 * abs(high))
     return UnchangedRanges(ranges.analysis, ranges.given, ranges.steps, (ranges.analysis.identity(threshold.quantity), kept))

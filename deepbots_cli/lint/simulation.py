@@ -235,7 +235,7 @@ class Statistics(NamedTuple):
 
 @dataclass
 class SimulationReport:
-    """What the process that simulates has written. Names in it are only ever looked up in the scenario.
+    """The lines that the simulating process has written. Names in it are only ever looked up in the scenario.
 
     `endings_at_reset` maps endings to the seeds with which they hold at the start; `constant_numbers` and `zero_terms` are the places
     of the numbers that never changed and of the terms that were always 0. `done` says whether the plan was completed, `fault` which
@@ -473,7 +473,7 @@ class Simulation(RuleContext):
         return self.values.key_span(path)
 
     def placement(self, name: str) -> Span | None:
-        """Where the scenario places a body; None where it does not."""
+        """The span at which the scenario places a body; None if it does not."""
         base = name.partition("#")[0]
         place = next((place for place in self.analysis.placements if place.body == base), None)
         if place is None:

@@ -102,7 +102,7 @@ class Program:
 
     @property
     def computed_expressions(self) -> Iterator[Expression]:
-        """What the supervisor computes in a step: conditions of choices, signals, observation, reward, endings, goal, scripts, messages."""
+        """The expressions of a step: conditions of choices, signals, observation, reward, endings, goal, scripts, messages."""
         for part in self.policy.action:
             if isinstance(part, Choices):
                 yield from (option.forbidden for option in part.options if option.forbidden is not None)
@@ -150,11 +150,11 @@ class Program:
         return self._named("case", name, self.cases)
 
     def stage(self, name: str) -> CurriculumStage:
-        """The same for a stage of the curriculum."""
+        """The stage of the curriculum with that name."""
         return self._named("stage", name, self.curriculum)
 
     def script(self, name: str) -> Script:
-        """The same for a script."""
+        """The script with that name."""
         return self._named("script", name, self.policy.scripts)
 
     def _named(self, what: str, name: str, known: Sequence[Entry]) -> Entry:

@@ -134,7 +134,7 @@ def differences(one: Program, other: Program, *, words: tuple[str, str] = ("run"
 
 
 def compare_interfaces(old: Mapping[str, str], new: Mapping[str, str], *, words: tuple[str, str] = ("run", "scenario")) -> list[str]:
-    """The same for two sets of agreed items."""
+    """One line for each item in which two interfaces differ, as in `differences`."""
     here, there = words
     names = [*old, *(name for name in new if name not in old)]
     lines = [

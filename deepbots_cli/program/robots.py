@@ -91,7 +91,7 @@ class CameraIntrinsics:
 
 @dataclass(frozen=True)
 class Sensor:
-    """What a robot can read. `subjects` are joints or links, as its kind says; `mount` is its frame in its link.
+    """A sensor of a robot. `subjects` are joints or links, as its kind says; `mount` is its frame in its link.
 
     `components` is empty for a single value. `against` lists what a touch sensor feels (full names, or
     `ground`), None for everything. `faults` None is a perfect sensor. `parameters` are those that the kind has of its own, in SI
@@ -166,7 +166,7 @@ class Motor:
 
     @property
     def components(self) -> tuple[str, ...]:
-        """What its command has one number for."""
+        """The joints, each of which has one number in the command."""
         return self.joints
 
 
@@ -288,7 +288,7 @@ class MessageLayout:
 
 @dataclass(frozen=True, eq=False)
 class Route:
-    """What happens to the messages of one robot in one direction.
+    """The transmission of the messages of one robot in one direction.
 
     Latency in s, from sending to arrival, None for 0; loss is a share of the messages, None for 0; `burst` the mean number of
     messages that are lost in a row, None where losses are independent; range in m, from the origin of the world to the
@@ -318,7 +318,7 @@ class Route:
 
     @property
     def settings(self) -> tuple[tuple[str, Expression], ...]:
-        """What the scenario gives, by name."""
+        """The settings that the scenario gives, by name."""
         found = (("latency", self.latency), ("loss", self.loss), ("range", self.range))
         return tuple((name, value) for name, value in found if value is not None)
 
@@ -337,7 +337,7 @@ def _is_zero(value: Expression | None) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Command:
-    """What drives one actuator: a target per component, or one for all.
+    """The command of one actuator: a target per component, or one for all.
 
     The target of a gripper is how far it is open, from 0 to 1; its joints move between the two positions of `opening`.
     """
@@ -402,14 +402,14 @@ class Robot:
 
     @cached_property
     def received(self) -> tuple[NamedScalars | Expression, ...]:
-        """What the supervisor sends, in order."""
+        """The values that the supervisor sends, in order."""
         names = ((entry, entry.components or (None,)) for entry in self.variables)
         variables = (NamedScalars(entry.name, entry.components, tuple(Name(entry.name, part) for part in parts)) for entry, parts in names)
         return (*variables, *self.receive)
 
     @cached_property
     def emitted(self) -> tuple[NamedScalars | Expression, ...]:
-        """What the robot sends, in order."""
+        """The values that the robot sends, in order."""
         ages = (NamedScalars(field, (), (World("age", (f"{self.name}.{sensor}",)),)) for sensor, field in self.ages)
         return (*self.emit, *ages)
 

@@ -191,7 +191,7 @@ def policy_inputs(numbers: Sequence[ObservedNumber], stack: int = 1) -> tuple[tu
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """What is achieved and what is desired, apart from the observation, with the bounds of both per component.
+    """The achieved and the desired goal, apart from the observation, with the bounds of both per component.
 
     The policy sees both mapped from [low, high] to [-1, 1] and clipped. In rewards, the names `achieved` and `desired`
     mean the clipped values, so that a reward can be recomputed from an observation. The goal is reached when the two are
@@ -283,7 +283,7 @@ class ScriptedChoice:
 
 @dataclass(frozen=True, eq=False)
 class ScriptedRange:
-    """What a script gives for a range of `size` numbers: one expression for all components, or one for each.
+    """The decision of a script for a range of `size` numbers: one expression for all components, or one for each.
 
     Values are in the unit of the range, to whose ends they are clamped.
     """
@@ -315,7 +315,7 @@ class Script:
 
 @dataclass(frozen=True)
 class FixedAction:
-    """The same action always: the index of an option of each choice, and a number in [-1, 1] for each component of the ranges.
+    """A constant action: the index of an option of each choice, and a number in [-1, 1] for each component of the ranges.
 
     `text` is what `deepbots run --actions` takes.
     """
@@ -435,7 +435,7 @@ class Training:
     device: Literal["auto", "cpu", "cuda"] = "cpu"
 
     def digest_fields(self) -> dict[str, object]:
-        """As it counts for the digest, which keys that were added later change only where they are given."""
+        """The fields that count for the digest. Keys that were added later count only if they are given."""
         later = {"normalize": None, "device": "cpu"}
         return {name: value for name, value in vars(self).items() if name not in later or value != later[name]}
 
@@ -481,7 +481,7 @@ class Policy:
 
 @dataclass(frozen=True)
 class Solved:
-    """What counts as solved, over `episodes` consecutive episodes."""
+    """The criterion for a solved task, over `episodes` consecutive episodes."""
 
     episodes: int
     mean_return: float | None = None

@@ -108,7 +108,7 @@ class Element:
         return found[0] if found else None
 
     def require_one(self, tag: str) -> Element | None:
-        """The same for a child that must be there."""
+        """The first child called `tag`; reports an error if there is none."""
         child = self.find_one(tag)
         if child is None:
             self.error(f"<{self.tag}> without <{tag}>", help=f"add <{tag} .../> inside it")

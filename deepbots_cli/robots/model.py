@@ -209,7 +209,7 @@ _TOLERANCE = 1e-3
 
 
 def volume(shape: Shape) -> float | None:
-    """In m^3; None for a mesh, which may not be closed."""
+    """The volume in m^3; None for a mesh, which may not be closed."""
     match shape:
         case Box((x, y, z)):
             return x * y * z

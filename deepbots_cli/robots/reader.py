@@ -128,7 +128,7 @@ def read(path: Path, display: str, findings: Findings, *, resolve_mesh: ResolveM
 
 
 def read_bytes(data: bytes, display: str, findings: Findings, *, resolve_mesh: ResolveMesh) -> RobotFile | None:
-    """The same for a file that is already in memory.
+    """Read a robot file that is already in memory.
 
     A robot without meshes and findings is read once: the scenarios of a folder share few robots.
     """

@@ -26,7 +26,7 @@ PerJoint = float | Sequence[float]
 
 
 class Response:
-    """What of its commands an actuator follows, from substep to substep.
+    """The response of an actuator to its commands, from substep to substep.
 
     A command takes effect in the first substep that begins `delay` after it was sent, or later. From there on what is
     followed approaches it: in a substep of h seconds by the share 1 - exp(-h / time_constant) of what is left, a lag of
@@ -60,14 +60,14 @@ class Response:
         self._still = True
 
     def start(self, value: Sequence[float]) -> None:
-        """What is followed now, before any command."""
+        """Set the value that is followed before any command."""
         self._value = value
 
     def send(self, command: Sequence[float]) -> None:
         self._sent.append((self._now + self._wait, command))
 
     def advance(self) -> Sequence[float] | None:
-        """What is followed in the substep that begins now; None where that is what it was in the last one, or nothing."""
+        """The value that is followed in this substep; None if it has not changed, or if there is none."""
         sent = self._sent
         while sent and sent[0][0] <= self._now:
             self._goal = sent.popleft()[1]
@@ -240,7 +240,7 @@ class Cartesian(Motor):
 
 
 def _nothing() -> None:
-    """What a control law without a memory does at a reset."""
+    """Do nothing, as a control law without a memory at a reset."""
 
 
 class ControlLaw(NamedTuple):

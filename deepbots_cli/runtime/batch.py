@@ -30,7 +30,7 @@ LOST = "not_finite"
 
 
 class BatchStep(NamedTuple):
-    """What a step came to, one row per world; observations are those that the agent acts on next.
+    """The result of a step, one row per world; observations are those that the agent acts on next.
 
     `terms` has a row per term of the reward and a column per world. `done` holds the numbers of the worlds whose episode ended,
     `final_observations` their last observations, `infos` their infos. Their next episodes have begun.
@@ -144,14 +144,14 @@ class BatchLossyChannel:
 
 
 class _Part:
-    """What supervisor and controllers share: they take over from objects of the single worlds by the names of their attributes."""
+    """Base of supervisor and controllers: they take over from objects of the single worlds by the names of their attributes."""
 
     def __init__(self, singles: Sequence[Any], batch: BatchSupervisor) -> None:
         self._singles, self._batch = singles, batch
         self._loaded: list[BatchMemory | BatchDevice] = []
 
     def each(self, attribute: str, index: int | None = None) -> PerWorldCall:
-        """What each of the single worlds has under this name."""
+        """A call of the attribute of this name of each single world."""
         found = [getattr(single, attribute) for single in self._singles]
         return PerWorldCall(found if index is None else [parts[index] for parts in found], lambda: self._batch.engine.chosen)
 
@@ -413,7 +413,7 @@ class BatchSupervisor(_Part, ABC):
         return {"is_success": success, "ended_by": held[0] if held else None, "endings": held, "reward_terms": terms}
 
     def rewards(self) -> Column:
-        """Those of the last step, a copy."""
+        """The rewards of the last step, a copy."""
         return np.array(np.broadcast_to(self.reward, self.count), float)
 
     def terms(self) -> Column:
@@ -424,7 +424,7 @@ class BatchSupervisor(_Part, ABC):
         return terms
 
     def observations(self) -> Any:
-        """What the policies see, float32, a row per world; a copy."""
+        """The observations, float32, a row per world; a copy."""
         frames = self.frames.reshape(-1, self.count)
         seen = np.ascontiguousarray(frames[self._views[self.newest]].T)
         if not self._size:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def pick(table: dict[int, Any], chosen: Any) -> Any:
-    """What each world's option sets: a column, or one per value of an option."""
+    """The values of each world's option: a column, or one per value of an option."""
     return np.array(list(table.values()))[chosen].T
 
 

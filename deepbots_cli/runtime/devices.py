@@ -195,7 +195,7 @@ class BatchDevice:
         return values if self._faults is None else self._faults(values, self._tick * self._timestep, sampled)
 
     def _single(self, world: int, sampled: Column | None) -> Column:
-        """What the instrument of one world says; it follows the world where no reading is taken."""
+        """The reading of the instrument of one world; without a reading, the instrument is only updated."""
         device = self._devices[world]
         if sampled is None or sampled[world]:
             return np.asarray(device.instrument.read())

@@ -107,7 +107,7 @@ class FieldCodec:
 
 
 def value_slots(layout: MessageLayout, start: int = 0) -> list[int | slice]:
-    """Where each field stands among the values, of which the first has the number `start`."""
+    """The index or slice of each field among the values; the first value has the index `start`."""
     found: list[int | slice] = []
     for field in layout.fields:
         size = max(1, len(field.components))
@@ -382,7 +382,7 @@ class LossyChannel:
         self.transmit(self.wire.encode(message) if self.wire else message)
 
     def transmit(self, message: Any) -> None:
-        """The same for a message that is encoded already."""
+        """Set an encoded message on its way, whether it will arrive or not."""
         if self._begins:
             self.latest = message
             self.message_received = True
@@ -405,7 +405,7 @@ class LossyChannel:
         return lost or (route.range is not None and self._where is not None and hypot(*self._where()[0]) > self.range)
 
     def receive(self) -> list[Any]:
-        """What the receiver takes in this timestep, in order."""
+        """The messages that the receiver takes in this timestep, in order."""
         taken = self._arrived()
         return [self.wire.decode(message) for message in taken] if self.wire else taken
 

@@ -198,7 +198,7 @@ def _ends(scalar: Scalar, parameters: Parameters) -> tuple[float, float]:
 
 
 def moved_view(view: View, by: Iterable[float]) -> View:
-    """The same view from elsewhere, `by` so many metres along x, y and z."""
+    """The view shifted by `by` (m) along x, y and z."""
     x, y, z = by
     return View(add(view.eye, (x, y, z)), add(view.target, (x, y, z)), view.width, view.height, view.fov, view.samples)
 

@@ -253,7 +253,7 @@ class Floor:
         self._taken.append((patch, clearance, top))
 
     def allowed_area(self, area: Area, covered: Footprint, yaw: float, clearance: float) -> Area:
-        """Where in the area the origin of a body may be, so that it keeps its clearance from the walls; may be empty."""
+        """The part of the area in which the origin of a body keeps its clearance from the walls; may be empty."""
         at_origin = covered.at(0.0, 0.0, yaw)
         (reach_x, reach_y), (half_x, half_y) = at_origin.half_extents, self._half
         room_x, room_y = half_x - clearance - reach_x, half_y - clearance - reach_y
@@ -300,7 +300,7 @@ class Surface(NamedTuple):
         return x - reach_x, y - reach_y, x + reach_x, y + reach_y
 
     def allowed_area(self, area: Area, covered: Footprint, yaw: float, margin: float) -> Area:
-        """Where in the area the origin of a body may be at most, so that it keeps `margin` from the edge; perhaps nowhere."""
+        """The part of the area in which the origin of a body may keep `margin` from the edge; may be empty."""
         at_origin, (low_x, low_y, high_x, high_y) = covered.at(0.0, 0.0, yaw), self.area
         reach_x, reach_y = (reach + margin for reach in at_origin.half_extents)
         x, y = at_origin.x, at_origin.y
@@ -363,7 +363,7 @@ class Forms:
         return body in self.things and (self.chosen.get(body) or self.things[body]).fixed
 
     def shape(self, body: str) -> Shape:
-        """Of an object."""
+        """The shape of an object."""
         return (self.chosen.get(body) or self.things[body]).shape
 
     def footprint(self, body: str, rpy: Triple = _LEVEL) -> Footprint:
@@ -393,7 +393,7 @@ class Forms:
 
 
 def copy_offset(copies: RobotCopies, number: int) -> Triple:
-    """Where a copy stands in the row, from its middle (m)."""
+    """The offset (m) of a copy from the middle of the row."""
     steps = number - (copies.count + 1) / 2
     x, y, z = (steps * step for step in copies.spacing)
     return x, y, z

@@ -275,7 +275,7 @@ class LookupTable:
 
 
 def _slopes(distance: Values, column: Values) -> list[float]:
-    """By how much a column changes per m after each row; not at all after the last."""
+    """The change of a column per m after each row; 0 after the last row."""
     pairs = zip(distance, distance[1:], column, column[1:], strict=False)
     return [*((d - c) / (b - a) for a, b, c, d in pairs), 0.0]
 

@@ -105,7 +105,7 @@ class SensorErrors:
 
     @property
     def parameters(self) -> dict[str, Values]:
-        """What is in force in this episode, one number per component; nothing for a fault that the sensor has not."""
+        """The values of the faults in this episode, one number per component; empty for a fault that the sensor does not have."""
         return {"noise": self._noise, "share": self._share, "gain": self._gain, "bias": self._bias, "drift": self._drift}
 
     def restart(self, generator: Any) -> None:
@@ -145,7 +145,7 @@ class SensorErrors:
 
 
 def _nothing(_generator: Any = None) -> None:
-    """What most instruments do at a reset, and between two readings."""
+    """Do nothing, as most instruments at a reset and between two readings."""
 
 
 class Lookup(Protocol):
@@ -153,7 +153,7 @@ class Lookup(Protocol):
 
     @property
     def rows(self) -> Sequence[tuple[float, float, float, float, float]]:
-        """Where each stretch starts: distance, value, noise, and by how much value and noise grow; the first lies before the table."""
+        """The start of each interval: distance, value, noise, and by how much value and noise grow; the first lies before the table."""
 
     @property
     def normals(self) -> Normals | None:
@@ -164,7 +164,7 @@ class Lookup(Protocol):
 
 
 class Instrument(NamedTuple):
-    """What a sensor measures: `read` gives the true values at this moment, `restart` begins an episode with a random generator.
+    """The measuring part of a sensor: `read` gives the true values at this moment, `restart` begins an episode with a random generator.
 
     `update` is called in the ticks without a reading. `lookup` turns what was read into a reading, with noise of its own.
     """

@@ -47,7 +47,7 @@ def history_length(scenario: Program) -> int:
 
 
 def frame_indices(scenario: Program) -> NDArray[np.intp]:
-    """Where the numbers of an observation stand in a ring of frames; row p is for a newest frame in place p."""
+    """The indices of the numbers of an observation in a ring of frames; row p is for a newest frame in place p."""
     seen = np.array(policy_inputs(scenario.policy.numbers, scenario.policy.frame_stack), np.intp).reshape(-1, 2)
     frames = history_length(scenario)
     newest = np.arange(frames)[:, None]

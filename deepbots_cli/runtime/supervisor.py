@@ -234,7 +234,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         return self.get_observations(), {**self.get_info(), "drawn": drawn}
 
     def drawn(self) -> dict[str, float | str]:
-        """What this episode draws, by its place in the scenario; see `reset`. Complete once `_begin` has returned."""
+        """The values that this episode draws, by their place in the scenario; see `reset`. Complete once `_begin` has returned."""
         layout = self.streams.drawn.get("reset.layout")
         others = tuple(f"reset.layouts.{other.name}." for other in self.scenario.reset.layouts if layout not in (None, other.name))
         found = {
@@ -311,7 +311,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         return np.array([may for mask in masks for may in mask])
 
     def action_mask(self) -> Any:
-        """The same masks in the form that `action_space.sample` takes."""
+        """The masks of `action_masks` in the form that `action_space.sample` takes."""
         masks = tuple(np.array(mask, np.int8) for mask in self.allowed())
         if isinstance(self.action_space, gym.spaces.Dict):
             return {"choices": masks[0] if len(masks) == 1 else masks, "ranges": None}
@@ -346,7 +346,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
             raise self._no_value(error) from error
 
     def scripted(self, name: str) -> Any:
-        """The same, without a check that the script exists."""
+        """The next action of a script, without a check that the script exists."""
         return getattr(self, f"script_{name}")()
 
     def tested(self, test: str, what: Literal["holds", "compared"]) -> tuple[Any, ...]:
@@ -376,7 +376,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
 
     @abstractmethod
     def get_observations(self) -> Observation:
-        """What the policy sees, float32 in [-1, 1]; a copy."""
+        """The observation, float32 in [-1, 1]; a copy."""
 
     @abstractmethod
     def get_reward(self) -> float:

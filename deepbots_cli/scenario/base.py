@@ -478,7 +478,7 @@ def _docstrings(module: str) -> Mapping[tuple[str, str], str]:
 
 
 def section_description(section: type[Section]) -> str:
-    """What a section is, in a sentence."""
+    """The sentence that describes a section."""
     return " ".join(inspect.cleandoc(section.__doc__ or "").partition("\n\n")[0].split())
 
 

@@ -58,7 +58,7 @@ def mismatch(expected: str, help: str | None = None, replacement: Replacement | 
 
 
 def error_at(step: str | int, refused: PydanticCustomError) -> ValidationError:
-    """The same error one step further down."""
+    """The error with its path one step further down."""
     return ValidationError.from_exception_data("", [InitErrorDetails(type=refused, loc=(step,), input=None)])
 
 
