@@ -41,7 +41,6 @@ from deepbots_cli.view.plots import Log
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from deepbots_cli.runtime import Supervisor
 
 LABELS = ("best", "median", "worst")
 _TRACED = 12
@@ -164,10 +163,6 @@ class Report:
 
     def run_again(self, shown: Sequence[Shown], on_episode: OnEpisode, *, clips: bool = True, allow_code: bool = False) -> None:
         """Run episodes of the evaluation again, for their paths and clips."""
-        try:
-            from deepbots_cli.learning.policy import loaded
-        except ModuleNotFoundError as error:
-            raise MissingExtraError("train", "running episodes again") from error
         total, done = len(shown), 0
         traces: dict[Shown, Trace] = {}
         for member in self.members:
@@ -175,10 +170,8 @@ class Report:
             if not mine:
                 continue
             source = Source(str(member.run.path), engine=member.evaluation.engine, allow_code=allow_code)
-            model = loaded(member.run, "best")
-            with closing(Player(source.open(), "zero")) as player:
+            with closing(source.open().player()) as player:
                 for each in mine:
-                    player.driver = _AsEvaluated(model, player.env, each.number)
                     traces[each] = [frame.links for frame in player.episode(member.evaluation.seed, each.number)]
                     again = fmean(agent.episode_return for agent in player.frame.agents.values())
                     if abs(again - each.outcome.total_return) > 1e-6 * max(1.0, abs(again)):
@@ -289,23 +282,6 @@ def _over(values: Sequence[float], interval: Callable[[Sequence[float]], Any], f
         return form.format(fmean(values))
     low, high = found if top is None else (max(0.0, found[0]), min(top, found[1]))
     return f"{form.format(fmean(values))} (95 % interval over seeds {form.format(low)} .. {form.format(high)})"
-
-
-class _AsEvaluated:
-    """The driver that acts to the bit as the evaluation did in the episode of this number."""
-
-    note = ""
-
-    def __init__(self, model: Any, env: Supervisor, number: int) -> None:
-        self._model, self._env, self._number = model, env, number
-
-    def begin(self, seed: int) -> None:
-        from deepbots_cli.learning.evaluation import acting
-
-        self._acting = acting(self._model, self._env, number=self._number)
-
-    def act(self, observation: Any) -> Any:
-        return self._acting(observation)
 
 
 def _traced_link(player: Player, trace: Trace) -> str:
