@@ -42,7 +42,6 @@ from deepbots_cli.view.plots import Log
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from deepbots_cli.runtime import Supervisor
 
 LABELS = ("best", "median", "worst")
 _TRACED = 12
@@ -164,18 +163,12 @@ class Report:
 
     def run_again(self, shown: Sequence[Shown], on_episode: OnEpisode, *, clips: bool = True, allow_code: bool = False) -> None:
         """Run episodes of the evaluation again, for their paths and clips."""
-        try:
-            from deepbots_cli.learning.policy import loaded
-        except ModuleNotFoundError as error:
-            raise MissingExtraError("train", "running episodes again") from error
         self.shown, self.link = shown, ""
         ordered = sorted(shown, key=lambda each: self.members.index(each.member))
         for member, mine in groupby(ordered, lambda each: each.member):
-            model = loaded(member.run, "best")
             source = Source(str(member.run.path), engine=member.evaluation.engine, allow_code=allow_code)
-            with closing(Player(source.open(), "zero")) as player:
+            with closing(source.open().player()) as player:
                 for each in mine:
-                    player.driver = _AsEvaluated(model, player.env, each.number)
                     frames = [frame.links for frame in player.episode(member.evaluation.seed, each.number)]
                     self.link = self.link or _traced_link(player, frames)
                     body, _, link = self.link.partition("/")
@@ -273,23 +266,6 @@ def _over(form: str, values: Sequence[float], bounds: tuple[float, float] = UNBO
     found = mean_interval(values, bounds)
     interval = "" if found is None else f" (95 % interval over seeds {form.format(found[0])} .. {form.format(found[1])})"
     return form.format(fmean(values)) + interval
-
-
-class _AsEvaluated:
-    """The driver that acts to the bit as the evaluation did in the episode of this number."""
-
-    note = ""
-
-    def __init__(self, model: Any, env: Supervisor, number: int) -> None:
-        self._model, self._env, self._number = model, env, number
-
-    def begin(self, seed: int) -> None:
-        from deepbots_cli.learning.evaluation import acting
-
-        self._acting = acting(self._model, self._env, number=self._number)
-
-    def act(self, observation: Any) -> Any:
-        return self._acting(observation)
 
 
 def _traced_link(player: Player, trace: Trace) -> str:
