@@ -139,7 +139,7 @@ def _renamed() -> Iterator[str]:
     yield from ["", "## Renamed", "", "An old name is the finding [DB109](rules.md#db109-renamed), and its fix writes the new one."]
     yield from ["", "| old name | new name | what it is | reason |", "|---|---|---|---|"]
     for (old, new), rename in {(rename.old, rename.new): rename for rename in RENAMES}.items():
-        yield f"| `{old}` | `{new}` | {rename.what} | {rename.reason} |"
+        yield f"| `{old}` | `{new}` | {rename.kind} | {rename.reason} |"
 
 
 def _plain(value: object) -> str:
@@ -260,7 +260,7 @@ def _functions() -> str:
         "| unit | measures | in SI |",
         "|---|---|---|",
     ]
-    lines += [f"| `{unit.text}` | {unit.dimension.words} | {unit.to_si(1.0):.10g} |" for unit in UNITS.values()]
+    lines += [f"| `{unit.text}` | {unit.dimension.description} | {unit.to_si(1.0):.10g} |" for unit in UNITS.values()]
     for family, title in _FAMILIES.items():
         lines += ["", f"## {title}", "", _SETTLED[family], "", "| function | gives | unit | example |", "|---|---|---|---|"]
         lines += [_function_row(function) for function in FUNCTIONS.values() if function.family is family]

@@ -48,13 +48,10 @@ from deepbots_cli.scenario.scenario import DiscreteAction, Expectation, Scenario
 from deepbots_cli.scenario.scenario import ScenarioTest as TestSpec
 from deepbots_cli.scenario.training import ActionNoise as ActionNoiseSpec
 from deepbots_cli.scenario.training import Hindsight as HindsightSpec
+from deepbots_cli.scenario.training import Training as TrainingSpec
 
 if TYPE_CHECKING:
     from deepbots_cli.compiler import CheckedScenario
-
-_ONE_CHOICE = frozenset({"DQN"})
-_CHOICES = frozenset({"DQN", "MaskablePPO"})
-_INTERVALS = frozenset({"SAC", "TD3", "DDPG", "TQC"})
 
 _MAX_LEARNING_RATE = 0.05
 """Largest usual learning rate. The highest default is 3e-3, and Adam moves every weight by about the rate in each update."""
@@ -70,7 +67,7 @@ def training(namespace: Namespace, action: Action, copies: RobotCopies | None, l
     spec, values = namespace.scenario, namespace.values
     if spec.train is None:
         return None
-    _check_algorithm(spec.train.algorithm, action, namespace)
+    _check_algorithm(spec.train, action, namespace)
     own = spec.train.hyperparameters
     hyperparameters = []
     for name, given in own.items():
@@ -120,19 +117,18 @@ def _hindsight(given: HindsightSpec | str | None, namespace: Namespace) -> Hinds
     return Hindsight(given.n_sampled_goal, given.goal_selection_strategy) if isinstance(given, HindsightSpec) else Hindsight()
 
 
-def _check_algorithm(algorithm: str, action: Action, namespace: Namespace) -> None:
+def _check_algorithm(train: TrainingSpec, action: Action, namespace: Namespace) -> None:
+    algorithm, acts_by = train.algorithm, train.acts_by
     intervals = [part for part in action if isinstance(part, ActionRange)]
-    if algorithm in _ONE_CHOICE and (intervals or len(action) > 1):
+    if acts_by == {"choice"} and (intervals or len(action) > 1):
         headline, help = f"{algorithm} needs one choice as its action", "use PPO, or give the action as `choices`"
-    elif algorithm in _CHOICES and intervals:
-        headline, help = "`MaskablePPO` cannot use a range: it chooses between options", "use PPO, or give the action as `choices`"
-    elif algorithm in _INTERVALS and len(intervals) < len(action):
+    elif "ranges" not in acts_by and intervals:
+        headline, help = f"`{algorithm}` cannot use a range: it chooses between options", "use PPO, or give the action as `choices`"
+    elif acts_by == {"ranges"} and len(intervals) < len(action):
         headline, help = f"{algorithm} cannot choose between options", "use PPO or DQN, or give the action as a range"
     elif intervals and len(intervals) < len(action):
         headline, help = "no algorithm acts by both choices and ranges", "give the ranges as choices, or the choices as ranges"
-    elif algorithm != "MaskablePPO" and any(
-        isinstance(part, DiscreteAction) and part.forbid for part in namespace.scenario.action.values()
-    ):
+    elif not train.uses_masks and any(isinstance(part, DiscreteAction) and part.forbid for part in namespace.scenario.action.values()):
         headline, help = f"{algorithm} ignores `forbid`", "use MaskablePPO, or remove `forbid`"
     else:
         return

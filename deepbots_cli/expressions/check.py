@@ -56,7 +56,7 @@ A = TypeVar("A")
 B = TypeVar("B")
 
 _ARITHMETIC = {"+": "add", "-": "sub", "*": "mul", "/": "div", "^": "pow"}
-_COMPARISONS = {"<": "less", "<=": "less_equal", ">": "greater", ">=": "greater_equal", "==": "equal", "!=": "not_equal"}
+COMPARISONS = {"<": "less", "<=": "less_equal", ">": "greater", ">=": "greater_equal", "==": "equal", "!=": "not_equal"}
 _MAX_EXPONENT = 12
 # Roots that physics meets: halves, thirds and quarters. A float stands for one if it is the nearest.
 _MAX_DENOMINATOR = 4
@@ -392,7 +392,7 @@ class _Checker:
             if overflows and all(value.type.interval.is_finite and value.type.interval.is_single for value in both):
                 self._fault("DB406", node, "a result too large for a number")
             return Operation(result._replace(interval=interval), node.start, node.end, operator, both)
-        if node.operator not in _COMPARISONS:
+        if node.operator not in COMPARISONS:
             require_kind(both, self._report, boolean=True)
         elif not (left.type.boolean and right.type.boolean and node.operator in ("==", "!=")):
             require_kind(both, self._report)
@@ -400,7 +400,7 @@ class _Checker:
                 warn_of_degrees(left, self._report)
                 warn_of_degrees(right, self._report)
         truth = Type(components=components, boolean=True, interval=TRUTH, stage=stage)
-        return Operation(truth, node.start, node.end, _COMPARISONS.get(node.operator, node.operator), both)
+        return Operation(truth, node.start, node.end, COMPARISONS.get(node.operator, node.operator), both)
 
     def _result_dimension(self, node: syntax.Binary, left: Typed, right: Typed) -> Dimension:
         base, other = left.type.dimension, right.type.dimension

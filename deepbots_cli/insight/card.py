@@ -15,6 +15,7 @@ import os
 import re
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -24,7 +25,7 @@ from deepbots_cli.errors import MissingExtraError, RunError
 from deepbots_cli.learning.listing import last_evaluation
 from deepbots_cli.learning.run import Format, KeptEvaluation, ModelName, Run, read_json
 from deepbots_cli.program import Program, identity
-from deepbots_cli.program.task import ActionRange, Choices, policy_inputs
+from deepbots_cli.program.task import ActionRange, Choices, ObservedValue
 
 FORMAT = 2
 NAME = "card.json"
@@ -32,18 +33,6 @@ GRAPHS = ("policy.onnx", "policy_si.onnx")
 _LIMIT = 10_000_000
 _GRAPH_LIMIT = 1 << 31  # bytes, that of a protobuf message
 _LICENCE = re.compile(r"SPDX-License-Identifier:\s*([A-Za-z0-9][\w.+() -]*)")
-
-
-class Observed(BaseModel):
-    """A number of an input: `low` and `high`, in `unit`, stand for -1 and 1; a truth value is 0 or 1. `steps_ago` is 0 for the present."""
-
-    name: str
-    unit: str
-    low: float
-    high: float
-    truth: bool = False
-    clipped: bool = True
-    steps_ago: int = 0
 
 
 class Picture(BaseModel):
@@ -82,8 +71,8 @@ class Card(BaseModel):
     engine: str
     control_period_s: float = Field(gt=0, allow_inf_nan=False)
     control_rate_hz: float
-    observation: tuple[Observed, ...]
-    achieved_and_desired_goal: tuple[Observed, ...]
+    observation: tuple[ObservedValue, ...]
+    achieved_and_desired_goal: tuple[ObservedValue, ...]
     pictures: tuple[Picture, ...]
     action: tuple[Acted, ...]
     action_mask: tuple[str, ...] | None
@@ -144,7 +133,7 @@ def bundle(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
         engine=record.engine,
         control_period_s=program.period,
         control_rate_hz=round(1 / program.period, 6),
-        observation=tuple(_observed(program)),
+        observation=program.policy.inputs,
         achieved_and_desired_goal=_goal(program),
         pictures=tuple(
             Picture(name=each.key, shape=(*each.shape[:2], each.shape[2] * len(each.ages(program.policy.frame_stack))))
@@ -158,32 +147,27 @@ def bundle(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
         files={name: hashlib.sha256(content).hexdigest() for name, content in graphs.items()},
         versions=record.versions,
     )
-    scenario = (run.path / RESOLVED_NAME).read_text(encoding="utf-8")
-    texts = {NAME: card.model_dump_json(indent=2) + "\n", "README.md": readme(card), "scenario.yaml": scenario}
+    goal = card.achieved_and_desired_goal
+    vectors = {"observation": card.observation, "achieved_goal": goal, "desired_goal": goal}
+    readme = rendered("bundle.md.j2", card=card, vectors={name: numbers for name, numbers in vectors.items() if numbers})
     # The scenario names the copies of its robot files; the YAML files that it was put together from are in it.
-    robots = {name: (run.path / INPUTS_FOLDER / name).read_bytes() for name in record.inputs if not name.endswith((".yaml", ".yml"))}
-    return {
-        **{PurePosixPath(name): content for name, content in graphs.items()},
-        **{PurePosixPath(name): text.encode() for name, text in texts.items()},
-        **{PurePosixPath(INPUTS_FOLDER, name): content for name, content in robots.items()},
+    robots = [name for name in record.inputs if not name.endswith((".yaml", ".yml"))]
+    files = {
+        **graphs,
+        NAME: (card.model_dump_json(indent=2) + "\n").encode(),
+        "README.md": readme.encode(),
+        "scenario.yaml": (run.path / RESOLVED_NAME).read_bytes(),
+        **{f"{INPUTS_FOLDER}/{name}": (run.path / INPUTS_FOLDER / name).read_bytes() for name in robots},
     }
+    return {PurePosixPath(name): content for name, content in files.items()}
 
 
-def _observed(program: Program) -> list[Observed]:
-    numbers = program.policy.numbers
-    seen = [(numbers[index], age) for index, age in policy_inputs(numbers, program.policy.frame_stack)]
-    return [
-        Observed(name=n.full_name, unit=n.unit.removeprefix("1"), low=n.low, high=n.high, truth=n.is_truth, clipped=n.clip, steps_ago=age)
-        for n, age in seen
-    ]
-
-
-def _goal(program: Program) -> tuple[Observed, ...]:
+def _goal(program: Program) -> tuple[ObservedValue, ...]:
     goal = program.policy.goal
     if goal is None:
         return ()
     rows = zip(goal.components or ("goal",), goal.low, goal.high, strict=True)
-    return tuple(Observed(name=name, unit=goal.unit, low=low, high=high) for name, low, high in rows)
+    return tuple(ObservedValue(name, goal.unit, low, high) for name, low, high in rows)
 
 
 def _acted(program: Program) -> list[Acted]:
@@ -206,15 +190,15 @@ def _licences(inputs: Path) -> dict[str, str]:
     return found
 
 
-def readme(card: Card) -> str:
-    """The card for people."""
+def rendered(template: str, *, html: bool = False, **values: Any) -> str:
+    """The text of a template of this package."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    loader = PackageLoader("deepbots_cli.insight", ".")
-    environment = Environment(loader=loader, undefined=StrictUndefined, trim_blocks=True, keep_trailing_newline=True, autoescape=False)
-    vectors = {"observation": card.observation, "achieved_goal": card.achieved_and_desired_goal}
-    vectors["desired_goal"] = card.achieved_and_desired_goal
-    return environment.get_template("bundle.md.j2").render(card=card, vectors={name: found for name, found in vectors.items() if found})
+    known = Environment(
+        loader=PackageLoader("deepbots_cli.insight", "."), undefined=StrictUndefined, autoescape=html,
+        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
+    )  # fmt: skip
+    return known.get_template(template).render(**values)
 
 
 # Whether it fits
@@ -240,11 +224,6 @@ def read(folder: Path) -> Card:
             if path.stat().st_size > _GRAPH_LIMIT or hashlib.file_digest(file, "sha256").hexdigest() != card.files.get(name):
                 raise RunError(f"{path} is not the file that was exported; export the run again")
     return card
-
-
-def differences(card: Card, program: Program) -> list[str]:
-    """A line for each item of the interface that bundle and scenario do not share; empty if the policy fits."""
-    return identity.compare_interfaces(card.interface, identity.interface(program), words=("bundle", "scenario"))
 
 
 def remarks(card: Card, program: Program, diff: str) -> list[str]:

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+from deepbots_cli.expressions.check import COMPARISONS
 from deepbots_cli.expressions.scalar import is_drawn, names_in
 from deepbots_cli.expressions.types import Invocation, Operation, Reference, Typed
 from deepbots_cli.program import Program
@@ -24,36 +25,27 @@ Values = Mapping[str, Sequence[float]]
 
 _PROBE = "insight_"
 _GOAL = f"{_PROBE}goal"
-_NEGATED = {"less": "greater_equal", "less_equal": "greater", "greater": "less_equal", "greater_equal": "less"}
-_NEGATED |= {"equal": "not_equal", "not_equal": "equal"}
-SIGNS = {"less": "<", "less_equal": "<=", "greater": ">", "greater_equal": ">=", "equal": "==", "not_equal": "!="}
-HOLDS: Mapping[str, Callable[[Any, Any], bool]] = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
-HOLDS = {**HOLDS, "==": operator.eq, "!=": operator.ne}
+SIGNS = {name: sign for sign, name in COMPARISONS.items()}
+_NEGATED = {"less": "greater_equal", "less_equal": "greater", "equal": "not_equal"}
+_NEGATED |= {negated: name for name, negated in _NEGATED.items()}
+_FUNCTIONS = dict(zip(COMPARISONS, (operator.lt, operator.le, operator.gt, operator.ge, operator.eq, operator.ne), strict=True))
 
 
 @dataclass(frozen=True)
 class Comparison:
     """`value operator bound`: both sides by the names of kept values, and as the scenario writes them.
 
-    Several components hold together if any of them holds, or all. `unit` is the SI unit of both sides.
+    Several components hold together if any of them holds, or all. `unit` is the SI unit of both sides. A truth value without a bound, such
+    as a contact, has no `bound` and is compared with 1.
     """
 
     text: str
     operator: str
     value: str
-    bound: str
-    unit: str
-    sides: tuple[str, str]
+    bound: str | None = None
+    unit: str = ""
+    sides: tuple[str, str] = ("", "")
     joined: Literal["any", "all"] = "any"
-
-
-@dataclass(frozen=True)
-class Fact:
-    """A truth value without a bound, such as a contact; `holds_when` is its value where the condition holds."""
-
-    text: str
-    value: str
-    holds_when: bool = True
 
 
 @dataclass(frozen=True)
@@ -64,30 +56,42 @@ class Junction:
     parts: tuple[Condition, ...]
 
 
-Condition = Comparison | Fact | Junction
+Condition = Comparison | Junction
 
 
 @dataclass(frozen=True)
 class Measured:
-    """A comparison or fact at one moment, in SI units.
+    """A comparison at one moment, in SI units.
 
-    `margin` is how far the value is beyond the bound: from 0 on the condition holds, below 0 this much is missing. A fact has
+    `margin` is how far the value is beyond the bound: from 0 on the condition holds, below 0 this much is missing. A truth value has
     neither bound nor margin.
     """
 
-    condition: Comparison | Fact
+    condition: Comparison
     holds: bool
     value: float
     bound: float | None = None
     margin: float | None = None
 
+    def as_json(self) -> dict[str, Any]:
+        """In SI units."""
+        known = self.condition
+        data: dict[str, Any] = {"condition": known.text, "holds": self.holds, "value": self.value}
+        if known.bound is not None:
+            data |= {"operator": SIGNS[known.operator], "bound": self.bound, "margin": self.margin, "unit": known.unit}
+        return data
+
 
 @dataclass(frozen=True, eq=False)
 class Watch:
-    """A program that measures its endings, and the condition of each; None for one that has no tree, or draws random numbers."""
+    """A program that measures its endings, and the condition of each; None for one that has no tree, or draws random numbers.
+
+    `observed` holds the kept value of each entry of the observation, before noise and clipping, by its name.
+    """
 
     program: Program
     conditions: Mapping[str, Condition | None]
+    observed: Mapping[str, str]
 
     def read(self, agent: Supervisor) -> Values:
         """What this step left in a supervisor of the program."""
@@ -97,14 +101,16 @@ class Watch:
         return values if goal is None else {**values, _GOAL: (_distance(goal, agent),), f"{_GOAL}_bound": (goal.tolerance,)}
 
 
-def measured(program: Program) -> Watch:
-    """The program with kept values for each comparison of its endings."""
+def measured(program: Program, *, observed: bool = False) -> Watch:
+    """The program with kept values for each comparison of its endings, and for the observation too if that is `observed`."""
     made = _Builder(program)
     conditions = {ending.name: made.of_ending(ending) for ending in program.endings}
     if program.policy.goal is not None:
         conditions.setdefault("goal_reached", made.goal(program.policy.goal, negated=False))
-    kept = frozenset(made.probes)
-    return Watch(replace(program, signals=(*program.signals, *made.probes.values()), stored_signals=kept), conditions)
+    seen = [entry.value for entry in program.policy.observation if observed and entry.numbers and entry.value.foreign is None]
+    kept = {value.name: made.probe(value.typed, value) for value in seen if made.is_measurable(value)}
+    signals = (*program.signals, *made.probes.values())
+    return Watch(replace(program, signals=signals, kept=frozenset(made.probes)), conditions, kept)
 
 
 class _UnmeasuredError(Exception):
@@ -140,7 +146,7 @@ class _Builder:
                 return Junction(both, tuple(self._condition(arg, home, negated=negated) for arg in args))
             case Operation(operator=written, args=(left, right)) if written in SIGNS and not left.type.boolean:
                 used = _NEGATED[written] if negated else written
-                value, bound = self._probe(left, home), self._probe(right, home)
+                value, bound = self.probe(left, home), self.probe(right, home)
                 sides = (home.text[left.start : left.end], home.text[right.start : right.end])
                 return Comparison(home.text[node.start : node.end], used, value, bound, str(left.type.dimension), sides, joined)
             case Invocation(function="any" | "all" as function, args=(inner,)) if not inner.type.has_group_components:
@@ -153,17 +159,20 @@ class _Builder:
                 other = self._named[symbol.name]
                 if not any(map(is_drawn, other.scalars)):
                     return self._condition(other.typed, other, negated=negated)
-        return Fact(home.text[node.start : node.end], self._probe(node, home), not negated)
+        return Comparison(home.text[node.start : node.end], "not_equal" if negated else "equal", self.probe(node, home))
 
-    def _probe(self, node: Typed, home: Expression) -> str:
+    def probe(self, node: Typed, home: Expression) -> str:
         """The name of a signal that has the value of a part of an expression."""
         made = Expression("", home.span, home.text[node.start : node.end], node, home.owner, home.per_component)
-        refused = {"achieved", "desired", "goal_reached", *(ending.name for ending in self._program.endings)}
-        if any(is_drawn(tree) or refused & {leaf.name for leaf in names_in(tree)} for tree in made.scalars):
+        if not self.is_measurable(made):
             raise _UnmeasuredError
         name = f"{_PROBE}{len(self.probes)}"
         self.probes[name] = replace(made, name=name)
         return name
+
+    def is_measurable(self, value: Expression) -> bool:
+        refused = {"achieved", "desired", "goal_reached", *(ending.name for ending in self._program.endings)}
+        return not any(is_drawn(tree) or refused & {leaf.name for leaf in names_in(tree)} for tree in value.scalars)
 
 
 def _distance(goal: Goal, agent: Supervisor) -> float:
@@ -180,23 +189,21 @@ def _margin(comparison: str, value: float, bound: float) -> float:
     return bound - value if comparison in ("less", "less_equal") else value - bound
 
 
-def leaves(condition: Condition) -> list[Comparison | Fact]:
+def leaves(condition: Condition) -> list[Comparison]:
     if isinstance(condition, Junction):
         return [leaf for part in condition.parts for leaf in leaves(part)]
     return [condition]
 
 
-def measure(condition: Comparison | Fact, values: Values) -> Measured:
-    """A comparison or fact in one step. Of several components, the one that decides counts."""
-    if isinstance(condition, Fact):
-        value = values[condition.value][0]
-        return Measured(condition, bool(value) is condition.holds_when, float(value))
-    sides, bounds = values[condition.value], values[condition.bound]
-    count = max(len(sides), len(bounds))
-    pairs = [(sides[index % len(sides)], bounds[index % len(bounds)]) for index in range(count)]
+def measure(condition: Comparison, values: Values) -> Measured:
+    """A comparison in one step. Of several components, the one that decides counts."""
+    sides, bounds = values[condition.value], (1.0,) if condition.bound is None else values[condition.bound]
+    pairs = [(sides[index % len(sides)], bounds[index % len(bounds)]) for index in range(max(len(sides), len(bounds)))]
     chosen = max if condition.joined == "any" else min
     value, bound = chosen(pairs, key=lambda pair: _margin(condition.operator, *pair))
-    holds = HOLDS[SIGNS[condition.operator]](value, bound)
+    holds = _FUNCTIONS[SIGNS[condition.operator]](value, bound)
+    if condition.bound is None:
+        return Measured(condition, holds, float(value))
     return Measured(condition, holds, float(value), float(bound), _margin(condition.operator, value, bound))
 
 
@@ -207,18 +214,10 @@ def holds(condition: Condition, values: Values) -> bool:
 
 
 def deciding(condition: Condition, before: Values | None, now: Values) -> Measured:
-    """The comparison or fact that made a condition hold: one that holds now and did not in the step before, a comparison before a fact."""
+    """The comparison that made a condition hold: one that holds now and did not in the step before, one with a bound first."""
     if not isinstance(condition, Junction):
         return measure(condition, now)
     parts = [part for part in condition.parts if holds(part, now)] or list(condition.parts)
     new = [part for part in parts if before is not None and not holds(part, before)] or parts
     found = [deciding(part, before, now) for part in new]
     return next((each for each in found if each.margin is not None), found[0])
-
-
-def as_json(found: Measured) -> dict[str, Any]:
-    """In SI units."""
-    data: dict[str, Any] = {"condition": found.condition.text, "holds": found.holds, "value": found.value}
-    if isinstance(found.condition, Comparison):
-        data |= {"operator": SIGNS[found.condition.operator], "bound": found.bound, "margin": found.margin, "unit": found.condition.unit}
-    return data

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from itertools import combinations
+from statistics import fmean
 from typing import Any
 
 import numpy as np
@@ -17,13 +18,13 @@ from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.errors import RunError
 from deepbots_cli.insight.statements import Finder, Numbers, Share, Statement, listed, state_all
 from deepbots_cli.insight.trace import Array, Trace
-from deepbots_cli.insight.training import Training
+from deepbots_cli.insight.training import Training, findings
 from deepbots_cli.learning.defaults import longest_episode, ours
-from deepbots_cli.program.task import Choices
+from deepbots_cli.program.task import Choices, Observation
 
-_SHOWN = 4
 _SAME = 1e-6  # numbers of the observation, from -1 to 1, that differ by less are equal
 _ENOUGH = 8  # episodes, below which the returns of a training tell nothing
+_AT_RESET = "already holds at reset"  # the error of an episode that cannot start
 _UNLEARNABLE = {"DB705", "DB711", "DB807", "DB810"}
 """Lint shows by these that failing at once earns most, that all policies earn the same, or that what is required is out of reach."""
 _CERTAIN, _SYMPTOMS = 0.9, {"too_few_steps", "short_training", "one_ending"}
@@ -38,7 +39,7 @@ def diagnose(training: Training) -> list[Statement]:
     Raises:
         RunError: The training has finished no episode, and has not failed either.
     """
-    if not len(training.episodes.returns) and not _has_failed(training):
+    if not len(training.episodes) and not training.has_failed:
         raise RunError(
             f"{training.run.path} holds no finished episode yet; train it longer, with: deepbots train --resume {training.run.path}"
         )
@@ -50,41 +51,18 @@ def diagnose(training: Training) -> list[Statement]:
     return [statement for statement in found if not (certain and statement.cause in _SYMPTOMS)]
 
 
-def _has_failed(training: Training) -> bool:
-    return bool(training.failure) or training.run.record.status == "failed"
-
-
 def _succeeds(training: Training) -> bool:
     """Whether a scenario that does not say what counts as solved succeeds in most episodes of late."""
-    late = training.episodes.successes[-100:]
-    return training.program.solved is None and training.program.defines_success and len(late) >= _ENOUGH and float(late.mean()) >= 0.8
-
-
-def _late(values: Array) -> float:
-    """The mean of the last quarter."""
-    return float(values[-max(1, len(values) // 4) :].mean()) if len(values) else 0.0
-
-
-def _observations(traces: Sequence[Trace]) -> Array:
-    """The moments of all episodes in a row: (moments, numbers)."""
-    return np.concatenate([trace.observations for trace in traces]) if traces else np.zeros((0, 0))
-
-
-def _term_sums(traces: Sequence[Trace]) -> dict[str, float]:
-    names = traces[0].terms if traces else ()
-    return {name: float(sum(np.nansum(trace.terms[name]) for trace in traces)) for name in names}
+    late, program = training.episodes.successes[-100:], training.program
+    return program.solved is None and program.defines_success and len(late) >= _ENOUGH and float(late.mean()) >= 0.8
 
 
 def _per_step(traces: Sequence[Trace]) -> float:
     """The mean reward of a step."""
-    steps = sum(trace.steps for trace in traces)
-    return sum(trace.returns for trace in traces) / steps if steps else 0.0
+    return sum(trace.returns for trace in traces) / max(1, sum(trace.steps for trace in traces))
 
 
 # Faults
-
-
-_AT_RESET = "already holds at reset"
 
 
 def ending_at_reset(t: Training) -> Numbers | None:
@@ -101,10 +79,10 @@ def not_finite(t: Training) -> Numbers | None:
     Try: Keep arguments of sqrt, log and divisions away from 0 with max(...), or lower `train.learning_rate`; explain the episode with
     `deepbots explain-episode RUN/failures/NNNN.json`.
     """
-    if not _has_failed(t) or _AT_RESET in t.failure:
+    if not t.has_failed or _AT_RESET in t.failure:
         return None
     reason = t.failure.rstrip(".") or "the last entry of its log is no number"
-    return {"likelihood": 1.0, "steps": t.steps, "error": reason, "episodes": len(t.episodes.returns)}
+    return {"likelihood": 1.0, "steps": t.steps, "error": reason, "episodes": len(t.episodes)}
 
 
 def action_without_effect(t: Training) -> Numbers | None:
@@ -157,7 +135,7 @@ def lint_warns(t: Training) -> Numbers | None:
 
     Try: `deepbots lint {path}` shows the lines and what to write instead.
     """
-    found = sorted(t.findings, key=lambda finding: finding.code not in _UNLEARNABLE)
+    found = sorted(findings(t.run), key=lambda finding: finding.code not in _UNLEARNABLE)
     if not found:
         return None
     shown = "; ".join([f"{finding.headline} ({finding.code})" for finding in found[:2]] + [f"{len(found) - 2} more"] * (len(found) > 2))
@@ -174,42 +152,52 @@ def constant_observation(t: Training) -> Numbers | None:
 
     Try: Narrow their ranges under `observation` to the values that occur: `deepbots inspect RUN` lists the ranges.
     """
-    seen = _observations([*t.random, *t.policy])
-    if len(seen) < 2 * _ENOUGH:
+    if t.moments < 2 * _ENOUGH:
         return None
-    spans = np.ptp(seen, axis=0)
+    spans = np.ptp(np.concatenate([trace.observations for trace in t.short]), axis=0)
     numbers = [(n.full_name, float(span)) for n, span in zip(t.program.policy.numbers, spans, strict=True) if n.name != "previous_action"]
     names = [name for name, span in numbers if span < 0.01]
     if not names:
         return None
     share = len(names) / len(numbers)
-    return {"likelihood": 0.95 if share >= 0.75 else 0.35 * share, "count": len(names), "of": len(numbers), "moments": len(seen),
-            "names": _some(names), "span": max(span for name, span in numbers if name in names)}  # fmt: skip
+    return {"likelihood": 0.95 if share >= 0.75 else 0.35 * share, "count": len(names), "of": len(numbers), "moments": t.moments,
+            "names": listed(names), "span": max(span for name, span in numbers if name in names)}  # fmt: skip
 
 
 def saturated_observation(t: Training) -> Numbers | None:
-    """{count} of {of} numbers of the observation are at an end of their range in {share} of the moments ({names}).
+    """{count} of {of} numbers of the observation lie beyond an end of their range in {share} of the moments ({names}); the values that
+    are cut off differ by up to {lost} times the range.
 
     Try: Widen their ranges under `observation`: beyond the ends the policy cannot tell values apart.
     """
-    traces = [*t.random, *t.policy]
-    seen, numbers = _observations(traces), t.program.policy.numbers
-    if len(seen) < 2 * _ENOUGH:
+    if t.moments < 2 * _ENOUGH:
         return None
-    shares = {n.full_name: float((np.abs(seen[:, i]) >= 1.0).mean()) for i, n in enumerate(numbers) if n.clip and not n.is_truth
-              and n.name != "previous_action" and np.ptp(seen[:, i]) >= 0.01}  # fmt: skip
-    worst = sorted((name for name, share in shares.items() if share >= 0.4), key=lambda name: -shares[name])
+    found = {entry.name: _beyond(t, entry) for entry in t.program.policy.observation if entry.clip and entry.name != "previous_action"}
+    cut = {n.full_name: part for e in t.program.policy.observation for n, part in zip(e.numbers, found.get(e.name, ()), strict=False)}
+    shares = {name: float((part != 0).mean()) for name, part in cut.items()}
+    # Clipping holds a value such as the reading of a sensor that sees nothing at an end, and loses nothing if it is always the same one.
+    spreads = {name: max(_spread(part[part > 0]), _spread(part[part < 0])) for name, part in cut.items()}
+    worst = sorted((name for name, share in shares.items() if share >= 0.4 and spreads[name] >= 0.1), key=lambda name: -shares[name])
     if not worst:
         return None
     part, mean = len(worst) / len(shares), float(np.mean([shares[name] for name in worst]))
-    # Numbers that are almost always at an end come before the length of the training.
+    # Numbers that are almost always beyond an end come before the length of the training.
     return {"likelihood": 0.95 if part >= 0.75 else 0.85 if mean >= 0.8 else 0.55 * part, "count": len(worst), "of": len(shares),
-            "names": _some(worst), "share": Share(mean), "shares": shares}  # fmt: skip
+            "names": listed(worst), "share": Share(mean), "lost": max(spreads[name] for name in worst), "shares": shares}  # fmt: skip
 
 
-def _some(names: Sequence[str]) -> str:
-    rest = len(names) - _SHOWN
-    return listed([*names[:_SHOWN], *([f"{rest} more"] if rest > 0 else [])])
+def _beyond(t: Training, entry: Observation) -> list[Array]:
+    """By how much each number of an entry lies above its range, or below it (negative), in all moments, as a share of the range."""
+    key = t.short[0].watch.observed.get(entry.name)
+    if key is None or entry.value.typed.type.boolean:
+        return []
+    rows = np.array([values[key] for trace in t.short for values in trace.values], float)
+    return [(row - row.clip(low, high)) / (high - low) for row, low, high in zip(rows.T, entry.low, entry.high, strict=True)]
+
+
+def _spread(values: Array) -> float:
+    """The distance that holds 80 % of the values, from the lowest tenth to the highest."""
+    return float(np.subtract(*np.quantile(values, (0.9, 0.1)))) if len(values) else 0.0
 
 
 # Reward
@@ -220,7 +208,7 @@ def term_dominates(t: Training) -> Numbers | None:
 
     Try: Weaken '{term}' until the other terms outweigh it, such as by a factor of 10.
     """
-    sums = _term_sums(t.random)
+    sums = {name: float(sum(np.nansum(trace.terms[name]) for trace in t.random)) for name in t.terms}
     whole = sum(map(abs, sums.values()))
     if len(sums) < 2 or not whole:
         return None
@@ -240,8 +228,8 @@ def ending_early_pays(t: Training) -> Numbers | None:
     Try: Let a step that goes well earn a positive reward (check the signs of the terms), or let a failure cost more than the steps
     that it saves.
     """
-    late = t.episodes.part(0.75, 1.0)
-    if len(late.returns) < _ENOUGH:
+    late = t.part(0.75, 1.0)
+    if len(late) < _ENOUGH:
         return None
     failed = float(np.mean([ending in t.program.failures for ending in late.endings]))
     per_step = float(late.returns.sum() / max(1.0, late.lengths.sum()))
@@ -251,7 +239,7 @@ def ending_early_pays(t: Training) -> Numbers | None:
     if not together < -0.5:
         return None
     return {"likelihood": 0.92, "reward": per_step, "failed": Share(failed), "length": float(late.lengths.mean()),
-            "first": float(t.episodes.part(0.0, 0.25).lengths.mean()), "correlation": together}  # fmt: skip
+            "first": float(t.part(0.0, 0.25).lengths.mean()), "correlation": together}  # fmt: skip
 
 
 def standing_still_pays(t: Training) -> Numbers | None:
@@ -259,7 +247,7 @@ def standing_still_pays(t: Training) -> Numbers | None:
 
     Try: Reward the way toward the success (such as the change of a distance), and make time cost something instead of earning it.
     """
-    late = t.episodes.part(0.75, 1.0)
+    late = t.part(0.75, 1.0)
     if not t.still or not t.program.defines_success or (len(late.successes) and late.successes.mean() >= 0.5):
         return None
     still, policy = _per_step(t.still), _per_step(t.policy or t.random)
@@ -276,11 +264,11 @@ def success_never_seen(t: Training) -> Numbers | None:
     Try: Add a term that pays for coming nearer, start nearer to the success, or loosen its condition; a curriculum can do the latter
     two.
     """
-    if not t.program.defines_success or len(t.episodes.returns) < _ENOUGH or t.episodes.successes.any():
+    if not t.program.defines_success or len(t.episodes) < _ENOUGH or t.episodes.successes.any():
         return None
     flat = float(np.ptp(t.episodes.returns)) < 1e-9
     names = [ending.name for ending in t.program.endings if ending.outcome == "success"] or ["goal_reached"]
-    return {"likelihood": 0.93 if flat else 0.45, "episodes": len(t.episodes.returns), "ending": " or ".join(names),
+    return {"likelihood": 0.93 if flat else 0.45, "episodes": len(t.episodes), "ending": " or ".join(names),
             "spread": float(t.episodes.returns.std()), "mean": float(t.episodes.returns.mean())}  # fmt: skip
 
 
@@ -289,29 +277,16 @@ def silent_terms(t: Training) -> Numbers | None:
 
     Try: Check the condition of each such term: `deepbots run SCENARIO` shows the terms of an episode.
     """
-    logged = t.curves("reward/")
-    sums = (
-        {name: sum(float(np.abs(trace.terms[name]).sum()) for trace in [*t.random, *t.policy]) for name in t.random[0].terms}
-        if t.random
-        else {}
-    )
-    silent = [name for name, value in sums.items() if value == 0 and not np.abs(logged.get(name, np.zeros(1))).max(initial=0.0)]
-    if not silent or not any(trace.steps for trace in [*t.random, *t.policy]):
+    sums = {name: sum(float(np.abs(trace.terms[name]).sum()) for trace in t.short) for name in t.terms}
+    silent = [name for name, value in sums.items() if value == 0 and not np.abs(t.curve(f"reward/{name}")).max(initial=0.0)]
+    steps = sum(trace.steps for trace in t.short)
+    if not silent or not steps:
         return None
-    everything = len(silent) == len(sums)
-    return {"likelihood": 0.9 if everything else 0.3, "names": _some(silent), "count": len(silent), "of": len(sums),
-            "steps": sum(trace.steps for trace in [*t.random, *t.policy])}  # fmt: skip
+    likelihood = 0.9 if len(silent) == len(sums) else 0.3
+    return {"likelihood": likelihood, "names": listed(silent), "count": len(silent), "of": len(sums), "steps": steps}
 
 
 # Learning
-
-
-def _default_rate(t: Training) -> float | None:
-    training = t.program.policy.training
-    if training is None:
-        return None
-    known: Any = ours(training, t.run.record.total_timesteps, longest_episode(t.program)).get("learning_rate")
-    return float(known) if isinstance(known, int | float) else 3e-4  # of the library
 
 
 def learning_rate_too_high(t: Training) -> Numbers | None:
@@ -320,19 +295,18 @@ def learning_rate_too_high(t: Training) -> Numbers | None:
 
     Try: Set `train.learning_rate` to {usual}.
     """
-    rate, usual = t.setting("learning_rate"), _default_rate(t)
-    if rate is None or usual is None:
+    rate, training = t.setting("learning_rate"), t.program.policy.training
+    if rate is None or training is None:
         return None
-    clipped, kl = t.curve("train/clip_fraction"), t.curve("train/approx_kl")
-    largest = float(clipped.max(initial=0.0))
-    jumps = largest >= 0.5 or float(kl.max(initial=0.0)) >= 0.3
+    known: Any = ours(training, t.run.record.total_timesteps, longest_episode(t.program)).get("learning_rate")
+    usual = float(known) if isinstance(known, int | float) else 3e-4  # of the library
+    clipped, kl = (float(t.curve(f"train/{name}").max(initial=0.0)) for name in ("clip_fraction", "approx_kl"))
     times = rate / usual
-    if not ((jumps and times > 2) or times >= 20):
+    if not (((clipped >= 0.5 or kl >= 0.3) and times > 2) or times >= 20):
         return None
-    likelihood = 0.93 if times >= 20 else 0.75 if times > 5 else 0.5
-    first, last = t.episodes.part(0.0, 0.25).returns.mean(), t.episodes.part(0.75, 1.0).returns.mean()
-    return {"likelihood": likelihood, "rate": rate, "usual": usual, "times": times, "clipped": Share(largest),
-            "kl": float(kl.max(initial=0.0)), "first": float(first), "last": float(last)}  # fmt: skip
+    first, last = (float(t.part(*ends).returns.mean()) for ends in ((0.0, 0.25), (0.75, 1.0)))
+    return {"likelihood": 0.93 if times >= 20 else 0.75 if times > 5 else 0.5, "rate": rate, "usual": usual, "times": times,
+            "clipped": Share(clipped), "kl": kl, "first": first, "last": last}  # fmt: skip
 
 
 def exploration_too_large(t: Training) -> Numbers | None:
@@ -341,22 +315,17 @@ def exploration_too_large(t: Training) -> Numbers | None:
 
     Try: Lower `train.ent_coef`, such as to 0.01 or 0.
     """
-    weight = t.setting("ent_coef")
-    entropy = -t.curve("train/entropy_loss")
-    random, spread = _random_entropy(t), t.curve("train/std")
-    if not weight or not len(entropy):
+    weight, random = t.setting("ent_coef"), _random_entropy(t)
+    entropy, spread = -t.curve("train/entropy_loss"), t.curve("train/std")
+    if not weight or not len(entropy) or (random is None and not len(spread)):
         return None
-    if random is not None:
-        share = _late(entropy) / random
-        if share < 0.97:
-            return None
-    elif not len(spread) or spread[-1] < 1.2 * spread[0]:
+    late = float(entropy[-max(1, len(entropy) // 4) :].mean())
+    share = float(spread[-1] / spread[0]) if random is None else late / random
+    if share < (1.2 if random is None else 0.97):
         return None
-    else:
-        share = float(spread[-1] / spread[0])
-    last = float(np.mean(t.evaluations[-1]["returns"])) if t.evaluations else None
-    return {"likelihood": 0.93 if weight >= 0.1 else 0.5, "weight": weight, "entropy": _late(entropy), "share": Share(share),
-            "updates": len(entropy), "late": _late(t.episodes.returns), "last_evaluation": last,
+    last = fmean(t.evaluations[-1]["returns"]) if t.evaluations else None
+    return {"likelihood": 0.93 if weight >= 0.1 else 0.5, "weight": weight, "entropy": late, "share": Share(share),
+            "updates": len(entropy), "late": float(t.part(0.75, 1.0).returns.mean()), "last_evaluation": last,
             "evaluated": "" if last is None else f", and the last evaluation, without exploration, one of {last:.3g}"}  # fmt: skip
 
 
@@ -372,18 +341,15 @@ def exploration_collapsed(t: Training) -> Numbers | None:
 
     Try: Raise the noise: `train.ent_coef` of PPO and A2C, `train.action_noise` of DDPG and TD3; or lower `train.learning_rate`.
     """
-    noise = t.settings.get("action_noise")
-    sigma = getattr(getattr(noise, "sigma", None), "start", None)
+    sigma = getattr(getattr(t.settings.get("action_noise"), "sigma", None), "start", None)
     if sigma == 0:
         return {"likelihood": 0.85, "measure": "the standard deviation of the action noise", "value": 0.0, "least": 0.1, "steps": t.steps}
-    entropy, spread, random = -t.curve("train/entropy_loss"), t.curve("train/std"), _random_entropy(t)
-    if len(entropy) < _ENOUGH:
-        return None
-    known = {"likelihood": 0.6, "steps": t.steps // 2}
-    if random is not None and (value := float(entropy[len(entropy) // 2])) < 0.05 * random:
-        return {**known, "measure": "the entropy of the policy", "value": value, "least": 0.05 * random}
-    if len(spread) and (value := float(spread[len(spread) // 2])) < 0.05:
-        return {**known, "measure": "the standard deviation of the actions", "value": value, "least": 0.05}
+    random, measures = _random_entropy(t), []
+    if random is not None:
+        measures.append(("the entropy of the policy", -t.curve("train/entropy_loss"), 0.05 * random))
+    for measure, curve, least in [*measures, ("the standard deviation of the actions", t.curve("train/std"), 0.05)]:
+        if len(curve) >= _ENOUGH and (value := float(curve[len(curve) // 2])) < least:
+            return {"likelihood": 0.6, "steps": t.steps // 2, "measure": measure, "value": value, "least": least}
     return None
 
 
@@ -392,14 +358,14 @@ def one_ending(t: Training) -> Numbers | None:
 
     Try: `deepbots explain-episode RUN` shows the value and the bound of this ending in one of them.
     """
-    late = t.episodes.part(0.75, 1.0)
-    if len(late.returns) < _ENOUGH:
+    late = t.part(0.75, 1.0)
+    if len(late) < _ENOUGH:
         return None
     name, count = Counter(late.endings).most_common(1)[0]
-    share = count / len(late.returns)
+    share = count / len(late)
     if name not in t.program.failures or share < 0.9 or len(t.program.endings) < 2 or too_few_steps(t) is not None:
         return None
-    return {"likelihood": 0.25, "ending": name, "share": Share(share), "episodes": len(late.returns), "length": float(late.lengths.mean())}
+    return {"likelihood": 0.25, "ending": name, "share": Share(share), "episodes": len(late), "length": float(late.lengths.mean())}
 
 
 def too_few_steps(t: Training) -> Numbers | None:
@@ -408,17 +374,16 @@ def too_few_steps(t: Training) -> Numbers | None:
 
     Try: Train on: deepbots train --resume {run} --timesteps {more}
     """
-    returns = t.episodes.returns
-    early, late = t.episodes.part(0.0, 0.5).returns, t.episodes.part(0.75, 1.0).returns
-    if len(returns) < 2 * _ENOUGH:
+    early, late = t.part(0.0, 0.5).returns, t.part(0.75, 1.0).returns
+    if len(t.episodes) < 2 * _ENOUGH:
         return None
     gain = float(late.mean() - early.mean())
     chance = 2 * float(np.hypot(early.std() / np.sqrt(len(early)), late.std() / np.sqrt(len(late))))
     if not gain > chance > 0:
         return None
-    numbers = _length(t)
-    likelihood = 0.8 if numbers["share"].value < 0.5 else 0.65
-    return {**numbers, "likelihood": likelihood, "first": float(early.mean()), "last": float(late.mean()), "gain": gain, "chance": chance}
+    length = _length(t)
+    return {**length, "likelihood": 0.8 if length["share"] < 0.5 else 0.65, "first": float(early.mean()), "last": float(late.mean()),
+            "gain": gain, "chance": chance}  # fmt: skip
 
 
 def short_training(t: Training) -> Numbers | None:
@@ -426,37 +391,22 @@ def short_training(t: Training) -> Numbers | None:
 
     Try: Train on: deepbots train --resume {run} --timesteps {more}
     """
-    numbers = _length(t)
-    if numbers["share"].value >= 0.5 or too_few_steps(t) is not None:
+    length = _length(t)
+    if length["share"] >= 0.5 or too_few_steps(t) is not None:
         return None
-    return {**numbers, "likelihood": 0.5, "episodes": len(t.episodes.returns)}
+    return {**length, "likelihood": 0.5, "episodes": len(t.episodes)}
 
 
 def _length(t: Training) -> dict[str, Any]:
     settings = t.program.policy.training
     planned = settings.total_timesteps if settings else t.run.record.total_timesteps
-    share, more = Share(t.steps / planned), max(planned, 2 * t.steps)
-    return {"steps": t.steps, "planned": planned, "share": share, "more": str(more), "run": str(t.run.path)}
+    more = str(max(planned, 2 * t.steps))
+    return {"steps": t.steps, "planned": planned, "share": Share(t.steps / planned), "more": more, "run": str(t.run.path)}
 
 
 CAUSES: tuple[Finder[Training], ...] = (
-    ending_at_reset,
-    not_finite,
-    action_without_effect,
-    ending_at_once,
-    lint_warns,
-    constant_observation,
-    saturated_observation,
-    term_dominates,
-    ending_early_pays,
-    standing_still_pays,
-    success_never_seen,
-    silent_terms,
-    learning_rate_too_high,
-    exploration_too_large,
-    exploration_collapsed,
-    one_ending,
-    too_few_steps,
-    short_training,
-)
+    ending_at_reset, not_finite, action_without_effect, ending_at_once, lint_warns, constant_observation, saturated_observation,
+    term_dominates, ending_early_pays, standing_still_pays, success_never_seen, silent_terms, learning_rate_too_high, exploration_too_large,
+    exploration_collapsed, one_ending, too_few_steps, short_training,
+)  # fmt: skip
 """Why a training does not learn."""

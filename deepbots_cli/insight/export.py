@@ -14,17 +14,19 @@ import numpy as np
 import onnx
 import torch
 from gymnasium import spaces
+from gymnasium.vector.utils import batch_space
 from onnx import TensorProto, helper, numpy_helper
 from onnx.reference import ReferenceEvaluator
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.preprocessing import is_image_space
+from stable_baselines3.common.torch_layers import NatureCNN
 from torch import nn
 
 import deepbots_cli
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import algorithms
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import ActionRange, Choices, policy_inputs
+from deepbots_cli.program.task import ActionRange, Choices
 from deepbots_cli.runtime.spaces import action_space, observation_space
 
 _OPSET = 17
@@ -36,9 +38,11 @@ _CHECKED = 1000
 TOLERANCE = 1e-5
 """Largest difference of an exported action from the one of Stable-Baselines3, in the agent's [-1, 1]."""
 
-_PLAIN: Mapping[type[nn.Module], str] = {nn.Tanh: "Tanh", nn.ReLU: "Relu", nn.Sigmoid: "Sigmoid"}
-_TYPES = {np.dtype("float32"): TensorProto.FLOAT, np.dtype("uint8"): TensorProto.UINT8, np.dtype("bool"): TensorProto.BOOL,
-          np.dtype("int64"): TensorProto.INT64}  # fmt: skip
+_ACTIVATIONS: Mapping[type[nn.Module], tuple[str, str]] = {
+    nn.Tanh: ("Tanh", ""), nn.ReLU: ("Relu", ""), nn.Sigmoid: ("Sigmoid", ""), nn.ELU: ("Elu", "alpha"),
+    nn.LeakyReLU: ("LeakyRelu", "negative_slope"),
+}  # fmt: skip
+"""Operators of ONNX, each with the attribute of the module that is its `alpha`."""
 
 
 class _Graph:
@@ -51,12 +55,12 @@ class _Graph:
         self.outputs: list[Any] = []
 
     def input(self, name: str, dtype: Any, *shape: int | str) -> str:
-        self.inputs.append(helper.make_tensor_value_info(name, _TYPES[np.dtype(dtype)], shape))
+        self.inputs.append(helper.make_tensor_value_info(name, helper.np_dtype_to_tensor_dtype(np.dtype(dtype)), shape))
         return name
 
     def output(self, name: str, value: str, dtype: Any, *shape: int | str) -> None:
         self.nodes.append(helper.make_node("Identity", [value], [name]))
-        self.outputs.append(helper.make_tensor_value_info(name, _TYPES[np.dtype(dtype)], shape))
+        self.outputs.append(helper.make_tensor_value_info(name, helper.np_dtype_to_tensor_dtype(np.dtype(dtype)), shape))
 
     def constant(self, value: Any, dtype: Any = np.float32) -> str:
         name = f"w{len(self.weights)}"
@@ -88,10 +92,6 @@ class _Graph:
                 return str(self.add("Conv", value, self.constant(module.weight), self.constant(module.bias), **sides))
             case nn.Flatten():
                 return str(self.add("Flatten", value, axis=1))
-            case nn.ELU():
-                return str(self.add("Elu", value, alpha=module.alpha))
-            case nn.LeakyReLU():
-                return str(self.add("LeakyRelu", value, alpha=module.negative_slope))
             case nn.SiLU():
                 return str(self.add("Mul", value, self.add("Sigmoid", value)))
             case nn.GELU() if module.approximate == "none":
@@ -99,8 +99,11 @@ class _Graph:
                 return str(self.add("Mul", self.add("Mul", value, self.constant(0.5)), self.add("Add", erf, self.constant(1.0))))
             case nn.Hardtanh():
                 return str(self.add("Clip", value, self.constant(module.min_val), self.constant(module.max_val)))
-            case _ if type(module) in _PLAIN:
-                return str(self.add(_PLAIN[type(module)], value))
+            case NatureCNN():
+                return self.layers(module.linear, self.layers(module.cnn, value))
+            case _ if type(module) in _ACTIVATIONS:
+                operator, slope = _ACTIVATIONS[type(module)]
+                return str(self.add(operator, value, **({"alpha": getattr(module, slope)} if slope else {})))
         raise UsageError(f"the policy holds a layer {type(module).__name__}, which cannot be exported")
 
     def affine(self, value: str, offset: Sequence[float], factor: Sequence[float]) -> str:
@@ -180,7 +183,7 @@ def _features(graph: _Graph, model: BaseAlgorithm, program: Program, *, si: bool
             low, high = _bounds(program, name)
             value = graph.affine(value, (low + high) / 2, 2 / (high - low))
             value = graph.add("Max", graph.add("Min", value, graph.constant(part.high)), graph.constant(part.low))
-        values.append(value if extractors is None else _extracted(graph, extractors[name], value))
+        values.append(value if extractors is None else graph.layers(extractors[name], value))
     return values[0] if len(values) == 1 else str(graph.add("Concat", *values, axis=1))
 
 
@@ -194,20 +197,13 @@ def _extractor(model: BaseAlgorithm) -> nn.Module:
     raise UsageError(f"the policy of {type(model).__name__} has no networks in torch, and cannot be exported")
 
 
-def _extracted(graph: _Graph, extractor: Any, value: str) -> str:
-    return (
-        graph.layers(extractor.linear, graph.layers(extractor.cnn, value)) if hasattr(extractor, "cnn") else graph.layers(extractor, value)
-    )
-
-
 def _bounds(program: Program, name: str) -> tuple[Any, Any]:
     """The values (SI) that stand for -1 and 1; a truth value stays as it is."""
     if name != "observation":
         assert program.policy.goal is not None
         return np.array(program.policy.goal.low), np.array(program.policy.goal.high)
-    numbers = program.policy.numbers
-    seen = [numbers[index] for index, _ in policy_inputs(numbers, program.policy.frame_stack)]
-    return np.array([-1.0 if n.is_truth else n.low for n in seen]), np.array([1.0 if n.is_truth else n.high for n in seen])
+    seen = program.policy.inputs
+    return np.array([-1.0 if n.truth else n.low for n in seen]), np.array([1.0 if n.truth else n.high for n in seen])
 
 
 def _memory(graph: _Graph, lstm: nn.LSTM, value: str) -> str:
@@ -266,18 +262,6 @@ def _choices(graph: _Graph, value: str, model: BaseAlgorithm, program: Program, 
 # Whether a graph acts as the policy does
 
 
-def sampled(space: Any, count: int, random: np.random.Generator) -> Any:
-    """Random observations; numbers without bounds are normal."""
-    if isinstance(space, spaces.Dict):
-        return {name: sampled(part, count, random) for name, part in space.spaces.items()}
-    if space.dtype == np.uint8:
-        return random.integers(0, 256, (count, *space.shape), np.uint8)
-    bounded = np.isfinite(space.low) & np.isfinite(space.high)
-    low, high = np.where(bounded, space.low, -1.0), np.where(bounded, space.high, 1.0)
-    drawn = np.where(bounded, random.uniform(low, high, (count, *space.shape)), random.normal(0.0, 1.0, (count, *space.shape)))
-    return drawn.astype(np.float32)
-
-
 def largest_difference(
     model: BaseAlgorithm, program: Program, graph: bytes, count: int, run: Callable[[Mapping[str, Any]], Sequence[Any]] | None = None
 ) -> float:
@@ -286,18 +270,18 @@ def largest_difference(
     Args:
         run: Runs the graph; by default the slow reference of onnx does.
     """
-    random = np.random.default_rng(0)
-    space = observation_space(program)
-    if isinstance(space, spaces.Dict):
-        count = min(count, 50) if any(len(part.shape or ()) == 3 for part in space.spaces.values()) and run is None else count
-    observations = sampled(space, count, random)
+    random, space = np.random.default_rng(0), observation_space(program)
+    if run is None and program.policy.images:
+        count = min(count, 50)
+    rows = batch_space(space, count)
+    rows.seed(0)
+    observations: Any = rows.sample()
     feeds = dict(observations) if isinstance(observations, dict) else {"observation": observations}
     options: dict[str, Any] = {}
     if algorithms.takes_masks(model):
         sizes = [len(part.options) for part in program.policy.action if isinstance(part, Choices)]
         allowed = random.random((count, sum(sizes))) < (0.5 if takes_masks(model, program) else 2.0)
-        for first in np.cumsum([0, *sizes[:-1]]):
-            allowed[:, first] = True
+        allowed[:, np.cumsum([0, *sizes[:-1]])] = True
         options["action_masks"] = allowed
         if takes_masks(model, program):
             feeds["action_mask"] = allowed

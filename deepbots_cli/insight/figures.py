@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
@@ -22,21 +21,11 @@ from deepbots_cli.view.plots import THEMES, Curve, Log, band, endings_over_time,
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from deepbots_cli.insight.report import Shown
+
 SUCCESS, FAILURE = "#009E73", "#D55E00"
 _MAX_STARTS = 6
 _WIDTH, _WIDE = 5.0, 8.0  # inches
-
-
-@dataclass(frozen=True)
-class Path:
-    """Where a link of a robot was in an episode (m), and how the episode ended."""
-
-    title: str
-    points: Sequence[Triple]
-    is_success: bool
-    """Also where the scenario defines no success."""
-    shown: bool
-    """Whether it is one of the best, the median and the worst, which are drawn thicker."""
 
 
 def _figure(theme: str, height: float, columns: int = 1, rows: int = 1, width: float = _WIDTH) -> tuple[Figure, Any]:
@@ -46,15 +35,11 @@ def _figure(theme: str, height: float, columns: int = 1, rows: int = 1, width: f
     return figure, figure.subplots(rows, columns, squeeze=False)
 
 
-def _style(number: int, label: str) -> dict[str, Any]:
-    return {"color": COLOURS[number % len(COLOURS)], "label": label}
-
-
 def returns(logs: Sequence[Log], theme: str) -> Figure:
     """Returns of training episodes, the mean over seeds with a band from the lowest to the highest, and evaluations."""
     figure, ((panel,),) = _figure(theme, 2.9)
     label = "training episodes" if len(logs) == 1 else f"training episodes, mean of {len(logs)} seeds"
-    band(panel, [log.returns for log in logs if log.returns is not None], _style(0, label))
+    band(panel, [log.returns for log in logs if log.returns is not None], {"color": COLOURS[0], "label": label})
     evaluations = [log.evaluations for log in logs if log.evaluations is not None]
     for number, curve in enumerate(evaluations):
         panel.plot(*curve, "o", color=COLOURS[1], markersize=4, label="" if number else "evaluations during the training")
@@ -68,7 +53,7 @@ def successes(logs: Sequence[Log], theme: str) -> Figure | None:
     if not curves:
         return None
     figure, ((panel,),) = _figure(theme, 2.9)
-    band(panel, curves, _style(2, "success rate"))
+    band(panel, curves, {"color": COLOURS[2], "label": "success rate"})
     panel.set_ylim(-0.03, 1.03)
     finish(panel, "success rate of training episodes", theme, legend=False)
     return figure
@@ -133,10 +118,7 @@ def starts(episodes: Sequence[Episode], theme: str, *, success_defined: bool) ->
             panel.plot((low, high) if wide else (middle - 0.02, middle + 0.02), [part.mean_return] * 2, color=THEMES[theme][1], linewidth=2)
             if part.return_interval is not None:
                 panel.plot([middle] * 2, part.return_interval, color=THEMES[theme][1], linewidth=1)
-        finish(panel, "", theme, legend=False)
-        panel.set_xlabel(name, fontsize=8, color=THEMES[theme][1], parse_math=False)
-        panel.set_ylabel("return", fontsize=8, color=THEMES[theme][1])
-        panel.xaxis.set_major_formatter(_plain())
+        finish(panel, "", theme, legend=False, axes=(name, "return"))
         if words:
             panel.set_xticks(range(len(words)), [word[:12] for word in words], parse_math=False)
     for panel in list(panels.flat)[len(names) :]:
@@ -144,15 +126,9 @@ def starts(episodes: Sequence[Episode], theme: str, *, success_defined: bool) ->
     return figure
 
 
-def _plain() -> Any:
-    from matplotlib.ticker import ScalarFormatter
-
-    return ScalarFormatter()
-
-
-def trajectories(paths: Sequence[Path], world: WorldModel, fixed: Mapping[str, Sequence[Triple]], theme: str) -> Figure:
+def trajectories(shown: Sequence[Shown], world: WorldModel, fixed: Sequence[Sequence[Triple]], theme: str) -> Figure:
     """Paths from above, with rings where they begin and discs where they end; `fixed` are the outlines of objects that stand still."""
-    low, high = _limits(paths, world)
+    low, high = _limits(np.array([point[:2] for each in shown for point in each.points]), world)
     height = min(5.5, max(1.8, 1.2 + (_WIDE - 1.0) * (high[1] - low[1]) / (high[0] - low[0])))
     figure, ((panel,),) = _figure(theme, height, width=_WIDE)
     ground, text, grid = THEMES[theme]
@@ -161,30 +137,25 @@ def trajectories(paths: Sequence[Path], world: WorldModel, fixed: Mapping[str, S
         panel.plot([-x, x, x, -x, -x], [-y, -y, y, y, -y], color=text, linewidth=1.2)
     for line in world.lines:
         panel.plot(*zip(*line.points, strict=True), color=grid, linewidth=3)
-    for outline in fixed.values():
+    for outline in fixed:
         panel.fill([x for x, _, _ in outline], [y for _, y, _ in outline], color=grid)
-    chosen = [path for path in paths if path.shown]
-    for path in [*(path for path in paths if not path.shown), *chosen]:
-        colour = COLOURS[chosen.index(path)] if path.shown else COLOURS[6]
-        xs, ys = [point[0] for point in path.points], [point[1] for point in path.points]
-        width, alpha = (2.0, 1.0) if path.shown else (0.9, 0.7)
-        panel.plot(xs, ys, color=colour, linewidth=width, alpha=alpha, label=path.title if path.shown else "")
+    labelled = [each for each in shown if each.label]
+    for each in [*(each for each in shown if not each.label), *labelled]:
+        colour, width, alpha = (COLOURS[labelled.index(each)], 2.0, 1.0) if each.label else (COLOURS[6], 0.9, 0.7)
+        xs, ys = [point[0] for point in each.points], [point[1] for point in each.points]
+        panel.plot(xs, ys, color=colour, linewidth=width, alpha=alpha, label=each.title if each.label else "")
         panel.plot(xs[:1], ys[:1], "o", color=colour, markerfacecolor=ground, markersize=5)
-        panel.plot(xs[-1:], ys[-1:], "o" if path.is_success else "X", color=colour, markersize=6)
+        panel.plot(xs[-1:], ys[-1:], "o" if each.is_success else "X", color=colour, markersize=6)
     panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
-    finish(panel, "", theme, legend=False)
+    finish(panel, "", theme, legend=False, axes=("x, m", "y, m"))
     box = figure.legend(loc="outside lower center", fontsize=8, labelcolor=text, facecolor=ground, edgecolor=grid)
     for label in box.get_texts():
         label.set_parse_math(False)
-    panel.set_xlabel("x, m", fontsize=9, color=text)
-    panel.set_ylabel("y, m", fontsize=9, color=text)
-    panel.xaxis.set_major_formatter(_plain())
     return figure
 
 
-def _limits(paths: Sequence[Path], world: WorldModel) -> tuple[Any, Any]:
-    """What is seen: the arena, or the surroundings of paths that take less than a third of it."""
-    points = np.array([point[:2] for path in paths for point in path.points])
+def _limits(points: Any, world: WorldModel) -> tuple[Any, Any]:
+    """What is seen: the arena, or the surroundings of points (n, 2) that take less than a third of it."""
     low, high = points.min(axis=0), points.max(axis=0)
     if world.arena is not None and ((high - low) > np.array(world.arena.size) / 3).any():
         low, high = np.minimum(low, -np.array(world.arena.size) / 2), np.maximum(high, np.array(world.arena.size) / 2)

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from importlib.metadata import version
+from itertools import groupby
 from pathlib import Path
 from shlex import join, quote
 from statistics import fmean
@@ -23,16 +24,16 @@ import numpy as np
 
 import deepbots_cli
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
-from deepbots_cli.errors import DeepbotsError, EngineError, MissingExtraError, RunError, UsageError
-from deepbots_cli.files import atomic_write, unwritable_message
-from deepbots_cli.frames import Frame
+from deepbots_cli.errors import DeepbotsError, EngineError, MissingExtraError, RunError
+from deepbots_cli.files import atomic_write
+from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.insight import figures
-from deepbots_cli.insight.card import result_text
+from deepbots_cli.insight.card import rendered, result_text
 from deepbots_cli.insight.trace import KeptEpisodes, last_evaluation
 from deepbots_cli.insight.training import findings
-from deepbots_cli.learning.episodes import Episode
+from deepbots_cli.learning.episodes import UNBOUNDED, Episode
 from deepbots_cli.learning.group import Group, is_group
-from deepbots_cli.learning.run import Record, Run, is_training
+from deepbots_cli.learning.run import Run, is_training
 from deepbots_cli.view import pictures, plots
 from deepbots_cli.view.episodes import Player, Source
 from deepbots_cli.view.frames import LinkName
@@ -41,7 +42,6 @@ from deepbots_cli.view.plots import Log
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from deepbots_cli.runtime import Supervisor
 
 LABELS = ("best", "median", "worst")
 _TRACED = 12
@@ -61,7 +61,7 @@ class Member:
     evaluation: KeptEpisodes
 
     @staticmethod
-    def read(path: Path, window: int) -> Member:
+    def read(path: Path) -> Member:
         """A run with a finished episode and an evaluation.
 
         Raises:
@@ -71,18 +71,21 @@ class Member:
         found = last_evaluation(run)
         if found is None:
             raise RunError(f"{path} holds no evaluation of its best model since its training ended; next: deepbots eval {quote(str(path))}")
-        (log,) = plots.read([path], window)
+        (log,) = plots.read([path])
         return Member(run, log, found[1])
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Shown:
-    """An episode of the evaluation of a member, chosen to be run again."""
+    """An episode of the evaluation of a member, which runs again: `points` is where a link of a robot was (m), `ends` the poses of all
+    links in its first and in its last frame."""
 
     member: Member
     number: int
     label: str = ""
     """`best`, `median` or `worst` by return; empty for the others."""
+    points: Sequence[Triple] = ()
+    ends: Sequence[Mapping[LinkName, Frame]] = ()
 
     @property
     def outcome(self) -> Episode:
@@ -106,25 +109,27 @@ class Report:
     path: Path
     members: Sequence[Member]
     notes: list[str] = field(default_factory=list)
-    clips: dict[str, tuple[str, bytes]] = field(default_factory=dict)
-    """Caption and MP4, by label."""
-    paths: Sequence[figures.Path] = ()
+    clips: dict[str, tuple[str, str]] = field(default_factory=dict)
+    """Caption and MP4 as a data URI, by label."""
+    shown: Sequence[Shown] = ()
+    """The episodes that ran again; their points are those of `link`."""
     link: str = ""
-    fixed: dict[str, list[Any]] = field(default_factory=dict)
+    fixed: Sequence[list[Triple]] = ()
+    """The outlines of objects that stand still in all of them."""
 
     @staticmethod
-    def read(path: Path, window: int = 100) -> Report:
+    def read(path: Path) -> Report:
         """A run or a group from its files; seeds that cannot be read are noted.
 
         Raises:
             RunError: It cannot be read, or holds no evaluation.
         """
         if not is_group(path):
-            return Report(path, [Member.read(path, window)], ["the training goes on"] if is_training(path) else [])
+            return Report(path, [Member.read(path)], ["the training goes on"] if is_training(path) else [])
         group, members, notes = Group.open(path), list[Member](), list[str]()
         for seed in group.record.seeds:
             try:
-                members.append(Member.read(group.run(seed), window))
+                members.append(Member.read(group.run(seed)))
             except DeepbotsError as error:
                 notes.append(f"seed {seed} is left out: {' '.join(str(error).split())}")
         if not members:
@@ -132,20 +137,14 @@ class Report:
         return Report(path, members, notes)
 
     @property
-    def record(self) -> Record:
-        return self.members[0].run.record
-
-    @property
     def result(self) -> str:
         """The result in one line, with its interval."""
-        from deepbots_cli.learning.statistics import mean_interval
-
         found = [member.evaluation for member in self.members]
         if not is_group(self.path):
             return result_text(found[0])
-        text = f"mean return {_over([each.mean_return for each in found], mean_interval, '{:.4g}')}"
+        rates, text = [each.success_rate for each in found], "mean return " + _over("{:.4g}", [each.mean_return for each in found])
         if all(each.success_defined for each in found):
-            text += f", success rate {_over([each.success_rate for each in found], mean_interval, '{:.1%}', top=1.0)}"
+            text += ", success rate " + _over("{:.1%}", rates, (0.0, 1.0))
         solved = f"; {sum(bool(each.solved) for each in found)} solved" if None not in [each.solved for each in found] else ""
         fewest, most = min(each.episodes for each in found), max(each.episodes for each in found)
         counts = f"{most:,}" if fewest == most else f"{fewest:,} to {most:,}"
@@ -164,22 +163,16 @@ class Report:
 
     def run_again(self, shown: Sequence[Shown], on_episode: OnEpisode, *, clips: bool = True, allow_code: bool = False) -> None:
         """Run episodes of the evaluation again, for their paths and clips."""
-        try:
-            from deepbots_cli.learning.policy import loaded
-        except ModuleNotFoundError as error:
-            raise MissingExtraError("train", "running episodes again") from error
-        total, done = len(shown), 0
-        traces: dict[Shown, Trace] = {}
-        for member in self.members:
-            mine = [each for each in shown if each.member is member]
-            if not mine:
-                continue
+        self.shown, self.link = shown, ""
+        ordered = sorted(shown, key=lambda each: self.members.index(each.member))
+        for member, mine in groupby(ordered, lambda each: each.member):
             source = Source(str(member.run.path), engine=member.evaluation.engine, allow_code=allow_code)
-            model = loaded(member.run, "best")
-            with closing(Player(source.open(), "zero")) as player:
+            with closing(source.open().player()) as player:
                 for each in mine:
-                    player.driver = _AsEvaluated(model, player.env, each.number)
-                    traces[each] = [frame.links for frame in player.episode(member.evaluation.seed, each.number)]
+                    frames = [frame.links for frame in player.episode(member.evaluation.seed, each.number)]
+                    self.link = self.link or _traced_link(player, frames)
+                    body, _, link = self.link.partition("/")
+                    each.points, each.ends = [links[body, link][0] for links in frames], (frames[0], frames[-1])
                     again = fmean(agent.episode_return for agent in player.frame.agents.values())
                     if abs(again - each.outcome.total_return) > 1e-6 * max(1.0, abs(again)):
                         self.notes.append(
@@ -188,14 +181,8 @@ class Report:
                         )
                     if clips and each.label:
                         self._film(player, each)
-                    done += 1
-                    on_episode(done, total)
-        self.fixed = _standing(player, traces)
-        self.link = _traced_link(player, next(iter(traces.values())))
-        body, _, link = self.link.partition("/")
-        self.paths = [
-            figures.Path(each.title, [links[body, link][0] for links in traces[each]], each.is_success, bool(each.label)) for each in shown
-        ]
+                    on_episode(ordered.index(each) + 1, len(shown))
+        self.fixed = _standing(player, shown)
 
     def _film(self, player: Player, shown: Shown) -> None:
         time = player.frame.time
@@ -209,7 +196,7 @@ class Report:
                 self.notes = list(dict.fromkeys([*self.notes, f"there are no clips: {error}"]))
                 return
             fast = f", {speed:.1f} times as fast" if speed > 1 else ""
-            self.clips[shown.label] = (f"{shown.title} after {time:.1f} s{fast}", target.read_bytes())
+            self.clips[shown.label] = (f"{shown.title} after {time:.1f} s{fast}", _uri("video/mp4", target.read_bytes()))
 
     # Figures
 
@@ -229,11 +216,11 @@ class Report:
             "intervals. Values in SI units, those with the largest effect first."
         )
         yield "starts", caption, figures.starts(outcomes, theme, success_defined=defined)
-        if self.paths:
+        if self.shown:
             marks = "disc: success, cross: none" if defined else "disc: end"
-            title = f"{len(self.paths)} evaluation episodes from above: {self.link}. Ring: start, {marks}."
+            title = f"{len(self.shown)} evaluation episodes from above: {self.link}. Ring: start, {marks}."
             world = self.members[0].run.program.world
-            yield "trajectories", title, figures.trajectories(self.paths, world, self.fixed, theme)
+            yield "trajectories", title, figures.trajectories(self.shown, world, self.fixed, theme)
 
     def write_figures(self, folder: Path) -> list[Path]:
         """Every figure as PNG.
@@ -242,10 +229,7 @@ class Report:
             UsageError: A file cannot be written.
         """
         written = []
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise UsageError(unwritable_message(folder, error)) from error
+        folder.mkdir(parents=True, exist_ok=True)
         for name, _, figure in self.figures("light"):
             if figure is not None:
                 written.append(folder / f"{name}.png")
@@ -257,55 +241,31 @@ class Report:
 
     def html(self) -> str:
         """The page."""
-        from jinja2 import Environment, PackageLoader, StrictUndefined
-
-        loader = PackageLoader("deepbots_cli.insight", ".")
-        environment = Environment(loader=loader, undefined=StrictUndefined, autoescape=True, trim_blocks=True, lstrip_blocks=True)
         dark = {name: figure for name, _, figure in self.figures("dark")}
         drawn = [
             {"name": name, "caption": caption, "light": _svg(figure), "dark": _svg(dark[name])}
             for name, caption, figure in self.figures("light")
             if figure is not None
         ]
-        run = self.members[0].run
-        lines = (run.path / RESOLVED_NAME).read_text("utf-8").splitlines()
-        found = findings(run)
-        here = {finding.span.start_position.line for finding in found if finding.span.source.name.endswith(RESOLVED_NAME)}
-        ordered = ((label, self.clips[label]) for label in LABELS if label in self.clips)
-        clips = {label: (caption, _uri("video/mp4", data)) for label, (caption, data) in ordered}
-        return environment.get_template("report.html.j2").render(
-            report=self, program=run.program, record=run.record, figures=drawn, lines=lines, marked=here,
-            findings=found, clips=clips,
+        run, found = self.members[0].run, findings(self.members[0].run)
+        clips = {label: self.clips[label] for label in LABELS if label in self.clips}
+        return rendered(
+            "report.html.j2", html=True, report=self, program=run.program, record=run.record, figures=drawn, findings=found, clips=clips,
+            lines=(run.path / RESOLVED_NAME).read_text("utf-8").splitlines(),
+            marked={finding.span.start_position.line for finding in found if finding.span.source.name.endswith(RESOLVED_NAME)},
             rows=[(member.run.path.name, member.run.record, result_text(member.evaluation)) for member in self.members],
             command=join(run.record.command) or "(from Python)", version=deepbots_cli.__version__, python=platform.python_version(),
             matplotlib=version("matplotlib"), notes=dict.fromkeys([*self.notes, *(note for m in self.members for note in m.run.notes())]),
         )  # fmt: skip
 
 
-def _over(values: Sequence[float], interval: Callable[[Sequence[float]], Any], form: str, top: float | None = None) -> str:
-    """A mean over seeds with its interval; shares stay between 0 and `top`."""
-    found = interval(values)
-    if found is None:
-        return form.format(fmean(values))
-    low, high = found if top is None else (max(0.0, found[0]), min(top, found[1]))
-    return f"{form.format(fmean(values))} (95 % interval over seeds {form.format(low)} .. {form.format(high)})"
+def _over(form: str, values: Sequence[float], bounds: tuple[float, float] = UNBOUNDED) -> str:
+    """A mean over seeds with its interval."""
+    from deepbots_cli.learning.statistics import mean_interval
 
-
-class _AsEvaluated:
-    """The driver that acts to the bit as the evaluation did in the episode of this number."""
-
-    note = ""
-
-    def __init__(self, model: Any, env: Supervisor, number: int) -> None:
-        self._model, self._env, self._number = model, env, number
-
-    def begin(self, seed: int) -> None:
-        from deepbots_cli.learning.evaluation import acting
-
-        self._acting = acting(self._model, self._env, number=self._number)
-
-    def act(self, observation: Any) -> Any:
-        return self._acting(observation)
+    found = mean_interval(values, bounds)
+    interval = "" if found is None else f" (95 % interval over seeds {form.format(found[0])} .. {form.format(found[1])})"
+    return form.format(fmean(values)) + interval
 
 
 def _traced_link(player: Player, trace: Trace) -> str:
@@ -320,15 +280,14 @@ def _traced_link(player: Player, trace: Trace) -> str:
     return f"{robot.name}/{robot.model.root if way(robot.model.root) > 0.01 else max(links, key=way)}"
 
 
-def _standing(player: Player, traces: dict[Shown, Trace]) -> dict[str, list[Any]]:
+def _standing(player: Player, shown: Sequence[Shown]) -> list[list[Triple]]:
     """The outlines of objects that have one form, and one place in all these episodes."""
-    moments = [links for trace in traces.values() for links in (trace[0], trace[-1])]
-    found = {}
+    found = []
     for thing in player.env.world.objects:
-        poses = {links.get((thing.name, thing.name)) for links in moments}
+        poses = {links.get((thing.name, thing.name)) for each in shown for links in each.ends}
         pose = poses.pop() if len(poses) == 1 else None
         if pose is not None and not thing.variants:
-            found[thing.name] = figures.outline(thing.shape, pose)
+            found.append(figures.outline(thing.shape, pose))
     return found
 
 

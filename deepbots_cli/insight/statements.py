@@ -17,11 +17,9 @@ T_contra = TypeVar("T_contra", contravariant=True)
 
 
 class Finder(Protocol[T_contra]):
-    """A row of a table: a function that finds the numbers of a sentence.
+    """A row: its name is the cause, its docstring the sentence, with a field in braces for each number, then `Try:` and what to try.
 
-    Its name is the cause, and its docstring is the sentence, with a field in braces for each number, then `Try:` and what to try. It
-    returns None where the row does not apply. Evidence may hold more than the sentence shows; its entry `likelihood` (0 to 1) orders
-    causes.
+    It returns None where it does not apply. Evidence may hold more than the sentence shows; its entry `likelihood` (0 to 1) orders causes.
     """
 
     __name__: str
@@ -42,11 +40,8 @@ class Statement:
         return {"cause": self.cause, "text": self.text, **({"advice": self.advice} if self.advice else {}), "evidence": self.evidence}
 
 
-@dataclass(frozen=True)
-class Share:
+class Share(float):
     """A share, shown in per cent."""
-
-    value: float
 
 
 def state_all(finders: Sequence[Finder[T]], about: T) -> list[Statement]:
@@ -57,33 +52,17 @@ def state_all(finders: Sequence[Finder[T]], about: T) -> list[Statement]:
         if evidence is not None:
             shown = {key: _shown(value) for key, value in evidence.items()}
             text, _, advice = " ".join((finder.__doc__ or "").split()).partition(" Try: ")
-            found.append(Statement(finder.__name__, text.format(**shown), advice.format(**shown), _plain(evidence)))
+            found.append(Statement(finder.__name__, text.format(**shown), advice.format(**shown), evidence))
     return found
-
-
-def _plain(value: Any) -> Any:
-    match value:
-        case Share(value=share):
-            return float(share)
-        case Mapping():
-            return {key: _plain(part) for key, part in value.items()}
-        case list() | tuple():
-            return [_plain(part) for part in value]
-        case np.floating() | np.integer() | np.bool_():
-            return value.item()
-        case _:
-            return value
 
 
 def _shown(value: Any) -> str:
     match value:
-        case Share(value=share):
-            return f"{share:.0%}" if share in (0.0, 1.0) or 0.005 <= share < 0.995 else "less than 1%" if share < 0.5 else "more than 99%"
-        case bool() | str():
-            return str(value)
-        case float() | np.floating():
-            return f"{value:.3g}" if abs(float(value)) < 1000 else f"{value:,.0f}"
-        case int() | np.integer():
+        case Share():
+            return f"{value:.0%}" if value in (0.0, 1.0) or 0.005 <= value < 0.995 else "less than 1%" if value < 0.5 else "more than 99%"
+        case float():
+            return f"{value:.3g}" if abs(value) < 1000 else f"{value:,.0f}"
+        case int() if not isinstance(value, bool):
             return f"{value:,}"
         case _:
             return str(value)
@@ -99,6 +78,11 @@ def quantity(value: float, unit: str, digits: int = 4) -> str:
     return f"{value:.{digits}g}{'' if unit in ('', '1') else f' {unit}'}"
 
 
-def listed(parts: Sequence[str]) -> str:
-    """`a, b and c`."""
+SHOWN = 4
+"""Terms, options and numbers of the observation in one sentence."""
+
+
+def listed(parts: Sequence[str], shown: int = SHOWN) -> str:
+    """`a, b and c`, or `a, b and 7 more` of more than are shown."""
+    parts = [*parts[:shown], *([f"{len(parts) - shown} more"] if len(parts) > shown else [])]
     return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"

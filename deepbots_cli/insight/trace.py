@@ -5,7 +5,6 @@ Runs keep the seeds of their evaluations, recordings their actions, failures bot
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, nullcontext
 from dataclasses import dataclass
@@ -21,17 +20,17 @@ from pydantic import ConfigDict, Field, field_validator
 
 from deepbots_cli import api
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
-from deepbots_cli.insight.conditions import Values, Watch, measured
+from deepbots_cli.insight.conditions import Measured, Values, Watch, deciding, measured
 from deepbots_cli.learning import failures, listing
 from deepbots_cli.learning.episodes import Episode
 from deepbots_cli.learning.run import KeptEvaluation, ModelName, Run, read_json
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import ActionRange, Choices, ObservedNumber, policy_inputs
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.streams import derive_seed
-from deepbots_cli.view.episodes import Opened, Source
+from deepbots_cli.view.episodes import Opened
+from deepbots_cli.view.frames import row_of
 from deepbots_cli.view.recordings import Recorded, Recording, observation_hash
-from deepbots_cli.view.replay import Actions, changes
+from deepbots_cli.view.replay import actions, changes, observation_hash_at
 
 Array = NDArray[np.float64]
 _EVALUATION_LIMIT = 200_000_000
@@ -79,35 +78,18 @@ class Trace:
         return self.time if step == self.steps else step * self.program.period
 
     @cached_property
-    def numbers(self) -> tuple[ObservedNumber, ...]:
-        return self.program.policy.numbers
+    def end(self) -> Measured | None:
+        """The comparison that ended the episode; None where an episode limit did, or the ending has no tree."""
+        at_limit = self.outcome == "success" and self.ended_by in ("max_steps", "max_time")  # of a scenario with a goal
+        condition = self.watch.conditions.get("goal_reached" if at_limit else self.ended_by or "")
+        if condition is None or self.outcome in ("time limit", "error", "not ended"):
+            return None
+        return deciding(condition, self.values[-2] if len(self.values) > 1 else None, self.values[-1])
 
-    def saturation(self) -> dict[str, float]:
-        """The share of moments in which each clipped number of the observation was at an end of its range, the largest first."""
-        shares = (np.abs(self.observations) >= 1.0).mean(axis=0)
-        found = {n.full_name: float(shares[i]) for i, n in enumerate(self.numbers) if n.clip and not n.is_truth}
-        return dict(sorted(found.items(), key=lambda entry: -entry[1]))
-
-    def options(self) -> dict[str, dict[str, float]]:
-        """For each choice of the action, the share of steps of each option, the largest first."""
-        choices = [part for part in self.program.policy.action if isinstance(part, Choices)]
-        found = {}
-        for place, part in enumerate(choices):
-            taken = [int(np.asarray(_part(action, "choices")).reshape(-1)[place]) for action in self.actions]
-            counts = Counter(part.options[number].name for number in taken)
-            found[part.name] = {name: count / max(1, len(taken)) for name, count in counts.most_common()}
-        return found
-
-    def ranges(self) -> dict[str, Array]:
-        """For each number of the ranges of the action, its values in [-1, 1] in the steps."""
-        parts = [part for part in self.program.policy.action if isinstance(part, ActionRange)]
-        names = [name for part in parts for name in part.names]
-        rows = np.array([np.asarray(_part(action, "ranges"), float).reshape(-1) for action in self.actions if names])
-        return {name: rows[:, place] for place, name in enumerate(names)} if len(rows) else {}
-
-
-def _part(action: Any, key: str) -> Any:
-    return action[key] if isinstance(action, dict) else action
+    def acted(self, key: Literal["choices", "ranges"]) -> Array:
+        """The numbers of the options, or the numbers of ranges in [-1, 1], that the actions hold: (steps, numbers)."""
+        rows = [action[key] if isinstance(action, dict) else action for action in self.actions]
+        return np.array([np.asarray(row, float).reshape(-1) for row in rows]).reshape(len(rows), -1 if rows else 0)
 
 
 class Traced(gym.Wrapper[Any, Any, Any, Any]):
@@ -118,13 +100,12 @@ class Traced(gym.Wrapper[Any, Any, Any, Any]):
         self.world, self.watch = world, watch
         self.seen: list[Any] = []
         self.actions: list[Any] = []
-        self.rewards: list[float] = []
         self._terms: list[list[Mapping[str, float]]] = []
         self._values: list[list[Values]] = []
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         observation, info = self.env.reset(seed=seed, options=options)
-        self.seen, self.actions, self.rewards, self._terms, self._values = [observation], [], [], [], []
+        self.seen, self.actions, self._terms, self._values = [observation], [], [], []
         self._note()
         return observation, info
 
@@ -132,7 +113,6 @@ class Traced(gym.Wrapper[Any, Any, Any, Any]):
         outcome = self.env.step(action)
         self.seen.append(outcome[0])
         self.actions.append(action)
-        self.rewards.append(float(outcome[1]))
         self._terms.append([agent.get_info()["reward_terms"] for agent in self.world.agents.values()])
         self._note()
         return outcome
@@ -143,56 +123,32 @@ class Traced(gym.Wrapper[Any, Any, Any, Any]):
     def trace(self, what: str, *, error: str = "", notes: Sequence[str] = ()) -> Trace:
         """The episode so far."""
         world, program = self.world, self.watch.program
-        agents = list(world.agents.items())
-        over = [n for n, (_, agent) in enumerate(agents) if agent.ended_by is not None and agent.ended_by == world.ended_by]
-        row = over[0] if over else 0
-        team = len(agents) > 1
-        seen = [_row(each, row) if team else each for each in self.seen]
-        names = [term.name for term in program.policy.reward]
-        time = (world.timestep_count or world.step_count * program.action_repeat) * program.world.timestep
+        names, team = list(world.agents), len(world.agents) > 1
+        row = next((n for n, agent in enumerate(world.agents.values()) if agent.ended_by and agent.ended_by == world.ended_by), 0)
+        seen = [row_of(each, row) if team else each for each in self.seen]
+        newest = [place for place, value in enumerate(program.policy.inputs) if value.steps_ago == 0]
+        vectors = [each.get("observation", np.zeros(0)) if isinstance(each, dict) else each for each in seen]
+        observations = np.array([np.asarray(vector, float)[newest] for vector in vectors]).reshape(len(vectors), len(newest))
         outcome: Any = "error" if error else "not ended"
         if world.ended_by is not None and not error:
             outcome = "success" if world.is_success else "time limit" if world.truncated else "failure"
         return Trace(
-            what,
-            self.watch,
-            newest(program, seen),
-            [_row(each, row) if team else each for each in self.actions],
-            {name: np.array([terms[row][name] for terms in self._terms], float) for name in names},
-            [values[row] for values in self._values],
-            world.ended_by,
-            outcome,
-            time,
-            error,
-            agents[row][0] if team else "",
+            what=what,
+            watch=self.watch,
+            observations=observations,
+            actions=[row_of(each, row) if team else each for each in self.actions],
+            terms={term.name: np.array([terms[row][term.name] for terms in self._terms], float) for term in program.policy.reward},
+            values=[values[row] for values in self._values],
+            ended_by=world.ended_by,
+            outcome=outcome,
+            time=(world.timestep_count or world.step_count * program.action_repeat) * program.world.timestep,
+            error=error,
+            agent=names[row] if team else "",
             notes=notes,
         )
 
 
-def _row(value: Any, row: int) -> Any:
-    return {key: part[row] for key, part in value.items()} if isinstance(value, dict) else value[row]
-
-
-def newest(program: Program, observations: Sequence[Any]) -> Array:
-    """The newest value of each number in observations: (moments, numbers)."""
-    policy = program.policy
-    places = {index: place for place, (index, age) in enumerate(policy_inputs(policy.numbers, policy.frame_stack)) if age == 0}
-    order = [places[index] for index in range(len(policy.numbers))]
-    rows = [each.get("observation", np.zeros(0)) if isinstance(each, dict) else each for each in observations]
-    return np.array([np.asarray(row, float)[order] for row in rows]).reshape(len(rows), len(order))
-
-
 # Runs
-
-
-@dataclass(frozen=True)
-class Chosen:
-    """An episode of a run: its number, the seed of its reset, and how the policy acts."""
-
-    number: int
-    seed: int
-    model: ModelName = "best"
-    deterministic: bool = True
 
 
 class KeptEpisodes(KeptEvaluation):
@@ -217,9 +173,10 @@ class KeptEpisodes(KeptEvaluation):
         bad = [not each.is_success if self.success_defined else each.ended_by in program.failures for each in self.outcomes]
         return [number for number, is_bad in enumerate(bad) if is_bad]
 
-    def chosen(self, number: int) -> Chosen:
-        model: Any = self.model
-        return Chosen(number, derive_seed(self.seed, "evaluation", number), model, self.deterministic)
+    @property
+    def circumstances(self) -> dict[str, Any]:
+        """What `trace_episodes` needs to repeat its episodes."""
+        return {"seed": self.seed, "model": self.model, "deterministic": self.deterministic}
 
 
 def last_evaluation(run: Run, *, plain: bool = True) -> tuple[Path, KeptEpisodes] | None:
@@ -235,15 +192,17 @@ def last_evaluation(run: Run, *, plain: bool = True) -> tuple[Path, KeptEpisodes
     return None if found is None else (found[0], read_json(found[0], KeptEpisodes, _EVALUATION_LIMIT))
 
 
-def trace_run(run: Run, chosen: Chosen, *, allow_code: bool = False) -> Trace:
-    """An episode of an evaluation, with the policy of a run; see `trace_episodes`."""
-    return next(trace_episodes(run, [chosen], allow_code=allow_code))
-
-
 def trace_episodes(
-    run: Run, episodes: Sequence[Chosen], *, films: Mapping[int, Path] = MappingProxyType({}), allow_code: bool = False
+    run: Run,
+    numbers: Sequence[int],
+    *,
+    seed: int,
+    model: ModelName = "best",
+    deterministic: bool = True,
+    films: Mapping[int, Path] = MappingProxyType({}),
+    allow_code: bool = False,
 ) -> Iterator[Trace]:
-    """Episodes of one evaluation, with the policy of a run; `films` are the MP4 files to write, by the number of the episode.
+    """Episodes of the evaluation of a run with this root seed; `films` are the MP4 files to write, by the number of the episode.
 
     Raises:
         RunError: The run holds no model, or one that does not fit.
@@ -251,7 +210,6 @@ def trace_episodes(
     """
     from deepbots_cli.learning import algorithms, evaluation, video
 
-    model = episodes[0].model
     if not run.model(model).is_file() and run.record.status == "failed":
         raise RunError(f"the training of {run.path} failed before it kept a model; its causes: deepbots diagnose {run.path}")
     if not run.model(model).is_file():
@@ -259,14 +217,13 @@ def trace_episodes(
     watch = measured(run.program)
     with algorithms.torch_settings(), closing(_world(watch, run.engine_for(run.program), allow_code, draw=bool(films))) as world:
         policy = evaluation.load(run, model, world)
-        for each in episodes:
-            film = films.get(each.number)
-            rate = 1 / watch.program.period
-            with video.filmed(world, film, rate) if film is not None else nullcontext(world) as acted:
-                evaluation.repeat(policy, acted, each.seed, each.number, deterministic=each.deterministic)
-            trace = world.trace(f"episode {each.number} of {run.path}", notes=run.notes())
+        for number in numbers:
+            film, begin = films.get(number), derive_seed(seed, "evaluation", number)
+            with video.filmed(world, film, 1 / watch.program.period) if film is not None else nullcontext(world) as acted:
+                evaluation.repeat(policy, acted, begin, number, deterministic=deterministic)
+            trace = world.trace(f"episode {number} of {run.path}", notes=run.notes())
             row = list(world.world.agents).index(trace.agent) if trace.agent else None
-            trace.critic = _critic_values(policy, [seen if row is None else _row(seen, row) for seen in world.seen[:-1]])
+            trace.critic = _critic_values(policy, [seen if row is None else row_of(seen, row) for seen in world.seen[:-1]])
             absent = "the critic has a memory" if hasattr(policy.policy, "lstm_actor") else "the critic is no network of torch"
             trace.critic_absent = "" if trace.critic is not None else absent
             yield trace
@@ -302,13 +259,6 @@ def _world(watch: Watch, engine: str | None, allow_code: bool, *, draw: bool = F
 # Recordings and failures
 
 
-def trace_recording(path: str, episode: int | None, *, allow_code: bool = False) -> Trace:
-    """An episode of a recording, by default its first one; see `trace_recorded`."""
-    opened = Source(path, allow_code=allow_code).open()
-    recording: Recording = opened.recording
-    return next(trace_recorded(opened, [recording.episodes[0] if episode is None else recording.episode(episode)]))
-
-
 def trace_recorded(opened: Opened, episodes: Sequence[Recorded]) -> Iterator[Trace]:
     """Episodes of a recording that is open, each run again with its actions.
 
@@ -318,18 +268,17 @@ def trace_recorded(opened: Opened, episodes: Sequence[Recorded]) -> Iterator[Tra
     """
     recording: Recording = opened.recording
     assert opened.program is not None  # a recording that does not compile is refused when it is opened
-    watch = measured(opened.program)
-    with closing(_world(watch, opened.source.engine, opened.source.allow_code)) as world:
+    with closing(_world(measured(opened.program), opened.source.engine, opened.source.allow_code)) as world:
         for recorded in episodes:
-            actor = Actions(recording, recorded, world.action_space)
+            acting = actions(recording, recorded, world.action_space)
             observation, _ = world.reset(seed=recorded.seed)
             for place in range(len(recorded.steps)):
                 if place:
                     try:
-                        observation, *_ = world.step(actor.act(observation))
+                        observation, *_ = world.step(next(acting))
                     except UsageError:  # the episode has ended, or the action is none of this scenario
                         raise _other(recording, place) from None
-                if actor.hash_at(place) != observation_hash(observation):
+                if observation_hash_at(recording, recorded, place) != observation_hash(observation):
                     raise _other(recording, place)
             trace = world.trace(f"episode {recorded.number} of {recording.path}")
             trace.critic_absent = "a recording keeps no critic"
@@ -348,9 +297,8 @@ def trace_failure(path: Path, *, allow_code: bool = False) -> Trace:
         RunError: The file is damaged, or does not lie in the folder of a run.
     """
     failure, run, program = failures.read(path)
-    watch = measured(program)
     error = ""
-    with closing(_world(watch, run.record.engine, allow_code)) as world:
+    with closing(_world(measured(program), run.record.engine, allow_code)) as world:
         try:
             for _ in failures.steps(failure, program, world, path):
                 pass

@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
-from inspect import signature
+from inspect import signature, unwrap
 from itertools import pairwise
 from typing import Any
 
@@ -91,6 +91,8 @@ def create(
     memory = settings.pop("lstm", None)
     if memory is not None:
         networks["lstm_hidden_size"] = memory
+    if algorithm.base() == training.algorithm != "A2C":  # whose optimizer is one of Stable-Baselines3
+        networks |= {"optimizer_class": Adam, "optimizer_kwargs": {"eps": 1e-5 if algorithm.on_policy else 1e-8}}  # as by default
     inputs = "MultiInput" if isinstance(env.observation_space, gym.spaces.Dict) else "Mlp"
     policy = f"{inputs}{'' if memory is None else 'Lstm'}Policy"
     found = _imported(algorithm)
@@ -107,9 +109,24 @@ def create(
         if training.algorithm == algorithm.base():
             raise
         raise UsageError(_no_torch(algorithm, f"it fails with {type(error).__name__}: {' '.join(str(error).split())[:200]}")) from error
+    for name in ("optimizer_class", "optimizer_kwargs"):  # so that model files name no class of deepbots
+        models[0].policy_kwargs.pop(name, None)
     if not models[0]._get_torch_save_params()[0] or not models[0].policy.state_dict():
         raise UsageError(_no_torch(algorithm, "its runs could be neither evaluated nor resumed"))
     return models[0]
+
+
+class Adam(torch.optim.Adam):
+    """Adam of torch without its decorators for `torch.compile`.
+
+    They import `torch._dynamo` when an optimizer is first made, which takes 1.4 s of CPU. The numbers are the same to the bit.
+    """
+
+    add_param_group = unwrap(torch.optim.Adam.add_param_group)
+    zero_grad = unwrap(torch.optim.Adam.zero_grad)
+    state_dict = unwrap(torch.optim.Adam.state_dict)
+    load_state_dict = unwrap(torch.optim.Adam.load_state_dict)
+    step = torch.no_grad()(unwrap(torch.optim.Adam.step))
 
 
 def _no_torch(algorithm: type[Model], reason: str) -> str:

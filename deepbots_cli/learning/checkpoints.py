@@ -364,11 +364,12 @@ class Checkpoints:
         here = arithmetic(model)
         for name, value in state.arithmetic.items():
             if here.get(name) != value:
-                self._note(f"{name} was {value} before {model.num_timesteps:,} steps and is {here.get(name)} since")
+                self.note(f"{name} was {value} before {model.num_timesteps:,} steps and is {here.get(name)} since")
         if state.digest != self.run.digest:
-            self._note(f"the scenario has meant something else since {model.num_timesteps:,} steps")
+            self.note(f"the scenario has meant something else since {model.num_timesteps:,} steps")
 
-    def _note(self, reason: str) -> None:
+    def note(self, reason: str) -> None:
+        """Note a reason why this training differs from one that was never interrupted."""
         if reason not in self.inexact:
             self.inexact.append(reason)
 
@@ -380,7 +381,7 @@ class Checkpoints:
         histories = [EpisodeHistory(start, list(arrays[f"actions/{index}"])) for index, start in enumerate(state.starts)]
         if fingerprint(env.repeat(histories)) == state.observed:
             return True
-        self._note(f"the episodes that ran at {model.num_timesteps:,} steps gave different results when repeated, so they were restarted")
+        self.note(f"the episodes that ran at {model.num_timesteps:,} steps gave different results when repeated, so they were restarted")
         env.starts = [derive_seed(self.run.record.seed, "environment", i, "resumed", model.num_timesteps) for i in range(len(env.worlds))]
         model._last_obs = model.env.reset()  # type: ignore[union-attr, assignment]
         if (normalizer := model.get_vec_normalize_env()) is not None:

@@ -49,6 +49,9 @@ OnEpisode = Callable[[int, int], None]
 """Is told after each episode how many are done, and of how many."""
 
 
+Act = Callable[[Any], Any]
+"""Returns the action for an observation."""
+
 Until = Callable[[Sequence[Episode]], bool]
 """Whether the first episodes of an evaluation are enough."""
 
@@ -194,9 +197,10 @@ def evaluate_baselines(
     results = []
     engine = engine or known.engine_for(program)
     with closing((build or default_build(engine, allow_code=allow_code))(program)) as world:
-        policies: dict[str, Callable[[], Any]] = {"random": world.action_space.sample, "zero": zero(world)}
+        random, none, scripted = world.action_space.sample, zero(world), world.get_wrapper_attr
+        policies: dict[str, Act] = {"random": lambda _: random(), "zero": lambda _: none()}
         for script in program.policy.scripts:
-            policies[f"script {script.name}"] = partial(world.get_wrapper_attr("script"), script.name)
+            policies[f"script {script.name}"] = partial(lambda name, _: scripted("script")(name), script.name)
         for name, policy in policies.items():
             done = []
             for episode_seed in seeds:
@@ -208,12 +212,12 @@ def evaluate_baselines(
     return tuple(results)
 
 
-def _episode(world: World, seed: int, policy: Callable[[], Any]) -> Episode:
-    """An episode of a policy that looks at nothing but the world itself."""
+def _episode(world: World, seed: int, act: Act) -> Episode:
+    observation, info = world.reset(seed=seed)
     accumulator = EpisodeAccumulator()
-    accumulator.begin(seed, world.reset(seed=seed)[1])
+    accumulator.begin(seed, info)
     while True:
-        _, reward, terminated, truncated, info = world.step(policy())
+        observation, reward, terminated, truncated, info = world.step(act(observation))
         accumulator.add(float(reward), info)
         if terminated or truncated:
             return accumulator.close(info)
@@ -434,24 +438,17 @@ def repeat(model: BaseAlgorithm, world: World, seed: int, number: int, *, determ
     Of all copies of a robot, it has the mean of their rewards.
     """
     torch.manual_seed(derive_seed(seed, "policy"))
-    observation, info = world.reset(seed=seed)
-    accumulator, act = EpisodeAccumulator(), acting(model, world, deterministic=deterministic, number=number)
-    accumulator.begin(seed, info)
-    while True:
-        observation, reward, terminated, truncated, info = world.step(act(observation))
-        accumulator.add(float(reward), info)
-        if terminated or truncated:
-            return accumulator.close(info)
+    return _episode(world, seed, acting(model, world, deterministic=deterministic, number=number))
 
 
-def acting(model: BaseAlgorithm, world: World, *, deterministic: bool = True, number: int | None = None) -> Callable[[Any], Any]:
-    """A function that returns the action of a policy for each observation of one episode, which has begun.
+def acting(model: BaseAlgorithm, world: World, *, deterministic: bool = True, number: int | None = None, rows: int = 0) -> Act:
+    """A function that returns the action of a policy for each observation of one episode.
 
     With `number`, the actions are to the bit those of the episode of this number in an evaluation. For copies of a robot they always are:
-    each forward pass has a row for each copy.
+    each forward pass has a row for each copy. `rows` is the number of worlds of a batch like `world`, whose episodes go on together.
     """
-    size = len(world.get_wrapper_attr("agents")) if has_copies(world) else 0
-    takes_masks = algorithms.takes_masks(model) and world.has_wrapper_attr("action_masks")
+    size = rows or (len(world.get_wrapper_attr("agents")) if has_copies(world) else 0)
+    takes_masks = algorithms.takes_masks(model) and not rows and world.has_wrapper_attr("action_masks")
     if number is not None and not size:
         forward, row = _Pass(world.observation_space, _choices(world) if takes_masks else None), number % ROWS
 

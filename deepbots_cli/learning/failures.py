@@ -27,7 +27,6 @@ from deepbots_cli.learning.episodes import Statistics
 from deepbots_cli.learning.report import Reporter
 from deepbots_cli.learning.run import Run, read_json, write_numbered
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import policy_inputs
 from deepbots_cli.runtime.batch import EpisodeHistory, LostWorld
 
 FOLDER = "failures"
@@ -114,8 +113,7 @@ class FailureRecorder(gym.Wrapper[Any, Any, Any, Any]):
         key, part = next((key, part) for key, part in parts.items() if not np.isfinite(part).all())
         if key != "observation" or self._program is None:
             return f"the {key.replace('_', ' ')}"
-        policy = self._program.policy
-        names = [policy.numbers[index].full_name for index, _ in policy_inputs(policy.numbers, policy.frame_stack)]
+        names = [value.name for value in self._program.policy.inputs]
         place = int(np.flatnonzero(~np.isfinite(part).reshape(-1))[0])
         return f"the observation '{names[place % len(names)]}'" if names else "the observation"
 

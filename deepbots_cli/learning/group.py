@@ -11,10 +11,10 @@ The seeds are trained one after the other. Importing this module loads neither t
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Unpack
 
 from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt, PositiveInt
 
@@ -29,6 +29,7 @@ from deepbots_cli.learning.run import (
     NAME,
     POLICY,
     Format,
+    Options,
     Record,
     TrainingResult,
     new_directory,
@@ -57,15 +58,20 @@ class GroupRecord(BaseModel):
     source: str
     engine: str
     seeds: tuple[Annotated[int, Field(ge=0, lt=2**63)], ...] = Field(min_length=1, max_length=MAX_SEEDS)
-    total_timesteps: PositiveInt | None
-    stop_when_solved: bool
-    stage: str | None
-    keep_checkpoints: NonNegativeInt
-    initialize_from: str | None
+    total_timesteps: PositiveInt | None = None
+    stop_when_solved: bool = True
+    stage: str | None = None
+    keep_checkpoints: NonNegativeInt = 0
+    initialize_from: str | None = None
     callbacks: tuple[str, ...] = ()
     loggers: tuple[str, ...] = ()
     command: tuple[str, ...]
     started: str
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """Those of each training."""
+        return self.model_dump(include={*Options.__annotations__})
 
 
 @dataclass(frozen=True)
@@ -95,6 +101,10 @@ class Group:
             if (path / name).is_symlink():
                 raise RunError(f"{path / name} is a symbolic link, which no group of ours holds")
         return Group(path, record)
+
+    def write(self) -> None:
+        """Write the record."""
+        write_text(self.path / GROUP_NAME, self.record.model_dump_json(indent=2) + "\n")
 
     def run(self, seed: int) -> Path:
         """The folder of the run of a seed, which exists once its training has begun."""
@@ -145,18 +155,10 @@ def train_group(
     *,
     group: str | Path | None = None,
     runs: str | Path = "runs",
-    total_timesteps: int | None = None,
-    stop_when_solved: bool = True,
-    stage: str | None = None,
-    keep_checkpoints: int = 0,
-    initialize_from: str | Path | None = None,
-    callbacks: Sequence[str] = (),
-    loggers: Sequence[str] = (),
     progress: bool | Reporter = False,
-    command: Sequence[str] = (),
-    engine: str | None = None,
     on_seed: OnSeed | None = None,
     build: BuildWorld | None = None,
+    **options: Unpack[Options],
 ) -> GroupTraining:
     """Train a scenario with several seeds, one after the other, in a new folder.
 
@@ -167,38 +169,37 @@ def train_group(
         seeds: The root seeds, each once.
         group: The folder to make; by default `runs/<scenario>-seeds-<n>`.
         on_seed: Is called before each training.
-
-    The other arguments are those of `train`.
+        options: Those of `train`; the arguments `runs`, `progress` and `build` are as there, too.
 
     Raises:
         UsageError: The folder exists, a seed is given twice, or the settings cannot be trained with.
+        TypeError: `train` has no such option.
     """
+    if unknown := options.keys() - Options.__annotations__.keys():
+        raise TypeError(f"a training has no option {', '.join(sorted(unknown))}")
     if not seeds or len(set(seeds)) < len(seeds) or len(seeds) > MAX_SEEDS:
         raise UsageError(f"a group has from 1 to {MAX_SEEDS} seeds, each of them once")
     path = new_directory(group, runs, compiled.program.name, "seeds")
+    kept: dict[str, Any] = {**options}
+    kept |= {name: tuple(kept.get(name, ())) for name in ("callbacks", "loggers", "command")}
+    kept["engine"] = engine_kinds.chosen_engine(kept.get("engine") or compiled.program.engine)
+    if kept.get("initialize_from") is not None:
+        kept["initialize_from"] = str(Path(kept["initialize_from"]).absolute())
     record = GroupRecord(
         format=FORMAT,
         deepbots=deepbots_cli.__version__,
         scenario=compiled.program.name,
         source=str(compiled.source),
-        engine=engine_kinds.chosen_engine(engine or compiled.program.engine),
         seeds=tuple(seeds),
-        total_timesteps=total_timesteps,
-        stop_when_solved=stop_when_solved,
-        stage=stage,
-        keep_checkpoints=keep_checkpoints,
-        initialize_from=None if initialize_from is None else str(Path(initialize_from).absolute()),
-        callbacks=tuple(callbacks),
-        loggers=tuple(loggers),
-        command=tuple(command),
         started=now(),
+        **kept,
     )
     made = Group(path, record)
     try:
         with run_lock(path):
             write_copies(path, compiled.resolved, compiled.inputs)
-            write_text(path / GROUP_NAME, record.model_dump_json(indent=2) + "\n")
-            return _train_seeds(made, compiled, None, None, progress, on_seed, build, allow_code=compiled.allow_code)
+            made.write()
+            return _train_seeds(made, compiled, {}, on_seed, progress=progress, build=build)
     except (DeepbotsError, KeyboardInterrupt):
         if not made.runs:  # nothing can be trained with these settings, or written there
             shutil.rmtree(path, ignore_errors=True)
@@ -210,6 +211,8 @@ def resume_group(
     *,
     total_timesteps: int | None = None,
     stop_when_solved: bool | None = None,
+    callbacks: Sequence[str] | None = None,
+    loggers: Sequence[str] | None = None,
     progress: bool | Reporter = False,
     allow_code: bool = False,
     on_seed: OnSeed | None = None,
@@ -221,79 +224,59 @@ def resume_group(
 
     Raises:
         RunError: The folder is no group, or it is damaged.
-        UsageError: Another training is at work in it.
+        UsageError: Another training is at work in it, or there is no such callback or logger.
     """
     known = Group.open(group)
+    given = {"total_timesteps": total_timesteps, "stop_when_solved": stop_when_solved}
+    followers = {name: tuple(names) for name, names in (("callbacks", callbacks), ("loggers", loggers)) if names is not None}
     with run_lock(known.path):
+        if followers:
+            from deepbots_cli.learning import plugins  # which imports torch
+
+            plugins.check(followers.get("callbacks", ()), followers.get("loggers", ()))
+            known = Group(known.path, known.record.model_copy(update=followers))
+            known.write()
         compiled = api.compile(api.load(known.path / RESOLVED_NAME, allow_code=True, project=known.path))
         compiled = replace(compiled, source=Path(known.record.source), allow_code=allow_code)
-        return _train_seeds(known, compiled, total_timesteps, stop_when_solved, progress, on_seed, build, allow_code=allow_code)
+        changes = followers | {name: value for name, value in given.items() if value is not None}
+        return _train_seeds(known, compiled, changes, on_seed, progress=progress, build=build)
 
 
-def _train_seeds(
-    group: Group,
-    compiled: Compiled,
-    total_timesteps: int | None,
-    stop_when_solved: bool | None,
-    progress: bool | Reporter,
-    on_seed: OnSeed | None,
-    build: BuildWorld | None,
-    *,
-    allow_code: bool,
-) -> GroupTraining:
-    """Train or continue every seed that is not finished; a total of None is the one that the group began with."""
+def _train_seeds(group: Group, compiled: Compiled, changes: Mapping[str, Any], on_seed: OnSeed | None, **each: Any) -> GroupTraining:
+    """Train or continue every seed that is not finished, with `changes` of the options that the group began with."""
     from deepbots_cli.learning.training import resume, train  # which imports torch
 
-    record = group.record
+    seeds = group.record.seeds
     trained: list[TrainingResult] = []
     skipped: list[int] = []
     failed: dict[int, str] = {}
-    for number, seed in enumerate(record.seeds, start=1):
+    waiting: tuple[int, ...] = ()
+    for place, seed in enumerate(seeds):
         path = group.run(seed)
         try:
             begun = Record.read(path) if (path / NAME).is_file() else None
-            if begun is not None and _is_done(begun, total_timesteps):
+            if begun is not None and _is_done(begun, changes.get("total_timesteps")):
                 skipped.append(seed)
                 continue
             if on_seed is not None:
-                on_seed(seed, number, len(record.seeds))
+                on_seed(seed, place + 1, len(seeds))
             if begun is not None:
-                result = resume(
-                    path,
-                    total_timesteps=total_timesteps,
-                    stop_when_solved=stop_when_solved,
-                    progress=progress,
-                    allow_code=allow_code,
-                    build=build,
-                )
+                result = resume(path, allow_code=compiled.allow_code, **changes, **each)
             else:
-                result = train(
-                    compiled,
-                    run=path,
-                    seed=seed,
-                    total_timesteps=record.total_timesteps if total_timesteps is None else total_timesteps,
-                    stop_when_solved=record.stop_when_solved if stop_when_solved is None else stop_when_solved,
-                    stage=record.stage,
-                    keep_checkpoints=record.keep_checkpoints,
-                    initialize_from=record.initialize_from,
-                    callbacks=record.callbacks,
-                    loggers=record.loggers,
-                    progress=progress,
-                    command=record.command,
-                    engine=record.engine,
-                    build=build,
-                )
+                result = train(compiled, run=path, seed=seed, **{**group.record.options, **changes}, **each)
+            trained.append(result)
+            interrupted = result.interrupted
         except DeepbotsError as error:
             if not group.runs:  # nothing can be trained with these settings, or written there
                 raise
             failed[seed] = error.full_message
             continue
         except KeyboardInterrupt:  # before the training handles it itself
-            return GroupTraining(group.path, tuple(trained), tuple(skipped), failed, record.seeds[number - 1 :])
-        trained.append(result)
-        if result.interrupted:
-            return GroupTraining(group.path, tuple(trained), tuple(skipped), failed, record.seeds[number - 1 :])
-    return GroupTraining(group.path, tuple(trained), tuple(skipped), failed, ())
+            interrupted = True
+        if interrupted:
+            waiting = seeds[place:]
+            break
+    return GroupTraining(group.path, tuple(trained), tuple(skipped), failed, waiting)
 
 
 def _is_done(record: Record, total_timesteps: int | None) -> bool:

@@ -15,7 +15,7 @@ from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.files import read_at_most
 from deepbots_cli.learning.episodes import WINDOW, read_log
 from deepbots_cli.learning.group import Group, is_group
-from deepbots_cli.learning.run import NAME, KeptEvaluation, Record, changed_settings, is_training, kept_evaluations, read_evaluation
+from deepbots_cli.learning.run import NAME, KeptEvaluation, Record, changed_settings, is_training, numbered, read_evaluation
 
 State = Literal["training", "finished", "interrupted", "failed", "damaged"]
 _TAIL = 64_000
@@ -156,7 +156,7 @@ def _of_group(path: Path) -> ListedRun:
 def evaluations(run: Path) -> list[tuple[int, KeptEvaluation | str]]:
     """The evaluations that a run keeps, by number; of one that cannot be read, the reason."""
     found: list[tuple[int, KeptEvaluation | str]] = []
-    for number, path in kept_evaluations(run):
+    for number, path in numbered(run / "evaluations"):
         try:
             found.append((number, read_evaluation(path)))
         except RunError as error:
@@ -170,7 +170,7 @@ def last_evaluation(path: Path, record: Record, *, plain: bool = True) -> tuple[
     Args:
         plain: Only one of the best model without sampled actions.
     """
-    for _, kept in reversed(kept_evaluations(path)):
+    for _, kept in reversed(numbered(path / "evaluations")):
         try:
             found = read_evaluation(kept)
         except RunError:

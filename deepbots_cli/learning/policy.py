@@ -18,23 +18,8 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import algorithms, evaluation
 from deepbots_cli.learning.run import ModelName, Run
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import ActionRange, Choices, policy_inputs
+from deepbots_cli.program.task import ActionRange, Choices
 from deepbots_cli.runtime.spaces import action_space, observation_space
-
-
-@dataclass(frozen=True)
-class ObservedValue:
-    """A number of the observation: its name, its unit (SI), and the range in this unit that maps to [-1, 1].
-
-    A truth value (`truth`) is 0 or 1 and has no range to map. `steps_ago` is 0 for the present value, more for an older one.
-    """
-
-    name: str
-    unit: str
-    low: float
-    high: float
-    truth: bool
-    steps_ago: int
 
 
 @dataclass(frozen=True)
@@ -62,11 +47,7 @@ class Policy:
     def __init__(self, program: Program, model: BaseAlgorithm) -> None:
         self.scenario = program.name
         self.observation_space, self.action_space = observation_space(program), action_space(program)
-        numbers = program.policy.numbers
-        self.observation = tuple(
-            ObservedValue(n.full_name, n.unit.removeprefix("1"), n.low, n.high, n.is_truth, age)
-            for n, age in ((numbers[index], age) for index, age in policy_inputs(numbers, program.policy.frame_stack))
-        )
+        self.observation = program.policy.inputs
         self.action = tuple(value for part in program.policy.action for value in _values(part))
         self._model = model
         self._takes_masks = algorithms.takes_masks(model)

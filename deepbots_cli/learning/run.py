@@ -17,7 +17,6 @@ A directory is made once and never overwritten. All files are replaced whole, so
 
 from __future__ import annotations
 
-import hashlib
 import json
 import platform
 import re
@@ -29,7 +28,7 @@ from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal, Self, TypeVar
+from typing import Any, Literal, Self, TypedDict, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -103,6 +102,20 @@ class TrainingResult(Result):
 
     run: Path
     initialized_from: str | None = None
+
+
+class Options(TypedDict, total=False):
+    """Arguments of `train` that say how a training goes, which the trainings of a group share."""
+
+    total_timesteps: int | None
+    stop_when_solved: bool
+    stage: str | None
+    keep_checkpoints: int
+    initialize_from: str | Path | None
+    callbacks: Sequence[str]
+    loggers: Sequence[str]
+    command: Sequence[str]
+    engine: str | None
 
 
 class Record(BaseModel):
@@ -344,11 +357,6 @@ def short(settings: Sequence[str]) -> str:
     return ", ".join("=".join((path.rpartition(".")[2], value)) for path, _, value in (text.partition("=") for text in settings))
 
 
-def kept_evaluations(run: Path) -> list[tuple[int, Path]]:
-    """The evaluations that a run keeps, by number, the latest last."""
-    return numbered(run / "evaluations")
-
-
 def numbered(folder: Path) -> list[tuple[int, Path]]:
     """The files `0001.json`, `0002.json` ... of a folder, by number."""
     return sorted((int(path.stem), path) for path in folder.glob("*.json") if re.fullmatch("[0-9]{4,9}", path.stem))
@@ -485,11 +493,6 @@ def run_folders(runs: Sequence[str | Path]) -> list[Path]:
         )
         found |= dict.fromkeys(inner or [path])
     return list(found)
-
-
-def input_digests(inputs: Mapping[str, bytes]) -> dict[str, str]:
-    """SHA-256 of every input, by the path of its copy under `inputs/`."""
-    return {name: hashlib.sha256(content).hexdigest() for name, content in inputs.items()}
 
 
 def now() -> str:

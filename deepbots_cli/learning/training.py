@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import platform
 import shutil
 import threading
@@ -41,7 +42,6 @@ from deepbots_cli.learning.run import (
     Run,
     Status,
     TrainingResult,
-    input_digests,
     new_directory,
     now,
     run_lock,
@@ -126,7 +126,7 @@ def train(
         source=str(compiled.source),
         digest=compiled.digest,
         interface=identity.interface(compiled.program),
-        inputs=input_digests(compiled.inputs),
+        inputs={name: hashlib.sha256(content).hexdigest() for name, content in compiled.inputs.items()},
         engine=engine,
         seed=seed,
         seeds=seeds | {"policy": derive_seed(seed, "policy"), "evaluation": derive_seed(seed, "evaluation")},
@@ -158,6 +158,8 @@ def resume(
     *,
     total_timesteps: int | None = None,
     stop_when_solved: bool | None = None,
+    callbacks: Sequence[str] | None = None,
+    loggers: Sequence[str] | None = None,
     progress: bool | Reporter = False,
     allow_code: bool = False,
     build: BuildWorld | None = None,
@@ -171,6 +173,8 @@ def resume(
         run: The directory of the run.
         total_timesteps: The new goal, counted from the very start; the run's own by default.
         stop_when_solved: As for `train`; the run's own by default. A run that ended because it was solved goes on regardless.
+        callbacks: As for `train`, in the place of the run's own, from now on; () for none. Weights may then differ.
+        loggers: As for `train`, in the place of the run's own, from now on; () for none.
         progress: As for `train`.
         allow_code: Whether terms in Python run.
         build: As for `train`.
@@ -185,12 +189,21 @@ def resume(
         # Only now: a training that has just ended in there has changed the record.
         known = Run.open(path)
         record = known.record
-        plugins.check(record.callbacks, record.loggers)
+        callbacks = record.callbacks if callbacks is None else tuple(callbacks)
+        loggers = record.loggers if loggers is None else tuple(loggers)
+        try:
+            plugins.check(callbacks, loggers)
+        except UsageError as error:
+            error.add_note("to continue without callbacks or loggers: --callback none, --logger none")
+            raise
         training = _training_of(known.program, record.total_timesteps if total_timesteps is None else total_timesteps)
         if latest(known) is None and (record.status == "finished" or _has_learned(known)):
             raise RunError(f"{known.checkpoints} contains no checkpoint to continue from")
         checkpoints = Checkpoints(known)
         steps = checkpoints.state.statistics.steps if checkpoints.state else 0
+        if set(callbacks) != set(record.callbacks):
+            before, since = (", ".join(names) or "none" for names in (record.callbacks, callbacks))
+            checkpoints.note(f"the callbacks were {before} before {steps:,} steps and are {since} since")
         if steps >= training.total_timesteps and record.status == "finished":  # else it was killed before it said so
             raise UsageError(
                 f"the training of {known.path} is complete ({steps:,} of {training.total_timesteps:,} timesteps);"
@@ -202,6 +215,8 @@ def resume(
             resumed_at=(*record.resumed_at, steps),
             total_timesteps=training.total_timesteps,
             stop_when_solved=(record.stop_when_solved if stop_when_solved is None else stop_when_solved) and not was_solved,
+            callbacks=tuple(callbacks),
+            loggers=tuple(loggers),
         )
         build = build or default_build(record.engine, allow_code=allow_code)
         return _learn(known, training, checkpoints, build, reporter(progress))

@@ -170,6 +170,23 @@ class ObservedNumber(NamedTuple):
         return self.name if self.component is None else f"{self.name}.{self.component}"
 
 
+@dataclass(frozen=True)
+class ObservedValue:
+    """A number that the policy sees: its name, its unit (SI), and the range in this unit that maps to [-1, 1].
+
+    A truth value (`truth`) is 0 or 1 and has no range to map. `steps_ago` is 0 for the present value, more for an older one. Values beyond
+    the range are `clipped` to it, or lie beyond [-1, 1].
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    truth: bool = False
+    steps_ago: int = 0
+    clipped: bool = True
+
+
 def policy_inputs(numbers: Sequence[ObservedNumber], stack: int = 1) -> tuple[tuple[int, int], ...]:
     """For every number that the policy sees, in its order: the index of the number, and how many steps ago.
 
@@ -464,6 +481,12 @@ class Policy:
     def numbers(self) -> tuple[ObservedNumber, ...]:
         """The numbers of one frame of the observation, apart from images."""
         return tuple(number for entry in self.observation for number in entry.numbers)
+
+    @cached_property
+    def inputs(self) -> tuple[ObservedValue, ...]:
+        """The numbers that the policy sees, in their order in its observation."""
+        seen = [(self.numbers[index], age) for index, age in policy_inputs(self.numbers, self.frame_stack)]
+        return tuple(ObservedValue(n.full_name, n.unit.removeprefix("1"), n.low, n.high, n.truth, age, n.clip) for n, age in seen)
 
     @property
     def discount(self) -> float:

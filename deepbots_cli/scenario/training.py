@@ -58,6 +58,10 @@ class Training(Section):
     import_path: ClassVar[str] = ""
     """`module:attribute` of its class, imported when it is used."""
     on_policy: ClassVar[bool] = False
+    acts_by: ClassVar[frozenset[Literal["choice", "choices", "ranges"]]] = frozenset({"choice", "choices", "ranges"})
+    """The actions that it can take: one choice, several choices, ranges."""
+    uses_masks: ClassVar[bool] = False
+    """Whether it takes no choice that `forbid` excludes."""
 
     algorithm: PlainText
     """The learning algorithm."""
@@ -158,6 +162,8 @@ class _OffPolicy(Training):
 
 
 class _Deterministic(_OffPolicy):
+    acts_by = frozenset({"ranges"})
+
     action_noise: ActionNoise | None = None
     """Noise on the actions while training."""
 
@@ -199,6 +205,7 @@ class DQN(_OffPolicy):
     """Off-policy; one choice."""
 
     import_path = "stable_baselines3:DQN"
+    acts_by = frozenset({"choice"})
 
     algorithm: Literal["DQN"]
     target_update_interval: PositiveInt | None = None
@@ -251,6 +258,8 @@ class MaskablePPO(_Proximal):
     """PPO that never takes forbidden choices."""
 
     import_path = "sb3_contrib:MaskablePPO"
+    acts_by = frozenset({"choice", "choices"})
+    uses_masks = True
 
     algorithm: Literal["MaskablePPO"]
 

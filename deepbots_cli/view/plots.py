@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import json
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli.errors import MissingExtraError, RunError, UsageError
+from deepbots_cli.files import read_at_most
 from deepbots_cli.learning.episodes import read_log
 from deepbots_cli.learning.group import is_group
 from deepbots_cli.learning.run import NAME, Record, changed_settings, run_folders, short
@@ -30,6 +33,7 @@ _MAX_BYTES = 1 << 28  # of a log
 _DASHES = ("-", "--", "-.", ":")
 THEMES = {"light": ("#ffffff", "#202428", "#d5d8dc"), "dark": ("#16181c", "#e4e6ea", "#3c4046")}
 """Background, text and grid."""
+_EPISODE = np.dtype([*((name, float) for name in ("steps", "returns", "lengths", "successes")), ("endings", object)])
 Curve = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Timesteps and values."""
 
@@ -78,23 +82,15 @@ def read(paths: Sequence[str | Path], window: int = 100) -> list[Log]:
 def _read_run(path: Path, window: int) -> Log:
     record = Record.read(path)
     log = Log(path, f"{record.scenario} {record.digest}", settings=short(changed_settings(record.command)))
-    rows = read_log(path / "monitor.csv")
-    if not rows:
+    episodes, evaluations = logs_of(path)
+    if not len(episodes):
         raise RunError(f"{path} holds no finished episode yet; plot it later")
-    try:
-        steps = np.array([float(row["steps"]) for row in rows])
-        returns = np.array([float(row["r"]) for row in rows])
-        log.returns = _averaged(steps, returns, window)
-        successes = np.array([float(row["is_success"]) for row in rows])
-        log.endings = [(step, row["ended_by"]) for step, row in zip(steps, rows, strict=True)]
-        lines = evaluations_of(path)
-        points = [(float(line["steps"]), float(np.mean(line["returns"]))) for line in lines]
-        if not (np.isfinite(steps) & (steps >= 0) & np.isfinite(returns) & np.isfinite(successes)).all() or not np.isfinite(points).all():
-            raise ValueError("a number that is not finite")
-    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
-        raise RunError(f"{path} is damaged: one of its logs cannot be read") from error
+    steps, successes = episodes.steps, episodes.successes
+    log.returns = _averaged(steps, episodes.returns, window)
+    log.endings = list(zip(steps, episodes.endings, strict=True))
     log.successes = _averaged(steps, successes, window) if successes.any() else None
-    log.evaluations = (np.array([step for step, _ in points]), np.array([value for _, value in points])) if points else None
+    if evaluations:
+        log.evaluations = (np.array([line["steps"] for line in evaluations]), np.array([fmean(line["returns"]) for line in evaluations]))
     scalars = scalars_of(path / "tensorboard")
     finite = {tag: (at[np.isfinite(values)], values[np.isfinite(values)]) for tag, (at, values) in scalars.items()}
     log.terms = {tag.removeprefix("reward/"): curve for tag, curve in finite.items() if tag.startswith("reward/") and len(curve[0])}
@@ -114,26 +110,39 @@ def _read_tensorboard(path: Path) -> Log:
     return log
 
 
-def evaluations_of(run: Path) -> list[Any]:
-    """The evaluations during the training of a run, in order; a last line that is half written is left out.
+def logs_of(run: Path) -> tuple[Any, list[dict[str, Any]]]:
+    """The episodes of a training and its evaluations, both in order; a last line that is half written is left out.
+
+    Episodes are a record array with the timesteps at their end (`steps`), `returns`, `lengths`, `successes` (1 or 0) and `endings`.
+    Evaluations are dictionaries of `steps`, and of the `returns` and `successes` of their episodes.
 
     Raises:
-        RunError: The file is no regular file, or too large.
-        ValueError, RecursionError: A line is not JSON.
+        RunError: A file is no regular file, too large, or damaged.
     """
-    text = _text(run / "evaluations" / "training.jsonl")
-    return [json.loads(line) for line in text[: text.rfind("\n") + 1].splitlines()]
+    rows, text = read_log(run / "monitor.csv"), _text(run / "evaluations" / "training.jsonl")
+    names = ("steps", "r", "l", "is_success")
+    evaluations: list[dict[str, Any]] = []
+    try:
+        found = [(*(float(row[name]) for name in names), row["ended_by"]) for row in rows]
+        for line in map(json.loads, text[: text.rfind("\n") + 1].splitlines()):
+            lists = {name: [float(value) for value in line[name]] for name in ("returns", "successes")}
+            evaluations.append({"steps": float(line["steps"]), **lists})
+        ends = [*(each[0] for each in found), *(each["steps"] for each in evaluations)]
+        means = [fmean(each[name]) for each in evaluations for name in ("returns", "successes")]  # an error without an episode
+        if not all(map(math.isfinite, [*ends, *means, *(number for each in found for number in each[1:4])])) or min(ends, default=0) < 0:
+            raise ValueError("a number is not finite, or a step is negative")
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
+        raise RunError(f"{run} is damaged: one of its logs cannot be read") from error
+    return np.array(found, _EPISODE).view(np.recarray), evaluations
 
 
 def _text(path: Path) -> str:
     if path.is_symlink() or (path.exists() and not path.is_file()):  # opening a pipe waits for ever
         raise RunError(f"{path} is not a regular file")
-    try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise RunError(f"{path} is larger than {_MAX_BYTES >> 20} MiB")
-        return path.read_text("utf-8", errors="replace")
-    except FileNotFoundError:
-        return ""
+    text = read_at_most(path, _MAX_BYTES + 1).decode(errors="replace") if path.exists() else ""
+    if len(text) > _MAX_BYTES:
+        raise RunError(f"{path} is larger than {_MAX_BYTES >> 20} MiB")
+    return text
 
 
 def scalars_of(path: Path) -> dict[str, Curve]:
@@ -189,6 +198,8 @@ def plot(logs: Sequence[Log], *, theme: str = "light") -> Figure:
     figure = Figure(figsize=(10.0, 3.4 + 2.7 * len(detailed)), layout="constrained", facecolor=THEMES[theme][0])
     axes = figure.subplots(1 + len(detailed), 2, squeeze=False)
     returns, successes = axes[0]
+    for left in axes[2:, 0]:
+        left.sharey(axes[1, 0])  # reward terms of two scenarios are compared by eye
     for number, members in enumerate(groups.values()):
         name = members[0].name
         label = name if len(members) == 1 else f"{name} ({len(members)} seeds)"
@@ -212,15 +223,7 @@ def plot(logs: Sequence[Log], *, theme: str = "light") -> Figure:
         finish(left, f"{name}reward terms of an episode", theme)
         endings_over_time(right, [ending for log in members for ending in log.endings])
         finish(right, f"{name}endings, share of episodes", theme)
-    _same_scale([left for left, _ in axes[1:]])
     return figure
-
-
-def _same_scale(panels: Sequence[Axes]) -> None:
-    """Reward terms of two scenarios are compared by eye."""
-    ends = [panel.get_ylim() for panel in panels]
-    for panel in panels:
-        panel.set_ylim(min(low for low, _ in ends), max(high for _, high in ends))
 
 
 def band(panel: Axes, curves: Sequence[Curve], style: Mapping[str, Any]) -> None:
@@ -252,14 +255,18 @@ def endings_over_time(panel: Axes, endings: Sequence[tuple[float, str]]) -> None
     panel.set_ylim(0, 1)
 
 
-def finish(panel: Axes, title: str, theme: str, *, legend: bool = True) -> None:
+def finish(panel: Axes, title: str, theme: str, *, legend: bool = True, axes: tuple[str, str] | None = None) -> None:
+    """Style a panel; `axes` are the names of its axes, by default timesteps below."""
     from matplotlib.ticker import EngFormatter
 
     ground, text, grid = THEMES[theme]
     panel.set_facecolor(ground)
     panel.set_title(title, fontsize=10, color=text, loc="left", parse_math=False)  # a name may hold a $
-    panel.set_xlabel("timesteps", fontsize=9, color=text)
-    panel.xaxis.set_major_formatter(EngFormatter(sep=""))
+    below, beside = axes or ("timesteps", "")
+    panel.set_xlabel(below, fontsize=9, color=text, parse_math=False)
+    panel.set_ylabel(beside, fontsize=9, color=text)
+    if axes is None:
+        panel.xaxis.set_major_formatter(EngFormatter(sep=""))
     panel.tick_params(colors=text, labelsize=8)
     panel.grid(color=grid, linewidth=0.6)
     panel.set_axisbelow(True)

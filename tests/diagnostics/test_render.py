@@ -56,7 +56,7 @@ def test_further_places_are_shown_in_the_order_of_the_file() -> None:
 
 def test_a_place_in_another_file_is_shown_apart() -> None:
     other = Source("b.yaml", "x: 1")
-    shown = render([finding("y: 1", "y", also=(Label(Span(other, 0, 1), "defined here"),))])
+    shown = render([finding("y: 1", "y", labels=(Label(Span(other, 0, 1), "defined here"),))])
     assert " --> a.yaml:1:1\n" in shown
     assert " --> b.yaml:1:1\n" in shown
     assert "| - defined here" in shown

@@ -19,12 +19,11 @@ from deepbots_cli.cli import main
 from deepbots_cli.errors import DeepbotsError, EvaluationError, RunError
 from deepbots_cli.insight.diagnosis import CAUSES, diagnose
 from deepbots_cli.insight.episode import ROWS, explain, explanation_json
-from deepbots_cli.insight.trace import Chosen, last_evaluation, trace_episodes, trace_run
-from deepbots_cli.insight.training import Episodes, Training, probe, read
+from deepbots_cli.insight.trace import last_evaluation, trace_episodes
+from deepbots_cli.insight.training import Training, probe, read
 from deepbots_cli.learning import train
 from deepbots_cli.learning.group import GroupRecord
 from deepbots_cli.learning.run import Run
-from deepbots_cli.runtime.streams import derive_seed
 
 DOCS = Path(__file__).parents[2] / "docs" / "diagnose.md"
 BROKEN = yaml.safe_load(Path(__file__).with_name("broken.yaml").read_text("utf-8"))
@@ -41,7 +40,8 @@ def _logs(short: Path, returns, lengths=None, ending="fallen", success=False, **
     """A training with these logs in the place of its own, and without short episodes."""
     returns = np.asarray(returns, float)
     lengths = returns if lengths is None else np.asarray(lengths, float)
-    episodes = Episodes(np.cumsum(lengths), returns, lengths, np.full(len(returns), float(success)), [ending] * len(returns))
+    columns = [np.cumsum(lengths), returns, lengths, np.full(len(returns), float(success)), np.full(len(returns), ending, object)]
+    episodes = np.rec.fromarrays(columns, names="steps, returns, lengths, successes, endings")
     curves = {name.replace("__", "/"): (np.arange(len(values), dtype=float), np.asarray(values, float)) for name, values in scalars.items()}
     return replace(read(Run.open(short)), episodes=episodes, scalars=curves, evaluations=[])
 
@@ -77,6 +77,7 @@ def test_a_training_that_solves_its_task_has_no_causes(short):
 
 def test_an_action_without_effect_and_useless_ranges_are_found_in_short_episodes(short, tmp_path):
     sets = ["robots.cart.apply.wheels=0 * drive * wheel_speed", "observation.x=-1e-6 .. 1e-6 m", "reward.alive=-1", "train.ent_coef=5"]
+    sets += ["augment.tilt=max(abs(cart.pole_angle) / rad, 0.19)", "observation.tilt=0.2 .. 0.4"]
     compiled = api.compile(api.load("cartpole", sets=sets))
     training = read(Run.open(train(compiled, total_timesteps=512, seed=2, run=tmp_path / "dead").run))
     assert "action_without_effect" not in _causes(training)
@@ -86,6 +87,10 @@ def test_an_action_without_effect_and_useless_ranges_are_found_in_short_episodes
     (warned,) = [cause for cause in diagnose(training) if cause.cause == "lint_warns"]
     assert warned.evidence["likelihood"] > 0.9  # the required return is out of reach
     assert "the highest possible return is -1 (DB810)" in warned.text
+    # Most values of both are beyond their range. Those of `tilt` hardly differ there, so clipping loses nothing.
+    (clipped,) = [cause for cause in diagnose(training) if cause.cause == "saturated_observation"]
+    assert min(clipped.evidence["shares"]["x"], clipped.evidence["shares"]["tilt"]) > 0.4
+    assert clipped.evidence["names"] == "x"
     # Its evaluations, which do not explore, may solve the task all the same.
     assert _causes(replace(training, evaluations=[{"returns": [200.0], "successes": [False]}])) == ["exploration_too_large"]
 
@@ -119,14 +124,14 @@ def test_episodes_of_an_evaluation_are_repeated_to_the_bit(short, tmp_path, caps
     opened = Run.open(run)
     _, kept = last_evaluation(opened)
     assert kept.failed(opened.program) == list(range(10))
-    for trace, number in zip(trace_episodes(opened, [kept.chosen(number) for number in (9, 3)]), (9, 3), strict=True):
+    for trace, number in zip(trace_episodes(opened, (9, 3), **kept.circumstances), (9, 3), strict=True):
         known = outcomes[number]
         assert (trace.steps, trace.returns, trace.ended_by) == (known["length"], known["total_return"], known["ended_by"])
 
 
 def test_a_critic_that_never_fell_names_no_moment(short):
     run = Run.open(short)
-    trace = trace_run(run, Chosen(0, 5))
+    trace = next(trace_episodes(run, [0], seed=5))
     trace.critic = np.linspace(1.0, 2.0, trace.steps)
     statements = explain(trace)
     assert explanation_json(trace, statements)["moment"] is None
@@ -138,7 +143,7 @@ def test_a_critic_that_never_fell_names_no_moment(short):
 def test_the_named_moment_precedes_the_end_of_fifty_failed_episodes(scenario, timesteps, tmp_path):
     """It is the largest drop of the critic's value, of a policy at the beginning of its training; 20 s of CPU time each."""
     run = Run.open(train(scenario, total_timesteps=timesteps, seed=711, run=tmp_path / scenario).run)
-    episodes = trace_episodes(run, [Chosen(number, derive_seed(711, "moment", number), "last") for number in range(500)])
+    episodes = trace_episodes(run, range(500), seed=712, model="last")
     failed = list(islice((trace for trace in episodes if trace.outcome == "failure"), 50))
     assert len(failed) == 50
     moments = [explanation_json(trace, explain(trace))["moment"] for trace in failed]

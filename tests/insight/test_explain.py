@@ -15,7 +15,7 @@ from shapely.geometry import LinearRing, Point
 
 from deepbots_cli.cli import main
 from deepbots_cli.insight.episode import explain, explanation_json
-from deepbots_cli.insight.trace import trace_recorded, trace_recording
+from deepbots_cli.insight.trace import Trace, trace_recorded
 from deepbots_cli.view import recordings
 from deepbots_cli.view.episodes import Source, player
 from deepbots_cli.view.frames import WorldFrame
@@ -115,8 +115,13 @@ def recording(tmp_path_factory):
     return path
 
 
+def _traced(path: Path, number: int = 0) -> Trace:
+    opened = Source(str(path)).open()
+    return next(trace_recorded(opened, [opened.recording.episode(number)]))
+
+
 def test_every_sentence_has_a_number(recording):
-    statements = explain(trace_recording(str(recording), 1))
+    statements = explain(_traced(recording, 1))
     assert {"ending", "margin", "terms", "no_critic", "choices"} <= {each.cause for each in statements}
     assert all(any(sign.isdigit() for sign in each.text) for each in statements)
 
@@ -126,7 +131,7 @@ def test_endings_with_and_or_and_not(tmp_path):
     ending = "not (abs(x) <= track) or (abs(cart.pole_angle) > fall_angle and step >= 3)"
     with player(Source("cartpole", sets=[f"termination.failure={{over: {ending}}}"]), "random") as world:
         recordings.record(world, tmp_path / "one.mcap", 3, [0])
-    trace = trace_recording(str(tmp_path / "one.mcap"), None)
+    trace = _traced(tmp_path / "one.mcap")
     end = explanation_json(trace, explain(trace))["end"]
     assert end["condition"] == "abs(cart.pole_angle) > fall_angle"
     assert end["bound"] == pytest.approx(math.radians(15))
@@ -162,5 +167,5 @@ def test_what_is_no_episode_is_told_in_a_sentence(recording, tmp_path, capsys):
 def test_json_holds_the_same_statements(recording, capsys):
     assert main(["explain-episode", str(recording), "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
-    assert [each["text"] for each in data["statements"]] == [each.text for each in explain(trace_recording(str(recording), None))]
+    assert [each["text"] for each in data["statements"]] == [each.text for each in explain(_traced(recording))]
     assert data["end"]["margin"] > 0

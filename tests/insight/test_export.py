@@ -19,7 +19,7 @@ import torch
 from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.errors import UsageError
-from deepbots_cli.insight import card, export
+from deepbots_cli.insight import export
 from deepbots_cli.learning import algorithms
 from deepbots_cli.learning.environments import VectorEnvironment
 from deepbots_cli.learning.policy import Policy, _Spaces, load_policy
@@ -97,7 +97,7 @@ def test_older_values_stand_where_the_environment_puts_them():
     program, model = _made("cartpole", "PPO", frame_stack=3)
     graph = export.networks(model, program)["policy.onnx"]
     assert _session(graph).get_inputs()[0].shape == ["batch", 12]
-    assert [entry.steps_ago for entry in card._observed(program)][::4] == [2, 1, 0]
+    assert [entry.steps_ago for entry in program.policy.inputs][::4] == [2, 1, 0]
 
 
 def test_a_layer_that_is_not_known_is_named():

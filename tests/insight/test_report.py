@@ -81,7 +81,7 @@ def test_best_median_and_worst_are_those_of_the_evaluation_and_happen_again(run)
     assert [each.outcome.total_return for each in shown if each.label] == [returns[-1], returns[len(returns) // 2 - 1], returns[0]]
     report.run_again(shown, lambda done, of: None, clips=False)
     assert report.notes == []  # a return that differs now would be noted
-    assert [len(path.points) - 1 for path in report.paths] == [each.outcome.length for each in shown]
+    assert [len(each.points) - 1 for each in report.shown] == [each.outcome.length for each in shown]
 
 
 def test_a_return_that_is_another_one_now_is_noted(run):

@@ -17,7 +17,8 @@ from stable_baselines3 import PPO
 
 from deepbots_cli.cli.results import training_text
 from deepbots_cli.errors import PluginError, UsageError
-from deepbots_cli.learning import TrainingResult, models, resume, train, train_group
+from deepbots_cli.learning import TrainingResult, models, resume, resume_group, train, train_group
+from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.report import Reporter, TrainingProgress
 from deepbots_cli.learning.run import Record
 from deepbots_cli.program.task import Hyperparameter, Training
@@ -114,5 +115,20 @@ def test_a_resumed_run_and_the_seeds_of_a_group_keep_them(tmp_path: Path) -> Non
     assert lines(run, "scalars.csv")
     content = json.loads((run / "run.json").read_text())
     (run / "run.json").write_text(json.dumps(content | {"callbacks": ["gone"]}))
-    with pytest.raises(UsageError, match="there is no callback 'gone'"):
+    with pytest.raises(UsageError, match="there is no callback 'gone'") as caught:
         resume(run, build=stand_in.build)
+    assert "--callback none" in caught.value.full
+    rest = resume(run, build=stand_in.build, total_timesteps=200, callbacks=(), loggers=())
+    assert (rest.steps >= 200, rest.stopped_by) == (True, None)
+    assert rest.inexact == ("the callbacks were gone before 0 steps and are none since",)
+    assert (Record.read(run).callbacks, Record.read(run).loggers) == ((), ())
+
+
+def test_a_resumed_group_drops_them_in_every_seed(tmp_path: Path) -> None:
+    train_group(TASK, [0, 1], group=tmp_path / "group", build=stand_in.build, callbacks=["impatient"])
+    with pytest.raises(UsageError, match="there is no callback 'gone'"):
+        resume_group(tmp_path / "group", total_timesteps=200, callbacks=["gone"], build=stand_in.build)
+    assert Group.open(tmp_path / "group").record.callbacks == ("impatient",)
+    rest = resume_group(tmp_path / "group", total_timesteps=200, callbacks=(), build=stand_in.build)
+    assert [found.stopped_by for found in rest.trained] == [None, None]
+    assert Group.open(tmp_path / "group").record.callbacks == ()

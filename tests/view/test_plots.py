@@ -43,7 +43,8 @@ def _run(folder, digest, returns):
     head = "r,l,t,episode,steps,simulated_hours,is_success,ended_by,stage"
     (folder / "monitor.csv").write_text("\n".join(['#{"t_start": 0}', head, *rows]) + "\n7,1")  # the last line is being written
     (folder / "evaluations").mkdir()
-    (folder / "evaluations" / "training.jsonl").write_text(json.dumps({"steps": 30, "returns": [1.0, 3.0]}) + "\n")
+    evaluation = {"steps": 30, "returns": [1.0, 3.0], "successes": [False, True]}
+    (folder / "evaluations" / "training.jsonl").write_text(json.dumps(evaluation) + "\n")
     _events(folder / "tensorboard", reward__closer=[(10, 1.0), (40, 4.0)])
 
 

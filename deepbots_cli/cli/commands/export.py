@@ -18,6 +18,7 @@ from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.files import check_folder
 from deepbots_cli.learning.group import Group, is_group
 from deepbots_cli.learning.run import Run
+from deepbots_cli.program import identity
 
 
 class Target(StrEnum):
@@ -93,7 +94,8 @@ def _check(
         raise UsageError("--check writes nothing; leave out --out and --last")
     known = card.read(folder)
     compiled = api.compile(scenario, sets=sets, allow_paths=allow_paths, allow_code=True)
-    differ = card.differences(known, compiled.program)
+    words = ("bundle", "scenario")
+    differ = identity.compare_interfaces(known.interface, identity.interface(compiled.program), words=words)
     given = "".join(f" --set {quote(text)}" for text in sets)
     remarks = card.remarks(known, compiled.program, f"deepbots diff {quote(str(folder / 'scenario.yaml'))} {quote(scenario)}{given}")
     if as_json:

@@ -76,26 +76,28 @@ def explain_episode(
 def _trace(shown: str, episode: int | None, seed: int | None, *, last: bool, allow_code: bool) -> Trace:
     from deepbots_cli.insight import trace
     from deepbots_cli.learning.run import Run
-    from deepbots_cli.runtime.streams import derive_seed
+    from deepbots_cli.view.episodes import Source
 
     path = Path(shown)
     if path.suffix in (".mcap", ".json"):
         if seed is not None or last:
             raise UsageError("a recording or a failure has its own start and actions; leave out --seed and --last")
         if path.suffix == ".mcap":
-            return trace.trace_recording(shown, episode, allow_code=allow_code)
+            opened = Source(shown, allow_code=allow_code).open()
+            recorded = opened.recording.episodes[0] if episode is None else opened.recording.episode(episode)
+            return next(trace.trace_recorded(opened, [recorded]))
         if episode is not None:
             raise UsageError(f"{shown} holds a single episode; leave out --episode")
         return trace.trace_failure(path, allow_code=allow_code)
     run = Run.open(path)
     found = trace.last_evaluation(run, plain=False) if seed is None and not last else None
     if found is None:
-        root, number = run.record.seed if seed is None else seed, episode or 0
-        chosen = trace.Chosen(number, derive_seed(root, "evaluation", number), "last" if last else "best")
-        return trace.trace_run(run, chosen, allow_code=allow_code)
+        root = run.record.seed if seed is None else seed
+        return next(trace.trace_episodes(run, [episode or 0], seed=root, model="last" if last else "best", allow_code=allow_code))
     _, kept = found
     failed = kept.failed(run.program)
-    traced = trace.trace_run(run, kept.chosen(episode if episode is not None else failed[0] if failed else 0), allow_code=allow_code)
+    number = episode if episode is not None else failed[0] if failed else 0
+    traced = next(trace.trace_episodes(run, [number], **kept.circumstances, allow_code=allow_code))
     if not failed:
         traced.notes = [*traced.notes, f"none of the {len(kept.outcomes):,} episodes of the last evaluation failed"]
     return traced
@@ -124,18 +126,16 @@ def repeat_failed(run: Run, video: Path | None, *, as_json: bool, allow_code: bo
         check(film)
     found = []
     with terminal.progress("episodes", always=False) as show:
-        chosen = [kept.chosen(number) for number in failed]
-        for each, traced in zip(
-            chosen, trace.trace_episodes(run, chosen, films=films, allow_code=allow_code) if chosen else (), strict=True
-        ):
+        again = trace.trace_episodes(run, failed, **kept.circumstances, films=films, allow_code=allow_code) if failed else ()
+        for number, traced in zip(failed, again, strict=True):
             statements = explain(traced)
-            found.append({"number": each.number, "film": films.get(each.number), **explanation_json(traced, statements)})
+            found.append({"number": number, "film": films.get(number), **explanation_json(traced, statements)})
             if show is not None:
                 show(len(found), len(failed))
-            if not as_json and each.number in first:
+            if not as_json and number in first:
                 ends = [statement.text for statement in statements if statement.cause in ("margin", "fact", "limit")]
-                filmed = f" ({films[each.number]})" if each.number in films else ""
-                terminal.print_result(f"episode {each.number}: '{traced.ended_by}' at {traced.time:.2f} s{filmed}\n  {' '.join(ends)}")
+                filmed = f" ({films[number]})" if number in films else ""
+                terminal.print_result(f"episode {number}: '{traced.ended_by}' at {traced.time:.2f} s{filmed}\n  {' '.join(ends)}")
     if as_json:
         terminal.show_json({"run": run.path, "evaluation": path, "episodes": len(kept.outcomes), "failed": found})
         return

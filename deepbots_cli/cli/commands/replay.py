@@ -90,7 +90,7 @@ def command(
     if scenario is not None:
         shown, changed = _elsewhere(opened, scenario, sets or (), allow_paths or (), allow_code=allow_code)
         notes += changed
-    elif opened.texts()[2] != found.metadata.get("digest"):
+    elif opened.checked().digest != found.metadata.get("digest"):
         notes.append("the scenario in the recording means something else than when it was recorded; it or deepbots has changed")
     for note in notes:
         terminal.note(note)
@@ -131,7 +131,7 @@ def _elsewhere(
         raise UsageError(f"the actions of {opened.recording.path} do not fit {scenario}:\n  " + "\n  ".join(differ))
     one, now = (
         sources.OpenedSource(program, parse(Source("resolved.yaml", text), Findings()))
-        for program, text in ((opened.program, opened.texts()[0]), (other.program, other.texts()[0]))
+        for program, text in ((opened.program, opened.checked().resolved), (other.program, other.checked().resolved))
     )
     found = [change for change in changes_of_meaning(one, now) if change.group not in (Group.cosmetic, Group.training)]
     return other, [line for change in found for line in _told(change, one, now)]

@@ -71,7 +71,11 @@ def command(
     ] = None,
     callbacks: Annotated[
         list[str] | None,
-        typer.Option("--callback", metavar="NAME", help="Call this callback of an installed package during the training; may be repeated."),
+        typer.Option(
+            "--callback",
+            metavar="NAME",
+            help="Call this callback of an installed package during the training; may be repeated. With --resume, `none` drops all.",
+        ),
     ] = None,
     loggers: Annotated[
         list[str] | None,
@@ -109,7 +113,8 @@ def command(
     without interruption. With --resume, --timesteps is the new total, which includes the timesteps so far. --initialize-from copies the
     tensors of the policy that have the same name and shape, and initializes the others as usual.
 
-    `--logger csv` appends every scalar of TensorBoard to logs/scalars.csv of the run. A resumed run keeps its callbacks and loggers.
+    `--logger csv` appends every scalar of TensorBoard to logs/scalars.csv of the run. A resumed run keeps its callbacks and loggers;
+    --callback and --logger replace them, and `--callback none` continues without them.
 
     --seeds trains a group: one folder with a run for each seed, one after the other. --resume of a group skips finished seeds.
 
@@ -117,27 +122,21 @@ def command(
     """
     progress = not quiet
     if resume is not None:
-        made_with = (scenario, sets, seed, seeds, run, stage, engine, allow_paths, keep_checkpoints, initialize_from, callbacks, loggers)
+        made_with = (scenario, sets, seed, seeds, run, stage, engine, allow_paths, keep_checkpoints, initialize_from)
         if any(option is not None for option in made_with):
             raise UsageError(
-                "a resumed run keeps its scenario and options; --resume accepts only --timesteps, --full, --quiet, --allow-code and --json"
+                "a resumed run keeps its scenario and options;"
+                " --resume accepts only --timesteps, --full, --callback, --logger, --quiet, --allow-code and --json"
             )
+        changes: dict[str, Any] = {"total_timesteps": timesteps, "stop_when_solved": False if full else None, "allow_code": allow_code}
+        changes |= {"callbacks": _names(callbacks), "loggers": _names(loggers), "progress": progress}
         if is_group(resume):
-            group = learning.resume_group(
-                resume,
-                total_timesteps=timesteps,
-                stop_when_solved=False if full else None,
-                progress=progress,
-                allow_code=allow_code,
-                on_seed=None if quiet else _announce_seed,
-            )
+            group = learning.resume_group(resume, on_seed=None if quiet else _announce_seed, **changes)
             _finish_group(group, quiet=quiet, as_json=as_json, allow_code=allow_code)
             return
         with _page(wanted=to_view, allow_code=allow_code) as show_page:
             show_page(resume)
-            result = learning.resume(
-                resume, total_timesteps=timesteps, stop_when_solved=False if full else None, progress=progress, allow_code=allow_code
-            )
+            result = learning.resume(resume, **changes)
     elif scenario is None:
         raise UsageError("there is no scenario to train; name one, such as: deepbots train cartpole")
     elif seeds is not None and seed is not None:
@@ -154,8 +153,8 @@ def command(
             "stage": stage,
             "keep_checkpoints": keep_checkpoints or 0,
             "initialize_from": initialize_from,
-            "callbacks": callbacks or (),
-            "loggers": loggers or (),
+            "callbacks": _names(callbacks) or (),
+            "loggers": _names(loggers) or (),
             "progress": progress,
             "command": ["deepbots", *sys.argv[1:]],
         }
@@ -170,6 +169,11 @@ def command(
         with _page(wanted=to_view, allow_code=allow_code) as show_page:
             result = train(compiled, run=run, seed=seed or 0, on_start=show_page, **settings)
     _finish(result, quiet=quiet, as_json=as_json, allow_code=allow_code)
+
+
+def _names(given: list[str] | None) -> list[str] | None:
+    """The names of an option that may be repeated; `none` alone stands for no name, and None for an option that is not given."""
+    return [] if given == ["none"] else given
 
 
 def _announce(program: Program, seeds: str, timesteps: int | None, *, full: bool) -> None:

@@ -1,4 +1,4 @@
-"""Algorithms: PPO with another default, and one whose weights cannot be stored."""
+"""Algorithms: PPO with another default, for choices only, and one whose weights cannot be stored."""
 
 from typing import Literal
 
@@ -12,6 +12,14 @@ class GentlePPO(PPO):
     algorithm: Literal["GentlePPO"]
     n_epochs: PositiveInt | None = 3
     """Passes over the samples of a roll-out."""
+
+
+class ChoicePPO(PPO):
+    """PPO for choices."""
+
+    acts_by = frozenset({"choice", "choices"})
+
+    algorithm: Literal["ChoicePPO"]
 
 
 class NoTensors(PPO):
