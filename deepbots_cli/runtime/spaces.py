@@ -108,7 +108,7 @@ class FrameStack:
         self._places = (np.arange(depth)[:, None] - np.array(ages)) % depth
         self._shape = (*shape[:2], shape[2] * len(ages))
 
-    def stacked(self, newest: int) -> NDArray[np.uint8]:
+    def seen(self, newest: int) -> NDArray[np.uint8]:
         """The pictures, oldest first, with their channels side by side; a copy. `newest` is the place of the last one."""
         return np.reshape(self.frames[self._places[newest]].transpose(1, 2, 0, 3), self._shape)
 
