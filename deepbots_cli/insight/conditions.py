@@ -110,7 +110,7 @@ def measured(program: Program, *, observed: bool = False) -> Watch:
     seen = [entry.value for entry in program.policy.observation if observed and entry.numbers and entry.value.foreign is None]
     kept = {value.name: made.probe(value.typed, value) for value in seen if made.is_measurable(value)}
     signals = (*program.signals, *made.probes.values())
-    return Watch(replace(program, signals=signals, kept=frozenset(made.probes)), conditions, kept)
+    return Watch(replace(program, signals=signals, stored_signals=frozenset(made.probes)), conditions, kept)
 
 
 class _UnmeasuredError(Exception):

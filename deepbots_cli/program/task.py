@@ -486,7 +486,7 @@ class Policy:
     def inputs(self) -> tuple[ObservedValue, ...]:
         """The numbers that the policy sees, in their order in its observation."""
         seen = [(self.numbers[index], age) for index, age in policy_inputs(self.numbers, self.frame_stack)]
-        return tuple(ObservedValue(n.full_name, n.unit.removeprefix("1"), n.low, n.high, n.truth, age, n.clip) for n, age in seen)
+        return tuple(ObservedValue(n.full_name, n.unit.removeprefix("1"), n.low, n.high, n.is_truth, age, n.clip) for n, age in seen)
 
     @property
     def discount(self) -> float:
