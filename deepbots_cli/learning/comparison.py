@@ -210,27 +210,27 @@ class AcrossEngines:
         return row
 
 
-def across_engines(one: EvaluationResult, other: EvaluationResult) -> AcrossEngines:
-    """Compare the evaluations of one policy in two engines, episode by episode."""
-    returns, successes = _paired(one, other)
-    return AcrossEngines(other.case, one.engine, other.engine, returns, successes)
+def across_engines(one: EvaluationResult | GroupResult, other: EvaluationResult | GroupResult) -> AcrossEngines:
+    """Compare the evaluations of a policy in two engines episode by episode, or those of a group run by run.
+
+    Intervals for a group are over its seeds, None for a single run.
+    """
+    first, second = (found.evaluations[0] if isinstance(found, GroupResult) else found for found in (one, other))
+    return AcrossEngines(second.case, first.engine, second.engine, *_paired(one, other))
 
 
-def group_across_engines(one: GroupResult, other: GroupResult) -> AcrossEngines:
-    """Compare the evaluations of a group in two engines, run by run: the interval is one over the seeds, None for a single run."""
+def _paired(one: EvaluationResult | GroupResult, other: EvaluationResult | GroupResult) -> tuple[Difference, Difference | None]:
+    """Differences of return and success, by episodes or runs in the same order; no success where one of the two defines none."""
+    (before, succeeded), (after, succeeds) = _scores(one), _scores(other)
     has_success = one.success_defined and other.success_defined
-    successes = compare_episodes(one.success_rates, other.success_rates) if has_success else None
-    first, second = one.evaluations[0], other.evaluations[0]
-    return AcrossEngines(second.case, first.engine, second.engine, compare_episodes(one.returns, other.returns), successes)
+    return compare_episodes(before, after), compare_episodes(succeeded, succeeds) if has_success else None
 
 
-def _paired(one: EvaluationResult, other: EvaluationResult) -> tuple[Difference, Difference | None]:
-    """Differences of return and success, episode by episode; no success where one of the two defines none."""
-    before, after = one.outcomes, other.outcomes
-    returns = compare_episodes([episode.total_return for episode in before], [episode.total_return for episode in after])
-    if not (one.success_defined and other.success_defined):
-        return returns, None
-    return returns, compare_episodes([float(e.is_success) for e in before], [float(e.is_success) for e in after])
+def _scores(found: EvaluationResult | GroupResult) -> tuple[list[float], list[float]]:
+    """The returns and successes of episodes, or of the runs of a group."""
+    if isinstance(found, GroupResult):
+        return found.returns, found.success_rates
+    return [episode.total_return for episode in found.outcomes], [float(episode.is_success) for episode in found.outcomes]
 
 
 def evaluate_group(

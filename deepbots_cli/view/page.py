@@ -186,20 +186,21 @@ class Page:
 
     def _reload(self) -> None:
         """Read the files again; a world without errors begins at the same seed and episode."""
-        try:
-            sets = [f"parameters.{name}={text}" for name, text in self._changed.items()]
-            opened = dataclasses.replace(self._source, sets=(*self._source.sets, *sets)).open()
-            self._files = opened.files | self._files if opened.program is None else opened.files
-            paused, self._message = self.paused and not self._message, ""
-            self._show(opened)
-            if opened.program is not None:
-                self.paused = paused
-                self._tell()
-        except DeepbotsError as error:
-            self._fail(error)
+        sets = [f"parameters.{name}={text}" for name, text in self._changed.items()]
+        opened = dataclasses.replace(self._source, sets=(*self._source.sets, *sets)).open()
+        self._files = opened.files | self._files if opened.program is None else opened.files
+        paused, self._message = self.paused and not self._message, ""
+        self._show(opened)
+        if opened.program is not None:
+            self.paused = paused
+            self._tell()
 
-    def _fail(self, error: Exception) -> None:
-        self._stop("stopped", f"<p>{html.escape(str(error))}</p>")
+    def _attempt(self, act: Callable[[], None]) -> None:
+        """Do something, whose error ends the episode and is shown."""
+        try:
+            act()
+        except (DeepbotsError, OSError) as error:
+            self._stop("stopped", f"<p>{html.escape(str(error))}</p>")
 
     def _stop(self, trouble: str, message: str) -> None:
         """Pause, and say why in place of the state, until an episode begins."""
@@ -476,12 +477,8 @@ class Page:
         self.paused, self._ended_at = True, 0.0
         for shown in self.shown:
             if isinstance(shown.player, Replayed):
-                try:
-                    shown.player.seek(place)
-                    frames = shown.player.past(KEPT)
-                except DeepbotsError as error:
-                    self._fail(error)
-                    return
+                shown.player.seek(place)
+                frames = shown.player.past(KEPT)
                 shown.world.take(frames[0], anew=True)
                 for frame in frames[1:]:
                     shown.world.take(frame)
@@ -491,27 +488,20 @@ class Page:
     def _record(self, client: Any) -> None:
         """Write the episode so far as a recording: the same actions from the same seed are the same episode."""
         assert self.player is not None
-        try:
-            with closing(self.player.opened.player(ZERO)) as again:
-                again.driver, again.driver_name = Driver(iter(self.player.actions).__next__), HAND
-                name = f"{Path(self._source.reference).stem}-{self.seed}-{self.episode}-played"
-                numbered = (Path(f"{name}{number or ''}{SUFFIX}") for number in count())
-                path = next(path for path in numbered if not path.exists())
-                record(again, path, self.seed, [self.episode], steps=len(self.player.actions))
-        except (DeepbotsError, OSError) as error:
-            self._fail(error)
-            return
+        with closing(self.player.opened.player(ZERO)) as again:
+            again.driver, again.driver_name = Driver(iter(self.player.actions).__next__), HAND
+            name = f"{Path(self._source.reference).stem}-{self.seed}-{self.episode}-played"
+            numbered = (Path(f"{name}{number or ''}{SUFFIX}") for number in count())
+            path = next(path for path in numbered if not path.exists())
+            record(again, path, self.seed, [self.episode], steps=len(self.player.actions))
         if client is not None:
             client.add_notification(f"{path} written", f"deepbots view {path}", loading=False)
 
     def _drive(self, name: str) -> None:
         assert self.player is not None
         self._wanted = name
-        try:
-            self.player.drive(name)
-            self._begin()
-        except DeepbotsError as error:
-            self._fail(error)
+        self.player.drive(name)
+        self._begin()
 
     # Time
 
@@ -521,12 +511,8 @@ class Page:
             return
         if further:
             self.episode = self.player.following(self.episode)
-        try:
-            for player in self._players:
-                player.begin(self.seed, self.episode)
-        except DeepbotsError as error:
-            self._fail(error)
-            return
+        for player in self._players:
+            player.begin(self.seed, self.episode)
         self._present()
 
     def _present(self) -> None:
@@ -544,14 +530,10 @@ class Page:
         player = shown.player
         if shown.ended or self._message:
             return
-        try:
-            player.hand = self._hand.values()
-            player.step(by_hand=shown is self.shown[0] and self._hand.is_held)
-            if self._rival is not None and self._rival.frame.ended_by is None:
-                self._rival.step()
-        except DeepbotsError as error:
-            self._fail(error)
-            return
+        player.hand = self._hand.values()
+        player.step(by_hand=shown is self.shown[0] and self._hand.is_held)
+        if self._rival is not None and self._rival.frame.ended_by is None:
+            self._rival.step()
         shown.take()
         if shown.ended and all(each.ended for each in self.shown):
             frame = self.shown[0].player.frame
@@ -565,17 +547,17 @@ class Page:
         period, drawn, due, checked = 1 / RATE, 0, time.perf_counter(), time.monotonic()
         while not until():
             while not self._todo.empty():
-                self._todo.get()()
+                self._attempt(self._todo.get())
             if self._watch and time.monotonic() - checked > _WATCHED_EVERY:
                 checked = time.monotonic()
                 if (now := stamps(self._files)) != self._seen:
-                    self._reload()
+                    self._attempt(self._reload)
                     self._seen = stamps(self._files) | {file: now[file] for file in self._files if file in now}  # not what came meanwhile
             if self._changed_at and time.monotonic() - self._changed_at > _SETTLED:
                 self._changed_at = 0.0
-                self._reload()
+                self._attempt(self._reload)
             if self.player is not None and self.server.get_clients():  # while nobody looks, the world stands still
-                self._advance(period)
+                self._attempt(lambda: self._advance(period))
                 self._draw(texts=drawn % SLOW == 0)
             drawn, due = drawn + 1, max(due + period, time.perf_counter() - _BUSY)
             time.sleep(max(0.0, due - time.perf_counter()))

@@ -445,8 +445,8 @@ def _evaluate_group(
     **chosen: Any,
 ) -> None:
     """Evaluate a group in each of the `judged` scenarios, which differ in their engine; None is the scenario of the group."""
-    with terminal.transient_line("loading the policies ..."):
-        from deepbots_cli.learning.comparison import evaluate_group, group_across_engines  # which import torch
+    with terminal.passing("loading the policies ..."):
+        from deepbots_cli.learning.comparison import across_engines, evaluate_group  # which import torch
     ready = Group.open(folder).ready
     groups: list[GroupResult] = []
     requirements: list[Requirement] = []
@@ -470,7 +470,7 @@ def _evaluate_group(
             terminal.print_result((f"in {found.evaluations[0].engine}: " if of else "") + results.group_text(found) + ("\n" if of else ""))
     if csv is not None:
         results.write_csv(csv, [result for found in groups for result in found.evaluations])
-    pairs = [group_across_engines(groups[0], other) for other in groups[1:]]
+    pairs = [across_engines(groups[0], other) for other in groups[1:]]
     if as_json:
         rows = [results.group_json(found) for found in groups]
         terminal.show_json({"groups": rows, "differences": [asdict(pair) for pair in pairs]} if pairs else rows[0])
