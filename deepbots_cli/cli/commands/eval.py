@@ -445,7 +445,7 @@ def _evaluate_group(
     **chosen: Any,
 ) -> None:
     """Evaluate a group in each of the `judged` scenarios, which differ in their engine; None is the scenario of the group."""
-    with terminal.passing("loading the policies ..."):
+    with terminal.transient_line("loading the policies ..."):
         from deepbots_cli.learning.comparison import across_engines, evaluate_group  # which import torch
     ready = Group.open(folder).ready
     groups: list[GroupResult] = []
