@@ -317,7 +317,7 @@ def build(
     from deepbots_cli.codegen.text import class_name
     from deepbots_cli.program.identity import digest
 
-    engine = engine_kinds.chosen_engine(engine or program.engine)
+    engine = engine_kinds.chosen(engine or program.engine)
     name = class_name(program.name)
     module = load_module(generate_module(program), f"deepbots_generated_{name}", f"<deepbots {name} {digest(program)[:12]}>")
     environment = make_environment(vars(module)[f"{name}Supervisor"], program, partial(engines.create, engine), render_mode)

@@ -120,7 +120,7 @@ def with_engine(sets: Iterable[str] | None, engine: str | None) -> list[str]:
     return [*(sets or ()), *([] if engine is None else [f"world.engine={engine}"])]
 
 
-def chosen_engine(name: str | None) -> str:
+def chosen(name: str | None) -> str:
     """The engine of this name, or the default one: PyBullet where it is installed, else the first engine that is.
 
     Numbers of two engines differ, so a warning says once per process that another engine stands in.

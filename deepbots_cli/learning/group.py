@@ -182,7 +182,7 @@ def train_group(
     path = new_directory(group, runs, compiled.program.name, "seeds")
     kept: dict[str, Any] = {**options}
     kept |= {name: tuple(kept.get(name, ())) for name in ("callbacks", "loggers", "command")}
-    kept["engine"] = engine_kinds.chosen_engine(kept.get("engine") or compiled.program.engine)
+    kept["engine"] = engine_kinds.chosen(kept.get("engine") or compiled.program.engine)
     if kept.get("initialize_from") is not None:
         kept["initialize_from"] = str(Path(kept["initialize_from"]).absolute())
     record = GroupRecord(

@@ -110,7 +110,7 @@ def train(
         raise UsageError(f"{seed} cannot be a seed, which is a whole number from 0 to {2**63 - 1}")
     if not 0 <= keep_checkpoints <= 10_000:
         raise UsageError(f"{keep_checkpoints} checkpoints cannot be kept; from 0 to 10000 are possible")
-    engine = engine_kinds.chosen_engine(engine or compiled.program.engine)
+    engine = engine_kinds.chosen(engine or compiled.program.engine)
     build = build or default_build(engine, allow_code=compiled.allow_code)
     Curriculum(compiled.program, stage)
     plugins.check(callbacks, loggers)

@@ -16,7 +16,7 @@ from deepbots_cli.cli.tables import row_as_lines, table
 from deepbots_cli.diagnostics import Source, Span
 from deepbots_cli.document import MappingNode
 from deepbots_cli.document.load import with_settings_at
-from deepbots_cli.engine_kinds import chosen_engine
+from deepbots_cli.engine_kinds import chosen
 from deepbots_cli.errors import EngineError, EvaluationError, MissingExtraError, UsageError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.footprint import resting_height, robot_bounds
@@ -78,7 +78,7 @@ def command(
     if picture is not None:
         _check(picture)
     if is_robot(scenario):
-        _inspect_robot(scenario, picture, chosen_engine(engine), as_json)
+        _inspect_robot(scenario, picture, chosen(engine), as_json)
         return
     side = open_source(scenario, sets or (), allow_paths or (), allow_code=allow_code, engine=engine)
     terminal.note_warnings(side.findings, scenario)
