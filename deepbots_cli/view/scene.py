@@ -177,8 +177,8 @@ class WorldScene:
         if world.terrain is not None:
             relief = geometry.height_grid(world.terrain.shape)
             if relief is not None:
-                surface = relief.coarser(_MAX_CELLS).triangles()
-                contour = _contour(relief.coarser(_MAX_CELLS), 0.001 * self._size)
+                surface = relief.with_at_most(_MAX_CELLS).triangles()
+                contour = _contour(relief.with_at_most(_MAX_CELLS), 0.001 * self._size)
                 self._add_lines(f"{root}/contour", contour, 110, thickness=1.0)  # a smooth relief of one colour is hard to see
             else:
                 assert isinstance(world.terrain.shape, Mesh)  # all others are grids
