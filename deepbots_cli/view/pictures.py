@@ -66,7 +66,7 @@ def check_target(path: Path, suffixes: Sequence[str]) -> None:
     """
     kind = path.suffix.lower()
     if kind not in suffixes:
-        raise UsageError(f"{path} must end in {' or '.join(suffixes)}")
+        raise UsageError(f"{path} must end in {', '.join(suffixes[:-1])}{' or ' if suffixes[1:] else ''}{suffixes[-1]}")
     if kind == ".mp4" and (find_spec("imageio") is None or find_spec("imageio_ffmpeg") is None):
         raise MissingExtraError("train", "writing a video")
     if kind == ".html" and find_spec("viser") is None:
