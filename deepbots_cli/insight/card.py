@@ -111,12 +111,14 @@ def bundle(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
     try:
         from deepbots_cli.insight import export
         from deepbots_cli.learning import models, policy
+        from deepbots_cli.runtime.spaces import observation_space
     except ModuleNotFoundError as error:
         raise MissingExtraError("export", "exporting a policy") from error
     model = policy.loaded(run, name)
     graphs = export.networks(model, run.program)
     evaluated = last_evaluation(run.path, run.record) if name == "best" else None
     program, record, lstm = run.program, run.record, getattr(model.policy, "lstm_actor", None)
+    space: Any = observation_space(program)
     masks = [f"{part.name}: {option.name}" for part in program.policy.action if isinstance(part, Choices) for option in part.options]
     card = Card(
         format=FORMAT,
@@ -135,10 +137,7 @@ def bundle(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
         control_rate_hz=round(1 / program.period, 6),
         observation=program.policy.inputs,
         achieved_and_desired_goal=_goal(program),
-        pictures=tuple(
-            Picture(name=each.key, shape=(*each.shape[:2], each.shape[2] * len(each.ages(program.policy.frame_stack))))
-            for each in program.policy.images
-        ),
+        pictures=tuple(Picture(name=each.key, shape=space[each.key].shape) for each in program.policy.images),
         action=tuple(_acted(program)),
         action_mask=tuple(masks) if export.takes_masks(model, program) else None,
         memory=(lstm.num_layers, lstm.hidden_size) if lstm is not None else None,

@@ -247,7 +247,8 @@ class Report:
             for name, caption, figure in self.figures("light")
             if figure is not None
         ]
-        run, found = self.members[0].run, findings(self.members[0].run)
+        run = self.members[0].run
+        _, found = findings(run)
         clips = {label: self.clips[label] for label in LABELS if label in self.clips}
         return rendered(
             "report.html.j2", html=True, report=self, program=run.program, record=run.record, figures=drawn, findings=found, clips=clips,
