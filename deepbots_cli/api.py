@@ -20,14 +20,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deepbots_cli import engine_kinds
-from deepbots_cli.compiler import Checked, check
+from deepbots_cli.compiler import CheckedScenario, check
 from deepbots_cli.diagnostics import Finding
-from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document import load as read
 from deepbots_cli.document import loads, shipped
 from deepbots_cli.document.load import NO_DRAFTS, TESTS, Drafts
 from deepbots_cli.errors import MissingExtraError, ScenarioError, UsageError
-from deepbots_cli.lint import review
+from deepbots_cli.lint import all_findings
 from deepbots_cli.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -60,9 +60,9 @@ class Compiled:
     @property
     def code(self) -> str:
         """The Python module that runs."""
-        from deepbots_cli.codegen import emit
+        from deepbots_cli.codegen import generate_module
 
-        return emit(self.program) if self.edited_code is None else self.edited_code
+        return generate_module(self.program) if self.edited_code is None else self.edited_code
 
     @property
     def digest(self) -> str:
@@ -89,7 +89,7 @@ def locate(source: str | Path) -> tuple[Path, str]:
     if found is not None:
         return found, found.name
     names = shipped.scenario_names()
-    near = nearest(Path(source).stem, names)
+    near = nearest_word(Path(source).stem, names)
     hint = f"did you mean {near}? (`deepbots list` shows all)" if near else f"the shipped scenarios are: {', '.join(names)}"
     raise UsageError(f"no file or shipped scenario is called '{source}'; {hint}")
 
@@ -103,7 +103,7 @@ def load(
     drafts: Drafts = NO_DRAFTS,
     project: Path | None = None,
     tests: bool = False,
-) -> Checked:
+) -> CheckedScenario:
     """Read and check a scenario; problems are in `.findings`, and nothing is raised for them.
 
     Args:
@@ -144,13 +144,13 @@ def lint(
     """
     checked = load(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code)
     try:
-        return review(checked, preview=preview)
+        return all_findings(checked, preview=preview)
     finally:
-        checked.release()
+        checked.release_names()
 
 
 def compile(
-    source: str | Path | Scenario | Checked,
+    source: str | Path | Scenario | CheckedScenario,
     *,
     sets: Sequence[str] = (),
     allow_paths: Iterable[str | Path] = (),
@@ -162,8 +162,8 @@ def compile(
         ScenarioError: The scenario has findings at error level.
         UsageError: There is no such file.
     """
-    checked = source if isinstance(source, Checked) else load(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code)
-    findings = review(checked)
+    checked = source if isinstance(source, CheckedScenario) else load(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code)
+    findings = all_findings(checked)
     if checked.program is None or any(finding.severity == "error" and not finding.is_internal_error for finding in findings):
         raise ScenarioError(findings)
     program = checked.program
@@ -181,7 +181,7 @@ def compile(
 
 
 def make(
-    source: str | Path | Scenario | Checked | Compiled | Program,
+    source: str | Path | Scenario | CheckedScenario | Compiled | Program,
     *,
     sets: Sequence[str] = (),
     allow_paths: Iterable[str | Path] = (),
@@ -202,7 +202,7 @@ def make(
         MissingExtraError: The simulator is not installed.
         EngineError: The engine cannot build this world.
     """
-    if isinstance(source, (str, Path, Scenario, Checked)):
+    if isinstance(source, (str, Path, Scenario, CheckedScenario)):
         source = compile(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code)
     if isinstance(source, Compiled):
         allowed = allow_code or source.allow_code
@@ -211,7 +211,7 @@ def make(
 
 
 def make_vec(
-    source: str | Path | Scenario | Checked | Compiled | Program,
+    source: str | Path | Scenario | CheckedScenario | Compiled | Program,
     num_envs: int = 256,
     *,
     sets: Sequence[str] = (),
@@ -233,7 +233,7 @@ def make_vec(
         UsageError: There is no such file.
         MissingExtraError: The simulator is not installed.
     """
-    if isinstance(source, (str, Path, Scenario, Checked)):
+    if isinstance(source, (str, Path, Scenario, CheckedScenario)):
         source = compile(source, sets=sets, allow_paths=allow_paths)
     program, fixed = (source.program, source.fixed) if isinstance(source, Compiled) else (source, ())
     batch = build_batch(program, num_envs, engine=engine, fixed=fixed)
@@ -250,13 +250,13 @@ def build_batch(program: Program, count: int, *, engine: str = "mujoco", fixed: 
         from deepbots_cli import engines
     except ModuleNotFoundError as error:
         raise MissingExtraError("sim", "running a scenario") from error
-    from deepbots_cli.codegen import emit, load_module
+    from deepbots_cli.codegen import generate_module, load_module
     from deepbots_cli.codegen.text import class_name
     from deepbots_cli.program.identity import digest
 
     name, mark = class_name(program.name), digest(program)[:12]
-    of_batch = load_module(emit(program, "batch"), f"deepbots_batch_{name}", f"<deepbots {name} {mark} batch>")
-    of_one = load_module(emit(program), f"deepbots_generated_{name}", f"<deepbots {name} {mark}>")
+    of_batch = load_module(generate_module(program, "batch"), f"deepbots_batch_{name}", f"<deepbots {name} {mark} batch>")
+    of_one = load_module(generate_module(program), f"deepbots_generated_{name}", f"<deepbots {name} {mark}>")
     made = engines.create_batch(engine, program.world, count)
     singles = [vars(of_one)[f"{name}Supervisor"](program, member) for member in made.members]
     for single in singles:
@@ -303,8 +303,8 @@ def build(
     Args:
         fixed: The parameters that no episode draws.
     """
-    if program.foreign and not allow_code:
-        names = ", ".join(map(str, program.foreign))
+    if program.python_functions and not allow_code:
+        names = ", ".join(map(str, program.python_functions))
         raise UsageError(f"{program.name} runs Python code ({names}); allow it with --allow-code (allow_code=True) if you trust it")
     try:
         from gymnasium.envs.registration import EnvSpec
@@ -313,13 +313,13 @@ def build(
         from deepbots_cli.runtime import make_environment
     except ModuleNotFoundError as error:
         raise MissingExtraError("sim", "running a scenario") from error
-    from deepbots_cli.codegen import emit, load_module
+    from deepbots_cli.codegen import generate_module, load_module
     from deepbots_cli.codegen.text import class_name
     from deepbots_cli.program.identity import digest
 
     engine = engine_kinds.chosen(engine or program.engine)
     name = class_name(program.name)
-    module = load_module(emit(program), f"deepbots_generated_{name}", f"<deepbots {name} {digest(program)[:12]}>")
+    module = load_module(generate_module(program), f"deepbots_generated_{name}", f"<deepbots {name} {digest(program)[:12]}>")
     environment = make_environment(vars(module)[f"{name}Supervisor"], program, partial(engines.create, engine), render_mode)
     environment.fixed = fixed
     builder = Builder(program, allow_code, fixed)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli.errors import DeepbotsError
-from deepbots_cli.expressions.functions import operation
+from deepbots_cli.expressions.functions import function_named
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 
 Array = NDArray[Any]
@@ -47,5 +47,5 @@ def _evaluate(scalar: Scalar, values: Mapping[Name, Array]) -> Any:
 
 @cache
 def _array_function(name: str) -> Callable[..., Any]:
-    function = operation(name)
+    function = function_named(name)
     return function.compiled(function.array or function.python, {**vars(math), "np": np, "reduce": reduce})

@@ -14,10 +14,10 @@ from typing import NamedTuple
 
 from deepbots_cli import plugins
 
-GROUP = "deepbots.engines"
+ENTRY_POINT_GROUP = "deepbots.engines"
 
 
-class Lack(NamedTuple):
+class Limitation(NamedTuple):
     """Something that an engine cannot hold, and what to use instead; linting knows it without the engine."""
 
     reason: str
@@ -35,7 +35,7 @@ class EngineKind(NamedTuple):
     factory: str
     library: str | None = None
     last_python: tuple[int, int] | None = None
-    mesh_terrain: Lack | None = None
+    mesh_terrain: Limitation | None = None
 
     @property
     def is_installed(self) -> bool:
@@ -76,7 +76,9 @@ class Engines(Mapping[str, EngineKind]):
         return self is other
 
     def _all(self) -> dict[str, EngineKind]:
-        added = {entry.name: EngineKind(f"Of {entry.value}.", entry.name, entry.value) for entry in plugins.entries(GROUP)}
+        added = {
+            entry.name: EngineKind(f"Of {entry.value}.", entry.name, entry.value) for entry in plugins.entry_points_of(ENTRY_POINT_GROUP)
+        }
         return {**self.own, **{name: kind for name, kind in added.items() if name not in self.own}}
 
     def __getitem__(self, name: str) -> EngineKind:
@@ -89,7 +91,7 @@ class Engines(Mapping[str, EngineKind]):
         return len(self._all())
 
 
-DEFAULT = "pybullet"
+DEFAULT_ENGINE = "pybullet"
 ENGINES = Engines(
     {
         "pybullet": EngineKind(
@@ -104,7 +106,7 @@ ENGINES = Engines(
             "MuJoCo",
             "deepbots_cli.engines.mujoco.engine:MuJoCoEngine",
             library="mujoco",
-            mesh_terrain=Lack(
+            mesh_terrain=Limitation(
                 "a mesh cannot be the ground in MuJoCo, which uses the convex hull of a mesh",
                 "use a terrain of heights (heightfield, formula or pit), or the engine `pybullet`",
             ),
@@ -128,12 +130,12 @@ def chosen(name: str | None) -> str:
 
 @cache
 def _default() -> str:
-    usual = ENGINES.own[DEFAULT]
+    usual = ENGINES.own[DEFAULT_ENGINE]
     if usual.is_installed:
-        return DEFAULT
+        return DEFAULT_ENGINE
     other = next((name for name, kind in ENGINES.own.items() if kind.is_installed), None)
     if other is None:
-        return DEFAULT  # which says how to install it
+        return DEFAULT_ENGINE  # which says how to install it
     logging.getLogger("deepbots").warning(
         "note: %s; this runs on %s, which gives different returns than %s (choose an engine with --engine or world.engine)",
         usual.missing,

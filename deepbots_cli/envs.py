@@ -15,11 +15,11 @@ from typing import Any
 import gymnasium
 
 from deepbots_cli.api import make
-from deepbots_cli.document import Scalar, load, shipped
+from deepbots_cli.document import ScalarNode, load, shipped
 from deepbots_cli.errors import UsageError
 from deepbots_cli.runtime import Supervisor
 
-ANY = "deepbots/Scenario-v1"
+ANY_SCENARIO = "deepbots/Scenario-v1"
 
 
 def make_scenario(scenario: str | Path | None = None, **options: Any) -> Supervisor:
@@ -29,17 +29,17 @@ def make_scenario(scenario: str | Path | None = None, **options: Any) -> Supervi
         UsageError: No scenario is named; else as for `deepbots_cli.make`.
     """
     if scenario is None:
-        raise UsageError(f'{ANY} needs a scenario: gymnasium.make("deepbots_cli.envs:{ANY}", scenario="my.yaml")')
+        raise UsageError(f'{ANY_SCENARIO} needs a scenario: gymnasium.make("deepbots_cli.envs:{ANY_SCENARIO}", scenario="my.yaml")')
     return make(scenario, **options)
 
 
 def _register() -> None:
-    _register_one(ANY, "deepbots_cli.envs:make_scenario", {})
+    _register_one(ANY_SCENARIO, "deepbots_cli.envs:make_scenario", {})
     for short in shipped.scenario_names():
         path = shipped.scenario_path(short)
         root = load(path).root if path else None
         name = root.get("name") if root else None
-        if isinstance(name, Scalar):
+        if isinstance(name, ScalarNode):
             _register_one(f"deepbots/{name.text}-v1", "deepbots_cli.api:make", {"source": short})
 
 

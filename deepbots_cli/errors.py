@@ -28,7 +28,7 @@ class DeepbotsError(Exception):
     """A problem that the user can solve; its message says how."""
 
     @property
-    def full(self) -> str:
+    def full_message(self) -> str:
         """The message with its notes (`add_note`), each in a line of its own."""
         return "\n".join([str(self), *getattr(self, "__notes__", ())])
 
@@ -41,7 +41,7 @@ class ScenarioError(DeepbotsError):
         errors = [f for f in self.findings if f.severity == "error"]
         first = errors[0] if errors else self.findings[0]
         more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
-        super().__init__(f"{first.span.where}: {first.code} {first.headline}{more}")
+        super().__init__(f"{first.span.location}: {first.code} {first.headline}{more}")
 
 
 class UsageError(DeepbotsError):
@@ -57,10 +57,10 @@ class MissingExtraError(UsageError):
 
     def __init__(self, extra: str, purpose: str) -> None:
         self.extra = extra
-        super().__init__(f"{purpose} needs the '{extra}' extra; {installing(extra)}")
+        super().__init__(f"{purpose} needs the '{extra}' extra; {install_hint(extra)}")
 
 
-def installing(extra: str, origin: str | None = None) -> str:
+def install_hint(extra: str, origin: str | None = None) -> str:
     """How to install an extra from `origin`, by default the place that deepbots was installed from."""
     return f"install it with: pip install '{origin or install_source()}[{extra}]'"
 

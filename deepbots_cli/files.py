@@ -43,7 +43,7 @@ _REMEDIES = {
 }
 
 
-def unwritable(path: Path, error: OSError) -> str:
+def unwritable_message(path: Path, error: OSError) -> str:
     """A sentence: the file that cannot be written, why, and what to do."""
     reason = (error.strerror or str(error).strip().partition("\n")[0] or "no reason given").lower()
     if "ffmpeg" in str(error):  # which writes through a pipe, and says at length that it has ended
@@ -68,7 +68,7 @@ def check_writable(path: Path) -> None:
         with TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        raise UsageError(unwritable(path, error)) from error
+        raise UsageError(unwritable_message(path, error)) from error
 
 
 def check_folder(folder: Path) -> None:
@@ -84,7 +84,7 @@ def check_folder(folder: Path) -> None:
 
 
 @contextmanager
-def atomic(path: Path, refused: type[UsageError] = UsageError) -> Iterator[Path]:
+def atomic_write(path: Path, refused: type[UsageError] = UsageError) -> Iterator[Path]:
     """Yield an empty file beside `path` to write to, which replaces `path` at the end and takes over its permissions.
 
     Readers never see half a file, and an exception leaves `path` as it was. There is no fsync: it protects from a killed process,
@@ -107,7 +107,7 @@ def atomic(path: Path, refused: type[UsageError] = UsageError) -> Iterator[Path]
             shutil.copymode(path, draft)
         draft.replace(path)
     except OSError as error:
-        raise refused(unwritable(path, error)) from error
+        raise refused(unwritable_message(path, error)) from error
     finally:
         draft.unlink(missing_ok=True)
 

@@ -122,7 +122,7 @@ def _along(patch: Patch, c: float, s: float) -> float:
 # Footprints
 
 
-def of_shape(shape: Shape, roll: float = 0.0, pitch: float = 0.0) -> Footprint:
+def shape_footprint(shape: Shape, roll: float = 0.0, pitch: float = 0.0) -> Footprint:
     """The footprint of an object whose origin is the middle of its shape; the bounding rectangle if the object is tilted."""
     match shape:
         case Sphere(radius):
@@ -135,7 +135,7 @@ def of_shape(shape: Shape, roll: float = 0.0, pitch: float = 0.0) -> Footprint:
             return Footprint(((low_x + high_x) / 2, (low_y + high_y) / 2), hypot(*half), half)
 
 
-def of_robot(model: RobotModel) -> Footprint:
+def robot_footprint(model: RobotModel) -> Footprint:
     """The disc around all collision shapes, or all visuals where there are none; a point for a robot without shapes."""
     discs = _all_discs(model)
     if not discs:
@@ -248,7 +248,7 @@ Bounds = tuple[Triple, Triple]
 """The lowest and the highest coordinates of a box."""
 
 
-def bounds(model: RobotModel, positions: Mapping[str, float] | None = None) -> Bounds:
+def robot_bounds(model: RobotModel, positions: Mapping[str, float] | None = None) -> Bounds:
     """The box around all shapes of a robot and the origins of its links, in the frame of its root; `positions` as in `link_frames`."""
     boxes = [bounds_of_shape(shape, frame) for shape, frame in _placed(model, lambda link: (*link.visuals, *link.collisions), positions)]
     boxes += [(origin, origin) for origin, _ in link_frames(model, positions).values()]
@@ -266,7 +266,7 @@ def without_meshes(model: RobotModel) -> RobotModel:
     return replace(model, links=links)
 
 
-def sides(box: Bounds) -> Triple:
+def box_sides(box: Bounds) -> Triple:
     """The lengths of a box along x, y and z."""
     return frames.subtract(box[1], box[0])
 

@@ -25,8 +25,8 @@ from deepbots_cli.errors import DeepbotsError, EngineError
 from deepbots_cli.expressions.scalar import Name
 from deepbots_cli.files import MAX_PICTURE_BYTES, picture_problem
 from deepbots_cli.program.world import Formula, Picture, Pit, Terrain, TerrainShape
-from deepbots_cli.robots.meshes import checked_bytes
-from deepbots_cli.robots.model import Inertial, Link, Mesh, Pose, RobotModel, with_link, write
+from deepbots_cli.robots.meshes import read_verified
+from deepbots_cli.robots.model import Inertial, Link, Mesh, Pose, RobotModel, to_urdf, with_link
 
 if TYPE_CHECKING:
     import trimesh
@@ -69,7 +69,7 @@ class HeightGrid:
         upper = np.stack([first + 1, first + columns + 1, first + columns], axis=1)
         return np.stack([x.ravel(), y.ravel(), self.heights.ravel()], axis=1), np.concatenate([lower, upper])
 
-    def coarser(self, most: int) -> HeightGrid:
+    def with_at_most(self, most: int) -> HeightGrid:
         """The same surface in at most so many cells along either side."""
         heights = self.heights
         for _ in range(2):  # along y, then along x
@@ -79,7 +79,7 @@ class HeightGrid:
             heights = (heights[first] * (1 - part) + heights[first + 1] * part).T
         return HeightGrid(heights, self.size)
 
-    def height(self) -> Height:
+    def height_function(self) -> Height:
         """A function of plain floats, for use in a loop."""
         rows, columns = self.heights.shape
         z = self.heights.tolist()
@@ -99,7 +99,7 @@ class HeightGrid:
         return at
 
 
-def grid(terrain_shape: TerrainShape) -> HeightGrid | None:
+def height_grid(terrain_shape: TerrainShape) -> HeightGrid | None:
     """The heights of a relief; None for a mesh, which is not a grid.
 
     Raises:
@@ -119,15 +119,15 @@ def grid(terrain_shape: TerrainShape) -> HeightGrid | None:
     return found
 
 
-def height(terrain: Terrain | None) -> Height:
+def ground_height(terrain: Terrain | None) -> Height:
     """Of the ground: 0 where it is a plane."""
     if terrain is None:
         return lambda x, y: 0.0
-    found = grid(terrain.shape)
+    found = height_grid(terrain.shape)
     if found is not None:
-        return found.height()
+        return found.height_function()
     assert isinstance(terrain.shape, Mesh)  # all others are grids
-    return _mesh_height(triangles(terrain.shape))
+    return _mesh_height(mesh_triangles(terrain.shape))
 
 
 def _pit(pit: Pit) -> HeightGrid:
@@ -167,10 +167,10 @@ def _picture(picture: Picture) -> HeightGrid:
     if wrong is not None:
         raise EngineError(f"picture {picture.path} cannot be read: {wrong}")
     bits = data[24]  # of a pixel, by the header
-    return HeightGrid(pixels(data)[::-1] * (picture.height / (2**bits - 1)), picture.size)
+    return HeightGrid(picture_pixels(data)[::-1] * (picture.height / (2**bits - 1)), picture.size)
 
 
-def pixels(data: bytes) -> NDArray[np.integer]:
+def picture_pixels(data: bytes) -> NDArray[np.integer]:
     """The pixels of a PNG picture without fault, shape (height, width), rows from the top.
 
     Raises:
@@ -217,7 +217,7 @@ def _mesh_height(corners: NDArray[np.float64]) -> Height:
 # Meshes
 
 
-def triangles(mesh: Mesh) -> NDArray[np.float64]:
+def mesh_triangles(mesh: Mesh) -> NDArray[np.float64]:
     """The corners of an STL or OBJ mesh, scaled: shape (count, 3 corners, 3 coordinates), in m.
 
     Raises:
@@ -225,7 +225,7 @@ def triangles(mesh: Mesh) -> NDArray[np.float64]:
     """
     import trimesh
 
-    data = checked_bytes(mesh)
+    data = read_verified(mesh)
     try:
         loaded = trimesh.load_mesh(BytesIO(data), file_type=Path(mesh.path).suffix[1:].lower(), process=False, skip_materials=True)
     except (ValueError, IndexError) as error:
@@ -265,8 +265,8 @@ def _solid(link: Link) -> trimesh.Trimesh:
     shapes = link.collisions or link.visuals
     for geometry in shapes:
         if isinstance(geometry.shape, Mesh):
-            checked_bytes(geometry.shape)
-    text = write(RobotModel("robot", (Link(link.name, collisions=shapes),), (), link.name))
+            read_verified(geometry.shape)
+    text = to_urdf(RobotModel("robot", (Link(link.name, collisions=shapes),), (), link.name))
     robot = yourdfpy.URDF.load(
         BytesIO(text.encode()),
         build_scene_graph=False,

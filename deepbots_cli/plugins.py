@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 
-def entries(group: str) -> tuple[EntryPoint, ...]:
+def entry_points_of(group: str) -> tuple[EntryPoint, ...]:
     """The entry points of a group, in the order in which packages are found."""
     return tuple(_every(tuple(sys.path)).select(group=group))
 
@@ -55,7 +55,7 @@ def unavailable_message(entry: EntryPoint, reason: object) -> str:
     return f"the {what} '{entry.name}' ({entry.value}) are not available: {' '.join(message.split())[:200]}"
 
 
-def attribute(place: str) -> Any:
+def import_attribute(place: str) -> Any:
     """What stands at `module:attribute`, imported now.
 
     Raises:
@@ -85,7 +85,7 @@ class PluginTable(Mapping[str, T], Generic[T]):
     def _loaded(self) -> Mapping[str, T]:
         if self._all is None:
             self._all = dict(self.own)  # set first: a plug-in may ask for the table while it is loaded
-            for entry in entries(self.group):
+            for entry in entry_points_of(self.group):
                 try:
                     for name, found in self._read(entry.name, entry.load()):
                         if name in self._all:
@@ -96,7 +96,7 @@ class PluginTable(Mapping[str, T], Generic[T]):
         return self._all
 
     @property
-    def added(self) -> Mapping[str, T]:
+    def from_plugins(self) -> Mapping[str, T]:
         """The entries of plug-ins."""
         return {name: found for name, found in self._loaded().items() if name not in self.own}
 

@@ -17,7 +17,7 @@ from deepbots_cli.cli.commands.explain import topics
 from deepbots_cli.diagnostics.nearest import RENAMES
 from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, TIME, UNITS
-from deepbots_cli.expressions.functions import ALLOWED, FUNCTIONS, Family, Function
+from deepbots_cli.expressions.functions import ALLOWED_FAMILIES, FUNCTIONS, Family, Function
 from deepbots_cli.expressions.types import Context, Kind
 from deepbots_cli.learning.defaults import OURS, library_defaults, library_of
 from deepbots_cli.lint import Page, every_page
@@ -28,11 +28,11 @@ from deepbots_cli.scenario.base import (
     MappingOf,
     Section,
     Shape,
-    about,
     default_of,
-    description,
     example_of,
-    fields,
+    key_description,
+    section_description,
+    section_fields,
     unit_of,
 )
 from deepbots_cli.scenario.fields import Expression, FieldType, Quantity
@@ -74,8 +74,8 @@ class _Keys:
     def _section(self, title: str, part: type[Section], route: Route) -> Iterator[str]:
         if part not in self._met:
             self._met.add(part)
-            rows = [(_Key(part, key), "") for key in fields(part)]
-            yield from self._table(title, about(part), rows, route)
+            rows = [(_Key(part, key), "") for key in section_fields(part)]
+            yield from self._table(title, section_description(part), rows, route)
 
     def _kinds(self, title: str, spec: Kinds, route: Route) -> Iterator[str]:
         """One table for all kinds; a key that only some have says so."""
@@ -85,7 +85,7 @@ class _Keys:
         self._met.update(models.values())
         owners: dict[_Key, list[str]] = {}
         for name, model in models.items():
-            for key in fields(model):
+            for key in section_fields(model):
                 owners.setdefault(_Key(model, key, kind=next(iter(models)) if key == spec.key else ""), []).append(name)
         rows = [(key, "" if len(names) == len(models) else f"{_listed(names)}: ") for key, names in owners.items()]
         doc = f"`{spec.key}` is one of {_listed(models)}."
@@ -117,7 +117,7 @@ class _Keys:
                 parts = [option for option in options if isinstance(option, type) and option is not PythonTerm]
                 for option in options:
                     named = isinstance(option, type) and len(parts) > 1
-                    yield from self._below(f"{title} with {next(iter(fields(option)))}" if named else title, option, route)
+                    yield from self._below(f"{title} with {next(iter(section_fields(option)))}" if named else title, option, route)
             case Kinds():
                 yield from self._kinds(title, spec, route)
 
@@ -139,7 +139,7 @@ def _renamed() -> Iterator[str]:
     yield from ["", "## Renamed", "", "An old name is the finding [DB109](rules.md#db109-renamed), and its fix writes the new one."]
     yield from ["", "| old name | new name | what it is | reason |", "|---|---|---|---|"]
     for (old, new), rename in {(rename.old, rename.new): rename for rename in RENAMES}.items():
-        yield f"| `{old}` | `{new}` | {rename.what} | {rename.reason} |"
+        yield f"| `{old}` | `{new}` | {rename.kind} | {rename.reason} |"
 
 
 def _plain(value: object) -> str:
@@ -154,8 +154,8 @@ class _Key:
 
     def __init__(self, part: type[Section], name: str, kind: str = "") -> None:
         self.name = name
-        self.spec = fields(part)[name]
-        self.meaning = _cell(description(part, name))
+        self.spec = section_fields(part)[name]
+        self.meaning = _cell(key_description(part, name))
         default = "**required**" if part.model_fields[name].is_required() else f"`{written}`" if (written := default_of(part, name)) else ""
         example = found.text if (found := example_of(part, name)) else kind
         value = "a kind" if kind else _value(self.spec)
@@ -260,13 +260,13 @@ def _functions() -> str:
         "| unit | measures | in SI |",
         "|---|---|---|",
     ]
-    lines += [f"| `{unit.text}` | {unit.dimension.words} | {unit.to_si(1.0):.10g} |" for unit in UNITS.values()]
+    lines += [f"| `{unit.text}` | {unit.dimension.description} | {unit.to_si(1.0):.10g} |" for unit in UNITS.values()]
     for family, title in _FAMILIES.items():
         lines += ["", f"## {title}", "", _SETTLED[family], "", "| function | gives | unit | example |", "|---|---|---|---|"]
         lines += [_function_row(function) for function in FUNCTIONS.values() if function.family is family]
     lines += ["", "## Where they may be called", "", f"| place | {' | '.join(_FAMILIES.values())} |", f"|---|{'---|' * len(_FAMILIES)}"]
     for context, place in _PLACES.items():
-        cells = ["yes" if family in ALLOWED[context] else "" for family in _FAMILIES]
+        cells = ["yes" if family in ALLOWED_FAMILIES[context] else "" for family in _FAMILIES]
         lines.append(f"| {place} | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 

@@ -32,11 +32,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     3: an internal error of deepbots. 130: interrupted.
     """
     gc.set_threshold(_COLLECT_EVERY)
-    from deepbots_cli.cli.exits import guarded
+    from deepbots_cli.cli.exits import run_guarded
 
     def run() -> None:
         from deepbots_cli.cli.command import run_command
 
         run_command(arguments)
 
-    return guarded(run)
+    return run_guarded(run)

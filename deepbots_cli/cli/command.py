@@ -13,7 +13,7 @@ from typer.core import TyperGroup
 import deepbots_cli
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.commands import COMMANDS
-from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.errors import UsageError
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def known_engine(name: str | None) -> str | None:
     return name
 
 
-def whole(minimum: int = 1, maximum: int | None = None) -> Callable[[str | int], int]:
+def whole_number(minimum: int = 1, maximum: int | None = None) -> Callable[[str | int], int]:
     """A parser of whole numbers: `100000`, `100_000`, `100k` or `1e5`."""
 
     def parse(text: str | int) -> int:
@@ -80,8 +80,8 @@ def seed_list(text: str) -> tuple[int, ...]:
     for part in text.split(","):
         first, dots, last = part.partition("..")
         try:
-            low = whole(0, MAX_SEED)(first.strip())
-            high = whole(0, MAX_SEED)(last.strip()) if dots else low
+            low = whole_number(0, MAX_SEED)(first.strip())
+            high = whole_number(0, MAX_SEED)(last.strip()) if dots else low
         except typer.BadParameter as error:
             raise typer.BadParameter(f"--seeds: {error.message}") from None
         if high < low:
@@ -137,7 +137,7 @@ AllowCode = Annotated[
 Case = Annotated[str | None, typer.Option("--case", metavar="NAME", help="Apply the settings of this case of `evaluation.cases`.")]
 Stage = Annotated[str | None, typer.Option("--stage", metavar="NAME", help="Apply the settings of this stage of the curriculum.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
-Seed = Annotated[int, typer.Option("--seed", metavar="N", parser=whole(0, MAX_SEED), help="Root seed of all random numbers.")]
+Seed = Annotated[int, typer.Option("--seed", metavar="N", parser=whole_number(0, MAX_SEED), help="Root seed of all random numbers.")]
 Engine = Annotated[
     str | None,
     typer.Option(
@@ -162,7 +162,7 @@ class Commands(TyperGroup):
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         if cmd_name not in COMMANDS:
-            near = nearest(cmd_name, COMMANDS)
+            near = nearest_word(cmd_name, COMMANDS)
             hint = f"did you mean '{near}'?" if near else f"the commands are: {', '.join(COMMANDS)}"
             ctx.fail(f"there is no command '{cmd_name}'; {hint}")
         module, _, function = COMMANDS[cmd_name][0].partition(".")

@@ -21,14 +21,14 @@ from deepbots_cli.errors import DeepbotsError, ScenarioError, UsageError
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
-FAILED, WRONG, FAULT, INTERRUPTED = 1, 2, 3, 130
+FAILED, WRONG_USAGE, INTERNAL_ERROR, INTERRUPTED = 1, 2, 3, 130
 """The same for every command: findings or a result that was not met; wrong usage or a missing file; a fault of deepbots itself, which
 `lint` also reports as DB903 of the file; Ctrl-C or SIGTERM."""
 
 _DISK_ERRORS = (errno.ENOSPC, errno.EFBIG, errno.EIO, errno.EROFS)
 
 
-def guarded(run: Callable[[], object]) -> int:
+def run_guarded(run: Callable[[], object]) -> int:
     """Call `run`, report errors, and return the exit code, which does not depend on whether anyone reads the output."""
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, _interrupt)
@@ -52,8 +52,8 @@ def _exit_code(run: Callable[[], object]) -> int:
         terminal.show_findings(error.findings)
         return FAILED
     except DeepbotsError as error:
-        terminal.print_error(error.full)
-        return WRONG if isinstance(error, UsageError) else FAILED
+        terminal.print_error(error.full_message)
+        return WRONG_USAGE if isinstance(error, UsageError) else FAILED
     except KeyboardInterrupt:  # before the command begins, or after its end; `Commands.invoke` tells of one in between
         terminal.note("interrupted")
         return INTERRUPTED
@@ -62,7 +62,7 @@ def _exit_code(run: Callable[[], object]) -> int:
         if error.filename is None and error.errno not in _DISK_ERRORS:
             return _fault(error)
         terminal.print_error(f"{error.filename or 'writing a file'}: {(error.strerror or 'cannot be used').lower()}")
-        return WRONG
+        return WRONG_USAGE
     except Exception as error:  # the last handler: what arrives here is a fault of ours  # noqa: BLE001
         return _fault(error)
     return 0
@@ -84,7 +84,7 @@ def _fault(error: Exception) -> int:
         f"  {type(error).__name__}: {error}\n"
         f"  {place}DEEPBOTS_DEBUG=1 shows the traceback here"
     )
-    return FAULT
+    return INTERNAL_ERROR
 
 
 class _Stream(io.BufferedIOBase):

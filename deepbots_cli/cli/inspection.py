@@ -13,14 +13,14 @@ from collections.abc import Mapping as Dictionary
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deepbots_cli.cli.sources import wording
-from deepbots_cli.cli.tables import Row, formula
-from deepbots_cli.compiler.robots import carries
+from deepbots_cli.cli.sources import text_at
+from deepbots_cli.cli.tables import Row, formula_text
+from deepbots_cli.compiler.robots import joint_moves_link
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.render import render
-from deepbots_cli.document import Mapping, Node, descend
+from deepbots_cli.document import MappingNode, Node, descend
 from deepbots_cli.expressions.scalar import Const, Name, Scalar, State, children, names_in
-from deepbots_cli.footprint import bounds, resting_height
+from deepbots_cli.footprint import resting_height, robot_bounds
 from deepbots_cli.frames import roll_pitch_yaw
 from deepbots_cli.learning.defaults import Effective, effective
 from deepbots_cli.learning.run import Run
@@ -42,9 +42,9 @@ _DIGITS = 6
 _FAULTS = ("noise", "bias", "drift", "range", "resolution", "period", "latency")
 
 
-def of_scenario(scenario: Program, root: Node, run: Run | None = None) -> Tables:
+def scenario_tables(scenario: Program, root: Node, run: Run | None = None) -> Tables:
     """The tables of a compiled scenario, and of the run that it comes from; empty ones are left out."""
-    goal = {key: wording(root, "goal", key) for key in ("achieved", "desired", "tolerance", "range", "noise")}
+    goal = {key: text_at(root, "goal", key) for key in ("achieved", "desired", "tolerance", "range", "noise")}
     return _filled(
         {
             "run": _run(run) if run else {},
@@ -70,19 +70,19 @@ def of_scenario(scenario: Program, root: Node, run: Run | None = None) -> Tables
             "goal": {key: text for key, text in goal.items() if text} if scenario.policy.goal else {},
             "observation": _observation(scenario),
             "timing": timing(scenario),
-            "reward": [{"term": term.name, "is": wording(root, "reward", term.name)} for term in scenario.policy.reward],
+            "reward": [{"term": term.name, "is": text_at(root, "reward", term.name)} for term in scenario.policy.reward],
             "endings": [
-                {"ending": ending.name, "outcome": ending.outcome, "when": wording(root, "termination", ending.outcome, ending.name)}
+                {"ending": ending.name, "outcome": ending.outcome, "when": text_at(root, "termination", ending.outcome, ending.name)}
                 for ending in scenario.endings
             ],
             "reset": _reset(scenario, root),
-            "cases": [{"case": case.name, "set": wording(root, "evaluation", "cases", case.name, "set")} for case in scenario.cases],
+            "cases": [{"case": case.name, "set": text_at(root, "evaluation", "cases", case.name, "set")} for case in scenario.cases],
             "curriculum": [
-                {"stage": stage.name, **{key: wording(root, "curriculum", index, key) for key in ("set", "until")}}
+                {"stage": stage.name, **{key: text_at(root, "curriculum", index, key) for key in ("set", "until")}}
                 for index, stage in enumerate(scenario.curriculum)
             ],
             "scripts": [
-                {"script": script.name, "action": part.name, "is": wording(root, "scripts", script.name, part.name)}
+                {"script": script.name, "action": part.name, "is": text_at(root, "scripts", script.name, part.name)}
                 for script in scenario.policy.scripts
                 for part in scenario.policy.action
             ],
@@ -91,10 +91,10 @@ def of_scenario(scenario: Program, root: Node, run: Run | None = None) -> Tables
     )
 
 
-def of_robot(file: RobotFile, findings: list[Finding]) -> Tables:
+def robot_tables(file: RobotFile, findings: list[Finding]) -> Tables:
     """The tables of a robot file: the whole, its links and joints, and the findings; all joints are at 0."""
     model = file.model
-    low, high = bounds(model)
+    low, high = robot_bounds(model)
     listed = json.loads(render(findings, "json"))
     above = {joint.child: joint.name for joint in model.joints}
     return _filled(
@@ -232,7 +232,7 @@ def _scenario(scenario: Program) -> Row:
         "max_steps": scenario.truncation.max_steps,
         "max_time_s": scenario.truncation.max_time,
         "copies": f"{copies.count} of {copies.robot}" if (copies := scenario.policy.copies) else None,
-        "solved": scenario.solved.words if scenario.solved else "",
+        "solved": scenario.solved.description if scenario.solved else "",
     }
 
 
@@ -272,7 +272,7 @@ def _draws(entry: RandomizedParameter) -> str:
     """The expressions that are drawn; one, where all components or parts have the same."""
     if entry.what == "colour":
         return f"one of {(len(entry.scalars) - 1) // 3} colours"
-    return ", ".join(dict.fromkeys(formula(value, digits=5) for value in entry.scalars))
+    return ", ".join(dict.fromkeys(formula_text(value, digits=5) for value in entry.scalars))
 
 
 def _parameters(scenario: Program, root: Node) -> list[Row]:
@@ -284,8 +284,8 @@ def _parameters(scenario: Program, root: Node) -> list[Row]:
         )
         period = entry.period
         often[entry.name] = "repeatedly" if period else "in every step" if entry.redraw or changing else "in every episode"
-    names = list(node.entries) if isinstance(node, Mapping) and node is not root else []
-    return [{"parameter": name, "value": wording(root, "parameters", name), "drawn": often.get(name, "never")} for name in names]
+    names = list(node.entries) if isinstance(node, MappingNode) and node is not root else []
+    return [{"parameter": name, "value": text_at(root, "parameters", name), "drawn": often.get(name, "never")} for name in names]
 
 
 def _sensors(scenario: Program, root: Node) -> list[Row]:
@@ -296,7 +296,7 @@ def _sensors(scenario: Program, root: Node) -> list[Row]:
             "type": sensor.kind,
             "of": list(sensor.subjects),
             "unit": sensor.unit,
-            **{fault: wording(root, "robots", robot.name.partition("#")[0], "sensors", sensor.name, fault) for fault in _FAULTS},
+            **{fault: text_at(root, "robots", robot.name.partition("#")[0], "sensors", sensor.name, fault) for fault in _FAULTS},
         }
         for robot in scenario.robots
         for sensor in robot.sensors
@@ -336,7 +336,7 @@ def end_links(scenario: Program) -> list[tuple[str, str]]:
             placed = [model.joint(joint) for start in scenario.reset.joint_starts if start.robot == robot.name for joint in start.joints]
             parents = {joint.parent for joint in model.joints}
             leaves = [link.name for link in model.links if link.name not in parents]
-            named = [leaf for leaf in leaves if any(carries(model, joint, leaf) for joint in placed)]
+            named = [leaf for leaf in leaves if any(joint_moves_link(model, joint, leaf) for joint in placed)]
         found += [(robot.name, link) for link in dict.fromkeys(named)]
     return found
 
@@ -411,7 +411,7 @@ def _field(layout: MessageLayout, field: MessageField) -> Row:
 
 def _route(root: Node, direction: str) -> list[Row]:
     """What the scenario says about the way of messages, if anything."""
-    row: Row = {key: wording(root, "messages", direction, key) for key in ("latency", "loss", "burst", "range", "order", "on_loss")}
+    row: Row = {key: text_at(root, "messages", direction, key) for key in ("latency", "loss", "burst", "range", "order", "on_loss")}
     return [{"direction": direction.replace("_", " "), **row}] if any(row.values()) else []
 
 
@@ -433,12 +433,12 @@ def _signals(scenario: Program, root: Node) -> list[Row]:
             "signal": entry.name,
             "components": list(entry.components),
             "is": text,
-            **({"noise": wording(root, "augment", entry.name, "noise")} if has_noise else {}),
+            **({"noise": text_at(root, "augment", entry.name, "noise")} if has_noise else {}),
             "policy_may_see_it": bool(granted) or entry.name in observed,
         }
         for entry in scenario.signals
-        for granted in (wording(root, "augment", entry.name, "value") or wording(root, "augment", entry.name),)
-        for text in (granted or wording(root, "signals", entry.name),)
+        for granted in (text_at(root, "augment", entry.name, "value") or text_at(root, "augment", entry.name),)
+        for text in (granted or text_at(root, "signals", entry.name),)
     ]
 
 
@@ -454,7 +454,7 @@ def _observation(scenario: Program) -> list[Row]:
             "low": entry.low,
             "high": entry.high,
             "unit": entry.unit,
-            "seen_as": "0 or 1" if entry.truth else "-1 .. 1" if entry.clip else "-1 .. 1, not clipped",
+            "seen_as": "0 or 1" if entry.is_truth else "-1 .. 1" if entry.clip else "-1 .. 1, not clipped",
         }
         for index, (entry, ago) in enumerate(seen)
     ]
@@ -468,8 +468,8 @@ def _reset(scenario: Program, root: Node) -> list[Row]:
     rows: list[Row] = []
     for section in ("place", "set"):
         node, _, reached = descend(root, ("reset", section))
-        if reached == 2 and isinstance(node, Mapping):
-            rows += [{"reset": section, "of": name, "to": wording(root, "reset", section, name)} for name in node.entries]
+        if reached == 2 and isinstance(node, MappingNode):
+            rows += [{"reset": section, "of": name, "to": text_at(root, "reset", section, name)} for name in node.entries]
     if scenario.reset.settle:
         rows.append({"reset": "settle", "of": "everything", "to": f"{scenario.reset.settle:g} s"})
     return rows
@@ -487,7 +487,7 @@ def _training(scenario: Program, root: Node, run: Run | None) -> Tables:
         "policy.activation": training.network.activation,
     }
     rows = [
-        Effective(name, value, "scenario" if wording(root, "train", *name.split(".")) else "deepbots") for name, value in common.items()
+        Effective(name, value, "scenario" if text_at(root, "train", *name.split(".")) else "deepbots") for name, value in common.items()
     ]
     rows += effective(scenario, total)
     return {

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from xml.etree import ElementTree
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.tables import Row, pairs, table
+from deepbots_cli.cli.tables import Row, row_as_lines, table
 from deepbots_cli.errors import RunError
-from deepbots_cli.files import atomic
+from deepbots_cli.files import atomic_write
 from deepbots_cli.learning.episodes import DrawnBin, Interval, Summary
 from deepbots_cli.learning.report import to_json
 from deepbots_cli.learning.run import POLICY, Run, TrainingResult
@@ -48,7 +48,7 @@ def training_text(result: TrainingResult) -> str:
         rows["solved"] = f"in episode {at.episode:,}, after {at.simulated_hours:.3f} simulated h and {at.cpu_seconds:.1f} s of CPU time"
     rows["stopped by"] = result.stopped_by and f"the callback {result.stopped_by}"
     rows["initialized from"] = result.initialized_from
-    lines = [f"training {result.status}", pairs(rows), *(f"note: {reason}" for reason in result.inexact)]
+    lines = [f"training {result.status}", row_as_lines(rows), *(f"note: {reason}" for reason in result.inexact)]
     if result.interrupted:
         if (result.run / "models" / POLICY / "best.zip").is_file():  # not before the first checkpoint
             lines.append(f"evaluate the policy with: deepbots eval {quote(str(result.run))}")
@@ -103,12 +103,12 @@ def evaluation_text(result: EvaluationResult, elsewhere: str | None = None) -> s
     }
     where = f", case {result.case}" if result.case else f", stage {result.stage}" if result.stage else ""
     notes = (f"note: {note}" for note in result.notes)
-    return "\n".join([f"evaluation of {result.scenario}{where}", pairs(rows), *notes, result.verdict])
+    return "\n".join([f"evaluation of {result.scenario}{where}", row_as_lines(rows), *notes, result.verdict])
 
 
 def summary_text(summary: Summary, *, success_defined: bool) -> str:
     """The same values for episodes without a trained policy."""
-    return f"summary of {summary.episodes:,} episodes\n" + pairs(_statistics(summary, success_defined=success_defined))
+    return f"summary of {summary.episodes:,} episodes\n" + row_as_lines(_statistics(summary, success_defined=success_defined))
 
 
 def _statistics(result: Summary, *, success_defined: bool) -> dict[str, object]:
@@ -133,7 +133,7 @@ def number(value: float) -> str:
     return f"{value:.4f}" if 0 < abs(value) < 1 else f"{value:.2f}"
 
 
-def between(interval: Interval | None, *, percent: bool = False) -> str:
+def interval_text(interval: Interval | None, *, percent: bool = False) -> str:
     """An interval as the text of a cell."""
     if interval is None:
         return ""
@@ -148,7 +148,7 @@ def rows_of(what: str, results: Sequence[EvaluationResult], names: Sequence[str]
             what: name,
             "episodes": result.episodes,
             "mean_return": result.mean_return,
-            "return_95 %": between(result.return_interval),
+            "return_95 %": interval_text(result.return_interval),
             **(_success(result) if has_success else {}),
             "mean_length": result.mean_length,
         }
@@ -157,7 +157,7 @@ def rows_of(what: str, results: Sequence[EvaluationResult], names: Sequence[str]
 
 
 def _success(result: Summary | DrawnBin) -> dict[str, object]:
-    return {"success": f"{result.success_rate:.1%}", "success_95 %": between(result.success_interval, percent=True)}
+    return {"success": f"{result.success_rate:.1%}", "success_95 %": interval_text(result.success_interval, percent=True)}
 
 
 def case_rows(results: Sequence[EvaluationResult]) -> list[Row]:
@@ -185,7 +185,7 @@ def drawn_text(result: EvaluationResult) -> str:
                 if isinstance(part.low, str)
                 else f"{part.low:.4g}" + (f" .. {part.high:.4g}" if part.high != part.low else "")
             )
-            scores = {"mean_return": part.mean_return, "return_95 %": between(part.return_interval)}
+            scores = {"mean_return": part.mean_return, "return_95 %": interval_text(part.return_interval)}
             rows.append(
                 {"name": name, "range": span, "episodes": part.episodes, **(_success(part) if result.success_defined else {}), **scores}
             )
@@ -198,11 +198,11 @@ def group_text(group: GroupResult) -> str:
     """A row for each seed, and the statistics over the seeds."""
     first, count = group.evaluations[0], len(group.evaluations)
     rows: dict[str, object] = {
-        "mean return": f"{number(group.mean_return)}{_over(between(group.return_interval), count)}",
+        "mean return": f"{number(group.mean_return)}{_over(interval_text(group.return_interval), count)}",
         "interquartile mean": number(group.interquartile_mean),
     }
     if group.success_defined:
-        rows["success rate"] = f"{group.success_rate:.1%}{_over(between(group.success_interval, percent=True), count)}"
+        rows["success rate"] = f"{group.success_rate:.1%}{_over(interval_text(group.success_interval, percent=True), count)}"
     solved = [result.solved for result in group.evaluations]
     if None not in solved:
         rows["solved"] = f"{sum(map(bool, solved))} of {count} seeds"
@@ -213,7 +213,7 @@ def group_text(group: GroupResult) -> str:
             f"evaluation of {first.scenario}, group {group.name}: {first.episodes:,} held-out starts of each run, from seed {first.seed}",
             table(rows_of("run", group.evaluations, [result.run.name for result in group.evaluations])),
             f"over {count} seed{'' if count == 1 else 's'}",
-            pairs(rows),
+            row_as_lines(rows),
             *notes,
         ]
     )
@@ -255,7 +255,7 @@ def robustness_text(found: Robustness) -> str:
             f"bar: {'success rate' if is_rate else 'mean return'} of {bar} ({found.bar_source})",
             table(rows),
             "",
-            pairs(limits),
+            row_as_lines(limits),
             *([f"note: no effect on any episode (the lengths and returns are unchanged): {', '.join(same)}"] if same else []),
             *([] if found.nominal_holds else [f"note: the policy is below the bar without any change; set another bar with {option}"]),
         ]
@@ -271,7 +271,7 @@ def _episodes(result: EvaluationResult) -> list[tuple[float, int]]:
 
 
 def _level(result: EvaluationResult, *, is_rate: bool) -> dict[str, object]:
-    returns = {"mean_return": result.mean_return, "return_95 %": between(result.return_interval)}
+    returns = {"mean_return": result.mean_return, "return_95 %": interval_text(result.return_interval)}
     return _success(result) | {"mean_return": result.mean_return} if is_rate else returns
 
 
@@ -296,7 +296,7 @@ def robustness_json(found: Robustness) -> dict[str, Any]:
 # Files
 
 
-def keep(run: Run, evaluation: dict[str, Any]) -> None:
+def keep_evaluation(run: Run, evaluation: dict[str, Any]) -> None:
     """Keep an evaluation in its run, or say why it is not kept; it is shown all the same."""
     try:
         run.keep_evaluation(evaluation)
@@ -316,7 +316,7 @@ def write_csv(path: Path, results: Iterable[EvaluationResult]) -> None:
             row |= {f"reward.{name}": value for name, value in episode.terms.items()}
             rows.append(row | {f"drawn.{name}": value for name, value in episode.drawn.items()})
     columns = {name: None for row in rows for name in row}
-    with atomic(path) as draft, draft.open("w", newline="", encoding="utf-8") as stream:
+    with atomic_write(path) as draft, draft.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, [*columns])
         writer.writeheader()
         writer.writerows(rows)
@@ -350,5 +350,5 @@ def write_junit(path: Path, command: str, suites: Mapping[str, Sequence[JUnitCas
         root = ElementTree.Element("testsuites")
         root.extend(found)
     ElementTree.indent(root)
-    with atomic(path) as draft:
+    with atomic_write(path) as draft:
         draft.write_bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")

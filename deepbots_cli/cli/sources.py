@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deepbots_cli import api
-from deepbots_cli.compiler.inputs import RESOLVED
+from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.diagnostics import Finding, Findings, Source
-from deepbots_cli.diagnostics.nearest import nearest
-from deepbots_cli.document import Mapping, Node, descend, files, one_line, shipped
+from deepbots_cli.diagnostics.nearest import nearest_word
+from deepbots_cli.document import MappingNode, Node, descend, files, inline_text, shipped
 from deepbots_cli.document.parse import parse
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import ScenarioError, UsageError
@@ -21,7 +21,7 @@ from deepbots_cli.robots.reader import RobotFile, read
 
 
 @dataclass(frozen=True)
-class Opened:
+class OpenedSource:
     """A compiled scenario with its text after includes and settings; `run` is the run that it was trained in, if any."""
 
     program: Program
@@ -29,38 +29,40 @@ class Opened:
     run: Run | None = None
     findings: Sequence[Finding] = ()
 
-    def wording(self, path: str) -> str:
+    def text_at(self, path: str) -> str:
         """What is written at a path, on one line; empty where nothing is. A stage of the curriculum goes by its name."""
         node = self._written(path)
-        return one_line(node) if node is not None else ""
+        return inline_text(node) if node is not None else ""
 
-    def names(self, path: str) -> list[str]:
+    def keys_at(self, path: str) -> list[str]:
         """The keys that are written at a path."""
         node = self._written(path)
-        return list(node.entries) if isinstance(node, Mapping) else []
+        return list(node.entries) if isinstance(node, MappingNode) else []
 
     def _written(self, path: str) -> Node | None:
         words = path.split(".")
         if words[0] == "curriculum" and len(words) > 1:
             names = [stage.name for stage in self.program.curriculum]
-            return written(self.root, "curriculum", names.index(words[1])) if words[1] in names else None
+            return node_at(self.root, "curriculum", names.index(words[1])) if words[1] in names else None
         # A name may hold dots: `observation.cart.pole_angle`, `reset.set.cart.pole_hinge`.
         splits = ((*words[: first - 1], ".".join(words[first - 1 :])) for first in range(len(words), 0, -1))
-        return next((node for keys in splits if (node := written(self.root, *keys)) is not None), None)
+        return next((node for keys in splits if (node := node_at(self.root, *keys)) is not None), None)
 
 
-def written(root: Node | None, *path: str | int) -> Node | None:
+def node_at(root: Node | None, *path: str | int) -> Node | None:
     node, _, reached = descend(root, path) if root else (None, None, 0)
     return node if reached == len(path) else None
 
 
-def wording(root: Node | None, *path: str | int) -> str:
+def text_at(root: Node | None, *path: str | int) -> str:
     """What is written at `path`, on one line; empty where nothing is."""
-    node = written(root, *path)
-    return one_line(node) if node is not None else ""
+    node = node_at(root, *path)
+    return inline_text(node) if node is not None else ""
 
 
-def opened(source: str, sets: Sequence[str], allow_paths: Iterable[Path], *, allow_code: bool, engine: str | None = None) -> Opened:
+def open_source(
+    source: str, sets: Sequence[str], allow_paths: Iterable[Path], *, allow_code: bool, engine: str | None = None
+) -> OpenedSource:
     """The scenario of a file or of a shipped name, checked for the engine if one is given, or that of a run directory.
 
     Raises:
@@ -71,11 +73,11 @@ def opened(source: str, sets: Sequence[str], allow_paths: Iterable[Path], *, all
     if path.is_dir() and ((path / "run.json").exists() or shipped.scenario_path(source) is None):
         if sets:
             raise UsageError(f"--set changes a scenario, and {source} is a run, which stays as it was trained")
-        run, resolved = Run.open(path), path / RESOLVED
-        return Opened(run.program, parse(Source(str(resolved), resolved.read_text(encoding="utf-8-sig")), Findings()), run)
+        run, resolved = Run.open(path), path / RESOLVED_NAME
+        return OpenedSource(run.program, parse(Source(str(resolved), resolved.read_text(encoding="utf-8-sig")), Findings()), run)
     checked = api.load(source, sets=with_engine(sets, engine), allow_paths=allow_paths, allow_code=allow_code)
     compiled = api.compile(checked)
-    return Opened(compiled.program, checked.document.root, findings=compiled.findings)
+    return OpenedSource(compiled.program, checked.document.root, findings=compiled.findings)
 
 
 def is_robot(reference: str) -> bool:
@@ -85,22 +87,26 @@ def is_robot(reference: str) -> bool:
     return shipped.robot_path(reference) is not None and shipped.scenario_path(reference) is None and not Path(reference).exists()
 
 
-def opened_robot(reference: str) -> tuple[RobotFile, list[Finding]]:
+def open_robot(reference: str) -> tuple[RobotFile, list[Finding]]:
     """A robot file, and the warnings about it.
 
     Raises:
         UsageError: There is no such file.
         ScenarioError: It cannot be read as a robot.
     """
-    found = meshes.locate(reference, Path.cwd()) if reference.startswith("package://") else shipped.robot_path(reference) or Path(reference)
+    found = (
+        meshes.locate_mesh(reference, Path.cwd())
+        if reference.startswith("package://")
+        else shipped.robot_path(reference) or Path(reference)
+    )
     if isinstance(found, meshes.UnusableMesh) or not found.is_file():
         names = shipped.robot_names()
-        near = meshes.library_reference(reference) or nearest(reference, names)
+        near = meshes.library_reference(reference) or nearest_word(reference, names)
         hint = f" (did you mean {near}?)" if near else ""
         raise UsageError(f"there is no robot file {reference}{hint}; shipped robots are: {', '.join(names)}")
     findings = Findings()
     resolve_mesh = meshes.mesh_resolver(found.absolute().parent, meshes.package_folders(reference))
-    file = read(found, files.display(found.resolve()), findings, resolve_mesh=resolve_mesh)
+    file = read(found, files.display_path(found.resolve()), findings, resolve_mesh=resolve_mesh)
     if file is None or findings.errors:
         raise ScenarioError(list(findings))
     return file, list(findings)

@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.expressions.lower import python
+from deepbots_cli.expressions.lower import to_python
 from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar, State, World
 
 Row = Mapping[str, object]
@@ -32,7 +32,7 @@ def table(rows: Sequence[Row], indent: str = "  ") -> str:
     """
     columns = [*rows[0]] if rows else []
     names = [name for name in columns if any(row.get(name) not in _NOTHING for row in rows)] or columns
-    cells = [[cell(row.get(name)) for name in names] for row in rows]
+    cells = [[cell_text(row.get(name)) for name in names] for row in rows]
     right = [all(type(row.get(name)) in _NUMBERS for row in rows) for name in names]
     widths = [max(map(cell_len, column)) for column in zip(names, *cells, strict=True)]
     least = [width if is_number else min(width, _READABLE) for width, is_number in zip(widths, right, strict=True)]
@@ -46,9 +46,9 @@ def table(rows: Sequence[Row], indent: str = "  ") -> str:
     return _lines(grid, sum(least) + 2 * len(least), sum(widths) + 2 * len(widths), indent)
 
 
-def pairs(row: Row, indent: str = "  ") -> str:
+def row_as_lines(row: Row, indent: str = "  ") -> str:
     """One row as lines of name and value; empty values are left out."""
-    shown = {name: cell(value) for name, value in row.items() if value not in _NOTHING}
+    shown = {name: cell_text(value) for name, value in row.items() if value not in _NOTHING}
     grid = Table.grid(padding=(0, 2))
     grid.add_column(no_wrap=True)
     grid.add_column(overflow="fold")
@@ -67,13 +67,13 @@ def _lines(grid: Table, least: int, needed: int, indent: str) -> str:
     return "\n".join(f"{indent}{line}".rstrip() for line in out.getvalue().splitlines())
 
 
-def cell(value: object) -> str:
+def cell_text(value: object) -> str:
     """A value as the text of a cell: numbers short, nothing as a dash, lists with commas."""
     match value:
         case None:
             return "-"
         case Const() | Name() | World() | Op() | State() | Draw():
-            return formula(value)
+            return formula_text(value)
         case bool():
             return "yes" if value else "no"
         case int():
@@ -83,14 +83,14 @@ def cell(value: object) -> str:
         case list() | tuple():
             shown = value if len(value) <= _LISTED + 1 else value[:_LISTED]
             rest = [] if len(shown) == len(value) else [f"... {len(value)} in all"]
-            return ", ".join([*map(cell, shown), *rest]) or "-"
+            return ", ".join([*map(cell_text, shown), *rest]) or "-"
         case _:
             return terminal.printable(str(value).replace("\n", " ")) or "-"
 
 
-def formula(scalar: Scalar, digits: int = 12) -> str:
+def formula_text(scalar: Scalar, digits: int = 12) -> str:
     """An expression as the language writes it, with figures in SI units and so many digits."""
-    return python(_rounded(scalar, digits), _read)
+    return to_python(_rounded(scalar, digits), _read)
 
 
 def _rounded(scalar: Scalar, digits: int) -> Scalar:
@@ -115,4 +115,4 @@ def _read(leaf: Name | World | State | Draw) -> str:
             return f"{function}({', '.join(subjects)})" + (f".{component}" if component else "")
         case State(name, args) | Draw(name, args):
             between = _BETWEEN.get(name, ", ") if isinstance(leaf, Draw) else ", "
-            return f"{name}({between.join(python(arg, _read) for arg in args)})"
+            return f"{name}({between.join(to_python(arg, _read) for arg in args)})"

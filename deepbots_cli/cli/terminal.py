@@ -15,7 +15,7 @@ from shutil import get_terminal_size
 from typing import TYPE_CHECKING, TextIO
 
 from deepbots_cli.diagnostics import Finding
-from deepbots_cli.diagnostics.render import inert, render, summary
+from deepbots_cli.diagnostics.render import escape_log_commands, render, summary
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -33,12 +33,12 @@ def note(text: str) -> None:
 
 def print_error(text: str) -> None:
     """An error, on stderr."""
-    mark = "\x1b[1;31merror\x1b[0m" if colourful(sys.stderr) else "error"
+    mark = "\x1b[1;31merror\x1b[0m" if uses_colour(sys.stderr) else "error"
     print(f"{mark}: {printable(text)}", file=sys.stderr)
 
 
 @contextmanager
-def passing(text: str) -> Iterator[None]:
+def transient_line(text: str) -> Iterator[None]:
     """A line on stderr, on a terminal only, which disappears at the end of the block."""
     shown = printable(text)[: width() - 1] if sys.stderr.isatty() else ""
     print(shown, end="", file=sys.stderr, flush=True)
@@ -73,7 +73,7 @@ def progress(unit: str = "episodes", *, always: bool = True) -> Iterator[Callabl
 
 def show_findings(findings: Sequence[Finding]) -> None:
     """Findings in full on stderr, with their number."""
-    print(render(findings, "full", colourful(sys.stderr), width()), end="", file=sys.stderr)
+    print(render(findings, "full", uses_colour(sys.stderr), width()), end="", file=sys.stderr)
     note(summary(findings))
 
 
@@ -90,10 +90,10 @@ def show_json(data: object) -> None:
 
 def json_text(data: object) -> str:
     """Data as JSON with a final line feed; infinite numbers are null, since JSON has none."""
-    return json.dumps(plain(data), indent=2, allow_nan=False) + "\n"
+    return json.dumps(json_compatible(data), indent=2, allow_nan=False) + "\n"
 
 
-def colourful(stream: TextIO) -> bool:
+def uses_colour(stream: TextIO) -> bool:
     """Whether to write colour to `stream`: a terminal, unless NO_COLOR is set."""
     return stream.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 
@@ -107,18 +107,18 @@ def printable(text: str) -> str:
     """`text`, which may quote a file, with control and invisible characters escaped, and commands to logs made inert."""
     if not text.isprintable():
         text = "".join(c if c.isprintable() or c == "\n" else f"\\u{{{ord(c):x}}}" for c in text)
-    return inert(text)
+    return escape_log_commands(text)
 
 
-def plain(data: object) -> object:
+def json_compatible(data: object) -> object:
     """`data` as lists, dictionaries, text and finite numbers."""
     match data:
         case float() if not math.isfinite(data):
             return None
         case Mapping():
-            return {str(key): plain(value) for key, value in data.items()}
+            return {str(key): json_compatible(value) for key, value in data.items()}
         case list() | tuple():
-            return [plain(item) for item in data]
+            return [json_compatible(item) for item in data]
         case Path():
             return str(data)
         case _:

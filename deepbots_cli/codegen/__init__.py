@@ -23,9 +23,9 @@ from functools import lru_cache
 from types import CodeType, ModuleType
 from typing import Any
 
-from deepbots_cli.codegen.robot import Controller
+from deepbots_cli.codegen.robot import ControllerPrinter
 from deepbots_cli.codegen.supervisor import batch_supervisor, supervisor
-from deepbots_cli.codegen.text import COLUMNS, RUNTIME, Constants, class_name, filled, wrapped
+from deepbots_cli.codegen.text import COLUMN_NAMES, RUNTIME_NAMES, Constants, class_name, fill_template, wrap_line
 from deepbots_cli.errors import BatchError
 from deepbots_cli.expressions.functions import math_names
 from deepbots_cli.expressions.lower import BATCH, SCALAR, Target
@@ -64,7 +64,7 @@ _NAME = re.compile(r"[a-z_][a-z0-9_]*", re.ASCII)
 
 
 @lru_cache(maxsize=16)
-def emit(scenario: Program, target: str = "scalar") -> str:
+def generate_module(scenario: Program, target: str = "scalar") -> str:
     """The module that runs `scenario`: one controller class per robot and the supervisor class.
 
     It is kept for the next copy of the environment: printing PandaReach takes 50 ms.
@@ -79,7 +79,7 @@ def emit(scenario: Program, target: str = "scalar") -> str:
     for name in _names(scenario):
         if not _NAME.fullmatch(name):
             raise ValueError(f"{name[:40]!r} cannot be a name in the code")
-    if target == "batch" and (reasons := not_batched(scenario)):
+    if target == "batch" and (reasons := batch_obstacles(scenario)):
         raise BatchError(f"{scenario.name} does not fit a batch: {'; '.join(reasons)}")
     on_floats = target == "scalar"
     constants = Constants()
@@ -87,7 +87,7 @@ def emit(scenario: Program, target: str = "scalar") -> str:
     classes = _classes(scenario, constants, chosen)
     used = {node.id for node in ast.walk(ast.parse("\n".join([*constants.lines, *classes]))) if isinstance(node, ast.Name)}
     used_math = sorted((math_names() if on_floats else _NUMBERS) & used)
-    lines = filled(
+    lines = fill_template(
         _MODULE,
         name=class_name(scenario.name),
         purpose="" if on_floats else " for a batch of worlds",
@@ -101,11 +101,11 @@ def emit(scenario: Program, target: str = "scalar") -> str:
         constants=[*constants.lines, "", ""] if constants.lines else [""],
         classes=classes,
     )
-    return "\n".join(part for line in _without_gaps(lines) for part in wrapped(line)).rstrip("\n") + "\n"
+    return "\n".join(part for line in _without_gaps(lines) for part in wrap_line(line)).rstrip("\n") + "\n"
 
 
 def _classes(scenario: Program, constants: Constants, target: Target) -> list[str]:
-    lines = [line for robot in scenario.robots for line in (*Controller(scenario, robot, constants, target).lines(), "", "")]
+    lines = [line for robot in scenario.robots for line in (*ControllerPrinter(scenario, robot, constants, target).lines(), "", "")]
     return [*lines, *(supervisor(scenario, constants) if target is SCALAR else batch_supervisor(scenario, constants))]
 
 
@@ -114,8 +114,8 @@ _NUMBERS = frozenset({"pi", "tau", "e", "inf"})
 
 def _imports(used: set[str], on_floats: bool) -> list[str]:
     if on_floats:
-        return [f"from deepbots_cli.runtime import {', '.join(sorted(used & set(RUNTIME), key=_as_isort))}"]
-    columns = sorted(used & set(COLUMNS))
+        return [f"from deepbots_cli.runtime import {', '.join(sorted(used & set(RUNTIME_NAMES), key=_as_isort))}"]
+    columns = sorted(used & set(COLUMN_NAMES))
     return [
         *(["import numpy as np", ""] if "np" in used else []),
         "from deepbots_cli.runtime.batch import BatchController, BatchSupervisor",
@@ -123,13 +123,13 @@ def _imports(used: set[str], on_floats: bool) -> list[str]:
     ]
 
 
-def not_batched(scenario: Program) -> list[str]:
+def batch_obstacles(scenario: Program) -> list[str]:
     """Why a batch cannot hold a scenario; nothing where it can."""
     policy = scenario.policy
     reasons = [
         (policy.copies is not None, "it has several copies of a robot"),
         (bool(policy.images) or any(sensor.optics for robot in scenario.robots for sensor in robot.sensors), "it has cameras"),
-        (bool(scenario.foreign), "it runs code of packages"),
+        (bool(scenario.python_functions), "it runs code of packages"),
         (any(option.forbidden for part in policy.action if isinstance(part, Choices) for option in part.options), "it forbids choices"),
     ]
     found = [reason for holds, reason in reasons if holds]
@@ -142,7 +142,7 @@ def not_batched(scenario: Program) -> list[str]:
 
 
 def _names(scenario: Program) -> Iterator[str]:
-    """What the scenario defines and the code is made with."""
+    """The names that the scenario defines."""
     robots = scenario.robots
     parts: list[tuple[Any, ...]] = [
         part for robot in robots for part in (robot.sensors, robot.actuators, robot.received, robot.emitted, robot.commands)

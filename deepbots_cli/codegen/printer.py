@@ -11,16 +11,16 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
-from deepbots_cli.codegen.text import VARIABLES, Constants, Names, noted, quoted, tuple_code
+from deepbots_cli.codegen.text import LOOP_VARIABLES, Constants, Names, quoted, tuple_code, with_comment
 from deepbots_cli.expressions.functions import FUNCTIONS, Family, rotation
-from deepbots_cli.expressions.lower import SCALAR, Code, Target, applied, number
+from deepbots_cli.expressions.lower import SCALAR, Code, Target, number_code, operation_code
 from deepbots_cli.expressions.scalar import Const, Draw, Name, NamedFloat, Op, Scalar, State, World, is_drawn
 
 if TYPE_CHECKING:
-    from deepbots_cli.codegen.workspace import Needs, Readers
+    from deepbots_cli.codegen.workspace import ReaderKeys, Readers
 
-NOTHING: Mapping[int, str] = MappingProxyType({})
-NO_NAMES: Mapping[str, str] = MappingProxyType({})
+NO_SETTABLE: Mapping[int, str] = MappingProxyType({})
+NO_RENAMED: Mapping[str, str] = MappingProxyType({})
 
 _JOINED = {
     "scalar": {"add": "total", "min": "min", "max": "max", "or": "any", "and": "all"},
@@ -38,7 +38,7 @@ class Column(NamedTuple):
     item: str = ""
 
     @property
-    def plain(self) -> str:
+    def elements(self) -> str:
         """The code of a sequence of the values themselves."""
         return f"[a{self.item} for a in {self.code}]" if self.item else self.code
 
@@ -53,7 +53,7 @@ class Scope(Protocol):
     memories: dict[str, str]
     """How each memory is made, by its attribute."""
 
-    def scalar(self, leaf: Name | World, needs: Needs) -> str:
+    def scalar(self, leaf: Name | World, needs: ReaderKeys) -> str:
         """The code of one number."""
 
     def vector(self, leaves: Sequence[Name]) -> str | None:
@@ -67,11 +67,11 @@ class Printer:
     trees is to walk them. `renamed` has the code of names that mean something else in this method.
     """
 
-    def __init__(self, scope: Scope, *, settable: Mapping[int, str] = NOTHING, renamed: Mapping[str, str] = NO_NAMES) -> None:
+    def __init__(self, scope: Scope, *, settable: Mapping[int, str] = NO_SETTABLE, renamed: Mapping[str, str] = NO_RENAMED) -> None:
         self.lines: list[str] = []
         self.scope = scope
         self.names = scope.names
-        self.needs: Needs = {}
+        self.needs: ReaderKeys = {}
         self._settable = settable
         self._renamed = renamed
         self._hoisted: dict[State, str] = {}
@@ -84,7 +84,7 @@ class Printer:
         """Let the readers be called at this point; without, they are called first."""
         self.reads_at = len(self.lines)
 
-    def finished(self, docstring: Sequence[str] = ()) -> list[str]:
+    def method_lines(self, docstring: Sequence[str] = ()) -> list[str]:
         """All lines, with the calls of readers."""
         at, reads = self.reads_at, self.scope.readers.call_lines(self.needs)
         return [*docstring, *self.lines[:at], *reads, *self.lines[at:]] or ["pass"]
@@ -95,7 +95,7 @@ class Printer:
         name = self._settable.get(id(tree))
         return code if name is None else f"self.episode_value({quoted(name)}, {code})"
 
-    def either(self, components: Sequence[object], trees: Sequence[Scalar]) -> str:
+    def vector_or_number(self, components: Sequence[object], trees: Sequence[Scalar]) -> str:
         """The code of a vector with these components, or of a number without any."""
         return self.vector(trees) if components else self.value(trees[0])
 
@@ -105,16 +105,16 @@ class Printer:
         if self.lines and self.lines[-1].startswith(made) and code in self.scope.memories:
             code = self.lines.pop().removeprefix(made)
             self._hoisted = {state: re.sub(rf"^{made[:-3]}\b", target, name) for state, name in self._hoisted.items()}
-        self.lines += noted(f"{target} = {code}", text)
+        self.lines += with_comment(f"{target} = {code}", text)
 
-    def increase(self, target: str, code: str) -> None:
+    def add_in_place(self, target: str, code: str) -> None:
         """Add to a kept value. A column is replaced, as others may hold the old one, in worlds that go on."""
         self.line(f"{target} += {code}" if self.on_floats else f"{target} = self.add({target}, {code})")
 
-    def joined(self, operation: str, codes: Sequence[str]) -> str:
+    def operation(self, operation: str, codes: Sequence[str]) -> str:
         """The code of an operation on values with this code."""
         args = [Code(code) for code in codes]
-        return applied(operation, args, (), self.scope.target).text if len(args) > 1 or operation == "not" else codes[0]
+        return operation_code(operation, args, (), self.scope.target).text if len(args) > 1 or operation == "not" else codes[0]
 
     @property
     def on_floats(self) -> bool:
@@ -129,7 +129,7 @@ class Printer:
         """The code of a sequence with one item per tree."""
         names = [self._settable.get(id(tree)) for tree in trees]
         if not any(names) and (column := self._column(trees)) is not None:
-            return column.plain
+            return column.elements
         if len(trees) > 1 and all(tree == trees[0] for tree in trees) and not is_drawn(trees[0]):
             return f"({self.value(trees[0])},) * {len(trees)}"
         if len(trees) > 2 and (all(names) or not any(names)):
@@ -142,7 +142,7 @@ class Printer:
                 pass
         return self.tuple(trees)
 
-    def remember(self, trees: Sequence[Scalar]) -> None:
+    def update_memories(self, trees: Sequence[Scalar]) -> None:
         """Print only what keeps the memory of stateful functions, for values that are not needed here."""
         groups: dict[tuple[str, str], list[State]] = {}
         for state in (state for tree in trees for state in outer_states(tree)):
@@ -157,12 +157,12 @@ class Printer:
             case Const(value=NamedFloat(component=None) as value) if value.text:
                 return Code(self.scope.constants.number(value))
             case Const(value=value):
-                return number(value)
+                return number_code(value)
             case Op():
                 return (
                     self._pose_function_code(tree)
                     or self._reduction_code(tree)
-                    or applied(tree.op, [self.code(arg) for arg in tree.args], tree.args, self.scope.target)
+                    or operation_code(tree.op, [self.code(arg) for arg in tree.args], tree.args, self.scope.target)
                 )
             case State():
                 return Code(self._state(tree))
@@ -193,14 +193,14 @@ class Printer:
     def _reduction_code(self, tree: Op) -> Code | None:
         """An operation on many arguments of the same form, as one operation on a vector."""
         if tree.op == "hypot" and (column := self._column(tree.args)) is not None:
-            return Code(f"hypot(*{column.plain})")
+            return Code(f"hypot(*{column.elements})")
         joined = _JOINED[self.scope.target.name].get(tree.op)
         if joined is None or len(tree.args) < _MANY:
             return None
         column = self._column(tree.args)
         try:
             loop = _Loop(self)
-            code = column.plain if column is not None else loop.code(loop.body(tree.args).text)
+            code = column.elements if column is not None else loop.code(loop.body(tree.args).text)
         except _DifferentShapesError:
             return None
         lazy = tree.op in ("or", "and") and code.startswith("[")
@@ -259,7 +259,7 @@ class Printer:
         """The attribute that holds memories, and the local that holds their values."""
         first = states[0]
         owner = first.slot.partition("#")[0].rpartition(".")[2]
-        name = self.names.called(f"memory {first.slot}", first.function, owner)
+        name = self.names.identifier(f"memory {first.slot}", first.function, owner)
         kind = FUNCTIONS[first.function].memory
         kinds = f"self.memories({kind}, {len(states)})" if len(states) > 1 else f"self.memory({kind})"
         self.scope.memories[name] = kinds if self.on_floats else f"self.memory({quoted(name)})"
@@ -284,9 +284,9 @@ class _Loop:
 
     def variable(self, column: Column) -> str:
         """The code of an item of the column."""
-        if column.code not in self._columns and len(self._columns) == len(VARIABLES):
+        if column.code not in self._columns and len(self._columns) == len(LOOP_VARIABLES):
             raise _DifferentShapesError
-        return self._columns.setdefault(column.code, VARIABLES[len(self._columns)]) + column.item
+        return self._columns.setdefault(column.code, LOOP_VARIABLES[len(self._columns)]) + column.item
 
     def string(self, texts: Sequence[str]) -> str:
         """The code of a text that differs in a part, such as a stream."""
@@ -328,7 +328,7 @@ class _Loop:
         name = operations[0].op
         if name == "pow" and len({tree.args[1] for tree in operations}) > 1:
             raise _DifferentShapesError
-        return applied(name, self._bodies([tree.args for tree in operations]), operations[0].args, self._printer.scope.target)
+        return operation_code(name, self._bodies([tree.args for tree in operations]), operations[0].args, self._printer.scope.target)
 
     def _bodies(self, rows: Sequence[tuple[Scalar, ...]]) -> list[Code]:
         if len({len(row) for row in rows}) > 1:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 
 from deepbots_cli.codegen.printer import Printer
-from deepbots_cli.codegen.robot import Drives
+from deepbots_cli.codegen.robot import ActuatorBindings
 from deepbots_cli.codegen.text import Constants, block, indent, quoted, quoted_tuple, tuple_code
 from deepbots_cli.codegen.workspace import Workspace
 from deepbots_cli.expressions.scalar import Const, Scalar, names_in
@@ -31,13 +31,13 @@ from deepbots_cli.program.robots import Route
 from deepbots_cli.program.values import Expression, Noise
 
 
-def begin(workspace: Workspace) -> list[str]:
+def begin_method(workspace: Workspace) -> list[str]:
     """Draws in order of dependency, then variations, places, joints; the actuators hold until their first commands."""
     scenario, reset = workspace.scenario, workspace.scenario.reset
     printer = workspace.printer()
     _print_first_draws(workspace, printer)
     _print_stds(workspace, printer)
-    if is_arranged(scenario):
+    if needs_arrangement(scenario):
         for index, variation in enumerate(reset.variations):
             printer.assign(_varied(workspace, index), printer.vector(variation.scalars))
         printer.line(f"self.bodies.arrange(self._arrange, {reset.attempts}, self.streams)")
@@ -54,22 +54,22 @@ def begin(workspace: Workspace) -> list[str]:
         printer.lines += _forgetting(workspace)
     _print_first_pushes(workspace, printer)
     printer.lines += [
-        f"self.robot_{robot.name}.hold()" for robot in scenario.robots if Drives(scenario, robot, workspace.constants).actuators
+        f"self.robot_{robot.name}.hold()" for robot in scenario.robots if ActuatorBindings(scenario, robot, workspace.constants).actuators
     ]
     ticks = round(reset.settle / scenario.world.timestep)
     if ticks:
         printer.line(f"self.physics({ticks * scenario.world.substeps})")
     doc = '"""Draw what this episode varies, and put the world where it begins."""'
-    method = block("def _begin(self) -> None:", printer.finished([doc]))
-    return [*method, *_arrange(workspace)] if is_arranged(scenario) else method
+    method = block("def _begin(self) -> None:", printer.method_lines([doc]))
+    return [*method, *_arrange(workspace)] if needs_arrangement(scenario) else method
 
 
-def is_arranged(scenario: Program) -> bool:
+def needs_arrangement(scenario: Program) -> bool:
     """Whether the places of an episode have to be found."""
     reset = scenario.reset
     drawn = reset.groups or reset.layouts or reset.require is not None
     pooled = any(thing.pooled for thing in scenario.world.objects)
-    return bool(drawn) or pooled or scenario.world.terrain is not None or any(is_sought(place) for place in reset.placements)
+    return bool(drawn) or pooled or scenario.world.terrain is not None or any(needs_search(place) for place in reset.placements)
 
 
 def _arrange(workspace: Workspace) -> list[str]:
@@ -87,7 +87,7 @@ def _arrange(workspace: Workspace) -> list[str]:
             printer.line(f"{'elif' if index else 'if'} layout == {quoted(layout.name)}:")
             lines = [f"    {line}" for line in lines]
         printer.lines += lines
-    printer.lines += [f"{workspace.present(group.name)} = bodies.present[{quoted(group.name)}]" for group in reset.groups]
+    printer.lines += [f"{workspace.present_count(group.name)} = bodies.present[{quoted(group.name)}]" for group in reset.groups]
     printer.line("self.engine.reset()")
     if any(thing.variants for thing in workspace.scenario.world.objects):
         printer.line("bodies.choose()")
@@ -105,17 +105,17 @@ def _arrange(workspace: Workspace) -> list[str]:
         printer.insert_readers_here()
         printer.line(f"return bool({printer.value(reset.require.scalar)})")
     doc = '"""One attempt at a start: a place for each body; whether it is as required."""'
-    return block("def _arrange(self) -> bool:", printer.finished([doc]))
+    return block("def _arrange(self) -> bool:", printer.method_lines([doc]))
 
 
 def _releasing(scenario: Program) -> list[str]:
     """Statements after which no actuator remembers the episode before."""
-    return [f"self.robot_{robot.name}.release()" for robot in scenario.robots if Drives(scenario, robot, Constants()).has_devices]
+    return [f"self.robot_{robot.name}.release()" for robot in scenario.robots if ActuatorBindings(scenario, robot, Constants()).has_devices]
 
 
 def _forgetting(workspace: Workspace) -> list[str]:
     """Statements after which no chart shows the episode before."""
-    return ["self.ways.reset()"] if workspace.readers.charts else []
+    return ["self.ways.reset()"] if workspace.readers.needs_paths else []
 
 
 def _varied(workspace: Workspace, index: int) -> str:
@@ -148,7 +148,7 @@ def _all_zero(values: tuple[Scalar, ...]) -> bool:
 # Places
 
 
-def is_sought(place: Placement) -> bool:
+def needs_search(place: Placement) -> bool:
     """Whether more than its coordinates decides where the body stands."""
     return place.seeks_height or place.spot is not None
 
@@ -248,7 +248,7 @@ def _print_first_draws(workspace: Workspace, printer: Printer) -> None:
     """Parameters and values of routes, as they are at the beginning of an episode."""
     for entry in workspace.scenario.parameters:
         _print_first_period(workspace, printer, entry, entry.name)
-        printer.assign(workspace.parameter(entry.name), printer.either(entry.components, entry.scalars), entry.text)
+        printer.assign(workspace.parameter(entry.name), printer.vector_or_number(entry.components, entry.scalars), entry.text)
     for name, value in _settings(workspace):
         if not isinstance(value.scalar, Const) and not _of_message(value):
             _print_first_period(workspace, printer, value, name)
@@ -256,12 +256,12 @@ def _print_first_draws(workspace: Workspace, printer: Printer) -> None:
 
 
 def print_redraws(workspace: Workspace, printer: Printer) -> None:
-    """What a step draws or computes anew before it sends anything; it is not yet counted itself."""
+    """Print the values that a step draws or computes anew before it sends messages; the step is not counted yet."""
     changing: set[str] = set()
     for entry in workspace.scenario.parameters:
         if entry.redraw is not None or _reads(entry.scalars, changing):
             changing.add(entry.name)
-            drawn = f"{workspace.parameter(entry.name)} = {printer.either(entry.components, entry.scalars)}"
+            drawn = f"{workspace.parameter(entry.name)} = {printer.vector_or_number(entry.components, entry.scalars)}"
             _print_when_due(workspace, printer, entry, entry.name, drawn)
     for name, value in _settings(workspace):
         if value.period is not None if value.redraw else _reads(value.scalars, changing):
@@ -317,12 +317,12 @@ def _print_stds(workspace: Workspace, printer: Printer) -> None:
     noisy += [("goal.achieved", scenario.policy.goal.achieved.noise)] if scenario.policy.goal else []
     for stream, noise in noisy:
         if noise is not None and not all(isinstance(std, Const) for std in noise.std.scalars):
-            printer.assign(std_attribute(printer, stream), printer.either(noise.std.scalars[1:], noise.std.scalars))
+            printer.assign(std_attribute(printer, stream), printer.vector_or_number(noise.std.scalars[1:], noise.std.scalars))
 
 
 def std_attribute(printer: Printer, stream: str) -> str:
     """The attribute that holds the standard deviations of a noise which every episode draws."""
-    return f"self.{printer.names.called(f'std {stream}', 'std', stream.partition('.')[2])}"
+    return f"self.{printer.names.identifier(f'std {stream}', 'std', stream.partition('.')[2])}"
 
 
 # Disturbances
@@ -345,7 +345,7 @@ def _print_first_pushes(workspace: Workspace, printer: Printer) -> None:
         printer.line(f"self.push_{push.name}.reset({printer.value(push.begins)}, {settling})")
 
 
-def drawing(workspace: Workspace) -> list[str]:
+def push_methods(workspace: Workspace) -> list[str]:
     """The methods that draw a push."""
     return [line for push in workspace.scenario.disturbances for line in _drawing(workspace, push)]
 
@@ -356,4 +356,4 @@ def _drawing(workspace: Workspace, push: Disturbance) -> list[str]:
     duration, every = printer.value(push.duration.scalar), "inf" if push.every is None else printer.value(push.every.scalar)
     printer.line(f"return {force}, {torque}, {duration}, {every}")
     doc = '"""Force, torque and duration of a push, and the time from its beginning to that of the next."""'
-    return block(f"def _draw_{push.name}(self) -> Any:", printer.finished([doc]))
+    return block(f"def _draw_{push.name}(self) -> Any:", printer.method_lines([doc]))

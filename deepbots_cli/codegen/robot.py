@@ -11,16 +11,16 @@ from deepbots_cli.codegen.text import (
     Names,
     block,
     class_name,
+    constants_tuple_code,
     docstring,
-    filled,
+    fill_template,
     quoted,
     quoted_tuple,
-    repeated,
     sentence_list,
     targets_code,
     tuple_code,
 )
-from deepbots_cli.codegen.workspace import Needs, Readers, root_links, whole_vector
+from deepbots_cli.codegen.workspace import ReaderKeys, Readers, root_links, whole_vector
 from deepbots_cli.compiler.robots import rigid_root
 from deepbots_cli.expressions.lower import SCALAR, Target
 from deepbots_cli.expressions.scalar import Draw, Name, Op, Scalar, State, World, names_in, walk
@@ -39,7 +39,7 @@ class {name}({base}):
 """
 
 
-class Controller:
+class ControllerPrinter:
     """Prints the controller of one robot."""
 
     def __init__(self, scenario: Program, robot: Robot, constants: Constants, target: Target = SCALAR) -> None:
@@ -52,12 +52,12 @@ class Controller:
         self.readers = Readers(self.names, constants, root_links(scenario), on_columns=target is not SCALAR)
         self._received = {entry.name: entry.components for entry in robot.received}
         self._sensors = {sensor.name: sensor for sensor in robot.sensors}
-        self._devices = devices(scenario, robot)
+        self._devices = sampled_sensors(scenario, robot)
         self._emitted = [[self._resolved(value) for value in entry.scalars] for entry in robot.emitted]
         self._applied = [[self._resolved(value) for value in entry.scalars] for entry in robot.commands]
         for actuator in robot.actuators:
             if isinstance(actuator, Motor):
-                constants.know(f"{robot.name}_{actuator.name}", actuator.joints)
+                constants.name_strings(f"{robot.name}_{actuator.name}", actuator.joints)
 
     def lines(self) -> list[str]:
         robot = self._robot
@@ -67,11 +67,11 @@ class Controller:
         on_floats = self.target is SCALAR
         resetting = self._reset()
         methods = [*(resetting if on_floats else []), *self._observe(), *self._use_message_data(), *self._create_message()]
-        writers = Drives(self._scenario, robot, self.constants).bind_lines(on_columns=not on_floats)
+        writers = ActuatorBindings(self._scenario, robot, self.constants).bind_lines(on_columns=not on_floats)
         kept = [f"emitted_{self.names(entry.name)}" for entry in robot.emitted] if self._keeps_state and not on_floats else []
         devices = [f"self.sense_{name} = self.device({quoted(name)})" for name in self._devices]
         memories = [f"self.{name} = {code}" for name, code in self.memories.items()]
-        return filled(
+        return fill_template(
             _CLASS,
             name=controller_name(robot),
             base="RobotController" if on_floats else "BatchController",
@@ -92,8 +92,8 @@ class Controller:
         if not (self._keeps_state or any(map(outer_states, applied))):
             return []
         printer = self._printer(dict.fromkeys(self._received, "0.0"))
-        printer.remember(applied)
-        lines = printer.finished()
+        printer.update_memories(applied)
+        lines = printer.method_lines()
         return block("def reset(self) -> None:", [*lines, "self.compute()"] if self._keeps_state else lines)
 
     def _observe(self) -> list[str]:
@@ -103,7 +103,7 @@ class Controller:
             return block("def observe(self) -> None:", ['"""Read the sensors, once per timestep."""', *sampling]) if sampling else []
         printer = self._printer()
         for entry, values in zip(self._robot.emitted, self._emitted, strict=True):
-            printer.assign(self._stored(entry.name), printer.either(entry.components, values))
+            printer.assign(self._stored(entry.name), printer.vector_or_number(entry.components, values))
         doc = '"""Compute the emitted values, and update memories."""'
         return [
             *block("def observe(self) -> None:", ['"""Read the sensors and compute, once per timestep."""', *sampling, "self.compute()"]),
@@ -127,7 +127,7 @@ class Controller:
             values, printer = [self._stored(entry.name) for entry in entries], None
         else:
             printer = self._printer()
-            values = [printer.either(entry.components, trees) for entry, trees in zip(entries, self._emitted, strict=True)]
+            values = [printer.vector_or_number(entry.components, trees) for entry, trees in zip(entries, self._emitted, strict=True)]
         listed = sentence_list([entry.name for entry in entries]) or "nothing"
         lines = self._finished(printer, []) if printer and values else []
         answer = f"return {tuple_code(values) if values else '()'}"
@@ -147,9 +147,9 @@ class Controller:
         """The lines of a method; what devices delivered last is taken where engines are read."""
         lines = [f"{local} = self.sense_{name}.reading" for name, local in self._read.items()]
         printer.lines[printer.reads_at : printer.reads_at] = lines
-        return printer.finished(doc) if printer.lines or printer.needs or not doc else [*doc]
+        return printer.method_lines(doc) if printer.lines or printer.needs or not doc else [*doc]
 
-    def scalar(self, leaf: Name | World, needs: Needs) -> str:
+    def scalar(self, leaf: Name | World, needs: ReaderKeys) -> str:
         if isinstance(leaf, World):
             return f"self.sense_{leaf.subjects[0].partition('.')[2]}.age" if leaf.function == "age" else self.readers.code(leaf, needs)
         if leaf.name in self._received:
@@ -166,7 +166,7 @@ class Controller:
 
     def _reading(self, sensor: str) -> str:
         self._read[sensor] = (
-            self.names.called(f"reading {sensor}", sensor) if sensor not in self._received else self.names(sensor, "reading")
+            self.names.identifier(f"reading {sensor}", sensor) if sensor not in self._received else self.names(sensor, "reading")
         )
         return self._read[sensor]
 
@@ -185,26 +185,26 @@ class Controller:
                 return tree
 
 
-def devices(scenario: Program, robot: Robot) -> dict[str, Sensor]:
+def sampled_sensors(scenario: Program, robot: Robot) -> dict[str, Sensor]:
     """The sensors that are sampled once per timestep, by name: those that something reads, and that are no facts."""
     on_board = [value for entry in (*robot.emitted, *robot.commands) for value in entry.scalars]
-    computed = [value for entry in scenario.computed for value in entry.scalars]
+    computed = [value for entry in scenario.computed_expressions for value in entry.scalars]
     read = {leaf.name for value in on_board for leaf in names_in(value)}
     asked = {node.subjects[0] for value in (*on_board, *computed) for node in walk(value) if isinstance(node, World)}
     used = [sensor for sensor in robot.sensors if sensor.name in read or f"{robot.name}.{sensor.name}" in asked]
     return {sensor.name: sensor for sensor in used if not sensor.is_direct}
 
 
-def observes(scenario: Program, robot: Robot) -> bool:
+def observes_each_timestep(scenario: Program, robot: Robot) -> bool:
     """Whether anything on board happens once per timestep: a device is sampled, or a memory advances."""
-    return bool(devices(scenario, robot)) or any(outer_states(value) for entry in robot.emitted for value in entry.scalars)
+    return bool(sampled_sensors(scenario, robot)) or any(outer_states(value) for entry in robot.emitted for value in entry.scalars)
 
 
 def controller_name(robot: Robot) -> str:
     return f"{class_name(robot.name)}Controller"
 
 
-class Drives:
+class ActuatorBindings:
     """The actuators of one robot that have a command: plain motors of the engine, and devices of the runtime."""
 
     def __init__(self, scenario: Program, robot: Robot, constants: Constants) -> None:
@@ -252,7 +252,9 @@ class Drives:
                 arguments = [robot, self._constants.strings(actuator.joints), _limits(actuator, strength)]
                 if actuator.kind == "position_motor":
                     gains_ = (actuator.stiffness, actuator.damping)
-                    arguments += ["None" if gain is None else repeated([repr(strength * gain)] * len(actuator.joints)) for gain in gains_]
+                    arguments += [
+                        "None" if gain is None else constants_tuple_code([repr(strength * gain)] * len(actuator.joints)) for gain in gains_
+                    ]
                 return f"engine.{actuator.kind}({', '.join(arguments)})"
 
     def _is_device(self, actuator: Actuator) -> bool:
@@ -277,7 +279,7 @@ class Drives:
         if not self._responds(actuator):
             return _strength(actuator)
         rates = _rates(actuator)
-        limited = [f"rates={repeated([_number(rate) for rate in rates])}"] if rates else []
+        limited = [f"rates={constants_tuple_code([_number(rate) for rate in rates])}"] if rates else []
         return [*_strength(actuator), f"substep={self._substep!r}", *_late(actuator), *limited]
 
     def _varies(self, actuator: Actuator, what: str) -> bool:
@@ -309,7 +311,7 @@ def _rates(motor: Motor | Cartesian) -> Sequence[float | None]:
 
 
 def _limits(motor: Motor | Cartesian, strength: float = 1.0) -> str:
-    return repeated([_number(limit, strength) for limit in motor.max_torque])
+    return constants_tuple_code([_number(limit, strength) for limit in motor.max_torque])
 
 
 def _number(limit: float | None, strength: float = 1.0) -> str:

@@ -13,10 +13,10 @@ from collections.abc import Sequence
 
 from deepbots_cli.codegen.printer import Printer, outer_states
 from deepbots_cli.codegen.reset import print_draws_of_message, print_redraws, std_attribute
-from deepbots_cli.codegen.robot import observes
-from deepbots_cli.codegen.text import block, indent, noted, quoted, targets_code, tuple_code
+from deepbots_cli.codegen.robot import observes_each_timestep
+from deepbots_cli.codegen.text import block, indent, quoted, targets_code, tuple_code, with_comment
 from deepbots_cli.codegen.workspace import Workspace, zeros
-from deepbots_cli.expressions.lower import number
+from deepbots_cli.expressions.lower import number_code
 from deepbots_cli.expressions.scalar import Const, Name, names_in
 from deepbots_cli.program.robots import Robot, Route
 from deepbots_cli.program.task import Ending, Observation, Option
@@ -25,50 +25,50 @@ from deepbots_cli.program.values import Noise
 _SUMMANDS = 100
 
 
-def start(workspace: Workspace) -> list[str]:
+def start_method(workspace: Workspace) -> list[str]:
     """The method that runs right after a reset."""
     lines = ['"""Observe the first moment of an episode."""', *workspace.readers.start_lines()]
     lines += _zeroed(_terms(workspace))
-    lines.append(f"self._observe({', '.join(zeros(components) for _, components in workspace.acting)})")
+    lines.append(f"self._observe({', '.join(zeros(components) for _, components in workspace.action_names_read)})")
     return block("def _start(self) -> None:", [*lines, *_start_memories_of_messages(workspace)])
 
 
-def advance(workspace: Workspace) -> list[str]:
+def advance_methods(workspace: Workspace) -> list[str]:
     """The method of a step, and that of a timestep where a step has several."""
     printer = workspace.printer()
     _print_acting(workspace, printer)
-    result = "Iterator[None]" if workspace.shares else "None"
-    acting = [workspace.local(name) for name, _ in workspace.acting]
-    if not workspace.repeats:
+    result = "Iterator[None]" if workspace.is_of_copy else "None"
+    acting = [workspace.local(name) for name, _ in workspace.action_names_read]
+    if not workspace.repeats_actions:
         _print_tick(workspace, printer)
         doc = '"""Act, let the world go on for a timestep, and observe."""'
-        return block(f"def _advance(self, action: Any) -> {result}:", printer.finished([doc]))
+        return block(f"def _advance(self, action: Any) -> {result}:", printer.method_lines([doc]))
     repeat = workspace.scenario.action_repeat
     if workspace.uses("previous_reward"):
         printer.line("self.previous_reward = self.reward")
     printer.lines += _zeroed(["self.reward", *_terms(workspace)])
     printer.line(f"for _ in {'range' if printer.on_floats else 'self.ticks'}({repeat}):")
-    printer.line(f"    {'yield from ' if workspace.shares else ''}self._tick({', '.join(acting)})")
+    printer.line(f"    {'yield from ' if workspace.is_of_copy else ''}self._tick({', '.join(acting)})")
     printer.lines += ["    if self.terminated or self.truncated:", "        break"] if printer.on_floats else []
     ticking = workspace.printer()
-    ticking.increase("self.timestep_count", "1")
+    ticking.add_in_place("self.timestep_count", "1")
     _print_tick(workspace, ticking)
     arguments = ", ".join(["self", *_parameters(workspace)])
     doc = f'"""Hold an action for {repeat} timesteps; the reward is the sum over them."""'
     return [
-        *block(f"def _advance(self, action: Any) -> {result}:", printer.finished([doc])),
-        *block(f"def _tick({arguments}) -> {result}:", ticking.finished(['"""Let the world go on for a timestep, and observe."""'])),
+        *block(f"def _advance(self, action: Any) -> {result}:", printer.method_lines([doc])),
+        *block(f"def _tick({arguments}) -> {result}:", ticking.method_lines(['"""Let the world go on for a timestep, and observe."""'])),
     ]
 
 
-def observe(workspace: Workspace) -> list[str]:
+def observe_method(workspace: Workspace) -> list[str]:
     """The method that computes everything, once per timestep and right after a reset."""
     printer = workspace.printer()
     for robot in workspace.scenario.robots:
         _print_receiving(workspace, printer, robot)
     printer.insert_readers_here()
     for entry in workspace.scenario.signals:
-        printer.assign(workspace.local(entry.name), printer.either(entry.components, entry.scalars), entry.text)
+        printer.assign(workspace.local(entry.name), printer.vector_or_number(entry.components, entry.scalars), entry.text)
         _print_noise(printer, workspace.local(entry.name), entry.components, f"augment.{entry.name}", entry.noise)
     _print_goal(workspace, printer)
     _print_endings(workspace, printer)
@@ -78,11 +78,11 @@ def observe(workspace: Workspace) -> list[str]:
     printer.lines += workspace.storing_statements()
     arguments = ", ".join(["self", *_parameters(workspace)])
     doc = '"""Receive, and compute signals, endings, the reward and the observation."""'
-    return block(f"def _observe({arguments}) -> None:", printer.finished([doc]))
+    return block(f"def _observe({arguments}) -> None:", printer.method_lines([doc]))
 
 
 def _parameters(workspace: Workspace) -> list[str]:
-    return [f"{workspace.local(name)}: {'Any' if components else 'float'}" for name, components in workspace.acting]
+    return [f"{workspace.local(name)}: {'Any' if components else 'float'}" for name, components in workspace.action_names_read]
 
 
 def _zeroed(targets: list[str]) -> list[str]:
@@ -104,14 +104,14 @@ def _terms(workspace: Workspace) -> list[str]:
 
 
 def choice_tables(workspace: Workspace) -> list[str]:
-    """What each choice sets, as one dictionary per discrete part of the action; and itself as one-hot where that is read."""
+    """The values that each option sets, as one dictionary per choice; and the one-hot vector of the choice where it is read."""
     lines = []
     hot = ("1.0", "0.0") if workspace.ranges else ("True", "False")
     for part in workspace.choices:
         rows = [[repr(value) for value in option.values] for option in part.options]
         names = ", ".join(option.name for option in part.options)
         lines.append(f"CHOICES_{part.name} = {_table([row[0] if len(row) == 1 else tuple_code(row) for row in rows])}  # {names}")
-        if workspace.given:
+        if workspace.agent_action_read:
             size = range(len(part.options))
             lines.append(f"TAKEN_{part.name} = {_table([tuple_code([hot[index != other] for other in size]) for index in size])}")
     return lines
@@ -122,20 +122,20 @@ def _table(rows: list[str]) -> str:
 
 
 def _print_acting(workspace: Workspace, printer: Printer) -> None:
-    """What happens once per step: the action, and the messages that carry it."""
+    """Print the statements that run once per step: the action, and the messages that carry it."""
     _print_decoding(workspace, printer)
     if printer.on_floats:
         print_redraws(workspace, printer)
     else:
         _print_redrawing(workspace, printer)
-    printer.increase("self.step_count", "1")
-    if workspace.remembers:
+    printer.add_in_place("self.step_count", "1")
+    if workspace.has_history:
         printer.line("self.next_frame()")
     printer.lines += [f"{local} = self.last_{local}" for local in workspace.sent_names()]
     printer.insert_readers_here()
     for robot in workspace.scenario.robots:
         channel = f"self.to_{robot.name}"
-        values = [printer.either(entry.components, entry.scalars) for entry in robot.received]
+        values = [printer.vector_or_number(entry.components, entry.scalars) for entry in robot.received]
         _print_draws_of_message(workspace, printer, channel, robot.to_route)
         printer.line(f"{channel}.send({tuple_code(values) if values else '()'})")
         if not _delivers_in_ticks(workspace, robot):
@@ -174,7 +174,7 @@ def _print_decoding(workspace: Workspace, printer: Printer) -> None:
     elif workspace.ranges:
         printer.line(f"{targets_code(list(names.values()))} = self.ranges({ranged})")
         given |= names
-    if workspace.given:
+    if workspace.agent_action_read:
         parts = [given[part.name] for part in workspace.scenario.policy.action]
         whole = parts[0][1:] if len(parts) == 1 and parts[0][0] == "*" else tuple_code(parts)
         printer.line(f"{workspace.local('previous_action')} = {whole}")
@@ -185,21 +185,21 @@ def _print_decoding(workspace: Workspace, printer: Printer) -> None:
             item = "a" if interval.components else name
             code = f"{middle!r} + {half!r} * {item}" if middle else f"{half!r} * {item}"
             said = f"{interval.low:g} .. {interval.high:g} {interval.unit if interval.unit != '1' else ''}"
-            printer.lines += noted(f"{name} = {f'[{code} for a in {name}]' if interval.components else code}", said)
+            printer.lines += with_comment(f"{name} = {f'[{code} for a in {name}]' if interval.components else code}", said)
 
 
-def redraw(workspace: Workspace) -> list[str]:
+def redraw_method(workspace: Workspace) -> list[str]:
     """For a batch: the method that draws anew in one world what is due; nothing where nothing ever is."""
     printer = workspace.of_one_world().printer()
     print_redraws(workspace.of_one_world(), printer)
     if not printer.lines:
         return []
     doc = '"""Draw anew what is due in a single world."""'
-    return ["@staticmethod", *block("def _redraw(self: Any) -> None:", printer.finished([doc]))]
+    return ["@staticmethod", *block("def _redraw(self: Any) -> None:", printer.method_lines([doc]))]
 
 
 def _print_redrawing(workspace: Workspace, printer: Printer) -> None:
-    lines = redraw(workspace)
+    lines = redraw_method(workspace)
     if not lines:
         return
     kept = dict.fromkeys(name for line in lines for name in re.findall(r"self\.((?:parameter|due)_\w+) (?:=|\+=) ", line))
@@ -227,7 +227,7 @@ def _print_draws_of_message(workspace: Workspace, printer: Printer, channel: str
 
 def _delivers_in_ticks(workspace: Workspace, robot: Robot) -> bool:
     """Whether a message to this robot may arrive in another timestep than the one that follows its sending."""
-    late = workspace.scenario.timing == "delayed" and workspace.repeats
+    late = workspace.scenario.timing == "delayed" and workspace.repeats_actions
     return workspace.scenario.format != "none" and (late or not robot.to_route.perfect)
 
 
@@ -257,12 +257,14 @@ def _print_tick(workspace: Workspace, printer: Printer) -> None:
     for robot in workspace.scenario.robots:
         if _delivers_in_ticks(workspace, robot):
             _print_delivering(workspace, printer, robot)
-    if workspace.shares:
+    if workspace.is_of_copy:
         printer.line("yield  # the world goes on when every copy has acted")
     else:
         printer.line(f"self.physics({workspace.scenario.world.substeps})")
-    printer.lines += [f"self.robot_{robot.name}.observe()" for robot in workspace.scenario.robots if observes(workspace.scenario, robot)]
-    printer.line(f"self._observe({', '.join(workspace.local(name) for name, _ in workspace.acting)})")
+    printer.lines += [
+        f"self.robot_{robot.name}.observe()" for robot in workspace.scenario.robots if observes_each_timestep(workspace.scenario, robot)
+    ]
+    printer.line(f"self._observe({', '.join(workspace.local(name) for name, _ in workspace.action_names_read)})")
 
 
 def _start_memories_of_messages(workspace: Workspace) -> list[str]:
@@ -274,8 +276,8 @@ def _start_memories_of_messages(workspace: Workspace) -> list[str]:
     printer.lines += [f"{workspace.local(name)} = {zeros(components)}" for name, components in workspace.variables if name in used]
     printer.lines += [f"{local} = self.last_{local}" for local in workspace.sent_names()]
     printer.insert_readers_here()
-    printer.remember(workspace.sent)
-    return printer.finished()
+    printer.update_memories(workspace.sent)
+    return printer.method_lines()
 
 
 # Goal and noise
@@ -302,7 +304,7 @@ def _print_noise(printer: Printer, local: str, components: Sequence[str], stream
     if noise is None:
         return
     std = _std(printer, stream, noise)
-    said = printer.names.called(f"noise {stream}", "noise", local)
+    said = printer.names.identifier(f"noise {stream}", "noise", local)
     count = max(1, len(components))
     drawn = "self.streams.normals" if printer.on_floats else "self.normals"
     printer.line(f"{said if components else f'({said},)'} = {drawn}({quoted(stream)}, {count})")
@@ -321,7 +323,7 @@ def _std(printer: Printer, stream: str, noise: Noise) -> str:
     """The standard deviation, one number or one per component: constants, or what the episode drew."""
     scalars = noise.std.scalars
     if all(isinstance(value, Const) for value in scalars):
-        return printer.either(scalars[1:], scalars)
+        return printer.vector_or_number(scalars[1:], scalars)
     return std_attribute(printer, stream)
 
 
@@ -332,7 +334,11 @@ def _print_endings(workspace: Workspace, printer: Printer) -> None:
     """Conditions in order of dependency; `ended_by` is the first in file order, failures before successes."""
     endings = workspace.scenario.endings
     for ending in _after_what_they_use(endings):
-        code = printer.value(ending.value.scalar) if ending.foreign is None else f"{called(workspace, 'ending', ending.name)}(self)"
+        code = (
+            printer.value(ending.value.scalar)
+            if ending.foreign is None
+            else f"{function_attribute(workspace, 'ending', ending.name)}(self)"
+        )
         printer.assign(workspace.local(ending.name), code, ending.value.text)
     failures = [ending for ending in endings if ending.outcome == "failure"]
     successes = [ending for ending in endings if ending.outcome == "success"]
@@ -357,15 +363,15 @@ def _print_endings(workspace: Workspace, printer: Printer) -> None:
 
 
 def _print_endings_of_batch(workspace: Workspace, printer: Printer, failures: list[Ending], successes: list[Ending]) -> None:
-    """The same, for each world by itself."""
+    """Print the endings of a batch, for each world by itself."""
     names = [workspace.local(ending.name) for ending in [*failures, *successes]]
     if names:
         held = ", ".join(f"{quoted(ending.name)}: {local}" for ending, local in zip([*failures, *successes], names, strict=True))
         success = ""
         if successes:
-            reached = printer.joined("or", names[len(failures) :])
-            refused = [printer.joined("not", [local]) for local in names[: len(failures)]]
-            success = f", success={printer.joined('and', [reached, *refused])}"
+            reached = printer.operation("or", names[len(failures) :])
+            refused = [printer.operation("not", [local]) for local in names[: len(failures)]]
+            success = f", success={printer.operation('and', [reached, *refused])}"
         printer.line(f"self._terminate({{{held}}}{success})")
     limit = _tick_limit(workspace)
     if limit is not None:
@@ -410,11 +416,11 @@ def bind_foreign(workspace: Workspace) -> list[str]:
     for what, name, function, truth in items:
         if function is not None:
             place = ", ".join(map(quoted, (what, name, function.module, function.function)))
-            lines.append(f"{called(workspace, what, name)} = foreign({place}, {truth})")
+            lines.append(f"{function_attribute(workspace, what, name)} = foreign({place}, {truth})")
     return lines
 
 
-def called(workspace: Workspace, what: str, name: str) -> str:
+def function_attribute(workspace: Workspace, what: str, name: str) -> str:
     """The attribute that holds the function of an ending or a reward term."""
     return f"self.{workspace.names(f'function of {what}', name)}"
 
@@ -429,27 +435,27 @@ def _print_rewards(workspace: Workspace, printer: Printer) -> None:
         if workspace.uses(flag):
             printer.line(f"{workspace.local(flag)} = self.{flag}")
     if workspace.uses("ended"):
-        printer.line(f"{workspace.local('ended')} = {printer.joined('or', ['self.terminated', 'self.truncated'])}")
+        printer.line(f"{workspace.local('ended')} = {printer.operation('or', ['self.terminated', 'self.truncated'])}")
     for term in terms:
-        printer.remember([term.scalar])
-    names = [workspace.names(f"{term.name} term") if workspace.repeats else f"self.term_{term.name}" for term in terms]
+        printer.update_memories([term.scalar])
+    names = [workspace.names(f"{term.name} term") if workspace.repeats_actions else f"self.term_{term.name}" for term in terms]
     lines: list[str] = []
     for name, term in zip(names, terms, strict=True):
-        code = printer.value(term.scalar) if term.foreign is None else f"{called(workspace, 'reward term', term.name)}(self)"
-        lines += noted(f"{name} = {code}", term.text)
+        code = printer.value(term.scalar) if term.foreign is None else f"{function_attribute(workspace, 'reward term', term.name)}(self)"
+        lines += with_comment(f"{name} = {code}", term.text)
     # Python's compiler goes down one level per `+`, so a long sum is taken up in parts; the order is the same.
     parts = [" + ".join(names[i : i + _SUMMANDS]) for i in range(0, len(names), _SUMMANDS)]
     for index, part in enumerate(parts):
-        last = index == len(parts) - 1 and not workspace.repeats
+        last = index == len(parts) - 1 and not workspace.repeats_actions
         lines.append(f"{'self.reward = reward' if last else 'reward'} = {'reward + ' if index else ''}{part}")
     summing = workspace.printer()
-    if workspace.repeats:
+    if workspace.repeats_actions:
         for name, term in zip(names, terms, strict=True):
-            summing.increase(f"self.term_{term.name}", name)
-        summing.increase("self.reward", "reward")
+            summing.add_in_place(f"self.term_{term.name}", name)
+        summing.add_in_place("self.reward", "reward")
     summing.lines += ["if not -1e300 < reward < 1e300:", "    self._not_finite()"] if printer.on_floats else ["self.require_finite(reward)"]
     if workspace.uses("episode_return"):
-        summing.increase("self.episode_return", "reward")
+        summing.add_in_place("self.episode_return", "reward")
     lines += summing.lines
     printer.lines += ["if self.step_count:  # there is no reward at the reset", *indent(lines)] if printer.on_floats else lines
 
@@ -473,21 +479,21 @@ def _observed(workspace: Workspace, printer: Printer, entry: Observation) -> str
     """The code of one or several numbers, as the policy sees them."""
     components = entry.value.components
     # the reward of this step is known here; everywhere else the name means that of the step before
-    code = "self.reward" if entry.value.scalars == (Name("previous_reward"),) else printer.either(components, entry.value.scalars)
+    code = "self.reward" if entry.value.scalars == (Name("previous_reward"),) else printer.vector_or_number(components, entry.value.scalars)
     star = "*" if components else ""
-    if entry.numbers[0].truth:
+    if entry.numbers[0].is_truth:
         as_it_is = components or code.replace("_", "").isalnum() or not printer.on_floats
         return f"{star}{code}" if as_it_is else f"bool({code})"
     if entry.name == "previous_action" and entry.noise is None and {*entry.low, *entry.high} == {-1.0, 1.0}:
         return f"{star}{code}"  # within the range as it is
     if entry.noise is not None:
-        local = printer.names.called(f"seen {entry.name}", "seen", entry.name)
+        local = printer.names.identifier(f"seen {entry.name}", "seen", entry.name)
         printer.assign(local, code)
         _print_noise(printer, local, components, f"observation.{entry.name}", entry.noise)
         code = local
     if len({*entry.low}) == len({*entry.high}) == 1:
         function = "scale" if entry.clip else "scale_freely"
-        ends = f"{number(entry.low[0]).text}, {number(entry.high[0]).text}"
+        ends = f"{number_code(entry.low[0]).text}, {number_code(entry.high[0]).text}"
         if not components:
             return f"{function}({code}, {ends})"
         return f"*scale_each({code}, {ends})" if entry.clip else f"*[scale_freely(a, {ends}) for a in {code}]"
@@ -499,11 +505,13 @@ def _observed(workspace: Workspace, printer: Printer, entry: Observation) -> str
 
 
 def _print_masks(workspace: Workspace, printer: Printer) -> None:
-    """What the agent may choose next; where it has to choose, it must be something."""
-    if not workspace.forbids:
+    """Print the options that the agent may choose next; at least one option of each choice must be allowed."""
+    if not workspace.forbids_options:
         return
     repeat = workspace.scenario.action_repeat
-    chooses = "not self.terminated and not self.truncated" + (f" and self.timestep_count % {repeat} == 0" if workspace.repeats else "")
+    chooses = "not self.terminated and not self.truncated" + (
+        f" and self.timestep_count % {repeat} == 0" if workspace.repeats_actions else ""
+    )
     for part in workspace.choices:
         if any(option.forbidden is not None for option in part.options):
             allowed = f"self.allowed_{part.name}"

@@ -5,12 +5,22 @@ from __future__ import annotations
 import re
 
 from deepbots_cli.codegen.printer import Printer
-from deepbots_cli.codegen.reset import begin, bind_pushes, drawing, is_arranged
+from deepbots_cli.codegen.reset import begin_method, bind_pushes, needs_arrangement, push_methods
 from deepbots_cli.codegen.robot import controller_name
-from deepbots_cli.codegen.step import advance, bind_foreign, choice_tables, observe, redraw, start
-from deepbots_cli.codegen.text import Constants, block, class_name, docstring, filled, quoted, quoted_tuple, sentence_list, tuple_code
+from deepbots_cli.codegen.step import advance_methods, bind_foreign, choice_tables, observe_method, redraw_method, start_method
+from deepbots_cli.codegen.text import (
+    Constants,
+    block,
+    class_name,
+    docstring,
+    fill_template,
+    quoted,
+    quoted_tuple,
+    sentence_list,
+    tuple_code,
+)
 from deepbots_cli.codegen.workspace import Workspace
-from deepbots_cli.expressions.lower import BATCH, op
+from deepbots_cli.expressions.lower import BATCH, fold_operation
 from deepbots_cli.expressions.scalar import Const, Scalar
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionRange, Choices, Script, ScriptedChoice, ScriptedRange
@@ -61,8 +71,8 @@ class {name}Batch(BatchSupervisor):
 def batch_supervisor(scenario: Program, constants: Constants) -> list[str]:
     """The lines of the class for a batch: what happens in each step; episodes begin in the single worlds."""
     workspace = Workspace(scenario, constants, BATCH)
-    observing, acting = observe(workspace), advance(workspace)
-    methods = [*acting, *observing, *redraw(workspace)]
+    observing, acting = observe_method(workspace), advance_methods(workspace)
+    methods = [*acting, *observing, *redraw_method(workspace)]
     for name, line in workspace.of_message.items():
         doc = '"""Draw a value for the next message of a single world."""'
         methods += ["@staticmethod", *block(f"def {name}(self: Any) -> None:", [doc, line])]
@@ -71,7 +81,7 @@ def batch_supervisor(scenario: Program, constants: Constants) -> list[str]:
     kept = tuple(dict.fromkeys(read))
     tables = choice_tables(workspace)
     terms = tuple(term.name for term in scenario.policy.reward)
-    return filled(
+    return fill_template(
         _BATCH_CLASS,
         name=class_name(scenario.name),
         doc=docstring(scenario.summary or scenario.name),
@@ -91,13 +101,13 @@ def supervisor(scenario: Program, constants: Constants) -> list[str]:
     """The lines of the class."""
     workspace = Workspace(scenario, constants)
     # What the other methods read says what a reset has to begin anew.
-    observing, acting, pushing = observe(workspace), advance(workspace), drawing(workspace)
+    observing, acting, pushing = observe_method(workspace), advance_methods(workspace), push_methods(workspace)
     asked = [*_allowed(workspace), *_compute_reward(workspace), *_between_steps(workspace)]
-    methods = [*begin(workspace), *pushing, *start(workspace), *acting, *observing]
+    methods = [*begin_method(workspace), *pushing, *start_method(workspace), *acting, *observing]
     tables = choice_tables(workspace)
     terms = ", ".join(f"{quoted(term.name)}: self.term_{term.name}" for term in scenario.policy.reward)
     info = '"is_success": self.is_success, "ended_by": self.ended_by, "endings": self.endings'
-    return filled(
+    return fill_template(
         _CLASS,
         name=class_name(scenario.name),
         doc=docstring(scenario.summary or scenario.name),
@@ -109,7 +119,7 @@ def supervisor(scenario: Program, constants: Constants) -> list[str]:
         summed=docstring(f"The sum of {sentence_list([term.name for term in scenario.policy.reward])}."),
         ended=docstring(f"Whether {', and whether '.join(_ends(scenario))}."),
         terms=terms,
-        info=info + (', "action_mask": self.action_mask()' if workspace.forbids else "") + ', "reward_terms": terms',
+        info=info + (', "action_mask": self.action_mask()' if workspace.forbids_options else "") + ', "reward_terms": terms',
         asked=asked,
     )
 
@@ -126,9 +136,9 @@ def _bind_robots(workspace: Workspace) -> list[str]:
 
 def _bind(workspace: Workspace) -> list[str]:
     scenario, lines = workspace.scenario, _bind_robots(workspace)
-    arranged = is_arranged(scenario)
+    arranged = needs_arrangement(scenario)
     lines += ["self.bodies = Arrangement(self.scenario, engine)"] if arranged else []
-    if workspace.readers.charts:
+    if workspace.readers.needs_paths:
         lines.append(f"self.ways = Ways(self.scenario, engine{', self.bodies' if arranged else ''})")
     memories = [f"self.{name} = {code}" for name, code in workspace.memories.items()]
     return [*lines, *workspace.readers.bind_lines(), *memories, *bind_pushes(workspace), *bind_foreign(workspace)] or ["pass"]
@@ -165,7 +175,7 @@ def _ends(scenario: Program) -> list[str]:
 
 def _allowed(workspace: Workspace) -> list[str]:
     """The method that returns the options that may be chosen next; nothing if no option is ever forbidden."""
-    if not workspace.forbids:
+    if not workspace.forbids_options:
         return []
     rows = [
         f"self.allowed_{part.name}" if any(option.forbidden for option in part.options) else tuple_code(["True"] * len(part.options))
@@ -196,15 +206,15 @@ def _between_steps(workspace: Workspace) -> list[str]:
             printer = _printer_after(workspace, scalars)
             printer.line(f"return {printer.tuple(scalars) if scalars else '()'}")
             head = f"def test_{test.name}_{name}(self) -> tuple[Any, ...]:"
-            lines += block(head, printer.finished(docstring(f"{said} of the test {test.name}.")))
+            lines += block(head, printer.method_lines(docstring(f"{said} of the test {test.name}.")))
     return lines
 
 
 def _printer_after(workspace: Workspace, scalars: tuple[Scalar, ...]) -> Printer:
     """A printer for these values, which stands after the last timestep: the reward of that one is known."""
     printer = Printer(workspace, settable=workspace.settable, renamed={"previous_reward": "self.reward"})
-    used = workspace.named(scalars)
-    kept = [workspace.local(name) for name in workspace.kept_names() if name in used]
+    used = workspace.names_read(scalars)
+    kept = [workspace.local(name) for name in workspace.stored_names() if name in used]
     printer.lines += [f"{local} = self.last_{local}" for local in kept]
     printer.insert_readers_here()
     return printer
@@ -220,7 +230,9 @@ def _script(workspace: Workspace, script: Script) -> list[str]:
         elif isinstance(part, ActionRange) and isinstance(decided, ScriptedRange):
             ranges += [_share(printer, part, value) for value in decided.scalars]
     printer.line(f"return self.acting({tuple_code(choices) if choices else '()'}, {tuple_code(ranges) if ranges else '()'})")
-    return block(f"def script_{script.name}(self) -> Any:", printer.finished(docstring(f"The next action of the script {script.name}.")))
+    return block(
+        f"def script_{script.name}(self) -> Any:", printer.method_lines(docstring(f"The next action of the script {script.name}."))
+    )
 
 
 def _print_pick(workspace: Workspace, printer: Printer, part: Choices, pick: ScriptedChoice) -> str:
@@ -238,9 +250,9 @@ def _print_pick(workspace: Workspace, printer: Printer, part: Choices, pick: Scr
 
 
 def _share(printer: Printer, part: ActionRange, value: Scalar) -> str:
-    """Where in [-1, 1] the agent's number stands for the value; a constant is clamped here."""
+    """The code of the number in [-1, 1] that stands for the value; a constant is clamped here."""
     half, middle = (part.high - part.low) / 2, (part.high + part.low) / 2
-    share = op("div", op("sub", value, Const(middle)), Const(half))
+    share = fold_operation("div", fold_operation("sub", value, Const(middle)), Const(half))
     if isinstance(share, Const):
         return repr(min(max(float(share.value), -1.0), 1.0))
     return f"clip({printer.value(share)})"

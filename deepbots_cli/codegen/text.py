@@ -14,33 +14,33 @@ import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 
 from deepbots_cli.expressions.functions import FUNCTIONS, OPERATORS
-from deepbots_cli.expressions.lower import number
+from deepbots_cli.expressions.lower import number_code
 from deepbots_cli.expressions.scalar import NamedFloat
 
-FORMULAS = frozenset(function.name for function in FUNCTIONS.values() if function.tree) | frozenset(
+FORMULA_NAMES = frozenset(function.name for function in FUNCTIONS.values() if function.tree) | frozenset(
     function.helper for function in (*OPERATORS.values(), *FUNCTIONS.values()) if function.helper
 )
-RUNTIME = (
+RUNTIME_NAMES = (
     *("Arrangement", "Cartesian", "Follower", "Motor", "Push", "RobotController", "Supervisor", "Thrust", "Ways"),
     *(function.memory for function in FUNCTIONS.values() if function.memory),
-    *sorted(FORMULAS),
+    *sorted(FORMULA_NAMES),
     *("clip", "foreign", "to_body_frame", "quaternion", "scale", "scale_each", "scale_freely", "total"),
 )
 """What a printed module may import from `deepbots_cli.runtime`."""
-COLUMNS = (
+COLUMN_NAMES = (
     *("all_of", "any_of", "atan2", "cos", "exp", "hypot", "log", "maximum", "minimum", "pick", "pow", "scale", "scale_each"),
     *("scale_freely", "sin", "tan", "to_body_frame", "total"),
-    *sorted(FORMULAS),
+    *sorted(FORMULA_NAMES),
 )
 """What a module for a batch may import from `deepbots_cli.runtime.columns`."""
 
-VARIABLES = "abcdefgh"
+LOOP_VARIABLES = "abcdefgh"
 """The variables of comprehensions."""
 
 _TAKEN = frozenset(
     {*keyword.kwlist, *keyword.softkwlist, *dir(builtins), *(n for n in dir(math) if not n.startswith("_"))}
     | {"self", "engine", "action", "message", "reward", "terminated", "truncated", "ended", "Any", "Iterator", "previous_reward"}
-    | {*RUNTIME, *VARIABLES, "copysign", "ranges"}
+    | {*RUNTIME_NAMES, *LOOP_VARIABLES, "copysign", "ranges"}
     | {"bodies", "body", "layout", "spot", "spots"}
 )
 
@@ -54,9 +54,9 @@ class Names:
 
     def __call__(self, *parts: str | None) -> str:
         """The identifier of a dotted name, such as `cart_pole_angle` for ("cart.pole_angle",)."""
-        return self.called("\0".join(part for part in parts if part), *parts)
+        return self.identifier("\0".join(part for part in parts if part), *parts)
 
-    def called(self, key: str, *parts: str | None) -> str:
+    def identifier(self, key: str, *parts: str | None) -> str:
         """The identifier for `key`, made of these parts."""
         if key not in self._given:
             wanted = re.sub(r"\W", "_", "_".join(part for part in parts if part))
@@ -85,7 +85,7 @@ class Constants:
         """The statements that define those that were asked for."""
         return list(self._lines.values())
 
-    def know(self, name: str, items: tuple[str, ...]) -> None:
+    def name_strings(self, name: str, items: tuple[str, ...]) -> None:
         """Let a list of names, such as the joints of an actuator, be called so."""
         self._known.setdefault(items, name)
 
@@ -95,7 +95,7 @@ class Constants:
 
     def vector(self, values: Sequence[float | bool]) -> str:
         """The code of a tuple of numbers: a constant where a fixed parameter names them."""
-        code = repeated([number(value).text for value in values])
+        code = constants_tuple_code([number_code(value).text for value in values])
         named = [value for value in values if isinstance(value, NamedFloat)]
         if len({value.name for value in named}) != 1 or len(values) < 3:
             return code
@@ -170,7 +170,7 @@ def sentence_list(words: Sequence[str], last: str = "and") -> str:
     return f" {last} ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
 
 
-def filled(template: str, **gaps: str | Sequence[str]) -> list[str]:
+def fill_template(template: str, **gaps: str | Sequence[str]) -> list[str]:
     """The lines of a template; `{name}` alone on a line is replaced by lines, which take its indent, and vanishes for none."""
     lines: list[str] = []
     for line in template.strip("\n").split("\n"):
@@ -188,7 +188,7 @@ def comment(text: str) -> str:
     return "# " + " ".join(text.split()).encode("ascii", "backslashreplace").decode()
 
 
-def noted(line: str, text: str) -> list[str]:
+def with_comment(line: str, text: str) -> list[str]:
     """A statement of a method with a text of the scenario beside it, or above it where it is long."""
     said = comment(text)
     if not said[2:] or not said.isprintable() or line.partition(" = ")[2] == said[2:]:
@@ -198,7 +198,7 @@ def noted(line: str, text: str) -> list[str]:
     return [said, line] if _DEPTH + len(said) <= WIDTH else [line]
 
 
-def repeated(items: Sequence[str]) -> str:
+def constants_tuple_code(items: Sequence[str]) -> str:
     """A tuple of constants; runs of equal ones are written as a product where that is shorter."""
     runs: list[list[str]] = []
     for item in items:
@@ -219,7 +219,7 @@ _OPERATORS = ((" if ", " else "), (" or ",), (" and ",), (" < ", " <= ", " > ", 
 _STATEMENT = re.compile(r"(?P<head>(?:(?:if|elif|else|return|or|and|[-+*/]) )?)(?P<body>.*?)(?P<tail>[:,]?)", re.DOTALL)
 
 
-def wrapped(line: str) -> list[str]:
+def wrap_line(line: str) -> list[str]:
     """The line, as several where it is longer than `WIDTH` and can be broken."""
     code = line.lstrip()
     pad = line[: len(line) - len(code)]
@@ -229,7 +229,7 @@ def wrapped(line: str) -> list[str]:
         head, names = code.split(" import ")
         return [f"{head} import (", *(f"    {name}," for name in names.split(", ")), ")"]
     if comments := list(_places(code, "  # ")):
-        return [pad + code[comments[-1] + 2 :], *wrapped(pad + code[: comments[-1]])]
+        return [pad + code[comments[-1] + 2 :], *wrap_line(pad + code[: comments[-1]])]
     equals = list(_places(code, " = "))
     if equals and ", " in code[: equals[0]] and equals[0] > WIDTH // 2:
         return [f"{pad}(", *_one_each(pad, _split(code[: equals[0]], ", ")), f"{pad}){code[equals[0] :]}"]
@@ -248,7 +248,7 @@ def wrapped(line: str) -> list[str]:
         return _at_brackets(pad, code)
     if len(pad) + 4 + len(body) <= WIDTH:
         return [head, f"{pad}    {body}", tail]
-    return [head, *(piece for part in _broken(body, operators) for piece in wrapped(f"{pad}    {part}")), tail]
+    return [head, *(piece for part in _broken(body, operators) for piece in wrap_line(f"{pad}    {part}")), tail]
 
 
 def _at_brackets(pad: str, code: str) -> list[str]:
@@ -263,15 +263,15 @@ def _at_brackets(pad: str, code: str) -> list[str]:
     if whole and (is_call or not list(_places(inner, ", "))):
         return [head, f"{pad}    {inner}", tail]
     if list(_places(inner, " for ")):
-        return [head, *(piece for part in _broken(inner, (" for ",)) for piece in wrapped(f"{pad}    {part}")), tail]
+        return [head, *(piece for part in _broken(inner, (" for ",)) for piece in wrap_line(f"{pad}    {part}")), tail]
     items = _split(inner.removesuffix(","), ", ")
     if len(items) == 1 and not inner.endswith(","):  # a comma would make a tuple of a mere group
-        return [head, *wrapped(f"{pad}    {inner}"), tail]
+        return [head, *wrap_line(f"{pad}    {inner}"), tail]
     return [head, *_one_each(pad, items), tail]
 
 
 def _one_each(pad: str, items: list[str]) -> list[str]:
-    return [piece for item in items for piece in wrapped(f"{pad}    {item},")]
+    return [piece for item in items for piece in wrap_line(f"{pad}    {item},")]
 
 
 def _broken(code: str, operators: tuple[str, ...]) -> list[str]:
@@ -285,12 +285,12 @@ def _split(code: str, sign: str) -> list[str]:
 
 
 def _places(code: str, sign: str) -> Iterator[int]:
-    """Where `sign` stands outside of brackets and quotes."""
+    """The offsets of `sign` outside of brackets and quotes."""
     return (index for index, depth in _depths(code) if depth == 0 and code.startswith(sign, index))
 
 
 def _groups(code: str) -> Iterator[tuple[int, int]]:
-    """Where brackets that stand in no others open and close."""
+    """The offsets at which outermost brackets open and close."""
     start = 0
     for index, depth in _depths(code):
         if depth == 0 and code[index] in "([{":

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
 
 from deepbots_cli.codegen.printer import Printer
-from deepbots_cli.codegen.text import VARIABLES, Constants, Names, quoted
+from deepbots_cli.codegen.text import LOOP_VARIABLES, Constants, Names, quoted
 from deepbots_cli.expressions.lower import SCALAR, Target
 from deepbots_cli.expressions.scalar import Name, Scalar, World, is_drawn, names_in, walk
 from deepbots_cli.program import Program
@@ -19,9 +19,9 @@ from deepbots_cli.program.task import ActionRange, Choices, action_names
 
 # Readers of the engine
 
-Key = tuple[str, str]
+ReaderKey = tuple[str, str]
 """The kind of a reader and what it reads."""
-Needs = dict[Key, None]
+ReaderKeys = dict[ReaderKey, None]
 """The readers that a method calls, in order of first use."""
 
 _AND = "\0"
@@ -40,7 +40,7 @@ _ITEM = {
 }
 """The index of a fact in the result of its reader, or in the result for a joint."""
 _XYZ = "xyzw"
-ARRIVALS = ("age", "message_received")
+CHANNEL_VALUES = ("age", "message_received")
 """Values that the channel has, not the engine."""
 _SINGLE = {
     "clearance": "engine.clearance({0}, {1})",
@@ -66,13 +66,13 @@ class Readers:
         self._names = names
         self._constants = constants
         self._short = {link: robot for robot, link in roots.items()}
-        self._joints: dict[Key, list[str]] = {}
+        self._joints: dict[ReaderKey, list[str]] = {}
         """Those that are read together, by their reader."""
-        self._bound: Needs = {}
+        self._bound: ReaderKeys = {}
 
     # What printed code asks for
 
-    def code(self, leaf: World, needs: Needs) -> str:
+    def code(self, leaf: World, needs: ReaderKeys) -> str:
         """The code of one number."""
         what, item = leaf.function, _ITEM.get(leaf.function)
         if what in _POSES:
@@ -85,11 +85,11 @@ class Readers:
         code, index = self._joint(leaf, needs)
         return f"{code}[{index}]" if what == "joint_torque" else f"{code}[{index}][{item}]"
 
-    def pose(self, subject: str, needs: Needs) -> str:
+    def pose(self, subject: str, needs: ReaderKeys) -> str:
         """The code of the position and the orientation of a body."""
         return self._need(("pose", subject), needs)
 
-    def vector(self, leaves: Sequence[World], needs: Needs) -> tuple[str, str] | None:
+    def vector(self, leaves: Sequence[World], needs: ReaderKeys) -> tuple[str, str] | None:
         """The code of a sequence and of what is taken from each item; None where the facts are read apart."""
         what, subjects = leaves[0].function, [leaf.subjects for leaf in leaves]
         if any(leaf.function != what for leaf in leaves):
@@ -112,7 +112,7 @@ class Readers:
                 return self._need(("contacts", _AND.join((robot, subjects[0][1], links))), needs), ""
         return None
 
-    def _joint(self, leaf: World, needs: Needs) -> tuple[str, int]:
+    def _joint(self, leaf: World, needs: ReaderKeys) -> tuple[str, int]:
         single, (robot, _, name) = _of_joints(leaf, ()), leaf.subjects[0].partition(".")
         vectors = (key for key, names in self._joints.items() if name in names and key[0] == single[0] and _robot(key) == robot)
         key = next(vectors, single)
@@ -120,7 +120,7 @@ class Readers:
         joints += [] if name in joints else [name]
         return self._need(key, needs), joints.index(name)
 
-    def _need(self, key: Key, needs: Needs) -> str:
+    def _need(self, key: ReaderKey, needs: ReaderKeys) -> str:
         self._bound[key] = needs[key] = None
         return self._local(key)
 
@@ -130,7 +130,7 @@ class Readers:
         """Statements that take the readers from `engine`."""
         return [f"self.read_{self._local(key)} = {self._reader(key)}" for key in self._sorted(self._bound)]
 
-    def call_lines(self, needs: Needs) -> list[str]:
+    def call_lines(self, needs: ReaderKeys) -> list[str]:
         """Statements that read once what a method needs."""
         lines = []
         for key in self._sorted(needs):
@@ -146,20 +146,20 @@ class Readers:
         return [f"self.read_{self._local(key)}.reset()" for key in self._sorted(self._bound) if key[0] == "line"]
 
     @property
-    def charts(self) -> bool:
+    def needs_paths(self) -> bool:
         """Whether the class needs paths around obstacles."""
         return any(kind in ("path_distance", "reachable") for kind, _ in self._bound)
 
-    def _sorted(self, keys: Needs) -> list[Key]:
+    def _sorted(self, keys: ReaderKeys) -> list[ReaderKey]:
         return sorted(keys, key=lambda key: _ORDER.index(key[0].removesuffix("s") if key[0] == "contacts" else key[0]))
 
-    def _local(self, key: Key) -> str:
+    def _local(self, key: ReaderKey) -> str:
         kind, subject = key
         parts = subject.split(_AND)
         said = [self._short.get(part, part) for part in parts[: {"contacts": 2, "joints": 1, "torques": 1}.get(kind)]]
-        return self._names.called(f"{kind}\1{subject}", *said, kind)
+        return self._names.identifier(f"{kind}\1{subject}", *said, kind)
 
-    def _reader(self, key: Key) -> str:
+    def _reader(self, key: ReaderKey) -> str:
         kind, subject = key
         parts = subject.split(_AND)
         body, _, link = subject.partition(".")
@@ -176,7 +176,7 @@ class Readers:
                 return f"Follower(self.scenario.world.line({quoted(parts[1])}))"
             case "contacts":
                 robot, other, *links = parts
-                variable = VARIABLES[0]
+                variable = LOOP_VARIABLES[0]
                 touched = _SINGLE["contact"].format(f"({quoted(robot)}, {variable})", _part(other))
                 return f"[{touched} for {variable} in {self._constants.strings(tuple(links))}]"
             case "visible":
@@ -186,13 +186,13 @@ class Readers:
                 return _SINGLE[kind].format(*map(_part, parts))
 
 
-def _of_joints(leaf: World, names: Sequence[str]) -> Key:
+def _of_joints(leaf: World, names: Sequence[str]) -> ReaderKey:
     """The reader of certain joints that are read as a vector, or of all that are read one by one."""
     kind = "torques" if leaf.function == "joint_torque" else "joints"
     return kind, _AND.join((leaf.subjects[0].partition(".")[0], *names))
 
 
-def _robot(key: Key) -> str:
+def _robot(key: ReaderKey) -> str:
     return key[1].partition(_AND)[0]
 
 
@@ -235,9 +235,9 @@ class Workspace:
         self.scripted = [value for script in scenario.policy.scripts for value in script.scalars]
         self.scripted += [value for test in scenario.tests for value in (*test.scalars, *test.compared)]
         self.sent = [value for robot in scenario.robots for entry in robot.received for value in entry.scalars]
-        self.forbids = bool(conditions)
+        self.forbids_options = bool(conditions)
         """Whether an option of a choice may ever be forbidden."""
-        self.settable = {id(value): full for entry in scenario.settable for full, value in entry.numbers if is_drawn(value)}
+        self.settable = {id(value): full for entry in scenario.settable_draws for full, value in entry.numbers if is_drawn(value)}
         self._used = {leaf.name for expression in (*evaluated, *self.scripted) for leaf in names_in(expression)}
         self._ages = {f"{robot.name}.{sensor}": f"{robot.name}.{field}" for robot in scenario.robots for sensor, field in robot.ages}
         self._parameters = {entry.name: entry.components for entry in scenario.parameters}
@@ -249,24 +249,24 @@ class Workspace:
             self._components |= dict.fromkeys(("achieved", "desired"), goal.components)
 
     @property
-    def repeats(self) -> bool:
+    def repeats_actions(self) -> bool:
         """Whether a step of the agent has several timesteps, which are then a method of their own."""
         return self.scenario.action_repeat > 1
 
     @property
-    def remembers(self) -> bool:
+    def has_history(self) -> bool:
         """Whether the policy sees more than the numbers of the last step."""
         return self.scenario.policy.frame_stack > 1 or any(entry.history > 1 for entry in self.scenario.policy.observation)
 
     @property
-    def shares(self) -> bool:
+    def is_of_copy(self) -> bool:
         """Whether this is the supervisor of one copy among several, whose world goes on for all of them at once."""
         return self.scenario.policy.copies is not None
 
     @property
     def tick(self) -> str:
         """Code that counts the timesteps of the episode."""
-        return "self.timestep_count" if self.repeats else "self.step_count"
+        return "self.timestep_count" if self.repeats_actions else "self.step_count"
 
     def is_direct(self, robot: Robot, direction: Direction) -> bool:
         """Whether each message arrives in the timestep in which it is sent: `delayed` timing makes either direction a timestep longer."""
@@ -280,13 +280,13 @@ class Workspace:
         return [(name, ()) if isinstance(part, Choices) else (name, part.components) for part in parts for name in _variables(part)]
 
     @property
-    def acting(self) -> list[tuple[str, Sequence[str]]]:
-        """What the expressions of a timestep read of the action, with its components: variables, and what the agent itself gave."""
-        return [*(v for v in self.variables if self.uses(v[0])), *self.given]
+    def action_names_read(self) -> list[tuple[str, Sequence[str]]]:
+        """The action values that expressions of a timestep read, with their components: variables, and the action as the agent gave it."""
+        return [*(v for v in self.variables if self.uses(v[0])), *self.agent_action_read]
 
     @property
-    def given(self) -> list[tuple[str, Sequence[str]]]:
-        """What the agent itself gave, where an expression of every timestep reads it."""
+    def agent_action_read(self) -> list[tuple[str, Sequence[str]]]:
+        """The action as the agent gave it, if an expression of every timestep reads it."""
         return [("previous_action", self._components["previous_action"])] if self.uses("previous_action") else []
 
     def uses(self, name: str) -> bool:
@@ -299,41 +299,44 @@ class Workspace:
 
     def parameter(self, name: str) -> str:
         """The attribute that holds a drawn parameter."""
-        return f"self.{self.names.called(f'parameter {name}', 'parameter', name)}"
+        return f"self.{self.names.identifier(f'parameter {name}', 'parameter', name)}"
 
-    def present(self, group: str) -> str:
+    def present_count(self, group: str) -> str:
         """The attribute that counts the copies of a group that take part in the episode."""
-        return f"self.{self.names.called(f'present {group}', 'present', group)}"
+        return f"self.{self.names.identifier(f'present {group}', 'present', group)}"
 
     def sent_names(self) -> list[str]:
         """Locals of one timestep that the messages of the next one contain: signals, and fields that robots sent."""
-        named = self.named(self.sent)
+        named = self.names_read(self.sent)
         return [self.local(name) for name in self._results() if name in named]
 
-    def kept_names(self) -> list[str]:
-        """Names of the values that a timestep stores: those in messages, in `kept` and in scripts, with parts of the action."""
-        sent, read = self.named(self.sent), {*self.named(self.scripted), *self.scenario.kept} if self.target is SCALAR else set()
-        acted = [name for name, _ in (*self.variables, *self.given) if name in read]
+    def stored_names(self) -> list[str]:
+        """Names of the values that a timestep stores: those in messages, in `stored_signals` and in scripts, with parts of the action."""
+        sent, read = (
+            self.names_read(self.sent),
+            {*self.names_read(self.scripted), *self.scenario.stored_signals} if self.target is SCALAR else set(),
+        )
+        acted = [name for name, _ in (*self.variables, *self.agent_action_read) if name in read]
         ended = [name for name in (*(ending.name for ending in self.scenario.endings), *_GOAL) if name in read]
         return [*(name for name in self._results() if name in sent or name in read), *acted, *ended]
 
     def storing_statements(self) -> list[str]:
         """Statements that store the values of this timestep that the next message to a robot, or a script, uses."""
-        return [f"self.last_{local} = {local}" for local in map(self.local, self.kept_names())]
+        return [f"self.last_{local} = {local}" for local in map(self.local, self.stored_names())]
 
     def _results(self) -> list[str]:
-        """What a timestep comes to: signals, and the fields that robots sent."""
+        """The results of a timestep: signals, and the fields that robots sent."""
         sent = (f"{robot.name}.{entry.name}" for robot in self.scenario.robots for entry in robot.emitted)
         return [*(entry.name for entry in self.scenario.signals), *sent]
 
-    def named(self, expressions: Iterable[Scalar]) -> set[str]:
+    def names_read(self, expressions: Iterable[Scalar]) -> set[str]:
         """The names that expressions read, with the fields that carry the ages of readings."""
         nodes = [node for value in expressions for node in walk(value)]
         asked = {node.subjects[0] for node in nodes if isinstance(node, World) and node.function == "age"}
         return {node.name for node in nodes if isinstance(node, Name)} | {self._ages[subject] for subject in asked if subject in self._ages}
 
     def of_one_world(self) -> Workspace:
-        """The same for code that runs in one world."""
+        """The workspace of code that runs in one world."""
         other = copy(self)
         other.target = SCALAR
         return other
@@ -343,7 +346,7 @@ class Workspace:
 
     # What the names in expressions mean
 
-    def scalar(self, leaf: Name | World, needs: Needs) -> str:
+    def scalar(self, leaf: Name | World, needs: ReaderKeys) -> str:
         if isinstance(leaf, World):
             return self._fact(leaf, needs)
         match leaf.name:
@@ -354,7 +357,7 @@ class Workspace:
             case "episode_return":
                 return "self.episode_return"
             case "previous_reward":
-                return "self.previous_reward" if self.repeats else "self.reward"
+                return "self.previous_reward" if self.repeats_actions else "self.reward"
         if leaf.component is None:
             return self._whole(leaf.name)
         components = self._parameters.get(leaf.name) or self._components[leaf.name]
@@ -366,11 +369,11 @@ class Workspace:
     def _whole(self, name: str) -> str:
         return self.parameter(name) if name in self._parameters else self.local(name)
 
-    def _fact(self, leaf: World, needs: Needs) -> str:
+    def _fact(self, leaf: World, needs: ReaderKeys) -> str:
         if leaf.function == "present":
             group, _, count = leaf.subjects[0].partition("#")
-            return f"({self.present(group)} >= {count})"
-        return self._arrival(leaf) if leaf.function in ARRIVALS else self.readers.code(leaf, needs)
+            return f"({self.present_count(group)} >= {count})"
+        return self._arrival(leaf) if leaf.function in CHANNEL_VALUES else self.readers.code(leaf, needs)
 
     def _arrival(self, leaf: World) -> str:
         """Values of the channel of a robot: the age of the message that the supervisor uses, and whether it arrived in this timestep."""

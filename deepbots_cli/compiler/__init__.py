@@ -26,7 +26,7 @@ from deepbots_cli.compiler.controllers import RobotBuilder
 from deepbots_cli.compiler.episodes import (
     Parameters,
     Signals,
-    arrangement,
+    compile_reset,
     disturbances,
     joint_starts,
     reward_terms,
@@ -40,25 +40,25 @@ from deepbots_cli.compiler.evaluation import scenario_tests, training, with_case
 from deepbots_cli.compiler.inputs import Inputs
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.policy import Actions, Goals, Observations, copies, scripts
-from deepbots_cli.compiler.robots import RobotScene, load_robot
-from deepbots_cli.compiler.values import Values, invalid_names
+from deepbots_cli.compiler.robots import ResolvedRobot, load_robot
+from deepbots_cli.compiler.values import ValueReader, invalid_names
 from deepbots_cli.compiler.world import define_bodies, lines, world
 from deepbots_cli.diagnostics import Finding, Findings, TooManyFindings
 from deepbots_cli.document import Document
-from deepbots_cli.document.hints import as_a_number
+from deepbots_cli.document.hints import number_fix
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Evaluation, Policy, ScenarioTest, Truncation
-from deepbots_cli.scenario.base import visit
+from deepbots_cli.scenario.base import visit_values
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.validate import validate, with_new_names
 
-__all__ = ["Checked", "check"]
+__all__ = ["CheckedScenario", "check"]
 
 _SPELLING = frozenset({"DB003", "DB004"})  # warnings about how a value is spelt
 
 
 @dataclass(frozen=True, eq=False)
-class Checked:
+class CheckedScenario:
     """A document that was checked; `program` is None where findings at error level left nothing to compile.
 
     `variants` are the same for the scenario under the settings of each case and stage. `tests` are those of the file, each compiled
@@ -69,9 +69,9 @@ class Checked:
     findings: Findings
     spec: Scenario | None = None
     program: Program | None = None
-    robots: Mapping[str, RobotScene] | None = None
+    robots: Mapping[str, ResolvedRobot] | None = None
     namespace: Namespace | None = None
-    variants: tuple[Checked, ...] = ()
+    variants: tuple[CheckedScenario, ...] = ()
     tests: tuple[ScenarioTest, ...] = ()
 
     @property
@@ -80,7 +80,7 @@ class Checked:
         files = self.namespace.files if self.namespace else {}
         return Inputs(self.document, self.robots or {}, files, tuple(variant.inputs for variant in self.variants))
 
-    def release(self) -> None:
+    def release_names(self) -> None:
         """Forget what names mean, once all is known that was asked. Names and their definitions hold each other, and would be left to
         Python's search for garbage, which took a fifth of the time of linting a folder.
         """
@@ -89,16 +89,16 @@ class Checked:
                 checked.namespace.release()
 
 
-def check(document: Document) -> Checked:
+def check(document: Document) -> CheckedScenario:
     """Run all passes that can run; every problem ends up in `findings`, unless they are too many."""
     try:
         return _with_cases(document)
     except TooManyFindings as too_many:
-        document.findings.give_up(too_many)
-        return Checked(document, document.findings)
+        document.findings.report_limit(too_many)
+        return CheckedScenario(document, document.findings)
 
 
-def _with_cases(document: Document) -> Checked:
+def _with_cases(document: Document) -> CheckedScenario:
     checked = _check(document)
     if checked.program is None or checked.spec is None or not (checked.spec.evaluation.cases or checked.spec.curriculum):
         return checked
@@ -108,19 +108,21 @@ def _with_cases(document: Document) -> Checked:
     return replace(checked, program=None if checked.findings.errors else program, variants=variants, tests=tests)
 
 
-def _check(document: Document) -> Checked:
+def _check(document: Document) -> CheckedScenario:
     findings = document.findings
     if document.root is not None:
         document = replace(document, root=with_new_names(document.root, findings))
     spec = validate(document.root, findings) if document.root is not None else None
     if document.root is None or spec is None:
-        return Checked(document, findings)
+        return CheckedScenario(document, findings)
     invalid = invalid_names(document.root, spec.pruned, (found.span for found in findings.errors))
-    namespace = Namespace(Values(document.root, findings, {path: kind for path, kind, _ in visit(spec)}, invalid), document, spec)
+    namespace = Namespace(
+        ValueReader(document.root, findings, {path: kind for path, kind, _ in visit_values(spec)}, invalid), document, spec
+    )
     program = _program(namespace)
     tests = scenario_tests(namespace, program)
     robots = {name: robot for name, robot in namespace.robots.items() if robot is not None}
-    return Checked(document, _joined(findings), spec, None if findings.errors else program, robots, namespace, tests=tests)
+    return CheckedScenario(document, _joined(findings), spec, None if findings.errors else program, robots, namespace, tests=tests)
 
 
 def _program(namespace: Namespace) -> Program:
@@ -140,7 +142,7 @@ def _program(namespace: Namespace) -> Program:
         namespace.resolve(name)
     bare = world(namespace, scenes, painted)
     timestep = bare.timestep
-    reset, walls = arrangement(namespace, bare)
+    reset, walls = compile_reset(namespace, bare)
     limits, action, rewards = truncation(namespace), actions.parts(), reward_terms(namespace)
     each, action_repeat = copies(namespace), spec.agent.action_repeat
     routes = route("to_robot", namespace), route("from_robot", namespace)
@@ -197,7 +199,7 @@ def _joined(findings: Findings) -> Findings:
     joined = Findings()
     for found in kept:
         warnings = absorbed.get(id(found), [])
-        fixes = [fix for warning in warnings if warning.code == "DB004" and (fix := as_a_number(warning.span))]
+        fixes = [fix for warning in warnings if warning.code == "DB004" and (fix := number_fix(warning.span))]
         notes = (*found.notes, *(warning.headline for warning in warnings))
         joined.append(replace(found, notes=notes, fix=found.fix or next(iter(fixes), None)) if warnings else found)
     return joined

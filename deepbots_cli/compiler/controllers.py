@@ -10,22 +10,22 @@ from typing import NamedTuple, Unpack
 
 from deepbots_cli.compiler.namespace import Default, FieldContext, Namespace, Origin, RobotScope, SupervisorScope
 from deepbots_cli.compiler.robots import (
-    RobotScene,
-    carries,
+    ResolvedRobot,
     effort_dimension,
-    expand,
+    expand_patterns,
     joint_dimension,
     joint_interval,
-    joint_missing,
-    unmatched,
-    warn_beyond,
+    joint_moves_link,
+    report_missing_joint,
+    report_unmatched,
+    warn_beyond_limits,
 )
-from deepbots_cli.compiler.sensing import Sensing
-from deepbots_cli.compiler.values import Values
-from deepbots_cli.diagnostics.nearest import nearest
-from deepbots_cli.document.nodes import Path
+from deepbots_cli.compiler.sensing import SensorsCompiler
+from deepbots_cli.compiler.values import ValueReader
+from deepbots_cli.diagnostics.nearest import nearest_word
+from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import LENGTH, TIME, Dimension
-from deepbots_cli.expressions.intervals import Interval, exact
+from deepbots_cli.expressions.intervals import Interval, single
 from deepbots_cli.expressions.types import Components, Context, Reference, Stage, Symbol, Type, walk
 from deepbots_cli.program.resets import OfActuator
 from deepbots_cli.program.robots import Actuator, Cartesian, Command, CustomActuator, MessageField, Motor, Response, Robot, Route, Thrust
@@ -33,7 +33,7 @@ from deepbots_cli.program.task import ActionPart, ActionRange
 from deepbots_cli.program.values import Expression
 from deepbots_cli.robots.model import Joint
 from deepbots_cli.scenario import actuators as specs
-from deepbots_cli.scenario.base import parameters
+from deepbots_cli.scenario.base import kind_parameters
 
 Limits = tuple[float | None, ...]
 
@@ -48,19 +48,19 @@ class ResolvedActuator(NamedTuple):
     """Of a gripper: the position of its joints at a command of 0, and at 1."""
 
 
-def driven_parts(scene: RobotScene, spec: specs.Actuator) -> Components | None:
+def driven_parts(scene: ResolvedRobot, spec: specs.Actuator) -> Components | None:
     """The components of a command to the actuator, without findings; None where there are none."""
     if spec.components:
         return spec.components
     key, known = ("link", scene.link_names) if isinstance(spec, specs.Thrust) else ("joint", [j.name for j in scene.model.moving_joints])
-    found, _ = expand(known, getattr(spec, f"{key}s") or getattr(spec, key, None) or (), scene.groups)
+    found, _ = expand_patterns(known, getattr(spec, f"{key}s") or getattr(spec, key, None) or (), scene.groups)
     return found or None
 
 
 class Actuators:
     """Reads the actuators of one robot."""
 
-    def __init__(self, scene: RobotScene, namespace: Namespace) -> None:
+    def __init__(self, scene: ResolvedRobot, namespace: Namespace) -> None:
         self._scene = scene
         self._namespace = namespace
         self._values = namespace.values
@@ -112,7 +112,7 @@ class Actuators:
                 motor = Motor(name, spec.type, names, max_torque, max_velocity, response=self._response(spec, names))
             case _:
                 slides = joint_dimension(joints[0]) == LENGTH
-                own = self._namespace.parameters(spec, parameters(type(spec), specs.JointActuator), dimension, slides=slides)
+                own = self._namespace.parameters(spec, kind_parameters(type(spec), specs.JointActuator), dimension, slides=slides)
                 if own is None:
                     return None
                 low, high = (end if math.isfinite(end) else None for end in spec.interval)
@@ -127,7 +127,7 @@ class Actuators:
         if not links or not joints or (spec.rpy is not None and rpy is None):
             return None
         model = self._scene.model
-        idle = [joint.name for joint in joints if not carries(model, joint, spec.link)]
+        idle = [joint.name for joint in joints if not joint_moves_link(model, joint, spec.link)]
         if idle:
             headline, help = f"the joint `{idle[0]}` does not move `{spec.link}`", "name the joints between the base and the link"
             self._values.findings.add("DB203", self._values.span((*spec.path, "joints")), headline, help=help)
@@ -160,7 +160,7 @@ class Actuators:
             reach = joint_interval(joint)
             if not reach.low <= position <= reach.high:
                 text, help = self._values.field(spec, key), f"keep to the limits of `{joint.name}`"
-                warn_beyond(self._values, text, joint_dimension(joint), reach, "a position of", exact(position), help)
+                warn_beyond_limits(self._values, text, joint_dimension(joint), reach, "a position of", single(position), help)
                 return
 
     def _thrust(self, name: str, spec: specs.Thrust) -> ResolvedActuator | None:
@@ -182,10 +182,10 @@ class Actuators:
         senses: dict[str, float | None] = {}
         unknown = False
         for pattern in spec.spin:
-            members, missing = expand(links, pattern, self._scene.groups)
+            members, missing = expand_patterns(links, pattern, self._scene.groups)
             unknown = unknown or bool(missing)
             if missing and links:
-                unmatched(self._values, self._values.key_span((*spec.path, "spin", pattern)), pattern, "link", links)
+                report_unmatched(self._values, self._values.key_span((*spec.path, "spin", pattern)), pattern, "link", links)
             senses |= dict.fromkeys(members, self._namespace.fixed(spec, "spin", pattern))
         open_ = [link for link in links if link not in senses]
         if open_ and not unknown:
@@ -213,7 +213,7 @@ class Actuators:
         return _tighter(own, found)
 
     def _max_velocity(self, spec: specs.Actuator, joints: tuple[Joint, ...]) -> Limits:
-        """The same for velocities, which are not drawn."""
+        """The largest velocity of each joint, which is not drawn: the tighter limit of scenario and robot file."""
         own = tuple(joint.limit.velocity for joint in joints)
         if getattr(spec, "max_velocity", None) is None:
             # A spring pulls as it is said to, and its torque is what bounds it.
@@ -236,26 +236,26 @@ class Actuators:
         if len(known) == len(own) and limit > max(known) * (1 + 1e-9):
             text, allowed = self._values.field(spec, key), Interval(-math.inf, max(known))
             help = f"the limit of the robot file applies: lower this one, or raise `{key}` under `joints` if the motor can do more"
-            warn_beyond(self._values, text, dimension, allowed, "a limit of", exact(limit), help)
+            warn_beyond_limits(self._values, text, dimension, allowed, "a limit of", single(limit), help)
 
 
 def _tighter(own: Limits, found: float) -> Limits:
     return tuple(found if limit is None else min(found, limit) for limit in own)
 
 
-def poses(scene: RobotScene, namespace: Namespace) -> dict[str, Symbol]:
+def poses(scene: ResolvedRobot, namespace: Namespace) -> dict[str, Symbol]:
     """Each pose as a vector by joint: patterns in the order of the file, each in that of the robot file."""
     return {name: _pose(name, scene, namespace) for name in scene.spec.poses}
 
 
-def _pose(name: str, scene: RobotScene, namespace: Namespace) -> Symbol:
+def _pose(name: str, scene: ResolvedRobot, namespace: Namespace) -> Symbol:
     values, moving = namespace.values, [joint.name for joint in scene.model.moving_joints]
     positions: dict[str, float] = {}
     sound = True
     for pattern in scene.spec.poses[name]:
-        joints, missing = expand(moving, pattern, scene.groups)
+        joints, missing = expand_patterns(moving, pattern, scene.groups)
         if missing:
-            joint_missing(values, values.key_span((*scene.spec.path, "poses", name, pattern)), pattern, scene.model)
+            report_missing_joint(values, values.key_span((*scene.spec.path, "poses", name, pattern)), pattern, scene.model)
         dimension = joint_dimension(scene.model.joint(joints[0])) if joints else None
         position = namespace.fixed(scene.spec, "poses", name, pattern, dimension=dimension) if joints else None
         sound = sound and position is not None
@@ -274,13 +274,13 @@ def _pose(name: str, scene: RobotScene, namespace: Namespace) -> Symbol:
 class RobotBuilder:
     """Builds the `Robot` of a program: defines its names, types what it emits, receives and applies, and `finish` returns it."""
 
-    scene: RobotScene
+    scene: ResolvedRobot
     namespace: Namespace
 
     def __post_init__(self) -> None:
-        self.values: Values = self.namespace.values
-        self.path: Path = ("robots", self.scene.name)
-        self.sensing = Sensing(self.scene, self.namespace)
+        self.values: ValueReader = self.namespace.values
+        self.path: NodePath = ("robots", self.scene.name)
+        self.sensing = SensorsCompiler(self.scene, self.namespace)
         self.poses = poses(self.scene, self.namespace)
         self.own: dict[str, Symbol] = {**self.poses, **self.sensing.symbols}
         self.fields: dict[str, Expression] = {}
@@ -293,7 +293,7 @@ class RobotBuilder:
     def _check_names(self) -> None:
         """No name on board may mean two things, also not one here and another in the scenario."""
         spec = self.scene.spec
-        taken: dict[str, tuple[str, Path]] = {}
+        taken: dict[str, tuple[str, NodePath]] = {}
         for name in self.namespace.names_of(Origin.PARAMETER, Origin.ACTION):
             definition = self.namespace.definitions[name]
             taken[name] = (definition.origin.value, definition.path)
@@ -319,14 +319,14 @@ class RobotBuilder:
         for name, place in entries:
             self.namespace.define(f"{self.scene.name}.{name}", Origin.FIELD, place, partial(self._field, name, place))
 
-    def _field(self, name: str, place: Path) -> Symbol:
+    def _field(self, name: str, place: NodePath) -> Symbol:
         full = f"{self.scene.name}.{name}"
         emit = self.scene.spec.emit
         text = self.values.text(place, emit[name] if isinstance(emit, dict) else name)
         if not isinstance(emit, dict) and name not in self.own:
             sensors = list(self.scene.spec.sensors)
             self.values.report_unknown(text.span, "sensor", name, sensors)
-            if meant := nearest(name, sensors):
+            if meant := nearest_word(name, sensors):
                 self.values.mark_invalid(f"{self.scene.name}.{meant}")
             return Symbol(full, None)
         typed = self.values.expression(text, RobotScope(self.namespace, Context.EMIT, self.scene.name, self.own))
@@ -369,7 +369,7 @@ class RobotBuilder:
         name, (to_robot, from_robot) = self.scene.name, routes
         return Robot(
             name,
-            self.sensing.finished(timestep),
+            self.sensing.compiled(timestep),
             tuple(found.actuator for found in driven.values()),
             tuple(self.received.values()),
             tuple(self.fields.values()),
@@ -379,7 +379,7 @@ class RobotBuilder:
             from_robot.of(name, "from_robot"),
         )
 
-    def _command(self, name: str, given: object, place: Path, driven: ResolvedActuator | None, scope: RobotScope) -> Command | None:
+    def _command(self, name: str, given: object, place: NodePath, driven: ResolvedActuator | None, scope: RobotScope) -> Command | None:
         text = self.values.text(place, given)
         if driven is None:
             self.values.expression(text, scope, boolean=False)

@@ -8,16 +8,16 @@ from functools import partial
 
 from deepbots_cli.compiler.namespace import Namespace, Origin, ParameterScope, SupervisorScope
 from deepbots_cli.compiler.places import Layouts, PlacementChecker, Places
-from deepbots_cli.compiler.robots import joint_dimension, joint_missing, warn_beyond
-from deepbots_cli.compiler.values import Text, Values
+from deepbots_cli.compiler.robots import joint_dimension, report_missing_joint, warn_beyond_limits
+from deepbots_cli.compiler.values import SourceText, ValueReader
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.diagnostics.nearest import Replacement
-from deepbots_cli.document.nodes import Path
+from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions import unification
 from deepbots_cli.expressions.dimensions import NUMBER, TIME, Dimension
-from deepbots_cli.expressions.functions import draws
+from deepbots_cli.expressions.functions import contains_draw
 from deepbots_cli.expressions.intervals import EVERYTHING, TRUTH, Interval
-from deepbots_cli.expressions.lower import constant
+from deepbots_cli.expressions.lower import constant_values
 from deepbots_cli.expressions.types import (
     Components,
     Constant,
@@ -32,14 +32,14 @@ from deepbots_cli.expressions.types import (
     Typed,
     walk,
 )
-from deepbots_cli.expressions.unification import expect
+from deepbots_cli.expressions.unification import expect_value
 from deepbots_cli.program import Program
 from deepbots_cli.program.resets import Disturbance, JointStart, Layout, Placement, Reset
 from deepbots_cli.program.robots import Direction, Robot, Route
 from deepbots_cli.program.task import Ending, Outcome, Solved, Truncation
 from deepbots_cli.program.values import Expression, Foreign
 from deepbots_cli.program.world import MAX_SETTLING_STEPS, ObjectBody, WorldModel
-from deepbots_cli.scenario.fields import Quantity, choose_from
+from deepbots_cli.scenario.fields import Quantity, choices_help
 from deepbots_cli.scenario.scenario import Disturbance as DisturbanceSpec
 from deepbots_cli.scenario.scenario import JointState, Measured, PythonTerm
 from deepbots_cli.scenario.scenario import Reset as ResetSpec
@@ -75,7 +75,7 @@ class Parameters:
 
 
 def route(direction: Direction, namespace: Namespace) -> Route:
-    """What `messages.to_robot` or `messages.from_robot` says."""
+    """The route that `messages.to_robot` or `messages.from_robot` describes."""
     spec: RouteSpec = getattr(namespace.scenario.messages, direction)
     values = namespace.values
     if namespace.scenario.messages.format == "none" and spec.model_fields_set:
@@ -106,7 +106,7 @@ def _setting(spec: RouteSpec, name: str, namespace: Namespace) -> Expression | N
     return Expression(name, text.span, text.text, typed, name, redraw=redraw)
 
 
-def _check_burst(burst: float, loss: Expression, span: Span, values: Values) -> None:
+def _check_burst(burst: float, loss: Expression, span: Span, values: ValueReader) -> None:
     """Losses in runs of mean length b with at least one message between make up b / (b + 1) of all, at most."""
     highest = loss.typed.type.interval.high
     if burst / (burst + 1.0) < min(highest, 1.0) < 1.0:
@@ -115,9 +115,9 @@ def _check_burst(burst: float, loss: Expression, span: Span, values: Values) -> 
         values.findings.add("DB105", span, headline, help=f"give a `burst` of at least {least}")
 
 
-def is_repeated_as_a_whole(typed: Typed, redraw: Redraw | None, text: Text, values: Values) -> bool:
+def is_repeated_as_a_whole(typed: Typed, redraw: Redraw | None, text: SourceText, values: ValueReader) -> bool:
     """Whether a value that changes within an episode says how often its own draws are repeated."""
-    if redraw is not None or typed.type.stage is not Stage.STEP or not draws(typed):
+    if redraw is not None or typed.type.stage is not Stage.STEP or not contains_draw(typed):
         return _has_period(redraw, text, values)
     headline = "a random value combined with a value that changes within the episode"
     help = "add `every 5 s` or `each step` to repeat the draw, or define the random value under `parameters`"
@@ -125,11 +125,11 @@ def is_repeated_as_a_whole(typed: Typed, redraw: Redraw | None, text: Text, valu
     return False
 
 
-def _has_period(redraw: Redraw | None, text: Text, values: Values) -> bool:
+def _has_period(redraw: Redraw | None, text: SourceText, values: ValueReader) -> bool:
     period = redraw.period if redraw else None
     if period is None:
         return True
-    if expect(period, values.report(text), "the period") is None:
+    if expect_value(period, values.report(text), "the period") is None:
         return False
     low, high = period.type.interval.low, period.type.interval.high
     if low >= 0.0 and high > 0.0:
@@ -170,7 +170,7 @@ def _pushed(spec: DisturbanceSpec, namespace: Namespace) -> tuple[str, str | Non
         return None
     body, _, link = called.partition(".")
     if subject.kind not in _PUSHED:
-        values.findings.add("DB203", span, f"`{called}` is {subject.kind.words}", help="a push acts on a robot, a link or an object")
+        values.findings.add("DB203", span, f"`{called}` is {subject.kind.description}", help="a push acts on a robot, a link or an object")
         return None
     if _is_fixed(body, link, namespace):
         values.findings.add("DB203", span, f"`{called}` does not move", help="push a body that is not fixed")
@@ -217,12 +217,12 @@ def _joint_start(key: str, spec: ResetSpec, namespace: Namespace, poses: Mapping
         movable = [name for name, (kind, _) in robot.groups.items() if kind in _JOINTS] + [
             joint.name for joint in robot.model.moving_joints
         ]
-        help = choose_from(key, [f"{key}.{name}" for name in movable]) if movable else "no joint of this robot can move"
+        help = choices_help(key, [f"{key}.{name}" for name in movable]) if movable else "no joint of this robot can move"
         namespace.values.findings.add("DB203", text.span, f"the robot `{key}` where a joint or a group of joints is needed", help=help)
         return None
     subject = robot.subject(part, _JOINTS)
     if subject is None or subject.kind not in _JOINTS:
-        joint_missing(namespace.values, text.part(len(robot_name + dot), len(key)), part, robot.model)
+        report_missing_joint(namespace.values, text.part(len(robot_name + dot), len(key)), part, robot.model)
         return None
     joints = tuple(member.partition(".")[2] for member in subject.members) or (part,)
     scope, given = namespace.scope(Context.RESET, poses.get(robot_name)), spec.set[key]
@@ -236,7 +236,7 @@ def _joint_start(key: str, spec: ResetSpec, namespace: Namespace, poses: Mapping
 
 
 def _start_value(
-    text: Text, key: str, dimension: Dimension, subject: Subject, scope: ParameterScope, joints: Components
+    text: SourceText, key: str, dimension: Dimension, subject: Subject, scope: ParameterScope, joints: Components
 ) -> Expression | None:
     """A draw that is written once is drawn anew for each joint of a group."""
     namespace, values = scope.namespace, scope.namespace.values
@@ -244,9 +244,9 @@ def _start_value(
     if typed is None:
         return None
     reach, limits = typed.type.interval, subject.interval
-    if dimension == subject.dimension and reach.finite and not reach.inside(limits):
+    if dimension == subject.dimension and reach.is_finite and not reach.is_within(limits):
         help = "set a position within the limits: an engine pushes the joint back at once"
-        warn_beyond(values, text, dimension, limits, "a start at", reach, help)
+        warn_beyond_limits(values, text, dimension, limits, "a start at", reach, help)
     return text.expression(typed, key, per_component=joints if len(joints) > 1 else None)
 
 
@@ -258,7 +258,7 @@ _UNMOVED = {
 }
 
 
-def arrangement(namespace: Namespace, world: WorldModel) -> tuple[Reset, tuple[ObjectBody, ...]]:
+def compile_reset(namespace: Namespace, world: WorldModel) -> tuple[Reset, tuple[ObjectBody, ...]]:
     """How bodies are arranged, and the walls that only maps put up.
 
     Bodies stand in the order of the file; one that a layout does not place stands at its own `pose`, and of a group no
@@ -269,9 +269,9 @@ def arrangement(namespace: Namespace, world: WorldModel) -> tuple[Reset, tuple[O
     places = Places(namespace, world, room)
     layouts = Layouts(namespace, places, world)
     common = places.placements(spec.reset.place, ("reset", "place"))
-    found = layouts.used()
+    found = layouts.weighted_layouts()
     placed = {placement.body for layout in found for placement in layout.placements} | {placement.body for placement in common}
-    common += [places.at_home(body) for body in (*spec.objects, *spec.robots) if body not in placed and body not in namespace.groups]
+    common += [places.at_own_pose(body) for body in (*spec.objects, *spec.robots) if body not in placed and body not in namespace.groups]
     completed = tuple(replace(layout, placements=(*layout.placements, *_left_out(layout, placed, places, namespace))) for layout in found)
     _require_places(namespace)
     room.check_surroundings(common, completed)
@@ -283,7 +283,7 @@ def _left_out(layout: Layout, placed: set[str], places: Places, namespace: Names
     """Bodies at home that other layouts place."""
     here = {placement.body for placement in layout.placements}
     known = {*namespace.names_of(Origin.ROBOT, Origin.OBJECT)} - set(namespace.groups)
-    return [places.at_home(body) for body in namespace.definitions if body in placed - here and body in known]
+    return [places.at_own_pose(body) for body in namespace.definitions if body in placed - here and body in known]
 
 
 def _require_places(namespace: Namespace) -> None:
@@ -313,7 +313,7 @@ def _requirement(namespace: Namespace) -> Expression | None:
             span = text.part(call.start, call.start + len(call.function))
             headline = f"`{call.function}` in a requirement on the start"
             values.findings.add("DB407", span, headline, help=_UNMOVED[call.function])
-    if constant(typed) == (False,):
+    if constant_values(typed) == (False,):
         values.findings.add("DB105", text.span, "no start can meet this requirement", help="use a condition on positions or distances")
     return text.expression(typed)
 
@@ -334,7 +334,7 @@ def settling_time(namespace: Namespace, timestep: float) -> float:
 # Signals, reward and endings
 
 
-def foreign(name: str, given: PythonTerm, namespace: Namespace, *, boolean: bool) -> Expression:
+def python_term(name: str, given: PythonTerm, namespace: Namespace, *, boolean: bool) -> Expression:
     """A term of which nothing is known but whether it is a truth value."""
     values, text = namespace.values, namespace.values.field(given, "python")
     if namespace.document.allow_code:
@@ -352,7 +352,7 @@ def foreign(name: str, given: PythonTerm, namespace: Namespace, *, boolean: bool
 _SHOWN = 60
 MAX_ENDINGS = 200
 """Whatever is paid is held against every one of them."""
-NO_SUCCESS = "a success rate, but the scenario defines no success"
+NO_SUCCESS_DEFINED = "a success rate, but the scenario defines no success"
 
 
 class Signals:
@@ -395,17 +395,17 @@ class Signals:
                 known = self._namespace.names_of(*kinds)
                 self._values.report_unknown(self._values.span(("augment", index)), "parameter or signal", name, known)
 
-    def _define(self, name: str, given: object, origin: Origin, place: Path, context: Context) -> None:
+    def _define(self, name: str, given: object, origin: Origin, place: NodePath, context: Context) -> None:
         self._namespace.define(name, origin, place, partial(self._typed, name, given, place, context))
 
-    def _typed(self, name: str, given: object, place: Path, context: Context) -> Symbol:
+    def _typed(self, name: str, given: object, place: NodePath, context: Context) -> Symbol:
         if isinstance(given, PythonTerm):
-            self.valued[name] = foreign(name, given, self._namespace, boolean=True)
+            self.valued[name] = python_term(name, given, self._namespace, boolean=True)
             return Symbol(name, self.valued[name].typed.type)
         text = self._values.field(given, "value") if isinstance(given, Measured) else self._values.text(place, given)
         typed = self._values.expression(text, SupervisorScope(self._namespace, context))
         if typed is not None and context is Context.ENDING:
-            typed = expect(typed, self._values.report(text), "an ending", boolean=True)
+            typed = expect_value(typed, self._values.report(text), "an ending", boolean=True)
         if typed is None:
             return Symbol(name, None)
         added = self._namespace.noise(given, typed) if isinstance(given, Measured) else None
@@ -420,7 +420,7 @@ class Signals:
         return tuple(self.valued[name] for name in self._namespace.order if name in self.valued and self._namespace.origin(name) in wanted)
 
     def endings(self) -> tuple[Ending, ...]:
-        """In file order."""
+        """The endings in file order."""
         for name in self._outcomes:
             self._namespace.resolve(name)
         return tuple(Ending(self.valued[name], outcome) for name, outcome in self._outcomes.items() if name in self.valued)
@@ -431,7 +431,7 @@ def reward_terms(namespace: Namespace) -> tuple[Expression, ...]:
     terms = []
     for name, given in namespace.scenario.reward.items():
         if isinstance(given, PythonTerm):
-            terms.append(foreign(name, given, namespace, boolean=False))
+            terms.append(python_term(name, given, namespace, boolean=False))
             continue
         text = namespace.values.field(namespace.scenario, "reward", name)
         typed = _amount(text, namespace)
@@ -440,8 +440,8 @@ def reward_terms(namespace: Namespace) -> tuple[Expression, ...]:
     return tuple(terms)
 
 
-def _amount(text: Text, namespace: Namespace) -> Typed | None:
-    """What a term pays."""
+def _amount(text: SourceText, namespace: Namespace) -> Typed | None:
+    """The value of a reward term."""
     report = namespace.values.report(text)
     typed = namespace.values.expression(text, SupervisorScope(namespace, Context.REWARD))
     if typed is not None and typed.type.boolean:
@@ -449,7 +449,7 @@ def _amount(text: Text, namespace: Namespace) -> Typed | None:
         worth = "a truth value where a number belongs"
         report("DB403", 0, len(text.text), worth, help, Replacement(f"1 when {text.text}", safe=False))
         return None
-    return typed and expect(typed, report, "a reward", dimension=NUMBER)
+    return typed and expect_value(typed, report, "a reward", dimension=NUMBER)
 
 
 def truncation(namespace: Namespace) -> Truncation:
@@ -475,7 +475,7 @@ def solved(namespace: Namespace) -> Solved | None:
     known = spec.termination.success or spec.goal or any(map(values.is_invalid, ("success", "termination", "goal")))
     if rate is not None and not known:
         help = "add a condition under `termination.success`, or require a `mean_return`"
-        values.findings.add("DB407", values.field(spec.solved, "success_rate").span, NO_SUCCESS, help=help)
+        values.findings.add("DB407", values.field(spec.solved, "success_rate").span, NO_SUCCESS_DEFINED, help=help)
     mean_return = None if spec.solved.mean_return is None else float(spec.solved.mean_return)
     return Solved(spec.solved.episodes, mean_return, rate)
 
@@ -487,7 +487,7 @@ def with_reading_ages(program: Program) -> Program:
     """
     if all(sensor.is_direct for robot in program.robots for sensor in robot.sensors):
         return program
-    timed = (value for value in program.computed if "age" in value.text)
+    timed = (value for value in program.computed_expressions if "age" in value.text)
     calls = (node for value in timed for node in walk(value.typed) if isinstance(node, Invocation) and node.function == "age")
     asked = dict.fromkeys(call.subjects[0].name for call in calls)
     return replace(program, robots=tuple(_with_ages(robot, asked) for robot in program.robots)) if asked else program

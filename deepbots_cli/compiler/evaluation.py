@@ -11,15 +11,15 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
-from deepbots_cli.compiler.episodes import NO_SUCCESS
+from deepbots_cli.compiler.episodes import NO_SUCCESS_DEFINED
 from deepbots_cli.compiler.namespace import Namespace, SupervisorScope
 from deepbots_cli.compiler.policy import Decisions
 from deepbots_cli.diagnostics import Findings, Label, Span
-from deepbots_cli.document import Document, Entry, Mapping, descend
+from deepbots_cli.document import Document, Entry, MappingNode, descend
 from deepbots_cli.document.load import apply_setting
-from deepbots_cli.document.nodes import Path, Scalar, count_and_depth, follow_dotted, without
+from deepbots_cli.document.nodes import NodePath, ScalarNode, count_and_depth, follow_dotted, without_paths
 from deepbots_cli.expressions.dimensions import NUMBER
-from deepbots_cli.expressions.lower import constant
+from deepbots_cli.expressions.lower import constant_values
 from deepbots_cli.expressions.types import Constant, Context, Operation, Typed, walk
 from deepbots_cli.expressions.unification import expect_range
 from deepbots_cli.program import CurriculumStage, EvaluationCase, Program, identity
@@ -28,8 +28,8 @@ from deepbots_cli.program.task import (
     ActionRange,
     Choices,
     Criterion,
-    Expected,
     ExpectedKey,
+    ExpectedResult,
     FixedAction,
     Hindsight,
     Hyperparameter,
@@ -51,7 +51,7 @@ from deepbots_cli.scenario.training import Hindsight as HindsightSpec
 from deepbots_cli.scenario.training import Training as TrainingSpec
 
 if TYPE_CHECKING:
-    from deepbots_cli.compiler import Checked
+    from deepbots_cli.compiler import CheckedScenario
 
 _MAX_LEARNING_RATE = 0.05
 """Largest usual learning rate. The highest default is 3e-3, and Adam moves every weight by about the rate in each update."""
@@ -141,15 +141,15 @@ MAX_VALUES = 40_000
 """Of all of them together. The largest scenario that comes with deepbots has 500, of which all 64 would take 32 000."""
 
 _FIXED = ("deepbots", "name", "summary", "agent", "action", "observation", "goal", "curriculum", "evaluation", "solved", "train")
-_OTHERS: tuple[Path, ...] = (("curriculum",), ("evaluation", "cases"))
+_OTHERS: tuple[NodePath, ...] = (("curriculum",), ("evaluation", "cases"))
 
-Check = Callable[[Document], "Checked"]
+Check = Callable[[Document], "CheckedScenario"]
 VariantKind = Literal["case", "stage"]
 
 
 def with_cases(
     document: Document, spec: Scenario, program: Program, findings: Findings, check: Check
-) -> tuple[tuple[Checked, ...], Program]:
+) -> tuple[tuple[CheckedScenario, ...], Program]:
     """Check every case and stage of a scenario that is sound itself: what came of each, and the task with those that are sound too."""
     if document.root is None:
         return (), program
@@ -182,8 +182,8 @@ def _criterion(text: str | None) -> Criterion | None:
 class _Maker:
     """Checks the scenario under one group of settings after the other."""
 
-    def __init__(self, document: Document, root: Mapping, program: Program, findings: Findings, check: Check) -> None:
-        self.checked: list[Checked] = []
+    def __init__(self, document: Document, root: MappingNode, program: Program, findings: Findings, check: Check) -> None:
+        self.checked: list[CheckedScenario] = []
         self._document = document
         self._root = root
         self._base = program
@@ -191,7 +191,7 @@ class _Maker:
         self._findings = findings
         self._check = check
 
-    def report(self, code: str, path: Path, headline: str, help: str | None = None) -> None:
+    def report(self, code: str, path: NodePath, headline: str, help: str | None = None) -> None:
         node, key, _ = descend(self._root, path)
         self._findings.add(code, key.span if key else node.span, headline, help=help)
 
@@ -199,17 +199,17 @@ class _Maker:
         """Every stage but the last says when it ends, and no two are called the same."""
         first: dict[str, Span] = {}
         for index, stage in enumerate(spec.curriculum):
-            path: Path = ("curriculum", index)
+            path: NodePath = ("curriculum", index)
             here = descend(self._root, (*path, "name"))[0].span
             if stage.name in first:
                 also = (Label(first[stage.name], "first defined here"),)
-                self._findings.add("DB202", here, f"`{stage.name}` is already a stage", help="choose another name", also=also)
+                self._findings.add("DB202", here, f"`{stage.name}` is already a stage", help="choose another name", labels=also)
             first.setdefault(stage.name, here)
             last = index == len(spec.curriculum) - 1
             found = read_until(stage.until)
             if found and found[0] == "success_rate" and not (spec.termination.success or spec.goal):
                 help = "add a condition under `termination.success`, or require a `mean_return`"
-                self.report("DB407", (*path, "until"), NO_SUCCESS, help)
+                self.report("DB407", (*path, "until"), NO_SUCCESS_DEFINED, help)
             if stage.until is None and not last:
                 help = "add `until: success_rate >= 0.7 over 40 episodes`"
                 self._findings.add("DB102", here, f"the stage `{stage.name}` never ends, so the next stage never begins", help=help)
@@ -217,15 +217,15 @@ class _Maker:
                 help = "remove it; `solved` determines when the training ends"
                 self.report("DB407", (*path, "until"), "the last stage has an `until`", help)
 
-    def program(self, word: VariantKind, name: str, path: Path) -> Program | None:
+    def program(self, word: VariantKind, name: str, path: NodePath) -> Program | None:
         """The task under the `set` at `path`; None after a finding."""
         settings = descend(self._root, (*path, "set"))
-        entries = settings[0].entries.values() if settings[2] > len(path) and isinstance(settings[0], Mapping) else ()
+        entries = settings[0].entries.values() if settings[2] > len(path) and isinstance(settings[0], MappingNode) else ()
         if [entry for entry in entries if self._is_fixed(entry, word)]:
             return None
         findings = Findings(self._document.findings.limit)
-        root = without(self._root, (*_OTHERS, *self._tests(word, name)))
-        assert isinstance(root, Mapping)  # as it was
+        root = without_paths(self._root, (*_OTHERS, *self._tests(word, name)))
+        assert isinstance(root, MappingNode)  # as it was
         for entry in entries:
             root = apply_setting(root, entry, findings)
         checked = self._check(replace(self._document, root=root, findings=findings))
@@ -235,18 +235,18 @@ class _Maker:
         for found in checked.findings:
             if found.sort_key not in self._known:
                 inside = any(span.source is found.span.source and span.start <= found.span.start <= span.end for span in written)
-                also = found.also if inside else (*found.also, Label(here, f"in this {word}"))
-                self._findings.append(replace(found, also=also))
+                also = found.labels if inside else (*found.labels, Label(here, f"in this {word}"))
+                self._findings.append(replace(found, labels=also))
         return checked.program if checked.program is not None and self._is_bearable(checked.program, word, name, here) else None
 
-    def _tests(self, word: VariantKind, name: str) -> Iterator[Path]:
-        """What the variant leaves out of `tests`: all other tests, and the keys that name the variant, which has no variants itself."""
+    def _tests(self, word: VariantKind, name: str) -> Iterator[NodePath]:
+        """The paths that a variant leaves out of `tests`: all other tests, and the keys that name the variant."""
         tests = self._root.get("tests")
-        for test, entry in tests.entries.items() if isinstance(tests, Mapping) else ():
-            named = entry.value.get(word) if isinstance(entry.value, Mapping) else None
-            yield ("tests", test, word) if isinstance(named, Scalar) and named.text == name else ("tests", test)
+        for test, entry in tests.entries.items() if isinstance(tests, MappingNode) else ():
+            named = entry.value.get(word) if isinstance(entry.value, MappingNode) else None
+            yield ("tests", test, word) if isinstance(named, ScalarNode) and named.text == name else ("tests", test)
 
-    def _place(self, word: VariantKind, path: Path) -> Span:
+    def _place(self, word: VariantKind, path: NodePath) -> Span:
         node, key, _ = descend(self._root, path if word == "case" else (*path, "name"))
         return key.span if key and word == "case" else node.span
 
@@ -255,7 +255,7 @@ class _Maker:
         steps, _, rest = follow_dotted(self._root, entry.key.text.strip())
         head = str(steps[0]) if steps else rest.split(".")[0]
         parameters = self._root.get("parameters")
-        if head not in _FIXED or (isinstance(parameters, Mapping) and entry.key.text in parameters.entries):
+        if head not in _FIXED or (isinstance(parameters, MappingNode) and entry.key.text in parameters.entries):
             return False
         help = "it may change the world, the reset, the reward, the endings and the parameters"
         self._findings.add("DB407", entry.key.span, f"a {word} that changes `{head}`", help=help)
@@ -340,7 +340,7 @@ class _Reader:
         made = tuple(action for action in found if action is not None)
         return made if len(made) == len(found) else None
 
-    def _action(self, place: Path, given: object) -> FixedAction | None:
+    def _action(self, place: NodePath, given: object) -> FixedAction | None:
         names = list(self._scenario.action)
         if not isinstance(given, dict):
             if len(names) > 1:
@@ -350,7 +350,7 @@ class _Reader:
             given = dict.fromkeys(names, given)
         return self._fixed(place, self._decisions.read(place, given, "the action"))
 
-    def _fixed(self, place: Path, decided: tuple[ScriptedChoice | ScriptedRange, ...] | None) -> FixedAction | None:
+    def _fixed(self, place: NodePath, decided: tuple[ScriptedChoice | ScriptedRange, ...] | None) -> FixedAction | None:
         choices: list[int] = []
         ranges: list[float] = []
         words: list[str] = []
@@ -359,7 +359,7 @@ class _Reader:
                 choices.append([option.name for option in part.options].index(decision.otherwise))
                 words.append(decision.otherwise)
             elif isinstance(part, ActionRange) and isinstance(decision, ScriptedRange):
-                numbers = [number for value in decision.values for number in constant(value.typed) or (math.nan,)]
+                numbers = [number for value in decision.values for number in constant_values(value.typed) or (math.nan,)]
                 if not all(map(math.isfinite, numbers)):
                     headline, help = (
                         f"`{part.name}` is not the same in every episode",
@@ -388,7 +388,7 @@ class _Reader:
 
     # What is expected
 
-    def _expected(self, spec: Expectation) -> Iterator[Expected]:
+    def _expected(self, spec: Expectation) -> Iterator[ExpectedResult]:
         ends = self._scenario.termination
         endings = {"success_rate": ends.success or self._scenario.goal, "failure_rate": ends.failure}
         for key in _RATES:
@@ -396,11 +396,11 @@ class _Reader:
                 text = self._values.field(spec, key)
                 bounds = self._bounds(spec, key)
                 if not endings.get(key, True) and not any(map(self._values.is_invalid, ("success", "failure", "termination", "goal"))):
-                    headline = NO_SUCCESS if key == "success_rate" else "a failure rate, but the scenario defines no failure"
+                    headline = NO_SUCCESS_DEFINED if key == "success_rate" else "a failure rate, but the scenario defines no failure"
                     help = f"add a condition under `termination.{key.removesuffix('_rate')}`, or expect something else, such as `ends_by`"
                     self._values.findings.add("DB407", text.span, headline, help=help)
                 if bounds is not None:
-                    yield Expected(key, text.span, text.text, *bounds)
+                    yield ExpectedResult(key, text.span, text.text, *bounds)
         if spec.ends_by is not None:
             yield from self._ends_by(spec)
         for key in _CONDITIONS:
@@ -430,7 +430,7 @@ class _Reader:
             return None
         return low, high
 
-    def _ends_by(self, spec: Expectation) -> Iterator[Expected]:
+    def _ends_by(self, spec: Expectation) -> Iterator[ExpectedResult]:
         termination, limits = self._scenario.termination, self._program.truncation
         cuts = [name for name in ("max_steps", "max_time") if getattr(limits, name) is not None]
         known = [*termination.success, *termination.failure, *cuts]
@@ -439,11 +439,11 @@ class _Reader:
         for index, name in enumerate(names):
             self._namespace.mark_used(name)
             if name not in known:
-                place: Path = (*spec.path, "ends_by", index) if several else (*spec.path, "ends_by")
+                place: NodePath = (*spec.path, "ends_by", index) if several else (*spec.path, "ends_by")
                 self._values.report_unknown(self._values.span(place), "ending", name, known)
-        yield Expected("ends_by", self._values.span((*spec.path, "ends_by")), " or ".join(names), endings=tuple(names))
+        yield ExpectedResult("ends_by", self._values.span((*spec.path, "ends_by")), " or ".join(names), endings=tuple(names))
 
-    def _condition(self, key: ExpectedKey, place: Path) -> Iterator[Expected]:
+    def _condition(self, key: ExpectedKey, place: NodePath) -> Iterator[ExpectedResult]:
         text = self._values.text(place)
         typed = self._values.condition(text, self._scope)
         if typed is not None:
@@ -451,7 +451,7 @@ class _Reader:
                 Expression(text.text[part.start : part.end], text.span, text.text[part.start : part.end], part, text.owner)
                 for part in _compared(typed)
             )
-            yield Expected(key, text.span, text.text, condition=text.expression(typed), compared=compared[:_COMPARED])
+            yield ExpectedResult(key, text.span, text.text, condition=text.expression(typed), compared=compared[:_COMPARED])
 
 
 def _compared(tree: Typed) -> Iterator[Typed]:
@@ -460,6 +460,6 @@ def _compared(tree: Typed) -> Iterator[Typed]:
     for node in walk(tree):
         for part in node.args if isinstance(node, Operation) and node.operator in _COMPARISONS else ():
             single = part.type.components is None and not part.type.boolean
-            if single and constant(part) is None and not isinstance(part, Constant) and (part.start, part.end) not in seen:
+            if single and constant_values(part) is None and not isinstance(part, Constant) and (part.start, part.end) not in seen:
                 seen.add((part.start, part.end))
                 yield part

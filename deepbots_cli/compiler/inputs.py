@@ -8,17 +8,16 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path, PurePath
 
-from deepbots_cli.compiler.robots import RobotScene
+from deepbots_cli.compiler.robots import ResolvedRobot
 from deepbots_cli.diagnostics import Span
-from deepbots_cli.document import Document, Entry, Node, Scalar, descend, shipped
-from deepbots_cli.document.layout import write as to_yaml
-from deepbots_cli.document.nodes import Path as NodePath
-from deepbots_cli.document.nodes import replace, walk
+from deepbots_cli.document import Document, Entry, Node, ScalarNode, descend, shipped
+from deepbots_cli.document.layout import to_yaml
+from deepbots_cli.document.nodes import NodePath, walk, with_entry
 from deepbots_cli.errors import UsageError
-from deepbots_cli.files import unwritable
+from deepbots_cli.files import unwritable_message
 
-RESOLVED = "resolved.yaml"
-FOLDER = "inputs"
+RESOLVED_NAME = "resolved.yaml"
+INPUTS_FOLDER = "inputs"
 """Where the copies lie, beside the resolved scenario."""
 
 _SETTINGS = (("evaluation",), ("curriculum",))
@@ -32,7 +31,7 @@ class Inputs:
     """
 
     document: Document
-    robots: Mapping[str, RobotScene]
+    robots: Mapping[str, ResolvedRobot]
     files: Mapping[NodePath, Path] = field(default_factory=dict)
     variants: tuple[Inputs, ...] = ()
 
@@ -45,7 +44,7 @@ class Inputs:
         return copy_names([*self._texts, *meshes, *files], (shipped.data_dir(), *self.document.roots, *packages))
 
     @property
-    def _all_robots(self) -> list[RobotScene]:
+    def _all_robots(self) -> list[ResolvedRobot]:
         return [robot for each in (self, *self.variants) for robot in each.robots.values()]
 
     @property
@@ -75,9 +74,9 @@ class Inputs:
         root: Node = self.document.root
         for path, file in (self._named | self._set()).items():
             written, key, _ = descend(root, path)
-            if isinstance(written, Scalar) and key is not None:
-                text = f"{FOLDER}/{self.names[file]}"
-                root = replace(root, path, Entry(key, Scalar(written.span, text, text)))
+            if isinstance(written, ScalarNode) and key is not None:
+                text = f"{INPUTS_FOLDER}/{self.names[file]}"
+                root = with_entry(root, path, Entry(key, ScalarNode(written.span, text, text)))
         return to_yaml(root)
 
     @property
@@ -86,7 +85,7 @@ class Inputs:
         return {("robots", name, "urdf"): robot.path for name, robot in self.robots.items()} | dict(self.files)
 
     def _set(self) -> dict[NodePath, Path]:
-        """The same for files that only the settings of a case or a stage name: found again by their place in the text."""
+        """The files that only the settings of a case or a stage name, by their place in the text."""
         assert self.document.root is not None
         files: dict[Span, Path] = {}
         for variant in self.variants:
@@ -103,11 +102,14 @@ def write_copies(folder: Path, resolved: str, contents: Mapping[str, bytes]) -> 
         UsageError: The disk refuses it.
     """
     try:
-        for name, content in {RESOLVED: resolved.encode(), **{f"{FOLDER}/{name}": content for name, content in contents.items()}}.items():
+        for name, content in {
+            RESOLVED_NAME: resolved.encode(),
+            **{f"{INPUTS_FOLDER}/{name}": content for name, content in contents.items()},
+        }.items():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_bytes(content)
     except OSError as error:
-        raise UsageError(unwritable(folder, error)) from error
+        raise UsageError(unwritable_message(folder, error)) from error
 
 
 def copy_names(files: Iterable[Path], homes: tuple[Path, ...]) -> dict[Path, str]:

@@ -5,17 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
-from deepbots_cli.compiler import Checked
+from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.compiler.evaluation import PLAIN_POLICIES
 from deepbots_cli.compiler.namespace import Namespace, Origin, SupervisorScope
-from deepbots_cli.compiler.robots import RobotScene
+from deepbots_cli.compiler.robots import ResolvedRobot
 from deepbots_cli.diagnostics import Span
-from deepbots_cli.document.nodes import Mapping as MappingNode
-from deepbots_cli.document.nodes import Path, descend
+from deepbots_cli.document.nodes import MappingNode, NodePath, descend
 from deepbots_cli.expressions.types import Context, Kind
 from deepbots_cli.robots.model import Joint
-from deepbots_cli.scenario.fields import article
-from deepbots_cli.scenario.json_schema import Known, Names, Offer
+from deepbots_cli.scenario.fields import with_article
+from deepbots_cli.scenario.json_schema import Names, OfferedNames, ScenarioNames
 from deepbots_cli.scenario.scenario import DiscreteAction, Scenario
 
 _OF_ROBOTS = {
@@ -41,16 +40,16 @@ _ORIGINS = {
 }
 
 
-class Named(NamedTuple):
+class NameEntry(NamedTuple):
     """A name, what it stands for (`a revolute joint`), and where it is defined; None for what the language gives."""
 
     name: str
-    what: str
+    description: str
     span: Span | None = None
 
 
-def names(checked: Checked, kind: str, path: Path = ()) -> list[Named]:
-    """What a `Reference` or a `Pattern` of this kind may name at `path`, a place of the scenario; nothing where that is not known.
+def names_at(checked: CheckedScenario, kind: str, path: NodePath = ()) -> list[NameEntry]:
+    """The names that a `Reference` or a `Pattern` of this kind may take at `path` of the scenario; none if they are unknown.
 
     Inside of a robot its parts go by their short names, elsewhere by full ones, as `cart.pole_hinge`.
     """
@@ -60,21 +59,21 @@ def names(checked: Checked, kind: str, path: Path = ()) -> list[Named]:
         return list(_of_robots(checked.namespace, kind, path))
     if kind in ("action", "choice", "option", "layout", *_OF_TESTS):
         return _keys(checked.namespace, kind, path)
-    return [Named("arena", "the floor of the arena")] if kind == "region" else _of_namespace(checked.namespace, kind, path)
+    return [NameEntry("arena", "the floor of the arena")] if kind == "region" else _of_namespace(checked.namespace, kind, path)
 
 
-def _of_robots(namespace: Namespace, kind: str, path: Path) -> Iterator[Named]:
+def _of_robots(namespace: Namespace, kind: str, path: NodePath) -> Iterator[NameEntry]:
     robot = str(path[1]) if path[:1] == ("robots",) and len(path) > 1 else None
     if kind.startswith(("body", "bodies")):
         yield from _bodies(namespace)
         robot = None
     if kind == "bodies or links":  # what a touch sensor feels
-        yield Named("ground", "the ground")
+        yield NameEntry("ground", "the ground")
         yield from _defined(namespace, namespace.walls)
     yield from _parts(namespace, robot, _OF_ROBOTS[kind])
 
 
-def _keys(namespace: Namespace, kind: str, path: Path) -> list[Named]:
+def _keys(namespace: Namespace, kind: str, path: NodePath) -> list[NameEntry]:
     """Names that are keys of one section."""
     if kind == "action":
         return [_keyed(namespace, ("action", name), "an action") for name in namespace.scenario.action]
@@ -94,7 +93,7 @@ def _keys(namespace: Namespace, kind: str, path: Path) -> list[Named]:
     return [_keyed(namespace, ("action", name), f"a component of `{name}`", component) for component in components or ()]
 
 
-def action_at(path: Path) -> str:
+def action_at(path: NodePath) -> str:
     """The action that a place of a script, of an action of a test or of the section `action` belongs to; empty for none."""
     place = {"scripts": 2, "tests": 4}.get(str(path[0]), 1) if path else 1
     return str(path[place]) if len(path) > place else ""
@@ -103,28 +102,28 @@ def action_at(path: Path) -> str:
 _OF_TESTS = ("policy", "case", "stage", "ending")
 
 
-def _of_tests(namespace: Namespace, kind: str) -> list[Named]:
-    """What a test may name."""
+def _of_tests(namespace: Namespace, kind: str) -> list[NameEntry]:
+    """The names that a test may use."""
     spec = namespace.scenario
     limits = spec.truncation.model_fields_set if spec.truncation else ()
-    found: dict[str, list[tuple[Path, str, str]]] = {
+    found: dict[str, list[tuple[NodePath, str, str]]] = {
         "policy": [(("scripts", name), "a script", name) for name in spec.scripts],
         "case": [(("evaluation", "cases", name), "a case of the evaluation", name) for name in spec.evaluation.cases],
         "stage": [(("curriculum", index, "name"), "a stage of the curriculum", stage.name) for index, stage in enumerate(spec.curriculum)],
         "ending": [(("truncation", name), "a limit", name) for name in limits],
     }
-    free = {"policy": [Named(name, "actions without a script") for name in PLAIN_POLICIES]}
+    free = {"policy": [NameEntry(name, "actions without a script") for name in PLAIN_POLICIES]}
     endings = _defined(namespace, namespace.names_of(Origin.ENDING)) if kind == "ending" else []
     return [*endings, *(_keyed(namespace, *place) for place in found[kind]), *free.get(kind, ())]
 
 
-def _of_namespace(namespace: Namespace, kind: str, path: Path) -> list[Named]:
+def _of_namespace(namespace: Namespace, kind: str, path: NodePath) -> list[NameEntry]:
     if kind == "value":
         return _defined(namespace, SupervisorScope(namespace, Context.OBSERVATION).names())
     return _defined(namespace, namespace.names_of(*_ORIGINS.get(kind, ())))
 
 
-def definition(checked: Checked, name: str, robot: str | None = None) -> Named | None:
+def definition(checked: CheckedScenario, name: str, robot: str | None = None) -> NameEntry | None:
     """What the dotted `name` of an expression, or the longest part of it that means something, leads to.
 
     On board of `robot` its own sensors, poses and received fields come first.
@@ -139,7 +138,7 @@ def definition(checked: Checked, name: str, robot: str | None = None) -> Named |
     return None
 
 
-def _on_board(namespace: Namespace, robot: str | None, name: str) -> Named | None:
+def _on_board(namespace: Namespace, robot: str | None, name: str) -> NameEntry | None:
     scene = namespace.robots.get(robot) if robot else None
     if scene is None:
         return None
@@ -151,7 +150,7 @@ def _on_board(namespace: Namespace, robot: str | None, name: str) -> Named | Non
     return next((_keyed(namespace, ("robots", scene.name, key, name), what) for table, key, what in own if name in table), None)
 
 
-def _anywhere(namespace: Namespace, name: str) -> Named | None:
+def _anywhere(namespace: Namespace, name: str) -> NameEntry | None:
     if name in namespace.definitions or name in namespace.walls:
         return _one_defined(namespace, name)
     robot, _, rest = name.partition(".")
@@ -161,20 +160,20 @@ def _anywhere(namespace: Namespace, name: str) -> Named | None:
     return next((part for part in _parts(namespace, robot, sections) if part.name == rest), None)
 
 
-def _defined(namespace: Namespace, known: Iterable[str]) -> list[Named]:
+def _defined(namespace: Namespace, known: Iterable[str]) -> list[NameEntry]:
     """Names of the namespace; those that the language gives stand nowhere."""
     return [_one_defined(namespace, name) for name in dict.fromkeys(known)]
 
 
-def _one_defined(namespace: Namespace, name: str) -> Named:
+def _one_defined(namespace: Namespace, name: str) -> NameEntry:
     if name in namespace.definitions:
         return _by_definition(namespace, name)
     if name in namespace.walls:  # the arena, whose name the language gives
         return _keyed(namespace, ("world", name), "the walls of the arena")
-    return Named(name, "built in")
+    return NameEntry(name, "built in")
 
 
-def _by_definition(namespace: Namespace, name: str) -> Named:
+def _by_definition(namespace: Namespace, name: str) -> NameEntry:
     found = namespace.definitions[name]
     path = found.path
     if found.origin is Origin.ACTION and path[-1] != name:  # a variable that the options of a choice set
@@ -185,42 +184,42 @@ def _by_definition(namespace: Namespace, name: str) -> Named:
     return _keyed(namespace, path, found.origin.value, name)
 
 
-def _keyed(namespace: Namespace, path: Path, what: str, name: str | None = None) -> Named:
-    return Named(name or str(path[-1]), what, namespace.values.key_span(path))
+def _keyed(namespace: Namespace, path: NodePath, what: str, name: str | None = None) -> NameEntry:
+    return NameEntry(name or str(path[-1]), what, namespace.values.key_span(path))
 
 
-def _bodies(namespace: Namespace) -> list[Named]:
+def _bodies(namespace: Namespace) -> list[NameEntry]:
     return _defined(namespace, namespace.names_of(Origin.ROBOT, Origin.OBJECT))
 
 
-def _parts(namespace: Namespace, robot: str | None, sections: tuple[str, ...]) -> Iterator[Named]:
-    """What robots are made of, by short names of one `robot`, or by full names of all."""
+def _parts(namespace: Namespace, robot: str | None, sections: tuple[str, ...]) -> Iterator[NameEntry]:
+    """The parts of robots, by short names of one `robot`, or by full names of all."""
     scenes = [namespace.robots.get(robot)] if robot else namespace.robots.values()
     for scene in scenes:
         for part in _parts_of(namespace, scene, sections) if scene is not None else ():
             yield part if robot or scene is None else part._replace(name=f"{scene.name}.{part.name}")
 
 
-def _parts_of(namespace: Namespace, scene: RobotScene, sections: tuple[str, ...]) -> Iterator[Named]:
-    home: Path = ("robots", scene.name)
+def _parts_of(namespace: Namespace, scene: ResolvedRobot, sections: tuple[str, ...]) -> Iterator[NameEntry]:
+    home: NodePath = ("robots", scene.name)
     for name, sensor in scene.spec.sensors.items() if "sensors" in sections else ():
         yield _keyed(namespace, (*home, "sensors", name), f"a sensor ({sensor.type})")
     for name, actuator in scene.spec.actuators.items() if "actuators" in sections else ():
         yield _keyed(namespace, (*home, "actuators", name), f"an actuator ({actuator.type})")
     for name, (kind, members) in scene.groups.items():
         if "groups" in sections or ("joints" if kind is Kind.JOINTS else "links") in sections:
-            yield _keyed(namespace, (*home, "groups", name), f"{kind.words} ({', '.join(members)})")
+            yield _keyed(namespace, (*home, "groups", name), f"{kind.description} ({', '.join(members)})")
     for joint in scene.model.moving_joints if "joints" in sections else ():
-        yield Named(joint.name, f"{article(joint.type)} joint", scene.file.joint_spans.get(joint.name))
+        yield NameEntry(joint.name, f"{with_article(joint.type)} joint", scene.file.joint_spans.get(joint.name))
     for link in scene.link_names if "links" in sections else ():
-        yield Named(link, "a link", scene.file.link_spans.get(link))
+        yield NameEntry(link, "a link", scene.file.link_spans.get(link))
 
 
 # What is listed stands in the schema once for each key that takes it, and for each robot.
 _MAX_NAMES = 500
 _MAX_ROBOTS = 12
 
-_PLACES: Mapping[str, Path] = {
+_PLACES: Mapping[str, NodePath] = {
     "body": ("reset", "place"),
     "body or link": ("disturbances",),
     "bodies or links": ("robots",),
@@ -247,11 +246,11 @@ _SUPERVISED = {
 }
 
 
-def known(checked: Checked) -> Known:
-    """What is known of the names of a scenario; nothing where its text could not be read."""
+def scenario_names(checked: CheckedScenario) -> ScenarioNames:
+    """The names of a scenario; none if its text could not be read."""
     namespace, spec = checked.namespace, checked.spec
     if namespace is None or spec is None:
-        return Known()
+        return ScenarioNames()
     everywhere = {kind: _offer(_named(checked, kind, path)) for kind, path in _PLACES.items()}
     choices = {option: "an option" for part in spec.action.values() if isinstance(part, DiscreteAction) for option in part.choices}
     is_whole = all(namespace.robots.values()) and not any(path[:1] == ("robots",) for path in spec.pruned)
@@ -259,15 +258,15 @@ def known(checked: Checked) -> Known:
     everywhere["joints"] = _offer(_named(checked, "joints"), only=is_whole)
     everywhere |= _expressions(namespace)
     scenes = [scene for scene in namespace.robots.values() if scene is not None]
-    return Known(everywhere, {scene.name: _names_on_board(checked, scene, spec) for scene in scenes[:_MAX_ROBOTS]})
+    return ScenarioNames(everywhere, {scene.name: _names_on_board(checked, scene, spec) for scene in scenes[:_MAX_ROBOTS]})
 
 
-def _offer(said: Mapping[str, str], *, only: bool = False) -> Offer:
-    return Offer(said if len(said) <= _MAX_NAMES else {}, only)
+def _offer(said: Mapping[str, str], *, only: bool = False) -> OfferedNames:
+    return OfferedNames(said if len(said) <= _MAX_NAMES else {}, only)
 
 
 def _expressions(namespace: Namespace) -> Names:
-    """Where an expression of the supervisor is due, the names that may stand in it."""
+    """The names that an expression of the supervisor may use, by kind of expression."""
     scopes = {word: SupervisorScope(namespace, context).names() for word, context in _SUPERVISED.items()}
     parameters = dict.fromkeys(("require", "parameter"), namespace.names_of(Origin.PARAMETER))
     return {f"{word} expression": _offer(_said(namespace, found)) for word, found in (scopes | parameters).items()}
@@ -282,9 +281,9 @@ def _said(namespace: Namespace, found: Iterable[str]) -> dict[str, str]:
     }
 
 
-def _names_on_board(checked: Checked, scene: RobotScene, spec: Scenario) -> Names:
+def _names_on_board(checked: CheckedScenario, scene: ResolvedRobot, spec: Scenario) -> Names:
     """The parts of one robot by their short names; those of its file are checked, and patterns over them never are."""
-    home: Path = ("robots", scene.name)
+    home: NodePath = ("robots", scene.name)
     groups = dict.fromkeys(scene.spec.groups, "a group")
     joints = groups | _named(checked, "joints", home) | {joint.name: _described(joint) for joint in scene.model.moving_joints}
     links = groups | _named(checked, "links", home)
@@ -305,8 +304,8 @@ def _names_on_board(checked: Checked, scene: RobotScene, spec: Scenario) -> Name
     }
 
 
-def _named(checked: Checked, kind: str, path: Path = ()) -> dict[str, str]:
-    return {found.name: found.what for found in names(checked, kind, path)}
+def _named(checked: CheckedScenario, kind: str, path: NodePath = ()) -> dict[str, str]:
+    return {found.name: found.description for found in names_at(checked, kind, path)}
 
 
 def _described(joint: Joint) -> str:

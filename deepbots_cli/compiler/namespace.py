@@ -17,12 +17,12 @@ from enum import Enum
 from pathlib import Path as FilePath
 from typing import TypedDict, TypeVar, Unpack
 
-from deepbots_cli.compiler.robots import RobotScene
-from deepbots_cli.compiler.values import ANY, Ends, Text, Values
+from deepbots_cli.compiler.robots import ResolvedRobot
+from deepbots_cli.compiler.values import ANY_NAME, RangeEnds, SourceText, ValueReader
 from deepbots_cli.document import Document
-from deepbots_cli.document.nodes import Path
+from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import NUMBER, TIME, Dimension
-from deepbots_cli.expressions.intervals import EVERYTHING, Interval, exact
+from deepbots_cli.expressions.intervals import EVERYTHING, Interval, single
 from deepbots_cli.expressions.types import (
     Components,
     Constant,
@@ -38,13 +38,13 @@ from deepbots_cli.expressions.types import (
     Vector,
     is_bare_zero,
 )
-from deepbots_cli.expressions.unification import ANY_SHAPE, expect
+from deepbots_cli.expressions.unification import ANY_SHAPE, expect_value
 from deepbots_cli.program.resets import Group, OfLink, Owner, Randomizable, RandomizedParameter
 from deepbots_cli.program.robots import Parameter
 from deepbots_cli.program.values import Expression, Noise
 from deepbots_cli.program.world import Colour
 from deepbots_cli.scenario.base import Section
-from deepbots_cli.scenario.fields import COLOURS, Column, FieldType, Quantity, Range, colour_options, dimension_of, si
+from deepbots_cli.scenario.fields import COLOURS, Column, FieldType, Quantity, Range, colour_options, dimension_of, measure_dimension
 from deepbots_cli.scenario.scenario import Scenario
 
 _MAX_NAMES_IN_CYCLE = 12
@@ -52,7 +52,7 @@ Default = TypeVar("Default")
 
 
 class FieldContext(TypedDict, total=False):
-    """What the annotation of a field leaves open, given by the caller: a joint turns or slides, a sensor has components.
+    """The properties of a field that its annotation leaves open and the caller gives: a joint turns or slides, a sensor has components.
 
     With `per_component`, a value is drawn anew for each of these components.
     """
@@ -65,7 +65,7 @@ class FieldContext(TypedDict, total=False):
 
 
 class Origin(Enum):
-    """What kind of definition a name has; the value is how a finding calls it."""
+    """The kind of definition of a name; the value is the noun in findings."""
 
     PARAMETER = "a parameter"
     ACTION = "an action variable"
@@ -89,8 +89,8 @@ class Definition:
 
     name: str
     origin: Origin
-    path: Path
-    make: Callable[[], Symbol] | None = None
+    path: NodePath
+    make_symbol: Callable[[], Symbol] | None = None
     symbol: Symbol | None = None
     uses: int = 0
 
@@ -98,14 +98,14 @@ class Definition:
 class Namespace:
     """All definitions of one scenario."""
 
-    def __init__(self, values: Values, document: Document, scenario: Scenario) -> None:
+    def __init__(self, values: ValueReader, document: Document, scenario: Scenario) -> None:
         self.values = values
         self.document = document
         self.scenario = scenario
-        self.files: dict[Path, FilePath] = {}
+        self.files: dict[NodePath, FilePath] = {}
         """Files that the world is made from, by where the scenario names them."""
         self.definitions: dict[str, Definition] = {}
-        self.robots: dict[str, RobotScene | None] = {}
+        self.robots: dict[str, ResolvedRobot | None] = {}
         self.lengths: dict[str, float] = {}
         """Of painted lines, m."""
         self.walls: dict[str, tuple[str, ...]] = {}
@@ -132,7 +132,7 @@ class Namespace:
     def scope(self, context: Context, own: Mapping[str, Symbol] | None = None) -> ParameterScope:
         return ParameterScope(self, context, own or {})
 
-    def typed(self, text: Text, what: str | None = None, **context: Unpack[FieldContext]) -> Typed | None:
+    def typed(self, text: SourceText, what: str | None = None, **context: Unpack[FieldContext]) -> Typed | None:
         """The tree of a quantity; None after a finding, which calls the field `what`."""
         return self.values.quantity(text, what or f"`{text.path[-1]}`", *self._expected_type(text, context))
 
@@ -158,23 +158,23 @@ class Namespace:
             return None
         return self._si_values(typed, text, len(components or ("",))) if typed else None
 
-    def _si_values(self, typed: Typed, text: Text, count: int) -> tuple[float, ...] | None:
+    def _si_values(self, typed: Typed, text: SourceText, count: int) -> tuple[float, ...] | None:
         """The values of a fixed tree; a single one stands for all of `count`."""
         fixed = self.values.fixed(typed, text, f"`{text.path[-1]}`")
         return None if fixed is None else tuple(map(float, fixed * count if len(fixed) == 1 else fixed))
 
     def fixed(self, section: Section, *steps: str | int, **context: Unpack[FieldContext]) -> float | None:
-        """The same for a single value."""
+        """The SI value of a fixed field that is a single number; None as in `numbers`."""
         found = self.numbers(section, *steps, **context)
         return found[0] if found else None
 
     def pair(self, section: Section, *steps: str | int) -> tuple[float, float] | None:
-        """The same in the plane."""
+        """The two SI values of a fixed field in the plane; None as in `numbers`."""
         found = self.numbers(section, *steps)
         return (found[0], found[1]) if found else None
 
     def triple(self, section: Section, *steps: str | int, **context: Unpack[FieldContext]) -> tuple[float, float, float] | None:
-        """The same in space."""
+        """The three SI values of a fixed field in space; None as in `numbers`."""
         found = self.numbers(section, *steps, **context)
         return (found[0], found[1], found[2]) if found else None
 
@@ -192,7 +192,7 @@ class Namespace:
     def vector_or_randomized(
         self, section: Section, key: str, what: Randomizable, of: Owner, **context: Unpack[FieldContext]
     ) -> tuple[float, ...] | None:
-        """The same for a vector."""
+        """The SI values of a vector that an episode may draw; None where none is given, and after a finding."""
         text = self._text_of(section, (key,))
         if text is None:
             return None
@@ -212,7 +212,7 @@ class Namespace:
         ends = [end for end in typed.type.interval if math.isfinite(end)]
         return (sum(ends) / len(ends) if ends else 0.0,) * count
 
-    def _is_bounded(self, typed: Typed, text: Text) -> bool:
+    def _is_bounded(self, typed: Typed, text: SourceText) -> bool:
         """Whether a drawn value keeps the bounds of its field: a normal distribution has none."""
         reach, kind = typed.type.interval, text.kind
         if not isinstance(kind, Quantity) or typed.type.stage is Stage.FIXED:
@@ -226,10 +226,10 @@ class Namespace:
 
     def ends(
         self, section: Section, *steps: str | int, what: str | None = None, falling: bool = False, **context: Unpack[FieldContext]
-    ) -> Ends | None:
+    ) -> RangeEnds | None:
         """The ends of a fixed range, in any order where it may be `falling`; None after a finding."""
         text = self.values.field(section, *steps)
-        dimension = context.get("dimension") or (si(text.kind.dimension) if isinstance(text.kind, Range) else None)
+        dimension = context.get("dimension") or (measure_dimension(text.kind.dimension) if isinstance(text.kind, Range) else None)
         scope, components = context.get("scope") or self.scope(Context.FIXED), context.get("components")
         return self.values.ends(text, what or f"`{text.path[-1]}`", scope, dimension=dimension, components=components, falling=falling)
 
@@ -272,7 +272,7 @@ class Namespace:
         text = self.values.field(section, "noise")
         if of.type.boolean or of.type.picture:
             help = "remove it, or put the noise on the number from which the value is computed"
-            self.values.findings.add("DB403", text.span, f"noise on {of.type.words}", help=help)
+            self.values.findings.add("DB403", text.span, f"noise on {of.type.description}", help=help)
             return None
         components = of.type.components
         std = self.typed(text, "the noise", components=components)
@@ -280,7 +280,7 @@ class Namespace:
             return None
         relative = std.type.dimension == NUMBER and (of.type.dimension != NUMBER or "%" in text.text)
         if not relative:
-            std = expect(std, self.values.report(text), "the noise", dimension=of.type.dimension, components=components)
+            std = expect_value(std, self.values.report(text), "the noise", dimension=of.type.dimension, components=components)
         return Noise(text.expression(std, per_component=components), relative) if std else None
 
     def colour(self, section: Section, of: OfLink | None = None) -> Colour | None:
@@ -307,22 +307,22 @@ class Namespace:
             self.colours.append(RandomizedParameter("colour", of, replace(drawn, owner=_owner(text, of))))
         return options[0]
 
-    def _text_of(self, section: Section, steps: tuple[str | int, ...]) -> Text | None:
+    def _text_of(self, section: Section, steps: tuple[str | int, ...]) -> SourceText | None:
         return None if getattr(section, str(steps[0])) is None else self.values.field(section, *steps)
 
-    def _expected_type(self, text: Text, context: FieldContext) -> tuple[Scope, Dimension | None, Components | None, Stage]:
+    def _expected_type(self, text: SourceText, context: FieldContext) -> tuple[Scope, Dimension | None, Components | None, Stage]:
         kind = text.kind
         assert isinstance(kind, (Quantity, Column))  # of nothing else numbers are asked for
         axes, own = (kind.axes, kind.stage) if isinstance(kind, Quantity) else (ANY_SHAPE, "fixed")
         stage = context.get("stage", Stage[own.upper()])
         scope = context.get("scope") or self.scope(Context.FIELD if stage else Context.FIXED)
-        return scope, context.get("dimension") or si(kind.dimension), context.get("components") or axes, stage
+        return scope, context.get("dimension") or measure_dimension(kind.dimension), context.get("components") or axes, stage
 
     def is_randomized(self, what: Randomizable, of: Owner) -> bool:
         """Whether an episode draws this value."""
         return any((variation.what, variation.of) == (what, of) for variation in self.variations)
 
-    def define(self, name: str, origin: Origin, path: Path, make: Callable[[], Symbol] | None = None) -> None:
+    def define(self, name: str, origin: Origin, path: NodePath, make: Callable[[], Symbol] | None = None) -> None:
         """Add a name; a second definition is a finding, and the first one stays."""
         first = self.definitions.get(name)
         if first is None:
@@ -343,14 +343,14 @@ class Namespace:
     def resolve(self, name: str) -> Symbol | None:
         """Type a name if it is not typed yet; None where there is no such value. This does not count as a use."""
         definition = self.definitions.get(name)
-        if definition is None or definition.make is None:
+        if definition is None or definition.make_symbol is None:
             return None
         if definition.symbol is None and definition in self._being_resolved:
             self._report_cycle(definition)
         elif definition.symbol is None:
             self._being_resolved.append(definition)
             try:
-                made = definition.make()
+                made = definition.make_symbol()
             except RecursionError:
                 if self._being_resolved[0] is not definition:
                     raise
@@ -404,7 +404,7 @@ class Namespace:
             return Subject(head, Kind.WALLS if len(pieces) > 1 else Kind.WALL, link=pieces[0], pieces=pieces)
         if definition is not None and definition.origin in _KIND_OF and not rest:
             length = self.lengths.get(head)
-            return Subject(head, _KIND_OF[definition.origin], link=head, interval=EVERYTHING if length is None else exact(length))
+            return Subject(head, _KIND_OF[definition.origin], link=head, interval=EVERYTHING if length is None else single(length))
         return None
 
     def subjects(self) -> Iterable[str]:
@@ -419,10 +419,10 @@ class Namespace:
     def is_invalid(self, name: str) -> bool:
         """Whether the definition of `name` had a finding, or that of the robot it belongs to."""
         head = name.partition(".")[0]
-        return self.values.is_invalid(name) or self.values.is_invalid(ANY) or (head in self.robots and self.robots[head] is None)
+        return self.values.is_invalid(name) or self.values.is_invalid(ANY_NAME) or (head in self.robots and self.robots[head] is None)
 
 
-def _owner(text: Text, of: tuple[str, ...]) -> str:
+def _owner(text: SourceText, of: tuple[str, ...]) -> str:
     return ":".join((text.owner, *filter(None, of)))
 
 
@@ -437,13 +437,13 @@ AFTER_SIGNALS = (Context.REWARD, Context.ENDING, Context.TEST)
 _FROM_ZERO = Interval(0.0, float("inf"))
 _END_FLAGS = ("terminated", "truncated", "ended")
 _PAST_REWARDS = ("previous_reward", "episode_return")
-GOAL_IS_LATE = "the goal is computed after the signals, and only endings and rewards can use it"
+GOAL_AFTER_SIGNALS = "the goal is computed after the signals, and only endings and rewards can use it"
 _BUILT_IN = ("time", "step", "previous_action", "goal_reached", *_PAST_REWARDS, *_END_FLAGS)
 
 
 @dataclass(frozen=True)
 class _Scope:
-    """What all scopes share: the parts of the world."""
+    """Base of all scopes: the parts of the world."""
 
     namespace: Namespace
     context: Context
@@ -467,7 +467,7 @@ class ParameterScope(_Scope):
         origin = self.namespace.origin(name)
         if origin in (None, Origin.PARAMETER, Origin.ROBOT, Origin.OBJECT, Origin.WALL, Origin.LINE):
             return self.namespace.symbol(name)
-        return Symbol(name, None, refused=f"only parameters can be used here; {origin.value} changes in every step")
+        return Symbol(name, None, refusal=f"only parameters can be used here; {origin.value} changes in every step")
 
     def names(self) -> Iterable[str]:
         return [*self.own, *self.namespace.names_of(Origin.PARAMETER)]
@@ -482,13 +482,13 @@ class SupervisorScope(_Scope):
             return built_in
         origin = self.namespace.origin(name)
         if origin is Origin.ENDING and self.context not in AFTER_SIGNALS:
-            return Symbol(name, None, refused="endings are computed after the signals; use the condition itself")
+            return Symbol(name, None, refusal="endings are computed after the signals; use the condition itself")
         if origin is Origin.GOAL and self.context not in AFTER_SIGNALS:
-            return Symbol(name, None, refused=GOAL_IS_LATE)
+            return Symbol(name, None, refusal=GOAL_AFTER_SIGNALS)
         robot, _, rest = name.partition(".")
         scene = self.namespace.robots.get(robot)
         if origin is None and scene is not None and rest in scene.spec.sensors and not self.namespace.is_invalid(name):
-            return Symbol(name, None, refused=f"robot `{robot}` does not send it; add `{rest}` to its `emit`")
+            return Symbol(name, None, refusal=f"robot `{robot}` does not send it; add `{rest}` to its `emit`")
         return self.namespace.symbol(name)
 
     def _built_in(self, name: str) -> Symbol | None:
@@ -502,9 +502,9 @@ class SupervisorScope(_Scope):
             return self.namespace.built_in[name](self.context)
         if name in _END_FLAGS:
             refused = None if self.context is Context.REWARD else "it is settled after the endings, and seen by rewards only"
-            return Symbol(name, Type(boolean=True, stage=Stage.STEP) if refused is None else None, refused=refused)
+            return Symbol(name, Type(boolean=True, stage=Stage.STEP) if refused is None else None, refusal=refused)
         if name == "goal_reached":
-            return Symbol(name, None, refused=None if self.namespace.is_invalid("goal") else "this scenario has no `goal`")
+            return Symbol(name, None, refusal=None if self.namespace.is_invalid("goal") else "this scenario has no `goal`")
         return None
 
     def names(self) -> Iterable[str]:
@@ -515,7 +515,7 @@ class SupervisorScope(_Scope):
 
 @dataclass(frozen=True)
 class RobotScope(_Scope):
-    """What one robot knows on board. `own` holds its sensors, received fields and poses by name."""
+    """The names that one robot knows on board. `own` holds its sensors, received fields and poses by name."""
 
     robot: str
     own: dict[str, Symbol]
@@ -532,12 +532,12 @@ class RobotScope(_Scope):
             if symbol is None or symbol.type is None or symbol.type.stage is Stage.FIXED:
                 return symbol
             if not arrives:
-                return Symbol(name, None, refused=f"the robot cannot know a drawn parameter; send it: `receive: {{{name}: {name}}}`")
+                return Symbol(name, None, refusal=f"the robot cannot know a drawn parameter; send it: `receive: {{{name}: {name}}}`")
         if arrives:
-            return Symbol(name, None, refused="a robot cannot send back a value that it receives; use the value in `apply`")
+            return Symbol(name, None, refusal="a robot cannot send back a value that it receives; use the value in `apply`")
         if name in _BUILT_IN or origin in (Origin.AUGMENT, Origin.SIGNAL, Origin.ENDING, Origin.FIELD):
             known = f"robot `{self.robot}` knows only its sensors and messages"
-            return Symbol(name, None, refused=f"{known}; to send it `{name}`, write `receive: {{{name}: {name}}}`")
+            return Symbol(name, None, refusal=f"{known}; to send it `{name}`, write `receive: {{{name}: {name}}}`")
         return self.namespace.symbol(name)
 
     def names(self) -> Iterable[str]:

@@ -9,12 +9,12 @@ from math import atan2, degrees, hypot, pi
 
 from deepbots_cli import footprint
 from deepbots_cli.compiler.namespace import Namespace, Origin
-from deepbots_cli.compiler.values import Text
+from deepbots_cli.compiler.values import SourceText
 from deepbots_cli.diagnostics import Span
-from deepbots_cli.document.nodes import Path
+from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, Dimension
-from deepbots_cli.expressions.intervals import TURN, exact
-from deepbots_cli.expressions.lower import constant
+from deepbots_cli.expressions.intervals import TURN, single
+from deepbots_cli.expressions.lower import constant_values
 from deepbots_cli.expressions.types import PLANE, SPACE, ComponentSelection, Constant, Context, Invocation, Stage, Type
 from deepbots_cli.footprint import Footprint, Patch
 from deepbots_cli.program.resets import MAX_SPOTS, Cells, Group, Layout, Placement, Region, Top
@@ -43,7 +43,7 @@ class PlacementChecker:
         self._values = namespace.values
         self._world = world
 
-    def check_region(self, place: Placement, region: Region, path: Path) -> None:
+    def check_region(self, place: Placement, region: Region, path: NodePath) -> None:
         """DB105 where the region is too small or beyond the walls: for one body with its clearance, the grid, all copies together."""
         kinds = self._footprints(place)
         if not kinds:
@@ -78,14 +78,14 @@ class PlacementChecker:
         for layout in layouts or (Layout("", 1.0, ()),):
             standing = {place.body: place for place in (*common, *layout.placements)}
             for place in standing.values():
-                path: Path = tuple(place.owner.split("."))
+                path: NodePath = tuple(place.owner.split("."))
                 match place.spot:
                     case Top() as spot:
                         self._check_top(place, spot, standing, path)
                     case Region() as region:
                         self._check_covered(place, region, standing, path)
 
-    def _check_top(self, place: Placement, spot: Top, standing: Mapping[str, Placement], path: Path) -> None:
+    def _check_top(self, place: Placement, spot: Top, standing: Mapping[str, Placement], path: NodePath) -> None:
         """DB207 for bodies that stand on each other, DB203 for a top that is not level, DB105 for one that is too small or elsewhere."""
         add, span = self._values.findings.add, self._values.span((*path, "on"))
         support, stack = standing[spot.of], [place.body]
@@ -103,7 +103,7 @@ class PlacementChecker:
             add("DB203", span, f"the top of `{spot.of}` is not level", help="place it upright, without `roll` and `pitch`")
             return
         kinds = self._footprints(place)
-        top = footprint.of_shape(next(thing.shape for thing in self._world.objects if thing.name == spot.of))
+        top = footprint.shape_footprint(next(thing.shape for thing in self._world.objects if thing.name == spot.of))
         margin = 0.0 if self._is_fixed(place) else place.clearance
         turns = None if _is_tilted(place) else _turn_between(place, support)
         copies = self.copies(place)
@@ -128,7 +128,7 @@ class PlacementChecker:
             help = f"leave out `region` to use the whole top, which covers {sides}"
             add("DB105", span, f"no position in the region is on the top of `{spot.of}`", help=help)
 
-    def _check_covered(self, place: Placement, region: Region, standing: Mapping[str, Placement], path: Path) -> None:
+    def _check_covered(self, place: Placement, region: Region, standing: Mapping[str, Placement], path: NodePath) -> None:
         """DB105 where a body that stands at known coordinates covers the whole region, so that no spot of it is ever free.
 
         The distance from a convex patch is greatest at a corner of the region: it is enough to look there.
@@ -162,33 +162,33 @@ class PlacementChecker:
         return any(thing.name in (place.body, *(group.copies if group else ())) and thing.fixed for thing in self._world.objects)
 
     def _footprints(self, place: Placement) -> list[Footprint]:
-        """Of each form that a body may take; none that is known for a mesh."""
+        """The footprint of each form that a body may take; a mesh has none."""
         group = self._namespace.groups.get(place.body)
         first = group.copies[0] if group else place.body
         for robot in self._world.robots:
             if robot.name in (place.body, first):
-                return [footprint.of_robot(robot.model)]
+                return [footprint.robot_footprint(robot.model)]
         for thing in self._world.objects:
             if thing.name == first:
                 shapes = [variant.shape for variant in thing.variants] or [thing.shape]
-                return [] if any(isinstance(shape, Mesh) for shape in shapes) else [footprint.of_shape(shape) for shape in shapes]
+                return [] if any(isinstance(shape, Mesh) for shape in shapes) else [footprint.shape_footprint(shape) for shape in shapes]
         return []
 
 
 def _standing_patch(thing: ObjectBody, place: Placement | None) -> Patch | None:
-    """What an object covers that rises above level ground; None where it does not, or where it stands is not fixed."""
+    """The patch of an object that rises above level ground; None if it does not, or if its place is not fixed."""
     low, high = footprint.bounds_of_shape(thing.shape)
     if place is None:  # a piece of a wall
         (x, y, z), rpy = thing.pose.xyz, thing.pose.rpy
-        return footprint.of_shape(thing.shape).at(x, y, rpy[2]) if z + high[2] > 1e-6 else None
+        return footprint.shape_footprint(thing.shape).at(x, y, rpy[2]) if z + high[2] > 1e-6 else None
     height = -low[2] if place.rests else _coordinate(place, "z")
     if _is_tilted(place) or height is None or height + high[2] < 1e-6:
         return None
-    return _patch(place, footprint.of_shape(thing.shape))
+    return _patch(place, footprint.shape_footprint(thing.shape))
 
 
 def _patch(place: Placement, covered: Footprint) -> Patch | None:
-    """What a body covers that stands upright at fixed coordinates; None where they are drawn."""
+    """The patch of a body that stands upright at fixed coordinates; None if they are drawn."""
     x, y, yaw = (_coordinate(place, key) for key in ("x", "y", "yaw"))
     yaw = 0.0 if covered.half is None else yaw
     return None if place.spot is not None or x is None or y is None or yaw is None else covered.at(x, y, yaw + place.heading)
@@ -199,7 +199,7 @@ def _coordinate(place: Placement, key: str) -> float | None:
     coordinate = place.coordinates.get(key)
     if coordinate is None:
         return 0.0
-    found = constant(coordinate.typed)
+    found = constant_values(coordinate.typed)
     return None if found is None else float(found[0])
 
 
@@ -208,7 +208,7 @@ def _is_tilted(place: Placement) -> bool:
 
 
 def _turn_between(place: Placement, support: Placement) -> float | None:
-    """By how much a body is turned against what it stands on, rad; None where that is drawn."""
+    """The angle (rad) between a body and its support about the vertical; None if it is drawn."""
     yaw, below = _coordinate(place, "yaw"), _coordinate(support, "yaw")
     return None if yaw is None or below is None else yaw + place.heading - below - support.heading
 
@@ -237,7 +237,7 @@ _TURNS = ("roll", "pitch", "yaw")
 
 def _fixed(value: float, dimension: Dimension) -> Constant:
     """A number in SI units that stands nowhere in the text."""
-    return Constant(Type(dimension, interval=exact(value)), 0, 0, (value,))
+    return Constant(Type(dimension, interval=single(value)), 0, 0, (value,))
 
 
 _ANYWHERE = Invocation(Type(ANGLE, interval=TURN, stage=Stage.EPISODE), 0, 0, "uniform", (), (_fixed(-pi, ANGLE), _fixed(pi, ANGLE)), 0)
@@ -255,7 +255,7 @@ class Places:
         self._world = world
         self._scope = namespace.scope(Context.RESET)
 
-    def placements(self, spec: Mapping[str, Pose], path: Path, *, used: bool = True) -> list[Placement]:
+    def placements(self, spec: Mapping[str, Pose], path: NodePath, *, used: bool = True) -> list[Placement]:
         """Those of one layout, or of `reset.place`; whether there is room is asked of layouts that are used."""
         found = []
         for body, pose in spec.items():
@@ -266,14 +266,14 @@ class Places:
                 self._values.report_unknown(self._values.key_span((*path, body)), "robot or object", body, known)
         return found
 
-    def at_home(self, body: str) -> Placement:
+    def at_own_pose(self, body: str) -> Placement:
         """At the body's own `pose`."""
         thing = self._spec.robots[body] if body in self._spec.robots else self._spec.objects[body]
         return self.placement(body, thing.pose)
 
     def placement(self, body: str, pose: Pose, *, used: bool = True) -> Placement:
         """The placement of a known body; what had findings is left out of it."""
-        place = Placement(body, self.coordinates(pose), owner=owner_of(pose.path))
+        place = Placement(body, self.coordinates(pose), owner=draws_owner(pose.path))
         if not isinstance(pose, PlacementSpec):
             return self.resting_placement(place)
         place = replace(
@@ -299,7 +299,7 @@ class Places:
         return self.resting_placement(place)
 
     def coordinates(self, pose: Pose) -> dict[str, Expression]:
-        """What the pose says of x, y, z, roll, pitch and yaw, each by itself or as a component of `xyz` or `rpy`."""
+        """The coordinates x, y, z, roll, pitch and yaw of a pose, given singly or as components of `xyz` or `rpy`."""
         found: dict[str, Expression | None] = {}
         for whole, parts in (("xyz", SPACE), ("rpy", _TURNS)):
             for part in parts:
@@ -369,15 +369,15 @@ class Places:
             return Region((-half_x, -half_y), (half_x, half_y), mesh)
         return None
 
-    def _check_spots(self, spot: Region | Cells | Top | None, path: Path) -> None:
+    def _check_spots(self, spot: Region | Cells | Top | None, path: NodePath) -> None:
         if isinstance(spot, Top):
-            reach = next(footprint.of_shape(thing.shape).radius for thing in self._world.objects if thing.name == spot.of)
+            reach = next(footprint.shape_footprint(thing.shape).radius for thing in self._world.objects if thing.name == spot.of)
             spot = Region((-reach, -reach), (reach, reach), spot.mesh)
         if isinstance(spot, Region) and spot.spots > MAX_SPOTS:
             headline = f"the region has {spot.spots:,.0f} cells; the limit is {MAX_SPOTS:,}"
             self._values.findings.add("DB005", self._values.span((*path, "grid")), headline, help="give a coarser grid")
 
-    def _check_copies(self, place: Placement, path: Path, *, used: bool) -> None:
+    def _check_copies(self, place: Placement, path: NodePath, *, used: bool) -> None:
         """Keys that only groups know; copies of a group that would stand within each other."""
         group = self._namespace.groups.get(place.body)
         if group is not None:
@@ -390,19 +390,19 @@ class Places:
                 help = "groups are bodies with a `count`"
                 self._values.findings.add("DB203", self._values.key_span((*path, key)), headline, help=help)
 
-    def _check_spread(self, place: Placement, copies: int, path: Path) -> None:
+    def _check_spread(self, place: Placement, copies: int, path: NodePath) -> None:
         """DB105 where up to so many `copies` stand at the same coordinates."""
         if any(self._values.is_present((*path, way)) for way in ("region", "line", "grid", "on")):
             return  # there would be spots, were it not for a finding
         known = [place.coordinates[axis] for axis in PLANE if axis in place.coordinates]
-        is_fixed = all(constant(coordinate.typed) is not None for coordinate in known)
+        is_fixed = all(constant_values(coordinate.typed) is not None for coordinate in known)
         if copies > 1 and is_fixed and place.spot is None and not any(place.spacing):
             headline = f"up to {copies} copies of `{place.body}` at one position"
             help = "draw their positions with `region`, place them in a row with `spacing`, or place `at_most: 1`"
             self._values.findings.add("DB105", self._values.key_span(path), headline, help=help)
 
 
-def owner_of(path: Path) -> str:
+def draws_owner(path: NodePath) -> str:
     """The place of an item in the scenario, after which its draws are named."""
     return ".".join(map(str, path))
 
@@ -423,7 +423,7 @@ class Layouts:
         self._world = world
         self.walls: list[ObjectBody] = []
 
-    def used(self) -> tuple[Layout, ...]:
+    def weighted_layouts(self) -> tuple[Layout, ...]:
         """Each layout with its share; all others are read for their findings alone."""
         spec, layouts = self._spec.reset.layout, self._spec.reset.layouts
         shares = self._shares() if isinstance(spec, dict) else {spec: 1.0} if spec is not None else dict.fromkeys(list(layouts)[:1], 1.0)
@@ -432,7 +432,7 @@ class Layouts:
             self._values.findings.add("DB102", self._values.key_span(("reset", "layouts")), "missing key `layout`", help=help)
         for name in shares:
             if name not in layouts:
-                path: Path = ("reset", "layout", name) if isinstance(spec, dict) else ("reset", "layout")
+                path: NodePath = ("reset", "layout", name) if isinstance(spec, dict) else ("reset", "layout")
                 span = self._values.key_span(path) if isinstance(spec, dict) else self._values.span(path)
                 self._values.report_unknown(span, "layout", name, list(layouts))
         found = {
@@ -488,7 +488,7 @@ class Layouts:
                 self._values.report_unknown(self._values.field(layout, "legend", letter).span, "robot or object", body, known)
         return found
 
-    def _is_small(self, text: Text) -> bool:
+    def _is_small(self, text: SourceText) -> bool:
         if len(text.text.split()) <= _MAX_CELLS:
             return True
         self._values.findings.add("DB005", text.span, f"the map has more than {_MAX_CELLS:,} cells", help="use larger cells")
@@ -502,24 +502,24 @@ class Layouts:
                 return False
         return True
 
-    def _check_size(self, width: float, depth: float, path: Path) -> None:
+    def _check_size(self, width: float, depth: float, path: NodePath) -> None:
         arena = self._world.arena
         if arena is not None and (width > arena.size[0] + 1e-9 or depth > arena.size[1] + 1e-9):
             headline = f"the map is {width:g} by {depth:g} m, and the arena is {arena.size[0]:g} by {arena.size[1]:g} m"
             self._values.findings.add("DB105", self._values.key_span(path), headline, help="give smaller cells, or a larger arena")
 
     def _standing(
-        self, layout: str, body: str, cell: float, spots: tuple[tuple[float, float], ...], path: Path, *, used: bool
+        self, layout: str, body: str, cell: float, spots: tuple[tuple[float, float], ...], path: NodePath, *, used: bool
     ) -> Placement:
         """The body on the spots of its letters, in the attitude of its own `pose`."""
         if body == _WALL and self._namespace.origin(_WALL) not in (Origin.ROBOT, Origin.OBJECT):
             name = f"{layout} wall"
             if used:
                 self._build(name, cell, len(spots))
-            return Placement(name, {}, rests=True, spot=Cells(spots), owner=owner_of((*path, _WALL)))
-        home = self._places.at_home(body)
+            return Placement(name, {}, rests=True, spot=Cells(spots), owner=draws_owner((*path, _WALL)))
+        home = self._places.at_own_pose(body)
         turned = {key: coordinate for key, coordinate in home.coordinates.items() if key not in ("x", "y")}
-        return replace(home, coordinates=turned, spot=Cells(spots), owner=owner_of((*path, body)))
+        return replace(home, coordinates=turned, spot=Cells(spots), owner=draws_owner((*path, body)))
 
     def _build(self, name: str, cell: float, count: int) -> None:
         arena = self._world.arena
@@ -535,7 +535,7 @@ class Layouts:
         self.walls += [ObjectBody(copy, Box((cell, cell, height)), colour=colour, fixed=True, pooled=True) for copy in group.copies]
 
 
-def _rows(text: Text) -> list[list[tuple[str, Span]]]:
+def _rows(text: SourceText) -> list[list[tuple[str, Span]]]:
     """The cells of each row that is not empty, with their places in the file."""
     rows = (re.compile(r"\S+").finditer(text.text, *line.span()) for line in re.finditer(r"[^\n]+", text.text))
     found = ([(cell[0], text.part(*cell.span())) for cell in row] for row in rows)

@@ -9,17 +9,16 @@ from dataclasses import replace
 from functools import partial
 
 from deepbots_cli.compiler.controllers import driven_parts
-from deepbots_cli.compiler.namespace import AFTER_SIGNALS, GOAL_IS_LATE, Namespace, Origin, SupervisorScope
-from deepbots_cli.compiler.values import Text
-from deepbots_cli.document.nodes import Mapping as MappingNode
-from deepbots_cli.document.nodes import Path
+from deepbots_cli.compiler.namespace import AFTER_SIGNALS, GOAL_AFTER_SIGNALS, Namespace, Origin, SupervisorScope
+from deepbots_cli.compiler.values import SourceText
+from deepbots_cli.document.nodes import MappingNode, NodePath
 from deepbots_cli.expressions import syntax
 from deepbots_cli.expressions.dimensions import NUMBER
 from deepbots_cli.expressions.functions import FUNCTIONS, Family
 from deepbots_cli.expressions.intervals import Interval
-from deepbots_cli.expressions.lower import constant
+from deepbots_cli.expressions.lower import constant_values
 from deepbots_cli.expressions.types import Components, Context, Invocation, Reference, Scope, Stage, Symbol, Type, Typed, children
-from deepbots_cli.expressions.unification import ANY_SHAPE, expect
+from deepbots_cli.expressions.unification import ANY_SHAPE, expect_value
 from deepbots_cli.program.task import (
     MAX_CONDITIONS,
     MAX_OBSERVED_BYTES,
@@ -43,7 +42,7 @@ from deepbots_cli.scenario.scenario import ContinuousAction, DiscreteAction, Obs
 from deepbots_cli.scenario.scenario import Goal as GoalSpec
 
 _NOT_YET = 'remove it; docs/language.md lists under "Not yet" what is not supported'
-_TOGETHER: tuple[tuple[Path, str], ...] = (
+_TOGETHER: tuple[tuple[NodePath, str], ...] = (
     (("goal",), "a goal"),
     (("world", "terrain"), "terrain"),
     (("reset", "require"), "`require`"),
@@ -52,7 +51,7 @@ _TOGETHER: tuple[tuple[Path, str], ...] = (
 
 
 def copies(namespace: Namespace) -> RobotCopies | None:
-    """What `agent.each` and the `count` of its robot say; None for a single robot, and after a finding."""
+    """The copies that `agent.each` and the `count` of its robot ask for; None for a single robot, and after a finding."""
     spec = namespace.scenario
     name, values = spec.agent.each, namespace.values
     for robot, given in spec.robots.items():
@@ -143,7 +142,7 @@ class Actions:
                 typed = self._values.condition(text, scope)
                 if typed is not None and option in part.choices:
                     found.append((name, option, text.expression(typed)))
-            always = {option for part, option, condition in found if part == name and constant(condition.typed) == (True,)}
+            always = {option for part, option, condition in found if part == name and constant_values(condition.typed) == (True,)}
             if always == set(part.choices):
                 span = self._values.key_span((*part.path, "forbid"))
                 self._values.findings.add(
@@ -152,17 +151,17 @@ class Actions:
         return found
 
     def _own_action(self, context: Context) -> Symbol:
-        """What the agent itself gave last: numbers in [-1, 1], and each choice as one-hot."""
+        """The last action as the agent gave it: numbers in [-1, 1], and each choice as one-hot."""
         name = "previous_action"
         if context is Context.RECEIVE:
             variable = next(iter(self._namespace.names_of(Origin.ACTION)), None)
             example = f", such as `{variable}`" if variable else ""
-            return Symbol(name, None, refused=f"the robot receives the action itself: use the action variable{example}")
+            return Symbol(name, None, refusal=f"the robot receives the action itself: use the action variable{example}")
         parts = self.parts()
         if not parts:
             written = self._values.root.get("action")  # of which findings may have left nothing
             has_some = isinstance(written, MappingNode) and written.entries
-            return Symbol(name, None, refused=None if has_some else "the agent does nothing in this scenario")
+            return Symbol(name, None, refusal=None if has_some else "the agent does nothing in this scenario")
         if len(parts) < len(self._parts):
             return Symbol(name, None)
         components = action_names(parts)
@@ -182,7 +181,7 @@ class Actions:
         self._parts[name] = Choices(name, variables, tuple(Option(option, row) for option, row in rows.items()))
 
     def _numbers(self, part: DiscreteAction, option: str, variables: tuple[str, ...], *, named: bool) -> tuple[float, ...]:
-        """What one option makes of each of the variables; 0 after a finding."""
+        """The value of each variable under one option; 0 after a finding."""
         given, place = part.choices[option], (*part.path, "choices", option)
         number = partial(self._namespace.fixed, part, "choices", option, dimension=NUMBER)
         if not isinstance(given, dict):
@@ -215,7 +214,7 @@ class Actions:
         self._parts[name] = ActionRange(name, components, low, high, str(ends.dimension))
         return Symbol(name, Type(ends.dimension, components or None, interval=Interval(low, high), stage=Stage.STEP))
 
-    def _group(self, reference: str, place: Path) -> Components | None:
+    def _group(self, reference: str, place: NodePath) -> Components | None:
         """The members of a group of joints or links, or the joints of an actuator; None after a finding."""
         robot_name, _, rest = reference.partition(".")
         robot = self._namespace.robots.get(robot_name)
@@ -233,7 +232,7 @@ class Actions:
 
 Bounds = tuple[tuple[float, ...], tuple[float, ...]]
 
-MIN_SIDE = 36
+MIN_IMAGE_SIDE = 36
 """Pixels: filters of 8, 4 and 3 with strides of 4, 2 and 1 leave one of them."""
 
 
@@ -269,7 +268,7 @@ class Observations:
         history, clip = (given.history, given.clip) if isinstance(given, Observed) else (1, True)
         return kind(text.expression(typed), *bounds, history, clip, added)
 
-    def _observed(self, text: Text) -> Typed | None:
+    def _observed(self, text: SourceText) -> Typed | None:
         tree = self._values.parsed(text)
         if tree is None:
             return None
@@ -283,7 +282,7 @@ class Observations:
             return None
         return self._values.expression(text, SupervisorScope(self._namespace, Context.OBSERVATION))
 
-    def _bounds(self, typed: Typed, text: Text) -> Bounds | None:
+    def _bounds(self, typed: Typed, text: SourceText) -> Bounds | None:
         count = len(typed.type.components or ("",))
         if typed.type.picture:
             if text.text != "auto":
@@ -327,8 +326,8 @@ class Observations:
             if picture is None:
                 continue
             rows, columns, channels = picture[0], picture[1], picture[2] * entry.history * self._spec.agent.frame_stack
-            if min(rows, columns) < MIN_SIDE:
-                headline = f"pictures of {columns} x {rows} pixels, where the network needs {MIN_SIDE} x {MIN_SIDE}"
+            if min(rows, columns) < MIN_IMAGE_SIDE:
+                headline = f"pictures of {columns} x {rows} pixels, where the network needs {MIN_IMAGE_SIDE} x {MIN_IMAGE_SIDE}"
                 self._values.findings.add("DB612", entry.value.span, headline, help="raise the `resolution` of the camera")
             elif channels >= min(rows, columns):
                 headline = f"pictures of {columns} x {rows} pixels with {channels} channels in all, more than the sides have pixels"
@@ -388,7 +387,7 @@ class Goals:
             self._values.findings.add("DB709", span, "a reward over several timesteps, which hindsight cannot recompute", help=help)
 
     def _part(self, spec: GoalSpec, name: str) -> Symbol:
-        """What is achieved or desired; what is desired has the dimension and the components of what is achieved."""
+        """The achieved or the desired goal; both have the same dimension and components."""
         text = self._values.field(spec, name)
         typed = self._values.expression(text, SupervisorScope(self._namespace, Context.GOAL), boolean=False)
         wanted = None
@@ -398,7 +397,7 @@ class Goals:
         if typed is None or (name == "desired" and wanted is None):
             return Symbol(name, None)
         dimension, components = (wanted.dimension, wanted.components) if wanted else (None, ANY_SHAPE)
-        typed = expect(typed, self._values.report(text), f"`{name}` of the goal", dimension=dimension, components=components)
+        typed = expect_value(typed, self._values.report(text), f"`{name}` of the goal", dimension=dimension, components=components)
         if typed is None:
             return Symbol(name, None)
         if wanted:
@@ -409,7 +408,7 @@ class Goals:
     def _reached(self, context: Context) -> Symbol:
         name = "goal_reached"
         if context not in AFTER_SIGNALS:
-            return Symbol(name, None, refused=GOAL_IS_LATE)
+            return Symbol(name, None, refusal=GOAL_AFTER_SIGNALS)
         for part in self._namespace.names_of(Origin.GOAL):
             symbol = self._namespace.resolve(part)
             if symbol is None or symbol.type is None:
@@ -464,15 +463,15 @@ class Decisions:
         self._names = list(namespace.scenario.action)
         self._called = ""
 
-    def read(self, place: Path, given: Mapping[str, object], called: str) -> tuple[ScriptedChoice | ScriptedRange, ...] | None:
-        """The decisions at `place`, which findings call `called`; None after a finding."""
-        self._called = called
+    def read(self, place: NodePath, given: Mapping[str, object], description: str) -> tuple[ScriptedChoice | ScriptedRange, ...] | None:
+        """The decisions at `place`, which findings call `description`; None after a finding."""
+        self._called = description
         for part in given:
             if part not in self._names:
                 self._values.report_unknown(self._values.key_span((*place, part)), "action", part, self._names)
         for part in self._names:
             if part not in given and not self._values.is_invalid(part):
-                headline = f"{called} does not decide `{part}`"
+                headline = f"{description} does not decide `{part}`"
                 self._values.findings.add("DB102", self._values.key_span(place), headline, help=self._example(part))
         decided = {part: self._decision((*place, part), self._parts[part], given[part]) for part in self._parts if part in given}
         parts = [decided.get(part) for part in self._names]
@@ -488,7 +487,7 @@ class Decisions:
             case _:
                 return None
 
-    def _decision(self, place: Path, part: Choices | ActionRange, given: object) -> ScriptedChoice | ScriptedRange | None:
+    def _decision(self, place: NodePath, part: Choices | ActionRange, given: object) -> ScriptedChoice | ScriptedRange | None:
         if isinstance(part, ActionRange):
             if isinstance(given, dict):
                 return self._aims(place, part, given)
@@ -496,7 +495,7 @@ class Decisions:
             return None if aim is None else ScriptedRange((aim,), max(1, len(part.components)))
         return self._pick(place, part, given) if isinstance(given, dict) else self._option(place, part, str(given))
 
-    def _aims(self, place: Path, part: ActionRange, given: Mapping[str, object]) -> ScriptedRange | None:
+    def _aims(self, place: NodePath, part: ActionRange, given: Mapping[str, object]) -> ScriptedRange | None:
         """A value for each component by its name."""
         key = self._values.key_span(place)
         if not part.components:
@@ -515,7 +514,7 @@ class Decisions:
         found = tuple(aim for aim in aims if aim is not None)
         return ScriptedRange(found, len(part.components)) if len(found) == len(part.components) else None
 
-    def _aim(self, place: Path, part: ActionRange, given: object, components: Components | None) -> Expression | None:
+    def _aim(self, place: NodePath, part: ActionRange, given: object, components: Components | None) -> Expression | None:
         """A value of the dimension of the range, which may be a vector of these components."""
         known = self._namespace.resolve(part.name)
         text = self._values.text(place, given)
@@ -523,10 +522,10 @@ class Decisions:
         if typed is None or known is None or known.type is None:
             return None
         report, dimension = self._values.report(text), known.type.dimension
-        fitted = expect(typed, report, f"`{place[-1]}`", dimension=dimension, components=components)
+        fitted = expect_value(typed, report, f"`{place[-1]}`", dimension=dimension, components=components)
         return fitted and text.expression(fitted, part.name)
 
-    def _option(self, place: Path, part: Choices, word: str) -> ScriptedChoice | None:
+    def _option(self, place: NodePath, part: Choices, word: str) -> ScriptedChoice | None:
         """The same option always."""
         span, options = self._values.span(place), [option.name for option in part.options]
         if not _WORD.fullmatch(word):
@@ -538,7 +537,7 @@ class Decisions:
             return ScriptedChoice((), word)
         return None
 
-    def _pick(self, place: Path, part: Choices, given: Mapping[str, object]) -> ScriptedChoice | None:
+    def _pick(self, place: NodePath, part: Choices, given: Mapping[str, object]) -> ScriptedChoice | None:
         """The first option whose condition holds; one of the conditions must hold always, and nothing stands behind it."""
         if len(given) > MAX_CONDITIONS:
             self._values.findings.add("DB005", self._values.key_span(place), f"more than {MAX_CONDITIONS} conditions")
@@ -553,7 +552,7 @@ class Decisions:
                 branches.append((option, holds))
         if broken:
             return None
-        always = next((index for index, (_, holds) in enumerate(branches) if constant(holds.typed) == (True,)), None)
+        always = next((index for index, (_, holds) in enumerate(branches) if constant_values(holds.typed) == (True,)), None)
         if always is None:
             headline = f"the script can leave `{part.name}` without an option: no condition is always true"
             help = f"make the last condition true: `{branches[-1][0]}: true`"
@@ -567,7 +566,7 @@ class Decisions:
             )
         return ScriptedChoice(tuple(branches[:always]), otherwise)
 
-    def _condition(self, place: Path, given: object) -> Expression | None:
+    def _condition(self, place: NodePath, given: object) -> Expression | None:
         text = self._values.text(place, given)
         typed = self._values.condition(text, self._scope)
         return typed and text.expression(typed)

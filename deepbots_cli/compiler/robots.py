@@ -10,15 +10,14 @@ from fnmatch import fnmatchcase
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING
 
-from deepbots_cli.compiler.values import Text, Values
+from deepbots_cli.compiler.values import SourceText, ValueReader
 from deepbots_cli.diagnostics import Edit, Findings, Fix, Span
 from deepbots_cli.document import Document, files, shipped
-from deepbots_cli.document.nodes import Mapping as MappingNode
-from deepbots_cli.document.nodes import descend
+from deepbots_cli.document.nodes import MappingNode, descend
 from deepbots_cli.expressions import intervals, syntax
 from deepbots_cli.expressions.dimensions import ANGLE, FORCE, LENGTH, MASS, NUMBER, TIME, TORQUE, UNITS, Dimension, Unit
-from deepbots_cli.expressions.intervals import EVERYTHING, Interval, exact
-from deepbots_cli.expressions.types import Context, Kind, Scope, Stage, Subject, Symbol, Type, shown
+from deepbots_cli.expressions.intervals import EVERYTHING, Interval, single
+from deepbots_cli.expressions.types import Context, Kind, Scope, Stage, Subject, Symbol, Type, shortened_list
 from deepbots_cli.frames import IDENTITY_FRAME, Frame, compose
 from deepbots_cli.frames import frame as pose_frame
 from deepbots_cli.program.resets import OfJoint, OfLink
@@ -38,7 +37,7 @@ from deepbots_cli.robots.model import (
 )
 from deepbots_cli.robots.reader import RobotFile, read
 from deepbots_cli.scenario.base import Section
-from deepbots_cli.scenario.fields import choose_from
+from deepbots_cli.scenario.fields import choices_help
 from deepbots_cli.scenario.scenario import JointOverride, LinkOverride
 from deepbots_cli.scenario.scenario import Robot as RobotSpec
 from deepbots_cli.scenario.sensors import Camera
@@ -48,12 +47,12 @@ if TYPE_CHECKING:
 
 
 def joint_dimension(joint: Joint) -> Dimension:
-    """Of a joint's position: a length where it slides, else an angle."""
+    """The dimension of a joint's position: a length for a sliding joint, else an angle."""
     return LENGTH if joint.type == "prismatic" else ANGLE
 
 
 def effort_dimension(joint: Joint) -> Dimension:
-    """Of what drives it: a force where it slides, else a torque."""
+    """The dimension of a joint's effort: a force for a sliding joint, else a torque."""
     return FORCE if joint.type == "prismatic" else TORQUE
 
 
@@ -64,7 +63,7 @@ def joint_interval(joint: Joint) -> Interval:
     return Interval(joint.limit.lower, joint.limit.upper)
 
 
-def carries(model: RobotModel, joint: Joint, link: str) -> bool:
+def joint_moves_link(model: RobotModel, joint: Joint, link: str) -> bool:
     """Whether the link moves when the joint does."""
     above = {other.child: other for other in model.joints}
     while link in above:
@@ -86,7 +85,7 @@ def rigid_root(model: RobotModel, link: str) -> tuple[str, Frame]:
     return link, frame
 
 
-def hull(joints: Iterable[Joint]) -> Interval:
+def position_interval(joints: Iterable[Joint]) -> Interval:
     """The positions that the limits of any of the joints leave."""
     return intervals.hull([joint_interval(joint) for joint in joints])
 
@@ -95,42 +94,42 @@ Group = tuple[Kind, tuple[str, ...]]
 """Joints or links, and the short names of its members."""
 
 
-def expand(names: Sequence[str], patterns: str | Iterable[str], groups: Mapping[str, Group]) -> tuple[tuple[str, ...], list[str]]:
+def expand_patterns(names: Sequence[str], patterns: str | Iterable[str], groups: Mapping[str, Group]) -> tuple[tuple[str, ...], list[str]]:
     """The names that patterns and groups stand for, in order, without repeats; and what stood for nothing."""
     found: dict[str, None] = {}
     missing = []
     for pattern in [patterns] if isinstance(patterns, str) else patterns:
-        matched = tuple(member for member in groups[pattern][1] if member in names) if pattern in groups else match(names, pattern)
+        matched = tuple(member for member in groups[pattern][1] if member in names) if pattern in groups else matching_names(names, pattern)
         if not matched:
             missing.append(pattern)
         found.update(dict.fromkeys(matched))
     return tuple(found), missing
 
 
-def match(names: Iterable[str], pattern: str) -> tuple[str, ...]:
+def matching_names(names: Iterable[str], pattern: str) -> tuple[str, ...]:
     """The one of this name; or those that fit `pattern` (`*`, `?`, `[abc]`; upper and lower case differ), in their given order."""
     known = tuple(names)
     return (pattern,) if pattern in known else tuple(name for name in known if fnmatchcase(name, pattern))
 
 
-def unmatched(values: Values, span: Span, pattern: str, what: str, names: Sequence[str]) -> None:
+def report_unmatched(values: ValueReader, span: Span, pattern: str, what: str, names: Sequence[str]) -> None:
     """DB206 for a pattern, DB302 or DB201 for a plain name, with what there is."""
     if not set(pattern) & set("*?["):
         values.report_unknown(span, what, pattern, names, "DB302" if what == "joint" else "DB201")
     else:
-        values.findings.add("DB206", span, f"`{pattern}` matches no {what}", help=choose_from(pattern, names))
+        values.findings.add("DB206", span, f"`{pattern}` matches no {what}", help=choices_help(pattern, names))
 
 
-def joint_missing(values: Values, span: Span, pattern: str, model: RobotModel) -> None:
+def report_missing_joint(values: ValueReader, span: Span, pattern: str, model: RobotModel) -> None:
     """A joint where one is needed that moves: it does not exist, or it cannot move."""
     joint = next((joint for joint in model.joints if joint.name == pattern), None)
     if joint is not None:
-        motionless(values, span, joint, model)
+        report_motionless_joint(values, span, joint, model)
     else:
-        unmatched(values, span, pattern, "joint", [joint.name for joint in model.moving_joints])
+        report_unmatched(values, span, pattern, "joint", [joint.name for joint in model.moving_joints])
 
 
-def motionless(values: Values, span: Span, joint: Joint, model: RobotModel) -> None:
+def report_motionless_joint(values: ValueReader, span: Span, joint: Joint, model: RobotModel) -> None:
     names = ", ".join(f"`{moving.name}`" for moving in model.moving_joints)
     help = f"joints that move are {names}" if names else "no joint of this robot can move"
     values.findings.add("DB303", span, f"the joint `{joint.name}` cannot move: it is {joint.type}", help=help)
@@ -142,7 +141,9 @@ _NUMBER = re.compile(r"[-+]?[0-9.][0-9_.]*(?:[eE][-+]?[0-9]+)?")
 _DIGITS = 4
 
 
-def warn_beyond(values: Values, text: Text, dimension: Dimension, allowed: Interval, what: str, found: Interval, help: str) -> None:
+def warn_beyond_limits(
+    values: ValueReader, text: SourceText, dimension: Dimension, allowed: Interval, what: str, found: Interval, help: str
+) -> None:
     """DB304: `what` is `found`, which is not all within what the robot file allows for the value that is written in `text`."""
     tree = values.parsed(text)
     numbers = list(_numbers(tree)) if tree else []
@@ -153,12 +154,12 @@ def warn_beyond(values: Values, text: Text, dimension: Dimension, allowed: Inter
         low, high = (f"{end / unit.to_si(1.0):.{_DIGITS}g}" for end in known)
         return low if low == high else f"{low} .. {high}"
 
-    limits = allowed if allowed.low > -math.inf else exact(allowed.high)
+    limits = allowed if allowed.low > -math.inf else single(allowed.high)
     headline = f"{what} {in_unit(found)} {unit.text}, where the robot file allows {in_unit(limits)}"
     values.findings.add("DB304", text.span, headline, help=help, fix=_within(text, numbers, allowed))
 
 
-def _within(text: Text, numbers: list[syntax.Number], allowed: Interval) -> Fix | None:
+def _within(text: SourceText, numbers: list[syntax.Number], allowed: Interval) -> Fix | None:
     """Each number at the limit that it is beyond; None where they stand for something else, or none would be left to draw from."""
     kept = [_clamped(number, allowed) for number in numbers]
     if not kept or (len(kept) > 1 and kept[0] >= kept[1]):
@@ -212,7 +213,7 @@ _CONTACT: Mapping[str, tuple[str, LinkParameter]] = {
 }
 
 
-_UNKNOWN = Symbol("urdf", None, refused="the robot file does not say")
+_UNKNOWN = Symbol("urdf", None, refusal="the robot file does not say")
 
 
 @dataclass(frozen=True)
@@ -224,7 +225,7 @@ class Overrides:
     namespace: Namespace
 
     @property
-    def values(self) -> Values:
+    def values(self) -> ValueReader:
         return self.namespace.values
 
     def apply(self, model: RobotModel, spec: RobotSpec) -> RobotModel:
@@ -239,18 +240,18 @@ class Overrides:
                 if joint.moves:
                     model = self._change_joint(model, joint, joint_change)
                 elif name == pattern:
-                    motionless(self.values, self.values.key_span(joint_change.path), joint, model)
+                    report_motionless_joint(self.values, self.values.key_span(joint_change.path), joint, model)
         return model
 
     def _members(self, names: list[str], pattern: str, change: LinkOverride | JointOverride, what: str) -> tuple[str, ...]:
-        members, missing = expand(names, pattern, self.groups)
+        members, missing = expand_patterns(names, pattern, self.groups)
         if missing:
-            unmatched(self.values, self.values.key_span(change.path), pattern, what, names)
+            report_unmatched(self.values, self.values.key_span(change.path), pattern, what, names)
         return members
 
     def _scope(self, dimension: Dimension = NUMBER, urdf: float | None = None) -> Scope:
         """The scope of a change of a value that is called `urdf` and stands in the robot file."""
-        known = _UNKNOWN if urdf is None else Symbol("urdf", Type(dimension, interval=exact(urdf)), (urdf,))
+        known = _UNKNOWN if urdf is None else Symbol("urdf", Type(dimension, interval=single(urdf)), (urdf,))
         return self.namespace.scope(Context.FIELD, {"urdf": known})
 
     def _change_link(self, model: RobotModel, link: Link, change: LinkOverride) -> RobotModel:
@@ -326,7 +327,7 @@ class Overrides:
 
 
 @dataclass(frozen=True, eq=False)
-class RobotScene:
+class ResolvedRobot:
     """A robot of the scenario: its specification, its body as changed by it, and its named groups."""
 
     name: str
@@ -352,14 +353,14 @@ class RobotScene:
             if kind is Kind.LINKS:
                 return Subject(full, kind, names)
             joints = [self.model.joint(member) for member in members]
-            return Subject(full, kind, names, dimension=joint_dimension(joints[0]), interval=hull(joints))
+            return Subject(full, kind, names, dimension=joint_dimension(joints[0]), interval=position_interval(joints))
         if not (is_link and kinds and Kind.LINK in kinds):
             for joint in self.model.moving_joints:
                 if joint.name == part:
                     return Subject(full, Kind.JOINT, dimension=joint_dimension(joint), interval=joint_interval(joint))
         return Subject(full, Kind.LINK, link=full) if is_link else None
 
-    def joints_of(self, spec: Section, values: Values) -> tuple[Joint, ...]:
+    def joints_of(self, spec: Section, values: ValueReader) -> tuple[Joint, ...]:
         """The joints that `joint` or `joints` of a sensor or actuator names; none after a finding."""
         key = "joint" if getattr(spec, "joint", None) is not None else "joints"
         names = self._named(spec, key, [joint.name for joint in self.model.moving_joints], values)
@@ -369,7 +370,7 @@ class RobotScene:
             return ()
         return joints
 
-    def links_of(self, spec: Section, values: Values) -> tuple[str, ...]:
+    def links_of(self, spec: Section, values: ValueReader) -> tuple[str, ...]:
         """The links that `link` or `links` of a sensor or actuator names; none after a finding."""
         one = getattr(spec, "link", None)
         if one is None:
@@ -378,17 +379,17 @@ class RobotScene:
             values.report_unknown(values.span((*spec.path, "link")), "link", one, self.link_names)
         return (one,) if one in self.link_names else ()
 
-    def _named(self, spec: Section, key: str, known: list[str], values: Values) -> tuple[str, ...]:
+    def _named(self, spec: Section, key: str, known: list[str], values: ValueReader) -> tuple[str, ...]:
         """The names that the patterns under a key stand for; none after a finding."""
         patterns = getattr(spec, key) or ()  # neither key is left where validation had a finding about it
-        names, missing = expand(known, patterns, self.groups)
+        names, missing = expand_patterns(known, patterns, self.groups)
         for index, pattern in enumerate([patterns] if isinstance(patterns, str) else patterns):
             if pattern in missing:
                 span = values.span((*spec.path, *((key,) if isinstance(patterns, str) else (key, index))))
                 if key == "links":
-                    unmatched(values, span, pattern, "link", known)
+                    report_unmatched(values, span, pattern, "link", known)
                 else:
-                    joint_missing(values, span, pattern, self.model)
+                    report_missing_joint(values, span, pattern, self.model)
         return () if missing else names
 
     @property
@@ -396,18 +397,18 @@ class RobotScene:
         return [*self.groups, *(joint.name for joint in self.model.moving_joints), *self.link_names, *self.spec.sensors]
 
 
-def load_robot(name: str, spec: RobotSpec, namespace: Namespace) -> RobotScene | None:
+def load_robot(name: str, spec: RobotSpec, namespace: Namespace) -> ResolvedRobot | None:
     """Read the robot file that `robots.<name>.urdf` names, and apply the overrides; None after a finding."""
     document, values = namespace.document, namespace.values
     node = descend(values.root, spec.path)[0]
     if isinstance(node, MappingNode) and node.partial:
         return None  # a finding took keys away that the rest of the scenario may name
-    file_at = located(spec.urdf, values.field(spec, "urdf").span, document, values, robot=True)
+    file_at = locate_file(spec.urdf, values.field(spec, "urdf").span, document, values, robot=True)
     if file_at is None:
         return None
     resolve_mesh = meshes.mesh_resolver(file_at.parent, (*document.roots, *meshes.package_folders(spec.urdf)))
     found = Findings()
-    file = read(file_at, files.display(file_at), found, resolve_mesh=resolve_mesh)
+    file = read(file_at, files.display_path(file_at), found, resolve_mesh=resolve_mesh)
     if file is None:
         _tell(found, values, ())
         return None
@@ -415,17 +416,17 @@ def load_robot(name: str, spec: RobotSpec, namespace: Namespace) -> RobotScene |
     model = Overrides(name, groups, namespace).apply(file.model, spec)
     has_mass = [file.link_spans[link.name] for link in model.links if link.inertial or link.density is not None]
     _tell(found, values, has_mass)
-    return RobotScene(name, file_at.resolve(), spec, file, model, groups)
+    return ResolvedRobot(name, file_at.resolve(), spec, file, model, groups)
 
 
-def _tell(found: Findings, values: Values, has_mass: Sequence[Span]) -> None:
+def _tell(found: Findings, values: ValueReader, has_mass: Sequence[Span]) -> None:
     """Pass on what was found in a robot file, but not that a link has no inertial where the scenario gives it one."""
     for finding in found:
         if finding.code != "DB305" or finding.notes or finding.span not in has_mass:
             values.findings.append(finding)
 
 
-def located(reference: str, span: Span, document: Document, values: Values, *, robot: bool = False) -> FilePath | None:
+def locate_file(reference: str, span: Span, document: Document, values: ValueReader, *, robot: bool = False) -> FilePath | None:
     """The file that the scenario names at `span`: in the project, in an installed package, or, of a `robot`, a shipped one."""
     if reference.startswith("package://"):
         found = meshes.package_file(reference)
@@ -433,13 +434,13 @@ def located(reference: str, span: Span, document: Document, values: Values, *, r
             help = "the package must be installed and contain this file"
             values.findings.add("DB204", span, f"`{reference}` does not exist", help=help)
         return found
-    beside = files.resolve(reference, document.directory_of(span), document.roots)
+    beside = files.resolve_reference(reference, document.directory_of(span), document.roots)
     if isinstance(beside, FilePath):
         return beside
     by_name = shipped.robot_path(reference) if robot else None
     if by_name is not None:
         return by_name
-    notes = (f"shipped robots are {shown(shipped.robot_names())}",) if robot else ()
+    notes = (f"shipped robots are {shortened_list(shipped.robot_names())}",) if robot else ()
     library = meshes.library_reference(reference)
     fix = Fix.replacing(span, reference, library, safe=False) if library else None
     help = f"did you mean `{library}`?" if library else beside.help
@@ -447,7 +448,7 @@ def located(reference: str, span: Span, document: Document, values: Values, *, r
     return None
 
 
-def _groups(model: RobotModel, spec: RobotSpec, values: Values) -> dict[str, Group]:
+def _groups(model: RobotModel, spec: RobotSpec, values: ValueReader) -> dict[str, Group]:
     groups: dict[str, Group] = {}
     joints, links = [joint.name for joint in model.moving_joints], [link.name for link in model.links]
     for name, patterns in spec.groups.items():
@@ -455,8 +456,8 @@ def _groups(model: RobotModel, spec: RobotSpec, values: Values) -> dict[str, Gro
         if name in joints or name in links:
             what = "joint" if name in joints else "link"
             values.findings.add("DB202", values.key_span(place), f"`{name}` is already a {what}", help="choose another name")
-        as_joints, not_joints = expand(joints, patterns, groups)
-        as_links, not_links = expand(links, patterns, groups)
+        as_joints, not_joints = expand_patterns(joints, patterns, groups)
+        as_links, not_links = expand_patterns(links, patterns, groups)
         if not not_joints and len({joint_dimension(model.joint(joint)) for joint in as_joints}) > 1:
             values.findings.add(
                 "DB404",
@@ -472,7 +473,7 @@ def _groups(model: RobotModel, spec: RobotSpec, values: Values) -> dict[str, Gro
             continue
         elif odd := [pattern for pattern in not_joints if pattern in not_links]:
             span = values.span((*place, patterns.index(odd[0])))
-            unmatched(values, span, odd[0], "joint or link", list(dict.fromkeys([*joints, *links])))
+            report_unmatched(values, span, odd[0], "joint or link", list(dict.fromkeys([*joints, *links])))
         else:
             values.findings.add(
                 "DB203", values.span(place), "joints and links in one group", help="make one group of joints, and one of links"

@@ -8,9 +8,9 @@ from itertools import pairwise
 from typing import Any
 
 from deepbots_cli.compiler.namespace import Namespace
-from deepbots_cli.compiler.robots import RobotScene, hull, joint_dimension
-from deepbots_cli.compiler.values import Values
-from deepbots_cli.document.nodes import Path
+from deepbots_cli.compiler.robots import ResolvedRobot, joint_dimension, position_interval
+from deepbots_cli.compiler.values import ValueReader
+from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import LENGTH, NUMBER, TIME, Dimension
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
 from deepbots_cli.expressions.types import Components, Kind, Stage, Symbol, Type
@@ -18,7 +18,7 @@ from deepbots_cli.program.resets import OfSensor
 from deepbots_cli.program.robots import MAX_SENSED_RAYS, MIN_RESOLUTION, CalibrationTable, CameraIntrinsics, NoiseModel, RayConfig, Sensor
 from deepbots_cli.program.task import MAX_OBSERVED_BYTES
 from deepbots_cli.robots.model import Pose, Vector
-from deepbots_cli.scenario.base import parameters
+from deepbots_cli.scenario.base import kind_parameters
 from deepbots_cli.scenario.sensors import BASES, Camera, ContactSensor, JointSensor, LinkSensor, RayScan, RaySensor, Touch
 from deepbots_cli.scenario.sensors import CalibrationTable as TableSpec
 from deepbots_cli.scenario.sensors import Sensor as SensorSpec
@@ -28,10 +28,10 @@ _LINKS = frozenset({Kind.LINK})
 _FELT = frozenset({Kind.GROUND, Kind.ROBOT, Kind.OBJECT, Kind.OBJECTS, Kind.LINK, Kind.LINKS, Kind.WALL, Kind.WALLS})
 
 
-class Sensing:
+class SensorsCompiler:
     """The sensors of one robot. Those with findings are missing, and their names have no type."""
 
-    def __init__(self, scene: RobotScene, namespace: Namespace) -> None:
+    def __init__(self, scene: ResolvedRobot, namespace: Namespace) -> None:
         self._scene = scene
         self._namespace = namespace
         self._values = namespace.values
@@ -42,7 +42,7 @@ class Sensing:
             self._add(name, spec)
         self._check_size()
 
-    def finished(self, timestep: float) -> tuple[Sensor, ...]:
+    def compiled(self, timestep: float) -> tuple[Sensor, ...]:
         """The sensors in a world whose timestep is `timestep` s, which their periods are multiples of."""
         specs = self._scene.spec.sensors
         return tuple(
@@ -66,7 +66,7 @@ class Sensing:
             return
         sensor, known = made
         slides = isinstance(spec, JointSensor) and joint_dimension(self._scene.model.joint(sensor.subjects[0])) == LENGTH
-        own = self._namespace.parameters(spec, parameters(type(spec), *BASES), known.dimension, slides=slides)
+        own = self._namespace.parameters(spec, kind_parameters(type(spec), *BASES), known.dimension, slides=slides)
         if own is None:
             return
         faults, reach = _noise_model(self._namespace, spec, known)
@@ -88,7 +88,7 @@ class Sensing:
                     subjects, dimension, interval = (
                         tuple(j.name for j in joints),
                         spec.dimension_of(joints[0]),
-                        spec.interval_of(hull(joints)),
+                        spec.interval_of(position_interval(joints)),
                     )
                 components = subjects if spec.joints is not None else ()
             case ContactSensor():
@@ -284,13 +284,13 @@ def _noise_model(namespace: Namespace, spec: SensorSpec, known: Type) -> tuple[N
         model = NoiseModel(1, latency, noise, relative_noise, bias, relative_bias, drift, low, high, resolution)
         wanders = noise or relative_noise or bias or relative_bias or drift
         reach = Interval(min(low), max(high)) if low else EVERYTHING if wanders else known.interval
-        if resolution and reach.finite:
+        if resolution and reach.is_finite:
             half = max(resolution) / 2
             reach = Interval(reach.low - half, reach.high + half)
     return None if model == NoiseModel() and len(namespace.variations) == drawn else model, reach
 
 
-def _refuse_errors(values: Values, spec: SensorSpec, known: Type) -> None:
+def _refuse_errors(values: ValueReader, spec: SensorSpec, known: Type) -> None:
     tells, keys = ("takes pictures", _OF_NUMBERS[:-2]) if known.picture else ("reads true or false", _OF_NUMBERS)
     for key in keys:
         if key in spec.model_fields_set:
@@ -334,7 +334,7 @@ def _range(namespace: Namespace, spec: SensorSpec, known: Type) -> tuple[tuple[f
     return (ends.low, ends.high) if ends else ((), ())
 
 
-def _owner(path: Path, field: str) -> OfSensor:
+def _owner(path: NodePath, field: str) -> OfSensor:
     return OfSensor(str(path[1]), str(path[3]), field)
 
 

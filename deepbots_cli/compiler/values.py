@@ -12,37 +12,36 @@ from collections.abc import Mapping as Table
 from typing import Any, NamedTuple
 
 from deepbots_cli.diagnostics import Findings, Fix, Label, Span
-from deepbots_cli.diagnostics.nearest import Replacement, nearest, suggest_replacement
-from deepbots_cli.document.nodes import Mapping, Node, Path, Scalar, descend, to_data
-from deepbots_cli.document.nodes import Sequence as SequenceNode
+from deepbots_cli.diagnostics.nearest import Replacement, nearest_word, suggest_replacement
+from deepbots_cli.document.nodes import MappingNode, Node, NodePath, ScalarNode, SequenceNode, descend, to_data
 from deepbots_cli.expressions import check, parser, syntax
 from deepbots_cli.expressions.dimensions import Dimension
-from deepbots_cli.expressions.lower import constant
+from deepbots_cli.expressions.lower import constant_values
 from deepbots_cli.expressions.types import (
     Components,
+    FindingReporter,
     Redraw,
-    Report,
     Scope,
     Stage,
     Typed,
     TypedRange,
     is_bare_zero,
 )
-from deepbots_cli.expressions.unification import expect, expect_kind, expect_range
+from deepbots_cli.expressions.unification import expect_kind, expect_range, expect_value
 from deepbots_cli.program.values import Expression, Noise
-from deepbots_cli.scenario.base import Section, fields
-from deepbots_cli.scenario.fields import FieldType, Quantity, choose_from, other_name
+from deepbots_cli.scenario.base import Section, section_fields
+from deepbots_cli.scenario.fields import FieldType, Quantity, choices_help, word_for_foreign_name
 from deepbots_cli.scenario.validate import replacement_for
 
 _KEY_BEFORE = re.compile(r"(?<![\w.])([\w.]+)['\"]?\s*:\s*$")
-ANY = "*"
+ANY_NAME = "*"
 """Stands for all names: those of a section that is no mapping cannot be told."""
 
 _OF_NAMES = frozenset({"parameters", "augment", "signals", "success", "failure"})
 _REACH = 200  # how far before a finding its key may stand, in characters
 
 
-def invalid_names(root: Mapping, pruned: Iterable[Path], found: Iterable[Span]) -> set[str]:
+def invalid_names(root: MappingNode, pruned: Iterable[NodePath], found: Iterable[Span]) -> set[str]:
     """The names in what the schema took out of `root`, and the keys at and right before the findings `found`."""
     names: set[str] = set()
     data = to_data(root)
@@ -51,8 +50,8 @@ def invalid_names(root: Mapping, pruned: Iterable[Path], found: Iterable[Span]) 
         if steps == len(path):
             near = replacement_for(data, path)
             names.update([key.text] if key else [], [near.text] if near else [], _names(node))
-            if path[-1:] and path[-1] in _OF_NAMES and not isinstance(node, Mapping):
-                names.add(ANY)
+            if path[-1:] and path[-1] in _OF_NAMES and not isinstance(node, MappingNode):
+                names.add(ANY_NAME)
     for span in found:
         before = _KEY_BEFORE.search(span.source.text, max(0, span.start - _REACH), span.start)
         names.update([before[1]] if before else [])
@@ -63,22 +62,22 @@ def invalid_names(root: Mapping, pruned: Iterable[Path], found: Iterable[Span]) 
 def _names(node: Node) -> Iterator[str]:
     """All keys below `node`, and the items of its lists."""
     match node:
-        case Mapping():
+        case MappingNode():
             for name, entry in node.entries.items():
                 yield name
                 yield from _names(entry.value)
         case SequenceNode():
             for item in node.items:
-                yield from [item.text] if isinstance(item, Scalar) else _names(item)
+                yield from [item.text] if isinstance(item, ScalarNode) else _names(item)
 
 
-class Text(NamedTuple):
+class SourceText(NamedTuple):
     """A text of the scenario: what it says, where each part of it stands, and what its field takes."""
 
     text: str
     part: Callable[[int, int], Span]
     kind: FieldType | None = None
-    path: Path = ()
+    path: NodePath = ()
 
     @property
     def owner(self) -> str:
@@ -103,88 +102,88 @@ class Text(NamedTuple):
 
     @property
     def unit(self) -> str | None:
-        """What a number without a unit is probably in."""
-        return self.kind.usual if isinstance(self.kind, Quantity) else None
+        """The probable unit of a number without a unit."""
+        return self.kind.usual_unit if isinstance(self.kind, Quantity) else None
 
 
-class Ends(NamedTuple):
-    """What a range goes from and to, per component, in SI units."""
+class RangeEnds(NamedTuple):
+    """The ends of a range per component, in SI units."""
 
     dimension: Dimension
     low: tuple[float, ...]
     high: tuple[float, ...]
 
 
-class Reading(NamedTuple):
+class ScopedExpression(NamedTuple):
     """A text that was read as an expression: what it sees from its place, and the trees that it came to.
 
     A range comes to two, what is drawn at intervals also to their length; after a finding there may be none.
     """
 
-    text: Text
+    text: SourceText
     scope: Scope
     trees: tuple[Typed, ...]
 
 
-class Values:
+class ValueReader:
     """Reads the values of one scenario.
 
     `kinds` says what the schema wants at each path; `invalid` holds the names whose definitions had findings. What was read
     is kept in `readings`, for editors.
     """
 
-    def __init__(self, root: Mapping, findings: Findings, kinds: Table[Path, FieldType], invalid: Iterable[str] = ()) -> None:
+    def __init__(self, root: MappingNode, findings: Findings, kinds: Table[NodePath, FieldType], invalid: Iterable[str] = ()) -> None:
         self.root = root
         self.findings = findings
-        self.readings: list[Reading] = []
+        self.readings: list[ScopedExpression] = []
         self._kinds = kinds
         self._invalid = set(invalid)
 
-    def span(self, path: Path) -> Span:
-        """Where the value at `path` stands, or the nearest thing around it."""
+    def span(self, path: NodePath) -> Span:
+        """The span of the value at `path`, or of the nearest node around it."""
         return descend(self.root, path)[0].span
 
-    def key_span(self, path: Path) -> Span:
-        """Where the key at the end of `path` stands; the value where there is none, and of the whole file its first line."""
+    def key_span(self, path: NodePath) -> Span:
+        """The span of the last key of `path`; of the value if there is no key, and of the first line for the whole file."""
         node, key, _ = descend(self.root, path)
         if key is None and node is self.root:
             end = node.span.source.text.find("\n", node.span.start, node.span.end)
             return node.span if end < 0 else Span(node.span.source, node.span.start, end)
         return key.span if key else node.span
 
-    def text(self, path: Path, default: object = None) -> Text:
+    def text(self, path: NodePath, default: object = None) -> SourceText:
         """The text at `path`; one that the file leaves out is placed at what surrounds it."""
         node, _, steps = descend(self.root, path)
-        if steps == len(path) and isinstance(node, Scalar):
-            return Text(node.text, node.part, self._kinds.get(path), path)
+        if steps == len(path) and isinstance(node, ScalarNode):
+            return SourceText(node.text, node.part, self._kinds.get(path), path)
         span = node.span
-        return Text(str(default), lambda _start, _end: span, None, path)
+        return SourceText(str(default), lambda _start, _end: span, None, path)
 
-    def field(self, section: Section, *steps: str | int) -> Text:
+    def field(self, section: Section, *steps: str | int) -> SourceText:
         """The text of a field, or of an item below it; that of the default where the file leaves it out."""
         value: Any = getattr(section, str(steps[0]))
         for step in steps[1:]:
             value = value[step]
-        text, kind = self.text((*section.path, *steps), value), fields(type(section))[str(steps[0])]
+        text, kind = self.text((*section.path, *steps), value), section_fields(type(section))[str(steps[0])]
         return text if text.kind or not isinstance(kind, FieldType) else text._replace(kind=kind)
 
-    def key_text(self, path: Path) -> Text:
+    def key_text(self, path: NodePath) -> SourceText:
         """The text of the key at the end of `path`."""
         key = descend(self.root, path)[1]
-        return Text(key.text, key.part, None, path) if key else self.text(path, path[-1])
+        return SourceText(key.text, key.part, None, path) if key else self.text(path, path[-1])
 
     # Names
 
-    def report_duplicate(self, path: Path, name: str, what: str, first: Path) -> None:
+    def report_duplicate(self, path: NodePath, name: str, what: str, first: NodePath) -> None:
         """A finding that the key at `path` defines a `name` that is already `what`, since `first`."""
         also = (Label(self.key_span(first), "first defined here"),)
-        self.findings.add("DB202", self.key_span(path), f"`{name}` is already {what}", help="choose another name", also=also)
+        self.findings.add("DB202", self.key_span(path), f"`{name}` is already {what}", help="choose another name", labels=also)
 
     def mark_invalid(self, name: str) -> None:
         """Note that the definition of `name` had a finding."""
         self._invalid.add(name)
 
-    def is_present(self, path: Path) -> bool:
+    def is_present(self, path: NodePath) -> bool:
         """Whether the scenario holds this key, be its value right or not."""
         return descend(self.root, path)[2] == len(path)
 
@@ -195,13 +194,13 @@ class Values:
     def report_unknown(self, span: Span, what: str, name: str, known: Sequence[str], code: str = "DB201") -> None:
         """A finding that `name` is none of the `known`, unless its definition had one."""
         if not self.is_invalid(name):
-            help = choose_from(name, known) if known else f"no {what} is defined"
+            help = choices_help(name, known) if known else f"no {what} is defined"
             near = suggest_replacement(name, known)
             fix = Fix.replacing(span, name, near.text, safe=near.safe) if near else None
             self.findings.add(code, span, f"there is no {what} `{name}`", help=help, fix=fix)
 
-    def report(self, text: Text) -> Report:
-        """Takes findings at offsets of `text`."""
+    def report(self, text: SourceText) -> FindingReporter:
+        """A function that takes findings at offsets of `text`."""
 
         def report(code: str, start: int, end: int, headline: str, help: str | None = None, replacement: Replacement | None = None) -> None:
             span, piece = text.part(start, end), text.text[start:end]
@@ -216,53 +215,53 @@ class Values:
         return report
 
     @staticmethod
-    def _word_replacement(text: Text, piece: str) -> str | None:
-        """Of a field that takes words beside numbers, the one that an unknown name stands for."""
+    def _word_replacement(text: SourceText, piece: str) -> str | None:
+        """The probable word for an unknown name, if the field takes words beside numbers."""
         words = text.kind.words if isinstance(text.kind, Quantity) and piece == text.text.strip() else ()
-        return other_name(piece, words) or nearest(piece, words) if words else None
+        return word_for_foreign_name(piece, words) or nearest_word(piece, words) if words else None
 
-    def parsed(self, text: Text) -> syntax.Node | None:
+    def parsed(self, text: SourceText) -> syntax.Node | None:
         return parser.parse(text.text, self.report(text))
 
-    def expression(self, text: Text, scope: Scope, *, boolean: bool | None = None) -> Typed | None:
+    def expression(self, text: SourceText, scope: Scope, *, boolean: bool | None = None) -> Typed | None:
         """The typed tree of an expression; `boolean` demands a truth value (True) or a number (False)."""
         tree = self.parsed(text)
         typed = check.check(tree, scope, self.report(text)) if tree else None
-        self.readings.append(Reading(text, scope, (typed,) if typed else ()))
+        self.readings.append(ScopedExpression(text, scope, (typed,) if typed else ()))
         if typed is None or boolean is None:
             return typed
         return expect_kind(typed, self.report(text), boolean=boolean)
 
-    def condition(self, text: Text, scope: Scope) -> Typed | None:
-        """The same for a single truth value."""
+    def condition(self, text: SourceText, scope: Scope) -> Typed | None:
+        """The typed tree of a single truth value."""
         typed = self.expression(text, scope, boolean=True)
-        return typed and expect(typed, self.report(text), "a condition", boolean=True)
+        return typed and expect_value(typed, self.report(text), "a condition", boolean=True)
 
-    def drawn(self, text: Text, scope: Scope) -> check.Checked | None:
+    def drawn(self, text: SourceText, scope: Scope) -> check.TypedExpression | None:
         """The typed tree of an expression where draws may be repeated (`every 5 s`)."""
         tree = self.parsed(text)
         checked = check.check_drawn(tree, scope, self.report(text)) if tree else None
         period = checked.redraw.period if checked and checked.redraw else None
-        self.readings.append(Reading(text, scope, tuple(filter(None, (checked and checked.value, period)))))
+        self.readings.append(ScopedExpression(text, scope, tuple(filter(None, (checked and checked.value, period)))))
         return checked
 
-    def redrawn(self, text: Text, what: str, scope: Scope, dimension: Dimension) -> tuple[Typed | None, Redraw | None]:
+    def redrawn(self, text: SourceText, what: str, scope: Scope, dimension: Dimension) -> tuple[Typed | None, Redraw | None]:
         """As `quantity`, for a single value that may be new in every step; with it, how often its draws are repeated."""
         checked = self.drawn(text, scope)
-        value = checked and expect(checked.value, self.report(text), what, dimension=dimension, unit=text.unit)
+        value = checked and expect_value(checked.value, self.report(text), what, dimension=dimension, unit=text.unit)
         if checked is None or value is None or not self._is_within(value, text, what):
             return None, None
         return value, checked.redraw
 
-    def range(self, text: Text, scope: Scope, *, falling: bool = False) -> TypedRange | None:
+    def range(self, text: SourceText, scope: Scope, *, falling: bool = False) -> TypedRange | None:
         tree = self.parsed(text)
         ends = check.check_range(tree, scope, self.report(text), falling=falling) if tree else None
-        self.readings.append(Reading(text, scope, (ends.low, ends.high) if ends else ()))
+        self.readings.append(ScopedExpression(text, scope, (ends.low, ends.high) if ends else ()))
         return ends
 
     def quantity(
         self,
-        text: Text,
+        text: SourceText,
         what: str,
         scope: Scope,
         dimension: Dimension | None,
@@ -276,10 +275,10 @@ class Values:
         typed = self.expression(text, scope, boolean=False)
         if typed is None:
             return None
-        value = expect(typed, self.report(text), what, dimension=dimension, components=components, stage=stage, unit=text.unit)
+        value = expect_value(typed, self.report(text), what, dimension=dimension, components=components, stage=stage, unit=text.unit)
         return value if value and self._is_vector(value, text, what) and self._is_within(value, text, what) else None
 
-    def _is_vector(self, value: Typed, text: Text, what: str) -> bool:
+    def _is_vector(self, value: Typed, text: SourceText, what: str) -> bool:
         """Whether what has a direction has all its components; a size or a factor, which is fixed, may be one for all axes."""
         kind = text.kind
         if not isinstance(kind, Quantity) or not kind.components or kind.stage == "fixed" or value.type.components is not None:
@@ -288,12 +287,12 @@ class Values:
         self.findings.add("DB404", text.span, f"{what} must be a vector; this is a single value", help=help)
         return False
 
-    def _is_within(self, value: Typed, text: Text, what: str) -> bool:
+    def _is_within(self, value: Typed, text: SourceText, what: str) -> bool:
         """Whether the value keeps the bounds of its field; the schema has looked at bare numbers only."""
         kind = text.kind
         if not isinstance(kind, Quantity) or (kind.minimum is None and kind.maximum is None and not kind.whole):
             return True
-        known = constant(value)
+        known = constant_values(value)
         low, high = (min(known), max(known)) if known else (value.type.interval.low, value.type.interval.high)
         minimum, maximum, unit = kind.minimum, kind.maximum, str(value.type.dimension)
         if minimum is not None and math.isfinite(low) and (low < minimum or (kind.exclusive and low == minimum)):
@@ -308,9 +307,9 @@ class Values:
         self.findings.add("DB105", text.span, f"{what} {verb} {_with_unit(odd, unit)}", help=help)
         return False
 
-    def fixed(self, value: Typed, text: Text, what: str) -> tuple[float | bool, ...] | None:
+    def fixed(self, value: Typed, text: SourceText, what: str) -> tuple[float | bool, ...] | None:
         """The SI values of a value that is settled in the file; a finding where they cannot be computed."""
-        values = constant(value)
+        values = constant_values(value)
         if values is None:
             help = "it divides by zero, leaves the domain of a function, or is too large"
             self.findings.add("DB105", text.span, f"{what} cannot be computed", help=help)
@@ -318,14 +317,14 @@ class Values:
 
     def ends(
         self,
-        text: Text,
+        text: SourceText,
         what: str,
         scope: Scope,
         *,
         dimension: Dimension | None = None,
         components: Components | None = None,
         falling: bool = False,
-    ) -> Ends | None:
+    ) -> RangeEnds | None:
         """The fixed ends of a range, one per component; with `falling`, in any order. None after a finding."""
         found = self.range(text, scope, falling=falling)
         bounds = found and expect_range(found, self.report(text), what, dimension=dimension, components=components)
@@ -337,7 +336,7 @@ class Values:
         if not falling and any(high <= low for low, high in zip(lows, highs, strict=True)):
             self.findings.add("DB105", text.span, "an empty range", help="give two different ends")
             return None
-        return Ends((bounds.high if is_bare_zero(bounds.low) else bounds.low).type.dimension, lows, highs)
+        return RangeEnds((bounds.high if is_bare_zero(bounds.low) else bounds.low).type.dimension, lows, highs)
 
 
 def _with_unit(number: float, unit: str) -> str:

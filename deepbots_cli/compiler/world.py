@@ -10,12 +10,12 @@ from pathlib import Path as FilePath
 from typing import Any, cast, get_args
 
 from deepbots_cli.compiler.namespace import Namespace, Origin
-from deepbots_cli.compiler.robots import RobotScene, located
+from deepbots_cli.compiler.robots import ResolvedRobot, locate_file
 from deepbots_cli.diagnostics import Edit, Fix
-from deepbots_cli.document.nodes import Path
+from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import LENGTH
 from deepbots_cli.expressions.intervals import Interval
-from deepbots_cli.expressions.lower import lower, op
+from deepbots_cli.expressions.lower import fold_operation, lower
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 from deepbots_cli.expressions.types import PLANE, Context, Stage, Symbol, Type
 from deepbots_cli.files import MAX_PICTURE_BYTES, picture_problem, read_at_most
@@ -65,7 +65,7 @@ def define_bodies(namespace: Namespace) -> None:
     for name, wall in spec.world.walls.items():
         namespace.define(name, Origin.WALL, ("world", "walls", name))
         if namespace.origin(name) is Origin.WALL:
-            namespace.walls[name] = pieces(name, wall)
+            namespace.walls[name] = wall_piece_names(name, wall)
     if spec.world.arena is not None:
         namespace.walls["arena"] = ARENA_WALLS
     for name in spec.world.lines:
@@ -99,12 +99,12 @@ def mesh(namespace: Namespace, spec: world_spec.Mesh | world_spec.MeshTerrain) -
     """The mesh file of an object or a terrain; None after a finding."""
     values, reference, place = namespace.values, spec.file, (*spec.path, "file")
     factors = (1.0, 1.0, 1.0) if spec.scale is None else namespace.triple(spec, "scale")
-    found = located(reference, values.span(place), namespace.document, values)
+    found = locate_file(reference, values.span(place), namespace.document, values)
     if found is None or factors is None:
         return None
     loaded = meshes.MeshReader(lambda _reference: found).load(reference)
     if isinstance(loaded, meshes.UnusableMesh):
-        values.findings.add("DB301", values.span(place), loaded.why, help=loaded.help)
+        values.findings.add("DB301", values.span(place), loaded.headline, help=loaded.help)
         return None
     if 0.0 in factors:
         values.findings.add(
@@ -116,7 +116,7 @@ def mesh(namespace: Namespace, spec: world_spec.Mesh | world_spec.MeshTerrain) -
     return made if _is_sensible(namespace, place, found, made) else None
 
 
-def _is_sensible(namespace: Namespace, place: Path, file: FilePath, mesh: Mesh) -> bool:
+def _is_sensible(namespace: Namespace, place: NodePath, file: FilePath, mesh: Mesh) -> bool:
     """Whether an engine can hold so many triangles; a size that is hardly meant is a warning."""
     findings, span = namespace.values.findings, namespace.values.span(place)
     measured = mesh_size(file.suffix.lower(), file.read_bytes())
@@ -134,10 +134,10 @@ def _is_sensible(namespace: Namespace, place: Path, file: FilePath, mesh: Mesh) 
     return code != "DB105"
 
 
-def picture(namespace: Namespace, path: Path, reference: str) -> tuple[str, str] | None:
+def picture(namespace: Namespace, path: NodePath, reference: str) -> tuple[str, str] | None:
     """The path and the digest of a grey picture; None after a finding."""
     span = namespace.values.span(path)
-    found = located(reference, span, namespace.document, namespace.values)
+    found = locate_file(reference, span, namespace.document, namespace.values)
     if found is None:
         return None
     data = read_at_most(found, MAX_PICTURE_BYTES + 1)
@@ -192,7 +192,7 @@ def walls(namespace: Namespace) -> tuple[ObjectBody, ...]:
     return tuple(box for name, wall in namespace.scenario.world.walls.items() for box in _wall(name, wall, namespace))
 
 
-def pieces(name: str, spec: world_spec.Wall) -> tuple[str, ...]:
+def wall_piece_names(name: str, spec: world_spec.Wall) -> tuple[str, ...]:
     """The names of the boxes of a wall; the blank keeps them apart from every object."""
     return tuple(f"{name} {number}" for number in range(1, len(spec.points) + (1 if spec.closed else 0)))
 
@@ -201,7 +201,7 @@ def _wall(name: str, spec: world_spec.Wall, namespace: Namespace) -> Sequence[Ob
     points = _points(spec, namespace)
     height, thickness = namespace.fixed(spec, "height"), namespace.fixed(spec, "thickness")
     ends = () if points is None else (*points[1:], points[0]) if spec.closed else points[1:]
-    names = pieces(name, spec)
+    names = wall_piece_names(name, spec)
     friction = namespace.scalar_or_randomized(spec, "friction", "walls_friction", OfWalls(names), None)
     if points is None or height is None or thickness is None or friction is None:
         namespace.values.mark_invalid(name)
@@ -282,7 +282,7 @@ def _at(heights: Scalar, place: dict[str, float]) -> Scalar:
         case Name(name=name) if name in place:
             return Const(place[name])
         case Op(op=operation, args=args):
-            return op(operation, *(_at(arg, place) for arg in args))
+            return fold_operation(operation, *(_at(arg, place) for arg in args))
         case _:
             return heights
 
@@ -370,7 +370,7 @@ def shape(thing: world_spec.Material | world_spec.Placed, namespace: Namespace) 
 
 
 def _mass(thing: world_spec.Material, made: Shape, of: OfLink, namespace: Namespace) -> float:
-    """In kg."""
+    """The mass in kg."""
     still = bool(thing.fixed) or thing.solid is False
     if thing.mass is None:
         return _usual_mass(made, thing, namespace, still=still)
@@ -380,7 +380,7 @@ def _mass(thing: world_spec.Material, made: Shape, of: OfLink, namespace: Namesp
 
 
 def _usual_mass(made: Shape, thing: world_spec.Material, namespace: Namespace, *, still: bool) -> float:
-    """That of as much water, in kg; a mesh that can move has to say its own."""
+    """The mass (kg) of the same volume of water; a mesh that can move needs a mass of its own."""
     if isinstance(made, Mesh) and not still:
         help = "give its `mass`, or write `fixed: true`"
         namespace.values.findings.add("DB102", namespace.values.key_span(thing.path), "a mesh that can move has no `mass`", help=help)
@@ -391,7 +391,7 @@ def _usual_mass(made: Shape, thing: world_spec.Material, namespace: Namespace, *
 _SHORTEST, _SHORT, _LONG, _LONGEST = 1e-6, 1e-4, 1.0, 60.0
 
 
-def world(namespace: Namespace, robots: list[RobotScene], painted: tuple[Line, ...]) -> WorldModel:
+def world(namespace: Namespace, robots: list[ResolvedRobot], painted: tuple[Line, ...]) -> WorldModel:
     """The world with `robots` and `painted` lines in it."""
     values, given = namespace.values, namespace.scenario.world
     timestep = namespace.fixed(given, "timestep")
@@ -422,7 +422,7 @@ def world(namespace: Namespace, robots: list[RobotScene], painted: tuple[Line, .
 
 
 def _parameters(spec: world_spec.World, namespace: Namespace) -> dict[str, Any]:
-    """What an engine sets of the world, by the fields of `WorldModel`; those that are not given, or had a finding, are left out."""
+    """The fields of `WorldModel` that the section gives, without fields that had a finding."""
     whats: tuple[WorldParameter, ...] = get_args(WorldParameter)
     found = {what: namespace.vector_or_randomized(spec, what, what, OfWorld()) for what in whats}
     return {what: numbers if len(numbers) > 1 else numbers[0] for what, numbers in found.items() if numbers}
@@ -437,7 +437,7 @@ def _check_timestep(timestep: float, spec: world_spec.World, namespace: Namespac
 
 def _check_bodies(robots: int, objects: int, pieces: int, namespace: Namespace) -> None:
     """DB005 for more bodies than a world may have, each variant of each copy among them."""
-    counts: dict[Path, int] = {("robots",): robots, ("objects",): objects, ("world", "walls"): pieces}
+    counts: dict[NodePath, int] = {("robots",): robots, ("objects",): objects, ("world", "walls"): pieces}
     if sum(counts.values()) > MAX_BODIES:
         span = namespace.values.key_span(max(counts, key=lambda section: counts[section]))
         headline = f"the world has {sum(counts.values()):,} robots, objects and pieces of walls; the limit is {MAX_BODIES}"

@@ -18,7 +18,7 @@ from deepbots_cli.diagnostics.findings import (
     Source,
     Span,
     TooManyFindings,
-    faults_as_findings,
+    exceptions_as_findings,
 )
 from deepbots_cli.diagnostics.registry import RULES, Rule, Severity
 
@@ -36,5 +36,5 @@ __all__ = [
     "Source",
     "Span",
     "TooManyFindings",
-    "faults_as_findings",
+    "exceptions_as_findings",
 ]

@@ -18,7 +18,7 @@ from functools import cached_property
 from itertools import islice
 from typing import NamedTuple
 
-from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.diagnostics.registry import RULES, Severity, matching_rules, unknown_rule_message
 from deepbots_cli.errors import UsageError
 
@@ -49,7 +49,7 @@ class Source:
     included_from: Span | None = None
 
     @property
-    def chain(self) -> Iterator[Span]:
+    def inclusion_chain(self) -> Iterator[Span]:
         """The `include`s and `extends` that brought this file in, innermost first."""
         above = self.included_from
         while above is not None:
@@ -79,11 +79,11 @@ class Span(NamedTuple):
     end: int
 
     @property
-    def begin(self) -> Position:
+    def start_position(self) -> Position:
         return self.source.position(self.start)
 
     @property
-    def finish(self) -> Position:
+    def end_position(self) -> Position:
         return self.source.position(self.end)
 
     @property
@@ -91,9 +91,9 @@ class Span(NamedTuple):
         return self.source.text[self.start : self.end]
 
     @property
-    def where(self) -> str:
+    def location(self) -> str:
         """`file:line:column`, which editors and terminals link."""
-        return f"{self.source.name}:{self.begin.line}:{self.begin.column}"
+        return f"{self.source.name}:{self.start_position.line}:{self.start_position.column}"
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ class Finding:
     span: Span
     headline: str
     help: str | None = None
-    also: tuple[Label, ...] = ()
+    labels: tuple[Label, ...] = ()
     notes: tuple[str, ...] = ()
     fix: Fix | None = None
 
@@ -164,7 +164,7 @@ class Finding:
         return (self.span.source.name, self.span.start, self.span.end, self.code, self.headline)
 
 
-def faults_as_findings(what: str, source: Source, find: Callable[[], Iterable[Finding]]) -> Iterator[Finding]:
+def exceptions_as_findings(what: str, source: Source, find: Callable[[], Iterable[Finding]]) -> Iterator[Finding]:
     """The findings of `find`; an exception ends them with a DB903 (see `failure`)."""
     try:
         yield from find()
@@ -176,10 +176,10 @@ def exception_finding(what: str, source: Source, error: Exception) -> Finding:
     """A DB903 at the start of `source` for an exception in `what`, such as `the rule DB705`; DEEPBOTS_DEBUG=1 raises it again."""
     if os.environ.get("DEEPBOTS_DEBUG") == "1":
         raise error
-    return internal_error(what, source, describe_exception(error))
+    return internal_error_finding(what, source, describe_exception(error))
 
 
-def internal_error(what: str, source: Source, description: str) -> Finding:
+def internal_error_finding(what: str, source: Source, description: str) -> Finding:
     """The DB903 for `what`; `describe_exception` gives the description."""
     help = "this is a fault of deepbots; report this message together with the file (DEEPBOTS_DEBUG=1 shows the traceback)"
     return Finding("DB903", Span(source, 0, 0), f"{what} failed on this file: {description}", help)
@@ -198,11 +198,11 @@ def describe_exception(error: BaseException) -> str:
 
 
 class TooManyFindings(Exception):  # noqa: N818  # reaching the limit that was asked for is no error
-    """A list of findings has reached its limit; `one` did not fit."""
+    """A list of findings has reached its limit; `finding` did not fit."""
 
-    def __init__(self, one: Finding) -> None:
+    def __init__(self, finding: Finding) -> None:
         super().__init__()
-        self.one = one
+        self.finding = finding
 
 
 class Findings:
@@ -222,21 +222,21 @@ class Findings:
         headline: str,
         *,
         help: str | None = None,
-        also: tuple[Label, ...] = (),
+        labels: tuple[Label, ...] = (),
         notes: tuple[str, ...] = (),
         fix: Fix | None = None,
     ) -> None:
-        self.append(Finding(code, span, headline, help, also, notes, fix))
+        self.append(Finding(code, span, headline, help, labels, notes, fix))
 
     def append(self, finding: Finding) -> None:
         if self.limit is not None and len(self._found) >= self.limit and finding.sort_key not in self._found:
             raise TooManyFindings(finding)
         self._found.setdefault(finding.sort_key, finding)
 
-    def give_up(self, too_many: TooManyFindings) -> None:
+    def report_limit(self, too_many: TooManyFindings) -> None:
         """Report that the limit is reached and the search ended."""
         help = "correct some of these first; the rest was not checked"
-        last = Finding("DB005", too_many.one.span, f"more than {self.limit} findings", help)
+        last = Finding("DB005", too_many.finding.span, f"more than {self.limit} findings", help)
         self._found.setdefault(last.sort_key, last)
 
     def replace_help(self, finding: Finding, help: str) -> None:
@@ -251,7 +251,7 @@ class Findings:
 
     def __repr__(self) -> str:
         """One line for each finding, since its source holds the whole text of a file."""
-        return f"Findings({[f'{finding.span.where}: {finding.code} {finding.headline}' for finding in self]})"
+        return f"Findings({[f'{finding.span.location}: {finding.code} {finding.headline}' for finding in self]})"
 
     @property
     def errors(self) -> list[Finding]:
@@ -305,7 +305,7 @@ class Selection:
         self._words = select or RuleSelectors((), Source("", ""))
 
     @property
-    def is_everything(self) -> bool:
+    def selects_all(self) -> bool:
         return self._select is None and not self._ignore
 
     def selects(self, finding: Finding) -> bool:
@@ -376,7 +376,7 @@ def suppress(
     kept = []
     used = set()
     for finding in findings:
-        key = (finding.span.source, finding.span.begin.line, finding.code)
+        key = (finding.span.source, finding.span.start_position.line, finding.code)
         if finding.severity == "warning" and key in wanted:
             used.add(key)
         else:
@@ -415,7 +415,7 @@ def _could_be_found(code: str, preview: bool, deep: bool) -> bool:
 def _unused(entry: _Suppression) -> Finding:
     rule = RULES.get(entry.code)
     if rule is None:
-        near = nearest(entry.code, RULES)
+        near = nearest_word(entry.code, RULES)
         help = f"did you mean {near}?" if near else "a code has the form DB603"
         guess = Fix((Edit(entry.span, near),), safe=False) if near else None
         return Finding("DB901", entry.span, f"there is no rule `{entry.code}`", help=help, fix=guess)

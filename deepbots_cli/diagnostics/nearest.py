@@ -26,7 +26,7 @@ class Replacement(NamedTuple):
     safe: bool
 
 
-def nearest(word: str, known: Iterable[str], cutoff: float = 0.6) -> str | None:
+def nearest_word(word: str, known: Iterable[str], cutoff: float = 0.6) -> str | None:
     """The `known` word most like `word`, ignoring case, or else the only one that begins with it; None if there is none."""
     from difflib import get_close_matches  # its import takes 4 ms, and only messages need it
 
@@ -45,7 +45,7 @@ def suggest_replacement(word: str, known: Iterable[str], *, of_language: bool = 
     user chose may differ by a letter on purpose (`left_1`, `left_2`).
     """
     words = tuple(islice(known, _MAX_COMPARED))
-    near = nearest(word, words)
+    near = nearest_word(word, words)
     if near is None:
         return None
     return Replacement(near, of_language and [other for other in words if is_typo(word, other)] == [near])
@@ -84,12 +84,12 @@ class Rename(NamedTuple):
     key: str = ""
 
     @property
-    def what(self) -> str:
+    def kind(self) -> str:
         return "word" if self.key else "key" if self.section else "function"
 
     @property
     def headline(self) -> str:
-        return f"the {self.what} `{self.old}` is called `{self.new}` now"
+        return f"the {self.kind} `{self.old}` is called `{self.new}` now"
 
 
 RENAMES = (
@@ -119,8 +119,8 @@ RENAMES = (
     Rename("local", "to_body_frame", "the term of simulators for velocities and errors"),
 )
 
-FORMER_FUNCTIONS = {rename.old: rename for rename in RENAMES if rename.what == "function"}
-KEYS_AND_WORDS = frozenset(rename.old for rename in RENAMES if rename.section)
+FORMER_FUNCTIONS = {rename.old: rename for rename in RENAMES if rename.kind == "function"}
+FORMER_KEYS_AND_WORDS = frozenset(rename.old for rename in RENAMES if rename.section)
 
 
 def renames_of(word: str) -> tuple[Rename, ...]:

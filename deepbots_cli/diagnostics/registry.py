@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.plugins import PluginTable
 
 Severity = Literal["error", "warning"]
@@ -32,7 +32,7 @@ class Rule:
     deep: Literal["no", "too", "only"] = "no"
     deep_preview: bool = False
     check: Callable[[Any], Iterator[Any]] | None = None
-    """Of a plug-in: from a `compiler.Checked` without errors to findings; its docstring is the page of the rule."""
+    """For a plug-in: yields findings about a `compiler.CheckedScenario` without errors; its docstring is the page of the rule."""
 
     @property
     def family(self) -> str:
@@ -179,5 +179,5 @@ def matching_rules(word: str) -> tuple[Rule, ...]:
 def unknown_rule_message(word: str) -> str:
     """The message for a word that fits no rule."""
     is_code = word[:2].upper() == "DB" and word[2:3].isdigit()
-    near = nearest(word, [rule.code if is_code else rule.name for rule in RULES.values()])
+    near = nearest_word(word, [rule.code if is_code else rule.name for rule in RULES.values()])
     return f"there is no finding '{word}'" + (f"; did you mean {near}?" if near else "; deepbots explain lists them")

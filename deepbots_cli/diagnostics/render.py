@@ -38,7 +38,7 @@ def shortened(text: str) -> str:
     return escaped(text if len(text) <= _MAX_SENTENCE else text[:_MAX_SENTENCE] + "…")
 
 
-def inert(text: str) -> str:
+def escape_log_commands(text: str) -> str:
     """Lines for a log that executes workflow commands: a file may be called `::stop-commands::x.yaml`."""
     if "::" not in text and "##" not in text:
         return text
@@ -68,7 +68,7 @@ def summary(findings: Iterable[Finding]) -> str:
     return ", ".join(parts) or "no findings"
 
 
-def columns(text: str) -> int:
+def display_width(text: str) -> int:
     """How many columns of a terminal `text` takes."""
     if text.isascii():
         return len(text)
@@ -84,7 +84,7 @@ def _counts(findings: Iterable[Finding]) -> dict[Severity, int]:
 
 def _concise(finding: Finding) -> str:
     help = f" ({shortened(finding.help)})" if finding.help else ""
-    return f"{escaped(finding.span.where)}: {finding.severity} {finding.code}[{finding.name}] {shortened(finding.headline)}{help}"
+    return f"{escaped(finding.span.location)}: {finding.severity} {finding.code}[{finding.name}] {shortened(finding.headline)}{help}"
 
 
 def _json(findings: list[Finding]) -> str:
@@ -104,13 +104,13 @@ def _as_data(finding: Finding) -> dict[str, object]:
         **_place(finding.span),
         "help": finding.help,
         "notes": list(finding.notes),
-        "also": [{**_place(label.span), "message": label.text} for label in finding.also],
+        "also": [{**_place(label.span), "message": label.text} for label in finding.labels],
         "fix": {"safe": fix.safe, "edits": [{**_place(edit.span), "text": edit.text} for edit in fix.edits]} if fix else None,
     }
 
 
 def _place(span: Span) -> dict[str, object]:
-    return {"file": span.source.name, "start": span.begin._asdict(), "end": span.finish._asdict()}
+    return {"file": span.source.name, "start": span.start_position._asdict(), "end": span.end_position._asdict()}
 
 
 class _Painter:
@@ -122,15 +122,15 @@ class _Painter:
 
     def full(self, finding: Finding) -> str:
         head = self.paint(finding.severity, f"{finding.severity} {finding.code}[{finding.name}]")
-        labels = [Label(finding.span, ""), *finding.also]
-        gutter = max(len(str(label.span.begin.line)) for label in labels)
+        labels = [Label(finding.span, ""), *finding.labels]
+        gutter = max(len(str(label.span.start_position.line)) for label in labels)
         lines = [f"{head}: {self.paint('bold', shortened(finding.headline))}"]
         for source in dict.fromkeys(label.span.source for label in labels):
             first = next(label.span for label in labels if label.span.source is source)
             is_option = source.name.startswith("--set ")  # its text is a single value, in which a line says nothing
-            where = f"--set {shortened(source.text)}" if is_option else first.where
+            where = f"--set {shortened(source.text)}" if is_option else first.location
             lines.append(f"{' ' * gutter}{self.paint('frame', '-->')} {escaped(where)}")
-            lines.extend(f"{' ' * gutter}    included from {escaped(span.where)}" for span in source.chain)
+            lines.extend(f"{' ' * gutter}    included from {escaped(span.location)}" for span in source.inclusion_chain)
             lines.extend(self.snippet(source, finding, gutter))
         frame = f"{' ' * gutter} {self.paint('frame', '=')} "
         lines.extend(f"{frame}note: {shortened(note)}" for note in finding.notes)
@@ -141,9 +141,9 @@ class _Painter:
     def snippet(self, source: Source, finding: Finding, gutter: int) -> Iterator[str]:
         """The lines of `source` with the finding or one of its labels, each with underlines below."""
         marked: dict[int, list[tuple[Span, str, str]]] = {}
-        for span, sign, text in [(finding.span, "^", ""), *((label.span, "-", label.text) for label in finding.also)]:
+        for span, sign, text in [(finding.span, "^", ""), *((label.span, "-", label.text) for label in finding.labels)]:
             if span.source is source:
-                marked.setdefault(span.begin.line, []).append((span, sign, text))
+                marked.setdefault(span.start_position.line, []).append((span, sign, text))
         bar = self.paint("frame", "|")
         yield f"{' ' * gutter} {bar}"
         previous: int | None = None
@@ -151,7 +151,7 @@ class _Painter:
             if previous is not None and number > previous + 1:
                 yield self.paint("frame", "...")
             previous = number
-            shown = _Line(source.line(number), min(span.begin.column for span, _, _ in marked[number]), self.width - gutter - 3)
+            shown = _Line(source.line(number), min(span.start_position.column for span, _, _ in marked[number]), self.width - gutter - 3)
             yield f"{self.paint('frame', str(number).rjust(gutter))} {bar} {shown.text}".rstrip()
             for span, sign, text in marked[number]:
                 marks = shown.marks(span, sign) + (f" {shortened(text)}" if text else "")
@@ -169,7 +169,7 @@ class _Line:
         self.line = line
         self.first = 0
         # A line of a megabyte is not measured to its end for each finding.
-        if len(line) > width or columns(line) + 3 * line.count("\t") > width:
+        if len(line) > width or display_width(line) + 3 * line.count("\t") > width:
             # The text before the place explains more than the text after it.
             self.first = max(0, min(column - 1 - width // 2, len(line) - width))
         self.prefix = "… " if self.first else ""
@@ -177,28 +177,28 @@ class _Line:
         room = width - len(self.prefix) - 1
         for character in line[self.first : self.first + width]:
             cell = _TAB if character == "\t" else escaped(character)
-            room -= columns(cell)
+            room -= display_width(cell)
             if room < 0:
                 break
             self.cells.append(cell)
         self.text = self.prefix + "".join(self.cells) + ("…" if self.first + len(self.cells) < len(line) else "")
 
     def indent(self, span: Span) -> str:
-        return " " * (len(self.prefix) + self._columns_to(span.begin.column - 1))
+        return " " * (len(self.prefix) + self._columns_to(span.start_position.column - 1))
 
     def marks(self, span: Span, sign: str) -> str:
         """The underline, at least one sign; it ends with the line if the span goes on."""
-        end = span.finish.column - 1 if span.finish.line == span.begin.line else len(self.line)
-        return sign * max(1, self._columns_to(end) - self._columns_to(span.begin.column - 1))
+        end = span.end_position.column - 1 if span.end_position.line == span.start_position.line else len(self.line)
+        return sign * max(1, self._columns_to(end) - self._columns_to(span.start_position.column - 1))
 
     def _columns_to(self, column: int) -> int:
-        return sum(map(columns, self.cells[: max(0, column - self.first)]))
+        return sum(map(display_width, self.cells[: max(0, column - self.first)]))
 
 
 # Findings for other programs: workflow commands of GitHub, reports of tests (JUnit), code scanning (SARIF 2.1.0)
 
-Object = dict[str, object]
-Explain = Callable[[str], tuple[str, str]]
+JsonObject = dict[str, object]
+ExplainRule = Callable[[str], tuple[str, str]]
 """The explanation of a code as plain text and as Markdown."""
 
 
@@ -217,7 +217,7 @@ def github(findings: Iterable[Finding]) -> str:
 
 
 def _command(finding: Finding) -> str:
-    begin, finish = finding.span.begin, finding.span.finish
+    begin, finish = finding.span.start_position, finding.span.end_position
     file = _percent(shortened(_relative(finding.span.source.name))).replace(":", "%3A").replace(",", "%2C")
     place = f"file={file},line={begin.line},endLine={finish.line}"
     if begin.line == finish.line:  # GitHub refuses columns for two lines
@@ -248,7 +248,7 @@ def junit(findings: Sequence[Finding], files: Sequence[str], failing: Collection
         if not found:
             ElementTree.SubElement(suite, "testcase", name="no findings", classname=escaped(file), time="0")
         for finding in found:
-            line, column = finding.span.begin
+            line, column = finding.span.start_position
             headline = shortened(finding.headline)
             # Programs merge cases that have the same name.
             name = f"{finding.code} {finding.name} at {line}:{column}: {headline}"
@@ -275,7 +275,7 @@ def _case_counts(suites: Collection[list[Finding]], failing: Collection[Severity
 # SARIF
 
 
-def sarif(findings: Sequence[Finding], explain: Explain) -> str:
+def sarif(findings: Sequence[Finding], explain: ExplainRule) -> str:
     """One run with all findings, their fixes and the rules that they break, as JSON."""
     codes = sorted({finding.code for finding in findings})
     run = {
@@ -287,7 +287,7 @@ def sarif(findings: Sequence[Finding], explain: Explain) -> str:
     return json.dumps({"$schema": schema, "version": "2.1.0", "runs": [run]}, indent=2) + "\n"
 
 
-def _rule(code: str, explain: Explain) -> Object:
+def _rule(code: str, explain: ExplainRule) -> JsonObject:
     rule = RULES[code]
     text, markdown = explain(code)
     return {
@@ -300,16 +300,16 @@ def _rule(code: str, explain: Explain) -> Object:
     }
 
 
-def _result(finding: Finding, index: int) -> Object:
-    result: Object = {
+def _result(finding: Finding, index: int) -> JsonObject:
+    result: JsonObject = {
         "ruleId": finding.code,
         "ruleIndex": index,
         "level": finding.severity,
         "message": {"text": message(finding)},
         "locations": [{"physicalLocation": _physical_location(finding.span)}],
     }
-    related = [(label.span, label.text) for label in finding.also]
-    related += [(span, "included from here") for span in finding.span.source.chain]
+    related = [(label.span, label.text) for label in finding.labels]
+    related += [(span, "included from here") for span in finding.span.source.inclusion_chain]
     if related:
         result["relatedLocations"] = [
             {"id": number, "physicalLocation": _physical_location(span), "message": {"text": shortened(text)}}
@@ -320,10 +320,10 @@ def _result(finding: Finding, index: int) -> Object:
     return result
 
 
-def _fix(finding: Finding, fix: Fix) -> Object:
-    edits: dict[Source, list[Object]] = {}
+def _fix(finding: Finding, fix: Fix) -> JsonObject:
+    edits: dict[Source, list[JsonObject]] = {}
     for edit in fix.edits:
-        change: Object = {"deletedRegion": _region(edit.span), "insertedContent": {"text": edit.text}}
+        change: JsonObject = {"deletedRegion": _region(edit.span), "insertedContent": {"text": edit.text}}
         edits.setdefault(edit.span.source, []).append(change)
     return {
         "description": {"text": shortened(finding.help or f"mend what {finding.code} reports")},
@@ -332,16 +332,16 @@ def _fix(finding: Finding, fix: Fix) -> Object:
     }
 
 
-def _physical_location(span: Span) -> Object:
+def _physical_location(span: Span) -> JsonObject:
     return {"artifactLocation": _file(span.source), "region": _region(span)}
 
 
-def _region(span: Span) -> Object:
-    (line, column), (end_line, end_column) = span.begin, span.finish
+def _region(span: Span) -> JsonObject:
+    (line, column), (end_line, end_column) = span.start_position, span.end_position
     return {"startLine": line, "startColumn": column, "endLine": end_line, "endColumn": end_column}
 
 
-def _file(source: Source) -> Object:
+def _file(source: Source) -> JsonObject:
     """A relative path starts from `%SRCROOT%`, whichever folder that is on another machine."""
     path = _relative(source.name)
     if Path(path).is_absolute():

@@ -10,6 +10,20 @@ shipped.py  the scenarios and robots that come with deepbots
 """
 
 from deepbots_cli.document.load import Document, load, loads
-from deepbots_cli.document.nodes import Entry, Mapping, Node, Path, Scalar, Sequence, descend, one_line, to_data, walk
+from deepbots_cli.document.nodes import Entry, MappingNode, Node, NodePath, ScalarNode, SequenceNode, descend, inline_text, to_data, walk
 
-__all__ = ["Document", "Entry", "Mapping", "Node", "Path", "Scalar", "Sequence", "descend", "load", "loads", "one_line", "to_data", "walk"]
+__all__ = [
+    "Document",
+    "Entry",
+    "MappingNode",
+    "Node",
+    "NodePath",
+    "ScalarNode",
+    "SequenceNode",
+    "descend",
+    "inline_text",
+    "load",
+    "loads",
+    "to_data",
+    "walk",
+]

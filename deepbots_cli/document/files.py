@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Literal
 
 from deepbots_cli.diagnostics import Findings, Source, Span
-from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.files import read_at_most
 
 MAX_BYTES = 1 << 20
@@ -24,7 +24,7 @@ MAX_TOTAL_BYTES = 8 << 20
 
 _PROJECT_MARKERS = ("deepbots.toml", "pyproject.toml", ".git")
 # Outside YAML's printable characters, or a line end that editors and YAML count differently.
-FORBIDDEN = re.compile("[^\t\n\r\x20-\x7e\xa0-\u2027\u202a-\ud7ff\ue000-\ufefe\uff00-\ufffd\U00010000-\U0010ffff]|\r(?!\n)")
+FORBIDDEN_CHARACTERS = re.compile("[^\t\n\r\x20-\x7e\xa0-\u2027\u202a-\ud7ff\ue000-\ufefe\uff00-\ufffd\U00010000-\U0010ffff]|\r(?!\n)")
 
 
 # Paths
@@ -58,12 +58,12 @@ def _similar(path: Path) -> str | None:
     """The name of a file beside `path` that was probably meant."""
     try:
         suffixes = (path.suffix,) if path.suffix else (".urdf", ".yaml")
-        return nearest(path.name, [other.name for other in path.parent.iterdir() if other.suffix in suffixes])
+        return nearest_word(path.name, [other.name for other in path.parent.iterdir() if other.suffix in suffixes])
     except OSError:
         return None
 
 
-def resolve(reference: str, base: Path, roots: Iterable[Path]) -> Path | UnusableFile:
+def resolve_reference(reference: str, base: Path, roots: Iterable[Path]) -> Path | UnusableFile:
     """The file for `reference`, written in a file of the folder `base`.
 
     Symbolic links are followed before the path is compared with the `roots`, whose links are already followed.
@@ -91,7 +91,7 @@ def project_root(folder: Path) -> Path:
     return folder
 
 
-def display(path: Path) -> str:
+def display_path(path: Path) -> str:
     """The path as users see it: relative to the working directory if it lies below it."""
     here = Path.cwd()
     return os.path.relpath(path, here) if path.is_relative_to(here) else str(path)
@@ -128,12 +128,12 @@ def decode(data: bytes, name: str, findings: Findings, included_from: Span | Non
             at = len(data[: error.start].decode("utf-8"))
             findings.add("DB001", Span(source, at, at + 1), "the file is not UTF-8 text", help="save it as UTF-8")
             return source, False
-    return source, check(source, findings)
+    return source, check_characters(source, findings)
 
 
-def check(source: Source, findings: Findings) -> bool:
+def check_characters(source: Source, findings: Findings) -> bool:
     """Whether a scenario may hold every character of the text; a finding names the first forbidden one."""
-    found = FORBIDDEN.search(source.text)
+    found = FORBIDDEN_CHARACTERS.search(source.text)
     if found is None:
         return True
     character = found.group()

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from yaml.error import MarkedYAMLError
 
 from deepbots_cli.diagnostics import Edit, Finding, Findings, Fix, Source, Span
-from deepbots_cli.document.nodes import Scalar
+from deepbots_cli.document.nodes import ScalarNode
 
 GIVE_A_VALUE = "give it a value, or remove the key"
 """The help for an empty key, until a later pass knows what the key takes."""
@@ -63,7 +63,7 @@ class _Problem:
         return Finding("DB001", Span(self.source, start, min(start + length, len(self.source.text))), headline, help, fix=fix)
 
 
-def syntax_error(source: Source, error: MarkedYAMLError) -> Finding:
+def syntax_error_finding(source: Source, error: MarkedYAMLError) -> Finding:
     """The finding for an error of the YAML parser."""
     at = min(error.problem_mark.index, len(source.text)) if error.problem_mark else len(source.text)
     since = error.context_mark.index if error.context_mark else at
@@ -225,7 +225,7 @@ _NEXT_LINE = re.compile(r"[^\n]*\n(?:[ \t]*(?:#[^\n]*)?\r?\n)*([ ]*)[^\s#}\]]")
 _COMMA_HELP = "a comma inside brackets separates keys; decimals have a point, digits are grouped as in 100_000; "
 
 
-def cut_by_commas(scalars: Iterable[Scalar], findings: Findings) -> list[Span]:
+def report_values_cut_by_commas(scalars: Iterable[ScalarNode], findings: Findings) -> list[Span]:
     """Report values that a comma inside `{...}` or `[...]` cuts in pieces, and return their spans.
 
     `scalars` are those of the collection, in file order. In `{yaw: uniform(-1, 1)}`, `uniform(-1` has an open parenthesis
@@ -256,7 +256,7 @@ def cut_by_commas(scalars: Iterable[Scalar], findings: Findings) -> list[Span]:
     return cut
 
 
-def empty_value(key: Scalar, value: Scalar, findings: Findings, *, is_flow: bool) -> None:
+def report_empty_value(key: ScalarNode, value: ScalarNode, findings: Findings, *, is_flow: bool) -> None:
     """Report a key without a value, with the probable reason."""
     text, end = key.span.source.text, key.span.end
     hidden = _HIDDEN.match(text, end)
@@ -274,12 +274,12 @@ def empty_value(key: Scalar, value: Scalar, findings: Findings, *, is_flow: bool
         help = f'a `#` after a space begins a comment; put the value in quotes: "{hidden[1]}"'
         if _COLOUR.fullmatch(hidden[1]) and not is_flow:
             fix = Fix((Edit(Span(key.span.source, *hidden.span(1)), f'"{hidden[1]}"'),), safe=True)
-    elif not is_flow and following and len(following[1]) == key.span.begin.column - 1:
+    elif not is_flow and following and len(following[1]) == key.span.start_position.column - 1:
         help = "give it a value, or indent the lines that belong to it"
     findings.add("DB107", key.span, f"`{key.text}` has no value", help=help, fix=fix)
 
 
-def help_for_key(key: Scalar) -> str:
+def help_for_key(key: ScalarNode) -> str:
     """The help for a key that is no text; a number without a colon is the rest of a value that a comma cuts."""
     if not key.text:
         return "write `name: value`"
@@ -306,7 +306,7 @@ _SEXAGESIMAL = re.compile(r"[-+]?[0-9]+(?::[0-9]+){1,3}")
 _GROUPS = re.compile(r"[-+]?[0-9][0-9_]*_[0-9_]*(?:\.[0-9_]*)?|[-+]?[0-9]+\.[0-9]*_[0-9_]*")
 
 
-def unusual_value(scalar: Scalar, findings: Findings) -> None:
+def report_unusual_value(scalar: ScalarNode, findings: Findings) -> None:
     """Report a plain value that YAML 1.1 reads differently, or a text that looks like a number."""
     text, span = scalar.text, scalar.span
     if text in _YAML11:
@@ -322,7 +322,7 @@ def unusual_value(scalar: Scalar, findings: Findings) -> None:
         findings.add("DB004", span, headline, help=help, fix=Fix((Edit(span, number),), safe=True) if number else None)
 
 
-def as_a_number(span: Span) -> Fix | None:
+def number_fix(span: Span) -> Fix | None:
     """The fix of an odd number where a number is needed; None if it can be read in several ways."""
     odd = _odd_number(span.text)
     return Fix((Edit(span, odd[2]),), safe=True) if odd and odd[2] else None

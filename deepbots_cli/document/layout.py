@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import yaml
 
 from deepbots_cli.diagnostics import Edit, Findings, Fix, Source, Span
-from deepbots_cli.document.nodes import Mapping, Node, Path, Scalar, Sequence, descend, to_data
+from deepbots_cli.document.nodes import MappingNode, Node, NodePath, ScalarNode, SequenceNode, descend, to_data
 from deepbots_cli.document.parse import LOADER, parse
 
 _MAX_PASSES = 6
@@ -223,19 +223,19 @@ _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_./ -]*[A-Za-z0-9_]|[A-Za-z_]")
 _WORDS = frozenset({"null", "true", "false", "yes", "no", "on", "off", "y", "n", "~"})
 
 
-def write(node: Node) -> str:
+def to_yaml(node: Node) -> str:
     """Block-style YAML that reads back as the same values, without comments."""
     return "\n".join(_lines(node, "")) + "\n"
 
 
 def _lines(node: Node, pad: str) -> Iterator[str]:
     match node:
-        case Scalar():
+        case ScalarNode():
             yield pad + (_text(node.text) if isinstance(node.value, str) else node.text)
-        case Mapping(entries=entries):
+        case MappingNode(entries=entries):
             for key, entry in entries.items():
                 yield from _under(f"{pad}{_text(key)}:", entry.value, pad)
-        case Sequence(items=items):
+        case SequenceNode(items=items):
             for item in items:
                 yield from _under(f"{pad}-", item, pad)
 
@@ -243,8 +243,8 @@ def _lines(node: Node, pad: str) -> Iterator[str]:
 def _under(head: str, value: Node, pad: str) -> Iterator[str]:
     """The lines of an entry; a scalar or an empty collection follows its key on the same line."""
     lines = list(_lines(value, f"{pad}  "))
-    if isinstance(value, Scalar) or not lines:
-        yield f"{head} {lines[0].strip() if lines else '{}' if isinstance(value, Mapping) else '[]'}"
+    if isinstance(value, ScalarNode) or not lines:
+        yield f"{head} {lines[0].strip() if lines else '{}' if isinstance(value, MappingNode) else '[]'}"
     else:
         yield head
         yield from lines
@@ -263,13 +263,13 @@ _REST_OF_LINE = re.compile(r"[ \t]*(?:,?[ \t]+#[^\n]*|\r?)(?:\n|$)")
 _COMMA = re.compile(r"[ \t]*,[ \t]*")
 
 
-def removal_fix(root: Node, path: Path) -> Fix | None:
+def removal_fix(root: Node, path: NodePath) -> Fix | None:
     """The fix that removes the entry at `path`, with its lines or with a comma beside it.
 
     None for the only entry of its mapping, a list item, and an entry that shares its lines or its comma with other text.
     """
     holder, _, steps = descend(root, path[:-1])
-    if steps < len(path) - 1 or not isinstance(holder, Mapping) or len(holder.entries) < 2:
+    if steps < len(path) - 1 or not isinstance(holder, MappingNode) or len(holder.entries) < 2:
         return None
     entry = holder.entries.get(str(path[-1]))
     if entry is None or not entry.key.span.source is entry.value.span.source is holder.span.source:

@@ -14,14 +14,24 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from deepbots_cli.diagnostics import MAX_FINDINGS, Findings, Fix, Label, Source, Span, TooManyFindings
-from deepbots_cli.diagnostics.nearest import nearest, renames_of
+from deepbots_cli.diagnostics.nearest import nearest_word, renames_of
 from deepbots_cli.document import files, nodes, shipped
-from deepbots_cli.document.nodes import Entry, Mapping, Node, Scalar, Sequence, count_and_depth, descend, follow_dotted, without
-from deepbots_cli.document.nodes import Path as NodePath
+from deepbots_cli.document.nodes import (
+    Entry,
+    MappingNode,
+    Node,
+    NodePath,
+    ScalarNode,
+    SequenceNode,
+    count_and_depth,
+    descend,
+    follow_dotted,
+    without_paths,
+)
 from deepbots_cli.document.parse import MAX_DEPTH, MAX_EXPANDED, Budget, parse
 from deepbots_cli.errors import UsageError
 
-MAX_CHAIN = 32
+MAX_INCLUSION_DEPTH = 32
 TESTS = "tests"
 """The section that `extends` does not take over."""
 _MAX_LISTED = 20
@@ -39,7 +49,7 @@ class Document:
     main file first. The scenario may read from the folders `roots`, and name Python functions if `allow_code`.
     """
 
-    root: Mapping | None
+    root: MappingNode | None
     source: Source
     files: dict[Path, Source]
     findings: Findings
@@ -144,7 +154,7 @@ class _Reader:
         self.findings = Findings(MAX_FINDINGS)
         self.budget = Budget()
         self.files: dict[Path, Source] = {}
-        self.trees: dict[Path, Mapping | None] = {}
+        self.trees: dict[Path, MappingNode | None] = {}
         self.size = 0  # bytes of the files that others name
 
     def document(self, source: Source, base: Path, sets: Texts[str], folder: Path, chain: tuple[Path, ...], *, readable: bool) -> Document:
@@ -154,23 +164,23 @@ class _Reader:
             root = self.scenario(source, folder, chain) if readable else None
             for assignment in sets:
                 if root is not None:
-                    root = assign(root, assignment, self.findings, self.budget)
+                    root = apply_assignment(root, assignment, self.findings, self.budget)
         except TooManyFindings as too_many:
             root = None
-            self.findings.give_up(too_many)
+            self.findings.report_limit(too_many)
         return Document(root, source, self.files, self.findings, self.roots, base)
 
-    def scenario(self, source: Source, folder: Path, chain: tuple[Path, ...]) -> Mapping | None:
+    def scenario(self, source: Source, folder: Path, chain: tuple[Path, ...]) -> MappingNode | None:
         """The tree of one file; None, with findings, if the file or one that it extends cannot be used."""
         root = parse(source, self.findings, self.budget)
         if root is None:
             return None
-        if not isinstance(root, Mapping):
+        if not isinstance(root, MappingNode):
             self.findings.add("DB103", root.span, "the file is not a mapping", help="write keys with values, such as `name: CartPole`")
             return None
         has_includes = "include" in source.text or "\\" in source.text  # an escape may spell the key
         tree = self.expanded(root, folder, chain, 1) if has_includes else root
-        if not isinstance(tree, Mapping):
+        if not isinstance(tree, MappingNode):
             return None
         entries = dict(tree.entries)
         extends, remove = entries.pop("extends", None), entries.pop("remove", None)
@@ -187,21 +197,21 @@ class _Reader:
     def expanded(self, node: Node, folder: Path, chain: tuple[Path, ...], depth: int) -> Node:
         """`node`, from a file in `folder`, with included files in their places."""
         match node:
-            case Scalar():
+            case ScalarNode():
                 return node
-            case Sequence():
-                return Sequence(node.span, tuple(self.expanded(item, folder, chain, depth + 1) for item in node.items))
-            case Mapping():
+            case SequenceNode():
+                return SequenceNode(node.span, tuple(self.expanded(item, folder, chain, depth + 1) for item in node.items))
+            case MappingNode():
                 below = {key: Entry(own, self.expanded(value, folder, chain, depth + 1)) for key, (own, value) in node.entries.items()}
                 include = below.pop("include", None)
                 if include is None:
                     return replace(node, entries=below)
                 included = self.referenced(include, folder, chain)
                 if included is None or not self.is_affordable(included, include, depth):
-                    return Mapping(node.span, below, partial=True)
+                    return MappingNode(node.span, below, partial=True)
                 return merge(included, replace(node, entries=below))
 
-    def is_affordable(self, included: Mapping, entry: Entry, depth: int) -> bool:
+    def is_affordable(self, included: MappingNode, entry: Entry, depth: int) -> bool:
         size, height = count_and_depth(included)
         self.budget.expanded -= size
         if self.budget.expanded < 0:
@@ -213,13 +223,13 @@ class _Reader:
         self.findings.add("DB005", entry.value.span, headline, help="simplify the files; scenarios are far below this limit")
         return False
 
-    def referenced(self, entry: Entry, folder: Path, chain: tuple[Path, ...]) -> Mapping | None:
+    def referenced(self, entry: Entry, folder: Path, chain: tuple[Path, ...]) -> MappingNode | None:
         """The tree of the file that `extends` or `include` names."""
         word, value = entry.key.text, entry.value
-        if not isinstance(value, Scalar) or not isinstance(value.value, str):
+        if not isinstance(value, ScalarNode) or not isinstance(value.value, str):
             self.findings.add("DB103", value.span, f"`{word}` takes the path of one file", help=f"write `{word}: file.yaml`")
             return None
-        path = files.resolve(value.text, folder, self.roots)
+        path = files.resolve_reference(value.text, folder, self.roots)
         if isinstance(path, files.UnusableFile):
             found = shipped.scenario_path(value.text) if word == "extends" else None
             copied = f"`deepbots copy {value.text}` puts a copy beside this file, to be named as `{value.text}.yaml`"
@@ -230,14 +240,16 @@ class _Reader:
             help = "remove one of these references"
             self.findings.add("DB204", value.span, f"`{value.text}` includes itself", help=help, notes=(circle,))
             return None
-        if len(chain) >= MAX_CHAIN:
-            self.findings.add("DB204", value.span, f"files include each other more than {MAX_CHAIN} levels deep", help="merge some of them")
+        if len(chain) >= MAX_INCLUSION_DEPTH:
+            self.findings.add(
+                "DB204", value.span, f"files include each other more than {MAX_INCLUSION_DEPTH} levels deep", help="merge some of them"
+            )
             return None
         if path not in self.trees:
             self.trees[path] = self.read(path, value.span, chain)
         return self.trees[path]
 
-    def read(self, path: Path, by: Span, chain: tuple[Path, ...]) -> Mapping | None:
+    def read(self, path: Path, by: Span, chain: tuple[Path, ...]) -> MappingNode | None:
         try:
             data = self.drafts[path] if path in self.drafts else files.read(path)
         except OSError as error:
@@ -249,19 +261,19 @@ class _Reader:
             headline = f"the files of the scenario are larger than {files.MAX_TOTAL_BYTES >> 20} MiB together"
             self.findings.add("DB005", by, headline, help="check that every file is part of a scenario")
             return None
-        source, readable = files.decode(data, files.display(path), self.findings, included_from=by)
+        source, readable = files.decode(data, files.display_path(path), self.findings, included_from=by)
         self.files[path] = source
         return self.scenario(source, path.parent, (*chain, path)) if readable else None
 
-    def pruned(self, tree: Mapping, remove: Node, own: Mapping) -> Mapping:
+    def pruned(self, tree: MappingNode, remove: Node, own: MappingNode) -> MappingNode:
         """The tree without the paths listed under `remove`; DB205 where a path is in `own`, the tree of the same file."""
         example = "write `remove: [observation.speed]`"
-        if not isinstance(remove, Sequence):
+        if not isinstance(remove, SequenceNode):
             self.findings.add("DB103", remove.span, "`remove` takes a list of paths", help=example)
             return tree
         paths: list[NodePath] = []
         for item in remove.items:
-            if not isinstance(item, Scalar) or not isinstance(item.value, str):
+            if not isinstance(item, ScalarNode) or not isinstance(item.value, str):
                 self.findings.add("DB103", item.span, "a path to remove must be text", help=example)
                 continue
             steps, reached, rest = self._followed(tree, item)
@@ -271,22 +283,22 @@ class _Reader:
                 if found == len(steps) and key is not None and key.span.source is item.span.source:
                     headline = f"`{item.text}` is defined here, and removed by `remove`"
                     help = "remove one of the two; a new value replaces the old one without `remove`"
-                    self.findings.add("DB205", key.span, headline, help=help, also=(Label(item.span, "removed here"),))
+                    self.findings.add("DB205", key.span, headline, help=help, labels=(Label(item.span, "removed here"),))
             else:
                 here = item.part(len(item.text) - len(rest), len(item.text))
-                help = _listed(reached) if isinstance(reached, Mapping) else "remove a path that exists"
+                help = _listed(reached) if isinstance(reached, MappingNode) else "remove a path that exists"
                 self.findings.add("DB201", here, f"there is no `{item.text}` to remove", help=help)
-        pruned = without(tree, paths)
-        return pruned if isinstance(pruned, Mapping) else tree
+        pruned = without_paths(tree, paths)
+        return pruned if isinstance(pruned, MappingNode) else tree
 
-    def _followed(self, tree: Mapping, item: Scalar) -> tuple[NodePath, Node, str]:
+    def _followed(self, tree: MappingNode, item: ScalarNode) -> tuple[NodePath, Node, str]:
         """As `follow`, for a path under `remove`; DB109 for each former name of a key in it."""
         path = item.text
         while True:
             steps, reached, rest = follow_dotted(tree, path)
             name, _, below = rest.partition(".")
-            keys = reached.entries if isinstance(reached, Mapping) and not (steps and steps[-1] in _OF_NAMES) else {}
-            rename = next((each for each in renames_of(name) if each.what == "key" and each.new in keys), None)
+            keys = reached.entries if isinstance(reached, MappingNode) and not (steps and steps[-1] in _OF_NAMES) else {}
+            rename = next((each for each in renames_of(name) if each.kind == "key" and each.new in keys), None)
             if rename is None:
                 return steps, reached, rest
             end = len(item.text) - len(below) - bool(below)
@@ -296,7 +308,7 @@ class _Reader:
             path = ".".join(filter(None, (path[: len(path) - len(rest)].rstrip("."), rename.new, below)))
 
 
-def _listed(node: Mapping) -> str:
+def _listed(node: MappingNode) -> str:
     return f"there are: {', '.join(list(node.entries)[:_MAX_LISTED])}"
 
 
@@ -308,7 +320,7 @@ _DEFINITIONS = frozenset(("parameters", "signals", "augment", "observation", "ac
 _OF_NAMES = _DEFINITIONS | frozenset(("set", "emit", "apply", "receive", "poses", "choices"))
 
 
-def merge(base: Mapping, over: Mapping, name: str = "") -> Mapping:
+def merge(base: MappingNode, over: MappingNode, name: str = "") -> MappingNode:
     """`over` laid upon `base`; both are the value of the key `name`.
 
     Mappings merge by key in the order of `base`; lists and single values replace. If the kind changes (`type`, `shape`,
@@ -319,14 +331,14 @@ def merge(base: Mapping, over: Mapping, name: str = "") -> Mapping:
     entries = dict(base.entries)
     for key, entry in over.entries.items():
         below = base.get(key)
-        if isinstance(below, Mapping) and isinstance(entry.value, Mapping):
+        if isinstance(below, MappingNode) and isinstance(entry.value, MappingNode):
             entry = Entry(entry.key, merge(below, entry.value, key))
         entries[key] = entry
-    return Mapping(over.span, entries, partial=base.partial or over.partial, keys_without_value=over.keys_without_value)
+    return MappingNode(over.span, entries, partial=base.partial or over.partial, keys_without_value=over.keys_without_value)
 
 
 def _differ(base: Node | None, over: Node | None) -> bool:
-    return isinstance(base, Scalar) and isinstance(over, Scalar) and base.text != over.text
+    return isinstance(base, ScalarNode) and isinstance(over, ScalarNode) and base.text != over.text
 
 
 # Assignments: `--set path=value`, and settings in a file (`set: {reset.layout: paper}`)
@@ -335,14 +347,14 @@ _NOTHING = re.compile(r"\s*(?:#.*)?")
 _CUTOFF = 0.75
 
 
-def assign(root: Mapping, assignment: str, findings: Findings, budget: Budget | None = None) -> Mapping:
+def apply_assignment(root: MappingNode, assignment: str, findings: Findings, budget: Budget | None = None) -> MappingNode:
     """`root` after one assignment `path=value`; unchanged, with a finding, if it cannot be applied.
 
     A bare name is a parameter if there is one of that name, else a key of the scenario. The value replaces the old one;
     mappings are not merged. A section that the file leaves out is added. The text of the assignment is the source of its nodes.
     """
     source = Source(f"--set {assignment.partition('=')[0].strip() or assignment}", assignment)
-    if not files.check(source, findings):
+    if not files.check_characters(source, findings):
         return root
     path, equals, text = assignment.partition("=")
     whole = Span(source, 0, len(assignment))
@@ -353,39 +365,39 @@ def assign(root: Mapping, assignment: str, findings: Findings, budget: Budget | 
         findings.add("DB107", whole, f"`{path}` is set to nothing", help=help)
     else:
         value = parse(source, findings, budget, text=" " * (len(path) + 1) + text)
-        return _set(root, Scalar(Span(source, 0, len(path)), path, path), value, whole, findings)
+        return _set(root, ScalarNode(Span(source, 0, len(path)), path, path), value, whole, findings)
     return root
 
 
-def apply_setting(root: Mapping, setting: Entry, findings: Findings) -> Mapping:
+def apply_setting(root: MappingNode, setting: Entry, findings: Findings) -> MappingNode:
     """`root` after a setting of a file: its key is the path, its value the new value."""
     return _set(root, setting.key, setting.value, setting.key.span, findings)
 
 
-def with_settings_at(root: Mapping, path: NodePath) -> Mapping:
+def with_settings_at(root: MappingNode, path: NodePath) -> MappingNode:
     """`root` after the settings of the evaluation case or curriculum stage at `path`."""
     settings, _, reached = descend(root, (*path, "set"))
-    if reached > len(path) and isinstance(settings, Mapping):
+    if reached > len(path) and isinstance(settings, MappingNode):
         for entry in settings.entries.values():
             root = apply_setting(root, entry, Findings())
     return root
 
 
-def _set(root: Mapping, path: Scalar, value: Node | None, whole: Span, findings: Findings) -> Mapping:
+def _set(root: MappingNode, path: ScalarNode, value: Node | None, whole: Span, findings: Findings) -> MappingNode:
     target = _target(root, path, findings)
     if target is None or value is None:
         return root
     steps, (key, *inner) = target
     for step in reversed(inner):
-        value = Mapping(whole, {step.text: Entry(step, value)})
-    if isinstance(value, Scalar) and value.value is None:
+        value = MappingNode(whole, {step.text: Entry(step, value)})
+    if isinstance(value, ScalarNode) and value.value is None:
         findings.add("DB107", key.span, f"`{key.text}` is set to nothing", help="the language has no null; write a value")
         return root
-    changed = nodes.replace(root, steps, Entry(key, value))
-    return changed if isinstance(changed, Mapping) else root
+    changed = nodes.with_entry(root, steps, Entry(key, value))
+    return changed if isinstance(changed, MappingNode) else root
 
 
-def _target(root: Mapping, path: Scalar, findings: Findings) -> tuple[NodePath, list[Scalar]] | None:
+def _target(root: MappingNode, path: ScalarNode, findings: Findings) -> tuple[NodePath, list[ScalarNode]] | None:
     """The path to replace, and its last key as written, followed by the keys of a section that is added below it.
 
     A key may be new. The mapping around it must exist, unless it is a section of the scenario.
@@ -398,10 +410,10 @@ def _target(root: Mapping, path: Scalar, findings: Findings) -> tuple[NodePath, 
         findings.add("DB005", path.part(start, end), f"a path of more than {MAX_DEPTH} steps", help=help)
         return None
     parameters = root.get("parameters")
-    if isinstance(parameters, Mapping) and "." not in dotted:
+    if isinstance(parameters, MappingNode) and "." not in dotted:
         if dotted in parameters.entries:
             return ("parameters", dotted), [_key(path, start, end)]
-        if dotted not in root.entries and (near := nearest(dotted, parameters.entries, _CUTOFF)):
+        if dotted not in root.entries and (near := nearest_word(dotted, parameters.entries, _CUTOFF)):
             span = path.part(start, end)
             fix = Fix.replacing(span, dotted, near, safe=False)
             findings.add("DB201", span, f"there is no parameter `{dotted}`", help=f"did you mean `{near}`?", fix=fix)
@@ -413,10 +425,10 @@ def _target(root: Mapping, path: Scalar, findings: Findings) -> tuple[NodePath, 
     name, *below = rest.split(".")
     here = path.part(at, at + max(1, len(name)))
     inside = f" in `{dotted[: at - start - 1]}`" if at > start else ""
-    if not isinstance(reached, Mapping):
+    if not isinstance(reached, MappingNode):
         findings.add("DB201", here, f"there is no `{name}`{inside}, which holds no keys", help="set the whole value instead")
         return None
-    near = nearest(name, reached.entries, _CUTOFF)
+    near = nearest_word(name, reached.entries, _CUTOFF)
     if name and not below:
         return (*steps, name), [_key(path, at, end)]
     if not steps and name and all(below) and not near:
@@ -429,6 +441,6 @@ def _target(root: Mapping, path: Scalar, findings: Findings) -> tuple[NodePath, 
     return None
 
 
-def _key(path: Scalar, start: int, end: int) -> Scalar:
+def _key(path: ScalarNode, start: int, end: int) -> ScalarNode:
     text = path.text[start:end]
-    return Scalar(path.part(start, end), text, text)
+    return ScalarNode(path.part(start, end), text, text)

@@ -15,7 +15,7 @@ from typing import Literal, NamedTuple
 
 from deepbots_cli.diagnostics import Span
 
-Path = tuple[str | int, ...]
+NodePath = tuple[str | int, ...]
 Style = Literal["plain", "single", "double", "literal", "folded"]
 Value = None | bool | int | float | str
 
@@ -25,7 +25,7 @@ _MAX_DOTTED = 1000
 """Characters of a dotted path, which is matched against keys piece by piece."""
 
 
-class Scalar(NamedTuple):
+class ScalarNode(NamedTuple):
     """A single value: its text after unquoting and folding, and its value in YAML 1.2.
 
     `offsets[i]` is the offset in the source of character `i` of `text`, with one more for the end. It is None where the
@@ -50,7 +50,7 @@ class Scalar(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Sequence:
+class SequenceNode:
     """A list of nodes."""
 
     span: Span
@@ -60,12 +60,12 @@ class Sequence:
 class Entry(NamedTuple):
     """One key with its value."""
 
-    key: Scalar
+    key: ScalarNode
     value: Node
 
 
 @dataclass(frozen=True)
-class Mapping:
+class MappingNode:
     """Keys in file order, each with its value.
 
     `partial` marks a mapping that lost a key to a finding, so a missing key may be a consequence. `keys_without_value` are the keys
@@ -75,27 +75,27 @@ class Mapping:
     span: Span
     entries: dict[str, Entry]
     partial: bool = False
-    keys_without_value: tuple[Scalar, ...] = ()
+    keys_without_value: tuple[ScalarNode, ...] = ()
 
     def get(self, key: str) -> Node | None:
         entry = self.entries.get(key)
         return entry.value if entry else None
 
 
-Node = Scalar | Sequence | Mapping
+Node = ScalarNode | SequenceNode | MappingNode
 
 
 # Reading trees
 
 
-def walk(node: Node, path: Path = ()) -> Iterator[tuple[Path, Node]]:
+def walk(node: Node, path: NodePath = ()) -> Iterator[tuple[NodePath, Node]]:
     """`node` and every node below it, with its path, in file order."""
     yield path, node
     match node:
-        case Sequence():
+        case SequenceNode():
             for index, item in enumerate(node.items):
                 yield from walk(item, (*path, index))
-        case Mapping():
+        case MappingNode():
             for name, entry in node.entries.items():
                 yield from walk(entry.value, (*path, name))
 
@@ -103,40 +103,40 @@ def walk(node: Node, path: Path = ()) -> Iterator[tuple[Path, Node]]:
 def to_data(node: Node) -> object:
     """The tree as plain Python values."""
     match node:
-        case Scalar():
+        case ScalarNode():
             return node.value
-        case Sequence():
+        case SequenceNode():
             return [to_data(item) for item in node.items]
-        case Mapping():
+        case MappingNode():
             return {key: to_data(entry.value) for key, entry in node.entries.items()}
 
 
-def one_line(node: Node) -> str:
+def inline_text(node: Node) -> str:
     """The value on one line: as it is written, with collections in flow style and without comments."""
     match node:
-        case Scalar():
+        case ScalarNode():
             # An expression of several lines may hold comments, which would hide the lines joined behind them.
             return " ".join((_COMMENT.sub("", node.text) if "\n" in node.text else node.text).split())
-        case Sequence():
+        case SequenceNode():
             return f"[{', '.join(map(_item_on_line, node.items))}]"
-        case Mapping():
+        case MappingNode():
             return f"{{{', '.join(f'{key}: {_item_on_line(entry.value)}' for key, entry in node.entries.items())}}}"
 
 
 def _item_on_line(node: Node) -> str:
     """An item of a collection; a quoted text keeps its quotes if it holds separators."""
-    quoted = isinstance(node, Scalar) and node.style in ("single", "double") and _SEPARATING.search(node.text)
-    return " ".join(node.span.text.split()) if quoted else one_line(node)
+    quoted = isinstance(node, ScalarNode) and node.style in ("single", "double") and _SEPARATING.search(node.text)
+    return " ".join(node.span.text.split()) if quoted else inline_text(node)
 
 
 def count_and_depth(node: Node) -> tuple[int, int]:
     """The number of values in a tree, itself included, and its depth in containers."""
     match node:
-        case Scalar():
+        case ScalarNode():
             return 1, 0
-        case Sequence():
+        case SequenceNode():
             below = [count_and_depth(item) for item in node.items]
-        case Mapping():
+        case MappingNode():
             below = [count_and_depth(entry.value) for entry in node.entries.values()]
     return 1 + sum(size for size, _ in below), 1 + max((height for _, height in below), default=0)
 
@@ -144,11 +144,11 @@ def count_and_depth(node: Node) -> tuple[int, int]:
 def enclosing_entry(node: Node, name: str, start: int, end: int) -> Span | None:
     """The narrowest entry or list item that holds the piece `[start, end)` of the file `name`; None if there is none."""
     match node:
-        case Mapping():
+        case MappingNode():
             parts = [(entry.key.span, entry.value) for entry in node.entries.values()]
-        case Sequence():
+        case SequenceNode():
             parts = [(item.span, item) for item in node.items]
-        case Scalar():
+        case ScalarNode():
             return None
     for first, value in parts:
         found = enclosing_entry(value, name, start, end)
@@ -163,34 +163,34 @@ def enclosing_entry(node: Node, name: str, start: int, end: int) -> Span | None:
 # Paths
 
 
-def descend(node: Node, path: Path) -> tuple[Node, Scalar | None, int]:
+def descend(node: Node, path: NodePath) -> tuple[Node, ScalarNode | None, int]:
     """Follow `path` as far as it goes: the last node reached, its key if any, and the number of steps taken."""
-    key: Scalar | None = None
+    key: ScalarNode | None = None
     for depth, step in enumerate(path):
         match node:
-            case Mapping() if isinstance(step, str) and step in node.entries:
+            case MappingNode() if isinstance(step, str) and step in node.entries:
                 key, node = node.entries[step].key, node.entries[step].value
-            case Sequence() if isinstance(step, int) and 0 <= step < len(node.items):
+            case SequenceNode() if isinstance(step, int) and 0 <= step < len(node.items):
                 key, node = None, node.items[step]
             case _:
                 return node, key, depth
     return node, key, len(path)
 
 
-def follow_dotted(node: Node, dotted: str) -> tuple[Path, Node, str]:
+def follow_dotted(node: Node, dotted: str) -> tuple[NodePath, Node, str]:
     """Follow a dotted path as far as it goes: the steps taken, the node reached, and the rest of the path.
 
     Keys may hold dots (`observation.cart.pole_angle`): the longest key that fits is taken.
     """
-    steps: Path = ()
+    steps: NodePath = ()
     rest = dotted
     while rest and len(dotted) <= _MAX_DOTTED:
         for end in [len(rest), *(i for i in range(len(rest) - 1, 0, -1) if rest[i] == ".")]:
             piece = rest[:end]
-            if isinstance(node, Mapping) and piece in node.entries:
+            if isinstance(node, MappingNode) and piece in node.entries:
                 steps, node, rest = (*steps, piece), node.entries[piece].value, rest[end + 1 :]
                 break
-            if isinstance(node, Sequence) and piece.isascii() and piece.isdigit() and len(piece) < 6 and int(piece) < len(node.items):
+            if isinstance(node, SequenceNode) and piece.isascii() and piece.isdigit() and len(piece) < 6 and int(piece) < len(node.items):
                 steps, node, rest = (*steps, int(piece)), node.items[int(piece)], rest[end + 1 :]
                 break
         else:
@@ -201,35 +201,37 @@ def follow_dotted(node: Node, dotted: str) -> tuple[Path, Node, str]:
 # Changed trees
 
 
-def replace(node: Node, path: Path, entry: Entry) -> Node:
+def with_entry(node: Node, path: NodePath, entry: Entry) -> Node:
     """The tree with the value of `entry` at `path`; a new key is added."""
     step, rest = path[0], path[1:]
     match node:
-        case Mapping() if isinstance(step, str):
+        case MappingNode() if isinstance(step, str):
             old = node.entries.get(step)
             if old is not None:
-                entry = Entry(old.key, replace(old.value, rest, entry) if rest else entry.value)
+                entry = Entry(old.key, with_entry(old.value, rest, entry) if rest else entry.value)
             return dataclasses.replace(node, entries={**node.entries, step: entry})
-        case Sequence() if isinstance(step, int):
-            value = replace(node.items[step], rest, entry) if rest else entry.value
-            return Sequence(node.span, (*node.items[:step], value, *node.items[step + 1 :]))
+        case SequenceNode() if isinstance(step, int):
+            value = with_entry(node.items[step], rest, entry) if rest else entry.value
+            return SequenceNode(node.span, (*node.items[:step], value, *node.items[step + 1 :]))
         case _:
             return node
 
 
-def without(node: Node, paths: Iterable[Path]) -> Node:
+def without_paths(node: Node, paths: Iterable[NodePath]) -> Node:
     """The tree without the values at `paths`, in one walk."""
-    below: dict[str | int, list[Path]] = {}
+    below: dict[str | int, list[NodePath]] = {}
     for path in paths:
         below.setdefault(path[0], []).append(path[1:])
     removed = {step for step, rests in below.items() if () in rests}
     match node:
-        case Mapping():
+        case MappingNode():
             kept = {key: entry for key, entry in node.entries.items() if key not in removed}
-            entries = {key: Entry(entry.key, without(entry.value, below[key])) if key in below else entry for key, entry in kept.items()}
+            entries = {
+                key: Entry(entry.key, without_paths(entry.value, below[key])) if key in below else entry for key, entry in kept.items()
+            }
             return dataclasses.replace(node, entries=entries)
-        case Sequence():
+        case SequenceNode():
             items = [(index, item) for index, item in enumerate(node.items) if index not in removed]
-            return Sequence(node.span, tuple(without(item, below[index]) if index in below else item for index, item in items))
-        case Scalar():
+            return SequenceNode(node.span, tuple(without_paths(item, below[index]) if index in below else item for index, item in items))
+        case ScalarNode():
             return node

@@ -21,7 +21,7 @@ from yaml.events import AliasEvent, CollectionEndEvent, MappingStartEvent, Scala
 
 from deepbots_cli.diagnostics import Edit, Finding, Findings, Fix, Label, Source, Span
 from deepbots_cli.document import hints
-from deepbots_cli.document.nodes import Entry, Mapping, Node, Scalar, Sequence, Style, Value, count_and_depth
+from deepbots_cli.document.nodes import Entry, MappingNode, Node, ScalarNode, SequenceNode, Style, Value, count_and_depth
 
 MAX_DEPTH = 64
 # The largest shipped scenario has 500.
@@ -69,14 +69,14 @@ def parse(source: Source, findings: Findings, budget: Budget | None = None, *, t
     try:
         return _Builder(source, text, noticed, budget or Budget()).document()
     except MarkedYAMLError as error:
-        broken = hints.syntax_error(source, error)
+        broken = hints.syntax_error_finding(source, error)
         findings.append(broken)
     except _OverLimitError:
         pass
     finally:
         for finding in noticed:
             # Other findings on a broken line are consequences.
-            if broken is None or finding.span.begin.line != broken.span.begin.line:
+            if broken is None or finding.span.start_position.line != broken.span.start_position.line:
                 findings.append(finding)
     return None
 
@@ -156,16 +156,16 @@ class _Builder:
             self.stop(event, f"values are nested more than {MAX_DEPTH} deep")
         return node
 
-    def value(self, event: Event) -> Scalar | None:
+    def value(self, event: Event) -> ScalarNode | None:
         scalar = self.scalar(event)
         if scalar.value in (math.inf, -math.inf):
             self.findings.add("DB105", scalar.span, "the number is too large", help="write a smaller number")
             return None
         if scalar.style == "plain":
-            hints.unusual_value(scalar, self.findings)
+            hints.report_unusual_value(scalar, self.findings)
         return scalar
 
-    def scalar(self, event: Event) -> Scalar:
+    def scalar(self, event: Event) -> ScalarNode:
         start, end = self.start(event), event.end_mark.index
         style = _STYLES.get(event.style, "plain")
         if style in _BLOCKS:
@@ -173,7 +173,7 @@ class _Builder:
         if end > start:
             self.end = end
         text = event.value
-        value: Value = resolve(text) if style == "plain" else text
+        value: Value = resolve_plain_scalar(text) if style == "plain" else text
         raw = self.text[start:end]
         offsets = None if style == "plain" and raw == text else _offsets(raw, start, text, style)
         if style in _BLOCKS:
@@ -181,27 +181,27 @@ class _Builder:
                 value = None
             elif header := _BLOCK_HEADER.match(raw):
                 start += header.end()
-        return Scalar(Span(self.source, start, end), text, value, style, offsets)
+        return ScalarNode(Span(self.source, start, end), text, value, style, offsets)
 
-    def sequence(self, start: Event, depth: int) -> Sequence | None:
+    def sequence(self, start: Event, depth: int) -> SequenceNode | None:
         items = [self.node(event, depth + 1) for event in self.children()]
         span = self.close(start)
-        scalars = [item for item in items if isinstance(item, Scalar)]
-        cut = hints.cut_by_commas(scalars, self.findings) if start.flow_style else []
+        scalars = [item for item in items if isinstance(item, ScalarNode)]
+        cut = hints.report_values_cut_by_commas(scalars, self.findings) if start.flow_style else []
         empty = [item for item in scalars if item.value is None]
         for item in empty:
             self.findings.add("DB107", item.span, "a list item is empty", help="give it a value, or remove it")
         kept = tuple(item for item in items if item is not None)
-        return None if cut or empty or len(kept) < len(items) else Sequence(span, kept)
+        return None if cut or empty or len(kept) < len(items) else SequenceNode(span, kept)
 
-    def mapping(self, start: Event, depth: int) -> Mapping:
+    def mapping(self, start: Event, depth: int) -> MappingNode:
         pairs = [(self.key(event, depth), self.node(next(self.events), depth + 1)) for event in self.children()]
         span = self.close(start)
-        scalars = [part for pair in pairs for part in pair if isinstance(part, Scalar)]
-        cut = hints.cut_by_commas(scalars, self.findings) if start.flow_style else []
+        scalars = [part for pair in pairs for part in pair if isinstance(part, ScalarNode)]
+        cut = hints.report_values_cut_by_commas(scalars, self.findings) if start.flow_style else []
         entries: dict[str, Entry] = {}
-        keys_without_value: list[Scalar] = []
-        seen: dict[str, Scalar] = {}
+        keys_without_value: list[ScalarNode] = []
+        seen: dict[str, ScalarNode] = {}
         for key, value in pairs:
             if key is None or any(cut_at.start <= part.span.start < cut_at.end for cut_at in cut for part in (key, value) if part):
                 continue
@@ -212,15 +212,15 @@ class _Builder:
             first = seen.setdefault(key.text, key)
             if first is not key:
                 also = (Label(first.span, "first defined here"),)
-                self.findings.add("DB002", key.span, f"the key `{key.text}` is given twice", help="keep one of the two", also=also)
-            elif isinstance(value, Scalar) and value.value is None:
-                hints.empty_value(key, value, self.findings, is_flow=start.flow_style)
+                self.findings.add("DB002", key.span, f"the key `{key.text}` is given twice", help="keep one of the two", labels=also)
+            elif isinstance(value, ScalarNode) and value.value is None:
+                hints.report_empty_value(key, value, self.findings, is_flow=start.flow_style)
                 keys_without_value.append(key)
             elif value is not None:
                 entries[key.text] = Entry(key, value)
-        return Mapping(span, entries, partial=len(entries) < len(pairs), keys_without_value=tuple(keys_without_value))
+        return MappingNode(span, entries, partial=len(entries) < len(pairs), keys_without_value=tuple(keys_without_value))
 
-    def key(self, event: Event, depth: int) -> Scalar | None:
+    def key(self, event: Event, depth: int) -> ScalarNode | None:
         """A key; None with a finding if it is no name."""
         if not isinstance(event, ScalarEvent):
             span = self.span(event)
@@ -247,7 +247,7 @@ class _Builder:
         self.end = end if end > start else self.end
 
     def start(self, event: Event) -> int:
-        """Where a value begins, behind its anchor."""
+        """The offset at which a value begins, behind its anchor."""
         _, start, end = self.span(event)
         if event.anchor is not None and (anchor := _ANCHOR.match(self.text, start)):
             return min(anchor.end(), end) if isinstance(event, ScalarEvent) else anchor.end()
@@ -277,18 +277,18 @@ _WORDS: dict[str, Value] = {
     **dict.fromkeys(("true", "True", "TRUE"), True),
     **dict.fromkeys(("false", "False", "FALSE"), False),
 }
-INTEGER = re.compile(r"[-+]?(?:[0-9]+|[0-9]{1,3}(?:_[0-9]{3})+)")
+INTEGER_PATTERN = re.compile(r"[-+]?(?:[0-9]+|[0-9]{1,3}(?:_[0-9]{3})+)")
 """Digits may be grouped in threes: `100_000`."""
 _FLOAT = re.compile(r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?")
 # Doubles tell integers apart up to 2**53; seeds may use all of 64 bits.
 _MAX_INTEGER = 2**64
 
 
-def resolve(text: str) -> Value:
+def resolve_plain_scalar(text: str) -> Value:
     """The value of the plain scalar `text`; a number beyond the limit is infinite."""
     if text in _WORDS:
         return _WORDS[text]
-    if INTEGER.fullmatch(text):
+    if INTEGER_PATTERN.fullmatch(text):
         # Python refuses to read integers of more than 4300 digits.
         number = int(text) if len(text) <= 24 else _MAX_INTEGER + 1
         return number if abs(number) <= _MAX_INTEGER else math.inf

@@ -11,7 +11,7 @@ from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
-from deepbots_cli.plugins import entries, warn_unavailable
+from deepbots_cli.plugins import entry_points_of, warn_unavailable
 
 _SCENARIOS = "scenarios/*.yaml"
 _ROBOTS = "robots/urdf/*.urdf"
@@ -30,7 +30,7 @@ def data_dir() -> Path:
 def _added_dirs() -> tuple[Path, ...]:
     """The folders of plug-ins; a folder with a name that is taken is left out."""
     found: list[Path] = []
-    for entry in entries("deepbots.scenarios"):
+    for entry in entry_points_of("deepbots.scenarios"):
         try:
             spec = find_spec(entry.value)
             if spec is None or not spec.submodule_search_locations:

@@ -15,9 +15,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, cast
 
 from deepbots_cli import plugins
-from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.engine_kinds import ENGINES as ALL
-from deepbots_cli.engine_kinds import GROUP
+from deepbots_cli.engine_kinds import ENTRY_POINT_GROUP
 from deepbots_cli.errors import BatchError, MissingExtraError, UsageError
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def create_batch(name: str, world: WorldModel, count: int) -> Any:
     if name not in BATCHES:
         raise BatchError(f"the engine '{name}' has no batches of worlds; use one of {', '.join(BATCHES)}")
     try:
-        return plugins.attribute(BATCHES[name])(_with_masses(world), count)
+        return plugins.import_attribute(BATCHES[name])(_with_masses(world), count)
     except ModuleNotFoundError as error:
         if error.name in _OF_EXTRA_SIM:
             raise MissingExtraError("sim", "running a scenario") from error
@@ -86,11 +86,11 @@ def _with_masses(world: WorldModel) -> WorldModel:
 
 def _factory(name: str) -> EngineFactory:
     if name in ENGINES:
-        return cast("EngineFactory", plugins.attribute(ENGINES[name].factory))
-    for entry in plugins.entries(GROUP):
+        return cast("EngineFactory", plugins.import_attribute(ENGINES[name].factory))
+    for entry in plugins.entry_points_of(ENTRY_POINT_GROUP):
         if entry.name == name:
             return _of_plugin(entry)
-    near = nearest(name, names())
+    near = nearest_word(name, names())
     hint = f"; did you mean '{near}'?" if near else ""
     raise UsageError(f"there is no engine '{name}'; there are {', '.join(names())}{hint}")
 

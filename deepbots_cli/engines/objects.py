@@ -10,7 +10,7 @@ from deepbots_cli import frames
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import IDENTITY_FRAME, Frame
 from deepbots_cli.program.world import ARENA_WALLS, WALL_COLOUR, Arena, ObjectBody
-from deepbots_cli.robots.model import Box, Friction, Geometry, Inertial, Link, Pose, RobotModel, homogeneous, with_link
+from deepbots_cli.robots.model import Box, Friction, Geometry, Inertial, Link, Pose, RobotModel, homogeneous_inertial, with_link
 
 # Of links that state no colour, in turn.
 PALETTE = ((0.84, 0.44, 0.24, 1.0), (0.27, 0.45, 0.66, 1.0), (0.30, 0.32, 0.36, 1.0), (0.86, 0.70, 0.32, 1.0), (0.42, 0.60, 0.46, 1.0))
@@ -34,7 +34,7 @@ def as_robot(body: ObjectBody) -> RobotModel:
     seen = Geometry(body.shape, colour=body.colour)
     link = Link(
         name=body.name,
-        inertial=homogeneous(body.shape, body.mass) or Inertial(body.mass),
+        inertial=homogeneous_inertial(body.shape, body.mass) or Inertial(body.mass),
         visuals=(seen,),
         collisions=(seen,) if body.solid else (),
         friction=Friction(body.friction, body.spinning_friction, body.rolling_friction, body.restitution),

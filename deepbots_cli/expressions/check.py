@@ -14,9 +14,9 @@ from typing import NamedTuple, TypeVar
 
 from deepbots_cli.diagnostics.nearest import FORMER_FUNCTIONS, Replacement, suggest_replacement
 from deepbots_cli.expressions import syntax
-from deepbots_cli.expressions.dimensions import ANGLE, NUMBER, TIME, Dimension, multiple, suggest_unit
-from deepbots_cli.expressions.functions import ALLOWED, FUNCTIONS, OPERATORS, Family, Form, Function, Param
-from deepbots_cli.expressions.intervals import TRUTH, Interval, exact, hull
+from deepbots_cli.expressions.dimensions import ANGLE, NUMBER, TIME, Dimension, prefixed_unit, suggest_unit
+from deepbots_cli.expressions.functions import ALLOWED_FAMILIES, FUNCTIONS, OPERATORS, Family, Form, Function, Param
+from deepbots_cli.expressions.intervals import TRUTH, Interval, hull, single
 from deepbots_cli.expressions.types import (
     MAX_SIZE,
     PLANE,
@@ -25,12 +25,12 @@ from deepbots_cli.expressions.types import (
     ComponentSelection,
     Constant,
     Context,
+    FindingReporter,
     Invocation,
     Kind,
     Operation,
     Redraw,
     Reference,
-    Report,
     Scope,
     Stage,
     Subject,
@@ -38,14 +38,14 @@ from deepbots_cli.expressions.types import (
     Typed,
     TypedRange,
     Vector,
-    shown,
+    shortened_list,
     size,
 )
 from deepbots_cli.expressions.unification import (
-    Stop,
+    StopChecking,
     components_of,
     dimension_of,
-    or_none,
+    none_after_finding,
     report_at,
     require_dimension,
     require_kind,
@@ -102,29 +102,29 @@ _CALLED_ELSEWHERE = {
 }
 
 
-class Checked(NamedTuple):
+class TypedExpression(NamedTuple):
     """A whole text: its value, and how often its draws are repeated (None: once per episode)."""
 
     value: Typed
     redraw: Redraw | None = None
 
 
-@or_none
-def check(tree: syntax.Node, scope: Scope, report: Report) -> Typed:
+@none_after_finding
+def check(tree: syntax.Node, scope: Scope, report: FindingReporter) -> Typed:
     """The typed tree of a text that gives one value; None after a finding that leaves it without a type."""
     if isinstance(tree, syntax.Redrawn):
         help = "only parameters and channel settings may be drawn again with `every` or `each step`"
         report("DB407", tree.value.end, tree.end, "a draw that is repeated", help)
-        raise Stop
+        raise StopChecking
     return _Checker(scope, report).whole(tree)
 
 
-@or_none
-def check_drawn(tree: syntax.Node, scope: Scope, report: Report) -> Checked:
+@none_after_finding
+def check_drawn(tree: syntax.Node, scope: Scope, report: FindingReporter) -> TypedExpression:
     """As `check`, where the text may end in `every 5 s` or `each step`."""
     checker = _Checker(scope, report)
     if not isinstance(tree, syntax.Redrawn):
-        return Checked(checker.whole(tree))
+        return TypedExpression(checker.whole(tree))
     value, *periods = checker.each(checker.whole, (tree.value, *([tree.period] if tree.period else [])))
     for period in periods:
         require_kind([period], report)
@@ -132,11 +132,11 @@ def check_drawn(tree: syntax.Node, scope: Scope, report: Report) -> Checked:
     if not checker.draws:
         help = "`every` and `each step` repeat draws such as `uniform(a .. b)`"
         report("DB401", tree.value.end, tree.end, "a repetition without a draw", help)
-    return Checked(value._replace(type=value.type._replace(stage=Stage.STEP)), Redraw(periods[0] if periods else None))
+    return TypedExpression(value._replace(type=value.type._replace(stage=Stage.STEP)), Redraw(periods[0] if periods else None))
 
 
-@or_none
-def check_range(tree: syntax.Node, scope: Scope, report: Report, *, falling: bool = False) -> TypedRange:
+@none_after_finding
+def check_range(tree: syntax.Node, scope: Scope, report: FindingReporter, *, falling: bool = False) -> TypedRange:
     """The typed ends of a text `low .. high`; with `falling`, the first may be above the second."""
     if not isinstance(tree, syntax.Range):
         raise report_at(report, "DB401", tree, "a single value where a range is needed", "write both ends: `low .. high`")
@@ -151,7 +151,7 @@ def check_range(tree: syntax.Node, scope: Scope, report: Report, *, falling: boo
     return found
 
 
-def _require_rising(found: TypedRange, report: Report) -> None:
+def _require_rising(found: TypedRange, report: FindingReporter) -> None:
     if found.low.type.interval.low > found.high.type.interval.high:
         raise report_at(report, "DB105", found, "a range whose low end is above its high end", "write the low end first")
 
@@ -159,7 +159,7 @@ def _require_rising(found: TypedRange, report: Report) -> None:
 class _Checker:
     """Visits one text; numbers its stateful calls and draws."""
 
-    def __init__(self, scope: Scope, report: Report) -> None:
+    def __init__(self, scope: Scope, report: FindingReporter) -> None:
         self._scope = scope
         self._report = report
         self._fault = partial(report_at, report)
@@ -171,7 +171,7 @@ class _Checker:
         if isinstance(tree, syntax.Range):
             raise self._fault("DB401", tree, "a range where a single value is needed")
         value = self.visit(tree)
-        if value.type.copies:
+        if value.type.has_group_components:
             help = "the number of copies varies: reduce the value with `min`, `max`, `sum`, `norm`, `any` or `all`"
             raise self._fault("DB404", tree, "this has one value per copy of a group, and a single value is needed", help)
         if size(value) > MAX_SIZE:
@@ -208,10 +208,10 @@ class _Checker:
         for item in items:
             try:  # 0.1 us, with `contextlib.suppress` 1.4 us; called for every operator
                 found.append(visit(item))
-            except Stop:
+            except StopChecking:
                 continue
         if len(found) < len(items):
-            raise Stop
+            raise StopChecking
         return found
 
     # names
@@ -222,10 +222,10 @@ class _Checker:
             symbol = self._scope.lookup(".".join(node.parts[:length]))
             if symbol is None:
                 continue
-            if symbol.refused is not None:
-                self._fault("DB407", node, f"`{symbol.name}` has no value here", symbol.refused)
+            if symbol.refusal is not None:
+                self._fault("DB407", node, f"`{symbol.name}` has no value here", symbol.refusal)
             if symbol.type is None:
-                raise Stop
+                raise StopChecking
             value: Typed = Reference(symbol.type, node.start, node.end, symbol)
             for index in range(length, len(node.parts)):
                 value = self._pick(value, node.parts[index], node, ".".join([*node.parts[:index], ""]))
@@ -254,24 +254,26 @@ class _Checker:
         if subject is not None and subject.kind in kinds:
             return subject
         symbol = scope.lookup(name) if subject is None else None
-        is_invalid = symbol is not None and symbol.type is None and symbol.refused is None
+        is_invalid = symbol is not None and symbol.type is None and symbol.refusal is None
         if is_invalid or (subject is not None and subject.kind is Kind.BROKEN):
-            raise Stop
+            raise StopChecking
         fitting = [known for known in dict.fromkeys(scope.subjects()) if (other := scope.subject(known, kinds)) and other.kind in kinds]
         if subject is None and symbol is None:
             raise self._unknown("name", name, fitting, node)
-        found = subject.kind.words if subject is not None else "a value"
+        found = subject.kind.description if subject is not None else "a value"
         help = _known(fitting, f"the scenario does not have {wanted}")
         raise self._fault("DB203", node, f"`{name}` is {found}, but `{function}` needs {wanted}", help)
 
-    def _no_value(self, node: syntax.Name) -> Stop:
+    def _no_value(self, node: syntax.Name) -> StopChecking:
         """A name that is no value: a part of the world, a function, or unknown."""
         scope, name = self._scope, node.dotted
         subject = scope.subject(name)
         if subject is not None:
             help = f"use one of its values, as in `{_ASKED.get(subject.kind, 'position')}({name})`"
             is_invalid = subject.kind is Kind.BROKEN
-            return Stop() if is_invalid else self._fault("DB203", node, f"`{name}` is {subject.kind.words}, not a value", help)
+            return (
+                StopChecking() if is_invalid else self._fault("DB203", node, f"`{name}` is {subject.kind.description}, not a value", help)
+            )
         if name in FUNCTIONS:
             return self._fault("DB402", node, f"`{name}` is a function", f"call it: `{FUNCTIONS[name].signature}`")
         if asked := self._asked_of_a_body(node):
@@ -283,7 +285,7 @@ class _Checker:
         """`position(cart).x` for `cart.position.x` and for `cart.x`."""
         for length in range(len(node.parts) - 1, 0, -1):
             body, (asked, *rest) = ".".join(node.parts[:length]), node.parts[length:]
-            subject = self._scope.subject(body) if Family.WORLD in ALLOWED[self._scope.context] else None
+            subject = self._scope.subject(body) if Family.WORLD in ALLOWED_FAMILIES[self._scope.context] else None
             if subject is not None and subject.kind in (Kind.ROBOT, Kind.LINK, Kind.OBJECT, Kind.WALL):
                 function = FUNCTIONS.get(asked)
                 if function is not None and function.family is Family.WORLD and len(function.params) == 1:
@@ -293,7 +295,7 @@ class _Checker:
 
     def _unknown(
         self, what: str, name: str, known: Iterable[str], place: syntax.Node, before: str | None = "", also: str | None = None
-    ) -> Stop:
+    ) -> StopChecking:
         """DB402 with the nearest of the known names, and a list of them.
 
         `before` and the name are the text of `place`; None says that it cannot be written again. The help `also` is for
@@ -342,7 +344,7 @@ class _Checker:
         written = name.dotted
         symbol = self._scope.lookup(name.parts[0]) or self._scope.lookup(written)
         if symbol is None:
-            unit, scaled = suggest_unit(written), multiple(written)
+            unit, scaled = suggest_unit(written), prefixed_unit(written)
             help = "units are m, mm, cm, s, ms, kg, g, N, rad, deg, Hz, % and their products, as in `N*m/rad`"
             if unit is not None:
                 help = f"did you mean `{unit.text}`?"
@@ -362,9 +364,9 @@ class _Checker:
         require_kind([value], self._report)
         require_kind([condition], self._report, boolean=True)
         components = components_of((value, condition), node, self._report)
-        nothing = Constant(Type(interval=exact(0.0)), node.end, node.end, (0.0,))
+        nothing = Constant(Type(interval=single(0.0)), node.end, node.end, (0.0,))
         stage = max(value.type.stage, condition.type.stage)
-        result = Type(value.type.dimension, components, interval=hull((value.type.interval, exact(0.0))), stage=stage)
+        result = Type(value.type.dimension, components, interval=hull((value.type.interval, single(0.0))), stage=stage)
         return Invocation(result, node.start, node.end, "where", (), (condition, value, nothing))
 
     def _unary(self, node: syntax.Unary, operand: Typed) -> Typed:
@@ -386,8 +388,8 @@ class _Checker:
             self._warn_of_domain(node.operator, left, right, node)
             interval = OPERATORS[operator].interval(left.type.interval, right.type.interval)
             # A division by zero gives an interval that is not single.
-            overflows = interval.single and not interval.finite
-            if overflows and all(value.type.interval.finite and value.type.interval.single for value in both):
+            overflows = interval.is_single and not interval.is_finite
+            if overflows and all(value.type.interval.is_finite and value.type.interval.is_single for value in both):
                 self._fault("DB406", node, "a result too large for a number")
             return Operation(result._replace(interval=interval), node.start, node.end, operator, both)
         if node.operator not in COMPARISONS:
@@ -413,23 +415,23 @@ class _Checker:
                 if base == NUMBER:
                     return NUMBER
                 # A quantity takes only exponents that are known and simple.
-                if known.single and right.type.components is None and abs(known.low) <= _MAX_EXPONENT:
+                if known.is_single and right.type.components is None and abs(known.low) <= _MAX_EXPONENT:
                     near = Fraction(known.low).limit_denominator(_MAX_DENOMINATOR)
                     if float(near) == known.low:
                         return base ** (near if near.denominator > 1 else int(near))
                 help = "divide by a unit first: only a plain number may have any exponent"
-                raise self._fault("DB503", right, f"{base.words} to a power that is not a fixed, simple number", help)
+                raise self._fault("DB503", right, f"{base.description} to a power that is not a fixed, simple number", help)
             case _:
                 return dimension_of((left, right), node, self._report)
 
     def _warn_of_domain(self, operator: str, left: Typed, right: Typed, node: syntax.Binary) -> None:
         """DB405 for a divisor that can be zero, DB406 for a root of a value that can be negative."""
         a, b = left.type.interval, right.type.interval
-        if operator == "/" and b.finite and 0.0 in b:
+        if operator == "/" and b.is_finite and 0.0 in b:
             between = f"the divisor is between {b.low:g} and {b.high:g}, and can be zero"
-            self._fault("DB405", node.right, "a division by zero" if b.single else between, _no_zero(right))
-        if operator == "^" and a.finite:
-            if a.low < 0.0 and b.single and not b.low.is_integer():
+            self._fault("DB405", node.right, "a division by zero" if b.is_single else between, _no_zero(right))
+        if operator == "^" and a.is_finite:
+            if a.low < 0.0 and b.is_single and not b.low.is_integer():
                 self._fault("DB406", node.left, f"a fractional power of a value that can be as low as {a.low:g}", _KEEP_ABOVE)
             if 0.0 in a and b.high < 0.0:
                 self._fault("DB405", node.left, "a negative power of a value that can be zero", _no_zero(left))
@@ -452,7 +454,7 @@ class _Checker:
             self._occurrences += 1
             self.draws += function.family is Family.DRAW
         context = self._scope.context
-        is_allowed = function.family in ALLOWED[context]
+        is_allowed = function.family in ALLOWED_FAMILIES[context]
         if not is_allowed:
             help = _CONTEXT_HELP.get((context, function.family)) or _FAMILY_HELP.get(function.family)
             headline = f"`{function.name}` cannot be used in {context.value}"
@@ -464,7 +466,7 @@ class _Checker:
         result = self._result(node, function, subjects, bound)
         self._warn(function, bound)
         if not is_allowed:
-            raise Stop
+            raise StopChecking
         if function.name == "vector":
             return Vector(result, node.start, node.end, values)
         return Invocation(result, node.start, node.end, function.name, subjects, values, occurrence)
@@ -473,8 +475,8 @@ class _Checker:
         """The subjects, and each value with its parameter: both ends of a range have the same."""
         params, given = function.params, len(node.args)
         fewest = sum(not param.optional for param in params)
-        if given < fewest or (given > len(params) and not params[-1].many):
-            wanted = f"at least {fewest}" if params[-1].many else " or ".join(str(n) for n in sorted({fewest, len(params)}))
+        if given < fewest or (given > len(params) and not params[-1].variadic):
+            wanted = f"at least {fewest}" if params[-1].variadic else " or ".join(str(n) for n in sorted({fewest, len(params)}))
             noun = "argument" if wanted == "1" else "arguments"
             raise self._fault("DB401", node, f"`{function.name}` takes {wanted} {noun}, not {given}", _usage(function))
 
@@ -501,8 +503,8 @@ class _Checker:
     def _result(self, node: syntax.Call, function: Function, subjects: tuple[Subject, ...], bound: list[tuple[Param, Typed]]) -> Type:
         """Dimension, shape, interval and stage of the value of a call."""
         values = [value for _, value in bound]
-        truths, others = [value for param, value in bound if param.truth], [value for param, value in bound if not param.truth]
-        any_truth = function.truths and any(value.type.boolean for value in others)
+        truths, others = [value for param, value in bound if param.boolean], [value for param, value in bound if not param.boolean]
+        any_truth = function.accepts_truths and any(value.type.boolean for value in others)
         require_kind(truths, self._report, boolean=True)
         require_kind(others, self._report, boolean=any_truth)
         boolean = function.boolean or any_truth
@@ -510,7 +512,7 @@ class _Checker:
         for param, value in bound:
             if param.dimension is not None:
                 require_dimension(value, param.dimension, f"the argument of `{function.name}`", self._report)
-        shared = [value for param, value in bound if param.dimension is None and not param.truth]
+        shared = [value for param, value in bound if param.dimension is None and not param.boolean]
         measured = subjects[0].dimension if subjects and not shared else dimension_of(shared, node, self._report)
 
         components = self._components(node, function, subjects, bound)
@@ -518,8 +520,8 @@ class _Checker:
         reduction = function.reduction if components is None and count else None
         given = [subject.interval for subject in subjects] + [value.type.interval for value in values]
         interval = TRUTH if boolean else reduction.interval(given[0], count) if reduction else function.interval(*given)
-        if reduction and values[0].type.copies:  # there may be none of them
-            interval = hull([interval, exact(float(reduction.empty or 0.0))])
+        if reduction and values[0].type.has_group_components:  # there may be none of them
+            interval = hull([interval, single(float(reduction.empty or 0.0))])
 
         stage = max((value.type.stage for value in values), default=Stage.FIXED)
         if function.family is Family.DRAW:
@@ -535,7 +537,7 @@ class _Checker:
         values = [value for _, value in bound]
         for param, value in bound:
             if param.components and value.type.components != param.components:
-                raise self._fault("DB404", value, f"{value.type.shape_words} where a vector of x, y, z is needed")
+                raise self._fault("DB404", value, f"{value.type.shape_description} where a vector of x, y, z is needed")
         if function.components is not None:
             return function.components
         if function.name == "vector":
@@ -544,7 +546,7 @@ class _Checker:
             return self._gathered(values)
         if function.reduction is not None and len(values) == 1:
             (vector,) = values
-            if vector.type.copies and function.reduction.empty is None:
+            if vector.type.has_group_components and function.reduction.empty is None:
                 help = "there may be no copy: use `min`, `max`, `sum`, `norm`, `any` or `all`"
                 raise self._fault("DB404", node, f"a {function.name} over the copies of a group", help)
             if vector.type.components is None:
@@ -562,12 +564,12 @@ class _Checker:
                 warn_of_degrees(value, self._report)
         values = [value for _, value in bound]
         interval = values[0].type.interval if values else TRUTH
-        if interval.finite and interval.low < function.domain.low:
+        if interval.is_finite and interval.low < function.domain.low:
             headline = f"the argument of `{function.name}` can be as low as {interval.low:g}"
             self._fault("DB406", values[0], headline, _KEEP_ABOVE)
         if function.family is Family.DRAW and function.params[0].form is Form.RANGE:
             low, high = values
-            with suppress(Stop):
+            with suppress(StopChecking):
                 _require_rising(TypedRange(low, high, low.start, high.end), self._report)
 
 
@@ -588,14 +590,14 @@ def _with_owner(name: str, known: list[str]) -> Replacement | None:
 
 
 def _known(names: list[str], none: str) -> str:
-    return f"known names: {shown((f'`{name}`' for name in sorted(names)), 20)}" if names else none
+    return f"known names: {shortened_list((f'`{name}`' for name in sorted(names)), 20)}" if names else none
 
 
 def _one_of(kinds: frozenset[Kind]) -> str:
-    named = [kind.words for kind in Kind if kind in kinds]
+    named = [kind.description for kind in Kind if kind in kinds]
     if kinds >= {Kind.WALL, Kind.WALLS}:
-        named.remove(Kind.WALLS.words)
-        named[named.index(Kind.WALL.words)] = "a wall"
+        named.remove(Kind.WALLS.description)
+        named[named.index(Kind.WALL.description)] = "a wall"
     return named[0] if len(named) == 1 else f"{', '.join(named[:-1])} or {named[-1]}"
 
 

@@ -37,7 +37,7 @@ class Dimension(NamedTuple):
 
     def __str__(self) -> str:
         """The SI unit of the quantity: `m/s^2`, `N*m`, `1` for a plain number."""
-        if unit := quantity(self).unit:
+        if unit := physical_quantity(self).unit:
             return unit
         bases = (("kg", self.kg), ("m", self.m), ("s", self.s), ("rad", self.rad))
         above = "*".join(_power(base, exponent) for base, exponent in bases if exponent > 0)
@@ -45,17 +45,17 @@ class Dimension(NamedTuple):
         return (above or "1") + below
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         """For a sentence: `a speed (m/s)`, `an angle (rad)`, `a plain number`."""
         if self == NUMBER:
             return "a plain number"
-        noun = quantity(self).noun
+        noun = physical_quantity(self).noun
         return f"{noun} ({self})" if noun else f"a quantity in {self}"
 
     @property
     def example(self) -> str:
         """A value with its unit, for a hint."""
-        return quantity(self).example or f"0.5 {self}"
+        return physical_quantity(self).example or f"0.5 {self}"
 
 
 def _power(base: str, exponent: Exponent) -> str:
@@ -80,9 +80,9 @@ PRESSURE = FORCE / LENGTH**2
 
 
 class PhysicalQuantity(NamedTuple):
-    """What messages say about a dimension.
+    """The words of messages about a dimension.
 
-    `unit` replaces a combination of base units. Values beyond `plausible` (SI) get a warning: their unit or exponent is
+    `unit` replaces a combination of base units. Values beyond `plausible_limit` (SI) get a warning: their unit or exponent is
     probably wrong. `bare_is_si` lets a field take a number without a unit.
     """
 
@@ -90,27 +90,27 @@ class PhysicalQuantity(NamedTuple):
     noun: str = ""
     unit: str = ""
     example: str = ""
-    plausible: float = math.inf
+    plausible_limit: float = math.inf
     bare_is_si: bool = False
 
 
 _QUANTITIES = {
     known.dimension: known
     for known in (
-        PhysicalQuantity(LENGTH, "a length", example="0.5 m", plausible=1e5, bare_is_si=True),
+        PhysicalQuantity(LENGTH, "a length", example="0.5 m", plausible_limit=1e5, bare_is_si=True),
         PhysicalQuantity(LENGTH**2, "an area"),
         PhysicalQuantity(LENGTH**3, "a volume"),
         PhysicalQuantity(MASS / LENGTH**3, "a density"),
-        PhysicalQuantity(MASS, "a mass", example="0.5 kg", plausible=1e6, bare_is_si=True),
-        PhysicalQuantity(TIME, "a duration", example="20 ms", plausible=1e7),
-        PhysicalQuantity(ANGLE, "an angle", example="30 deg", plausible=1e4),
-        PhysicalQuantity(SPEED, "a speed", plausible=1e4),
-        PhysicalQuantity(ACCELERATION, "an acceleration", plausible=1e6),
-        PhysicalQuantity(ANGULAR_VELOCITY, "an angular velocity", plausible=1e5),
+        PhysicalQuantity(MASS, "a mass", example="0.5 kg", plausible_limit=1e6, bare_is_si=True),
+        PhysicalQuantity(TIME, "a duration", example="20 ms", plausible_limit=1e7),
+        PhysicalQuantity(ANGLE, "an angle", example="30 deg", plausible_limit=1e4),
+        PhysicalQuantity(SPEED, "a speed", plausible_limit=1e4),
+        PhysicalQuantity(ACCELERATION, "an acceleration", plausible_limit=1e6),
+        PhysicalQuantity(ANGULAR_VELOCITY, "an angular velocity", plausible_limit=1e5),
         PhysicalQuantity(ANGULAR_VELOCITY / TIME, "an angular acceleration"),
         PhysicalQuantity(FREQUENCY, "a frequency"),
-        PhysicalQuantity(FORCE, "a force", "N", plausible=1e8),
-        PhysicalQuantity(TORQUE, "a torque or an energy", "N*m", plausible=1e8),
+        PhysicalQuantity(FORCE, "a force", "N", plausible_limit=1e8),
+        PhysicalQuantity(TORQUE, "a torque or an energy", "N*m", plausible_limit=1e8),
         PhysicalQuantity(POWER, "a power", "W"),
         PhysicalQuantity(PRESSURE, "a pressure", "Pa"),
         PhysicalQuantity(MASS * LENGTH**2, "a moment of inertia"),
@@ -122,7 +122,7 @@ _QUANTITIES = {
 }
 
 
-def quantity(dimension: Dimension) -> PhysicalQuantity:
+def physical_quantity(dimension: Dimension) -> PhysicalQuantity:
     """Noun, unit and plausible values of a dimension; empty where the messages have no word for it."""
     return _QUANTITIES.get(dimension) or PhysicalQuantity(dimension)
 
@@ -219,7 +219,7 @@ def suggest_unit(name: str) -> Replacement | None:
     known = name if name in _WRITTEN_OUT else name.lower()
     if known in _WRITTEN_OUT:
         return Replacement(_WRITTEN_OUT[known], known not in _AMBIGUOUS)
-    if multiple(name) is not None:
+    if prefixed_unit(name) is not None:
         return None  # the unit without its prefix would be another value
     if len(name) > 1 and known in UNITS:
         return Replacement(known, safe=False)
@@ -229,6 +229,6 @@ def suggest_unit(name: str) -> Replacement | None:
     return Replacement(close[0], safe=False) if close else None
 
 
-def multiple(name: str) -> tuple[float, str] | None:
+def prefixed_unit(name: str) -> tuple[float, str] | None:
     """Factor and unit where `name` is a known unit with a prefix the language lacks: `mrad` is 0.001 rad."""
     return (_PREFIXES[name[0]], name[1:]) if name[:1] in _PREFIXES and name[1:] in UNITS else None

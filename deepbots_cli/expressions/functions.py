@@ -30,11 +30,11 @@ from deepbots_cli.expressions.scalar import Const, Draw, Op, Scalar, State, Worl
 from deepbots_cli.expressions.types import QUATERNION, SPACE, Components, Context, Invocation, Kind, Typed, walk
 from deepbots_cli.plugins import PluginTable
 
-GROUP = "deepbots.functions"
+ENTRY_POINT_GROUP = "deepbots.functions"
 
 
 class Family(Enum):
-    """What kind of knowledge a function needs, which decides where it may be called."""
+    """The knowledge that a function needs; it decides where the function may be called."""
 
     PURE = auto()
     WORLD = auto()
@@ -47,7 +47,7 @@ _WORLD = frozenset({Family.PURE, Family.WORLD})
 _TASK = frozenset({Family.PURE, Family.WORLD, Family.MESSAGE, Family.STATEFUL})
 _BOARD = frozenset({Family.PURE, Family.STATEFUL})
 _DRAWN = frozenset({Family.PURE, Family.DRAW})
-ALLOWED: dict[Context, frozenset[Family]] = {
+ALLOWED_FAMILIES: dict[Context, frozenset[Family]] = {
     Context.FIXED: frozenset({Family.PURE}),
     Context.PARAMETER: _DRAWN,
     Context.FIELD: _DRAWN,
@@ -81,22 +81,22 @@ class Form(Enum):
 class Param(NamedTuple):
     """One argument. `dimension` None means: any, but the same for all such arguments of the call.
 
-    `components` demands a vector of exactly these; `kinds` are the parts of the world it may name. `many` lets the
+    `components` demands a vector of exactly these; `kinds` are the parts of the world it may name. `variadic` lets the
     last argument be given once or more often.
     """
 
     name: str
     form: Form = Form.VALUE
     dimension: Dimension | None = None
-    truth: bool = False
+    boolean: bool = False
     components: Components | None = None
     kinds: frozenset[Kind] = frozenset()
     optional: bool = False
-    many: bool = False
+    variadic: bool = False
 
     def __str__(self) -> str:
         shown = {Form.RANGE: "low .. high", Form.SPREAD: "mean +- std", Form.OPTIONS: "a | b | ..."}.get(self.form, self.name)
-        return f"[{shown}]" if self.optional else f"{shown}, ..." if self.many else shown
+        return f"[{shown}]" if self.optional else f"{shown}, ..." if self.variadic else shown
 
 
 class Reduction(NamedTuple):
@@ -130,7 +130,7 @@ class Function(NamedTuple):
         interval: Maps the intervals of the arguments (subjects first, vectors once) to that of the value.
         components: Those of the value, where they do not follow from the arguments.
         boolean: The value is a truth value.
-        truths: The arguments without a dimension of their own may be truth values; the value is then one, too.
+        accepts_truths: The arguments without a dimension of their own may be truth values; the value is then one, too.
         domain: The first argument must stay within; otherwise DB406.
 
     The meaning of a pure function is one of these, or both:
@@ -144,8 +144,8 @@ class Function(NamedTuple):
     That of a function of the world is a reading of the engine, unless it has a `tree`:
         tree: Makes the scalar tree from the full names of the subjects; generated code calls the function of the same name in
             `runtime.formulas` with the poses of the subjects, which computes the same to the bit.
-        at_link: The subject is read at the link that stands for it; a robot is read at its base link.
-        of_pieces: The operation that joins the values for a wall of several pieces.
+        reads_link_pose: The subject is read at the link that stands for it; a robot is read at its base link.
+        pieces_operator: The operation that joins the values for a wall of several pieces.
 
     memory: The class of `runtime.formulas` that is the meaning of a stateful function: called with the arguments in every
         timestep, whether or not the value is used. An absent `start` is the first argument.
@@ -160,15 +160,15 @@ class Function(NamedTuple):
     interval: Callable[..., Interval] = _unknown
     components: Components | None = None
     boolean: bool = False
-    truths: bool = False
+    accepts_truths: bool = False
     domain: Interval = EVERYTHING
     python: str = ""
     helper: str = ""
     array: str = ""
     reduction: Reduction | None = None
     tree: Callable[..., Scalar] | None = None
-    at_link: bool = False
-    of_pieces: str = "or"
+    reads_link_pose: bool = False
+    pieces_operator: str = "or"
     memory: str = ""
 
     @property
@@ -179,13 +179,13 @@ class Function(NamedTuple):
     def arguments(self) -> tuple[str, ...]:
         """The names of the single values that the function takes; the last with a star where it takes the rest."""
         names = [name for param in self.params for name in (("low", "high") if param.form is Form.RANGE else (param.name,))]
-        takes_rest = self.params[-1].many and f"*{names[-1]}" in self.python
+        takes_rest = self.params[-1].variadic and f"*{names[-1]}" in self.python
         return (*names[:-1], f"*{names[-1]}") if takes_rest else tuple(names)
 
     def compiled(self, text: str, namespace: dict[str, Any]) -> Callable[..., Any]:
         """The callable of `python` or `array`."""
         compute: Callable[..., Any] = eval(f"lambda {', '.join(self.arguments)}: {text}", namespace)
-        if self.params[-1].many and not self.arguments[-1].startswith("*"):
+        if self.params[-1].variadic and not self.arguments[-1].startswith("*"):
             return lambda *terms: reduce(compute, terms)
         return compute
 
@@ -198,7 +198,7 @@ def scalar_function(name: str) -> Callable[..., float | bool]:
     """
     if name == "pow":
         return _power
-    function = operation(name)
+    function = function_named(name)
     return function.compiled(function.python, {**vars(math)})
 
 
@@ -302,14 +302,14 @@ def _hull(*arguments: Interval) -> Interval:
 
 
 def _norm(components: Interval, count: int) -> Interval:
-    return iv.length_of(*[components] * min(count, 1000))
+    return iv.hypot(*[components] * min(count, 1000))
 
 
 _NUMBER, _ANGLE, _LENGTH, _TIME = _always(NUMBER), _always(ANGLE), _always(LENGTH), _always(TIME)
 _PURE, _OF_WORLD, _STATEFUL, _DRAW = Family.PURE, Family.WORLD, Family.STATEFUL, Family.DRAW
 
 _X, _Y, _V = Param("x"), Param("y"), Param("v")
-_CONDITION = Param("condition", truth=True)
+_CONDITION = Param("condition", boolean=True)
 _START = Param("start", optional=True)
 _PLAIN = Param("x", dimension=NUMBER)
 _TURN = Param("angle", dimension=ANGLE)
@@ -341,7 +341,7 @@ _ENTRIES = (
     Function("sqrt", _PURE, (_X,), "The square root; halves the dimension.", "sqrt(distance(rover, ball) / m)",
              lambda d: d ** Fraction(1, 2), iv.square_root, domain=iv.POSITIVE, python="sqrt(x)", array="np.sqrt(x)"),
     Function("exp", _PURE, (_PLAIN,), "e to the power of a plain number.", "exp(-distance(rover, ball) / m)",
-             _NUMBER, lambda x: iv.monotone(math.exp, x), python="exp(x)", array="np.exp(x)"),
+             _NUMBER, lambda x: iv.apply_monotone(math.exp, x), python="exp(x)", array="np.exp(x)"),
     Function("log", _PURE, (_PLAIN,), "The natural logarithm of a plain number.", "log(1 + distance(rover, ball) / m)",
              _NUMBER, iv.logarithm, domain=Interval(math.ulp(0.0), INF), python="log(x)", array="np.log(x)"),
     Function("sin", _PURE, (_TURN,), "The sine of an angle.", "sin(yaw(rover))",
@@ -351,64 +351,64 @@ _ENTRIES = (
     Function("tan", _PURE, (_TURN,), "The tangent of an angle.", "tan(tilt(rover) / 2)",
              _NUMBER, iv.tangent, python="tan(angle)", array="np.tan(angle)"),
     Function("atan2", _PURE, (_Y, _X), "The angle of the point (x, y), between -180 and 180 deg.",
-             "atan2(velocity(rover).y, velocity(rover).x)", _ANGLE, iv.angle_of, python="atan2(y, x)", array="np.arctan2(y, x)"),
+             "atan2(velocity(rover).y, velocity(rover).x)", _ANGLE, iv.atan2, python="atan2(y, x)", array="np.arctan2(y, x)"),
     # numpy's own hypot rounds differently and takes two arguments; this one costs 0.1 us per value.
-    Function("hypot", _PURE, (_X, Param("y", many=True)), "The root of the sum of squares.",
+    Function("hypot", _PURE, (_X, Param("y", variadic=True)), "The root of the sum of squares.",
              "hypot(position(rover).x, position(rover).y)",
-             interval=iv.length_of, python="hypot(x, *y)", array="np.asarray(np.frompyfunc(hypot, 1 + len(y), 1)(x, *y), float)"),
+             interval=iv.hypot, python="hypot(x, *y)", array="np.asarray(np.frompyfunc(hypot, 1 + len(y), 1)(x, *y), float)"),
     Function("clamp", _PURE, (_X, _RANGE), "x, limited to the range.", "clamp(distance(rover, ball), 0 .. 0.5 m)",
-             interval=iv.clamped, python="min(max(x, low), high)", helper="clamp",
+             interval=iv.clamp, python="min(max(x, low), high)", helper="clamp",
              array="np.minimum(np.maximum(x, low), high)"),
     Function("wrap", _PURE, (_TURN,), "The same angle, above -180 and up to 180 deg.", "wrap(yaw(rover) - 90 deg)",
-             _ANGLE, iv.wrapped, python="pi - (pi - angle) % tau", helper="wrap_angle"),
+             _ANGLE, iv.wrap_angle, python="pi - (pi - angle) % tau", helper="wrap_angle"),
     Function("where", _PURE, (_CONDITION, Param("a"), Param("b")), "a where the condition holds, otherwise b.",
              "where(contact(rover, ball), 1, 0)",
-             interval=iv.chosen, truths=True, python="a if condition else b",
+             interval=iv.where, accepts_truths=True, python="a if condition else b",
              array="np.where(condition, a, b)"),
-    Function("min", _PURE, (Param("x", many=True),), "The smallest component of one vector, or of several values.", "min(rover.near)",
+    Function("min", _PURE, (Param("x", variadic=True),), "The smallest component of one vector, or of several values.", "min(rover.near)",
              interval=iv.minimum, python="min(*x)", array="reduce(np.minimum, x)", reduction=Reduction("min", INF)),
-    Function("max", _PURE, (Param("x", many=True),), "The largest component of one vector, or of several values.",
+    Function("max", _PURE, (Param("x", variadic=True),), "The largest component of one vector, or of several values.",
              "max(abs(gas), abs(turn))",
              interval=iv.maximum, python="max(*x)", array="reduce(np.maximum, x)", reduction=Reduction("max", -INF)),
     Function("sum", _PURE, (_V,), "The sum of the components.", "sum(joint_velocity(rover.wheels)^2)",
-             reduction=Reduction("add", 0.0, iv.times_count)),
+             reduction=Reduction("add", 0.0, iv.multiply_by_count)),
     Function("mean", _PURE, (_V,), "The mean of the components.", "mean(joint_velocity(rover.wheels))",
              reduction=Reduction("add", None, mean=True)),
     Function("norm", _PURE, (_V,), "The length of a vector: the root of the sum of squares.", "norm(velocity(rover).xy)",
              reduction=Reduction("hypot", 0.0, _norm)),
-    Function("any", _PURE, (Param("v", truth=True),), "Whether a component is true.", "any(rover.near < 0.1 m)",
+    Function("any", _PURE, (Param("v", boolean=True),), "Whether a component is true.", "any(rover.near < 0.1 m)",
              _NUMBER, boolean=True, reduction=Reduction("or", False)),
-    Function("all", _PURE, (Param("v", truth=True),), "Whether every component is true.",
+    Function("all", _PURE, (Param("v", boolean=True),), "Whether every component is true.",
              "all(abs(joint_velocity(rover.wheels)) < 1 rad/s)", _NUMBER, boolean=True, reduction=Reduction("and", True)),
-    Function("vector", _PURE, (_X, Param("y", many=True)), "A vector of two (x, y) or three (x, y, z) values.",
+    Function("vector", _PURE, (_X, Param("y", variadic=True)), "A vector of two (x, y) or three (x, y, z) values.",
              "vector(gas * 10 cm, turn * 10 cm, 0 m)", interval=_hull),
     Function("length", _PURE, (_LINE,), "The length of a line.", "length(track)", _LENGTH, _first),
     Function("position", _OF_WORLD, (_BODY,), "The position of a link's origin in the world.", "position(rover.left_wheel)",
-             _LENGTH, components=SPACE, at_link=True),
+             _LENGTH, components=SPACE, reads_link_pose=True),
     Function("velocity", _OF_WORLD, (_BODY,), "The velocity of a link's origin in the world.", "velocity(ball)",
-             _always(LENGTH / TIME), components=SPACE, at_link=True),
+             _always(LENGTH / TIME), components=SPACE, reads_link_pose=True),
     Function("angular_velocity", _OF_WORLD, (_BODY,), "The angular velocity of a link, about the axes of the world.",
-             "angular_velocity(rover).z", _always(ANGLE / TIME), components=SPACE, at_link=True),
+             "angular_velocity(rover).z", _always(ANGLE / TIME), components=SPACE, reads_link_pose=True),
     Function("orientation", _OF_WORLD, (_BODY,), "The quaternion (x, y, z, w) of a link.", "orientation(rover)",
-             _NUMBER, _known(iv.SIGNED_UNIT), components=QUATERNION, at_link=True),
+             _NUMBER, _known(iv.SIGNED_UNIT), components=QUATERNION, reads_link_pose=True),
     Function("roll", _OF_WORLD, (_BODY,), "The turn about the forward axis.", "roll(rover)",
-             _ANGLE, _known(iv.TURN), tree=_roll, at_link=True),
+             _ANGLE, _known(iv.TURN), tree=_roll, reads_link_pose=True),
     Function("pitch", _OF_WORLD, (_BODY,), "The turn about the sideways axis; nose down is positive.", "pitch(rover)",
-             _ANGLE, _known(iv.QUARTER_TURNS), tree=_pitch, at_link=True),
+             _ANGLE, _known(iv.QUARTER_TURNS), tree=_pitch, reads_link_pose=True),
     Function("yaw", _OF_WORLD, (_BODY,), "The turn about the vertical; left is positive.", "yaw(rover)",
-             _ANGLE, _known(iv.TURN), tree=_yaw, at_link=True),
+             _ANGLE, _known(iv.TURN), tree=_yaw, reads_link_pose=True),
     Function("tilt", _OF_WORLD, (_BODY,), "The angle between a link's own vertical and that of the world.", "tilt(rover)",
-             _ANGLE, _known(iv.HALF_TURN), tree=_tilt, at_link=True),
+             _ANGLE, _known(iv.HALF_TURN), tree=_tilt, reads_link_pose=True),
     Function("to_body_frame", _OF_WORLD, (_BODY, Param("v", components=SPACE)), "A vector of the world, as seen from a body.",
-             "to_body_frame(rover, velocity(rover))", components=SPACE, at_link=True),
+             "to_body_frame(rover, velocity(rover))", components=SPACE, reads_link_pose=True),
     Function("distance", _OF_WORLD, (_BODY, _OTHER), "The distance between two origins in space.", "distance(rover, ball)",
-             _LENGTH, _known(iv.POSITIVE), tree=_distance, at_link=True),
+             _LENGTH, _known(iv.POSITIVE), tree=_distance, reads_link_pose=True),
     Function("ground_distance", _OF_WORLD, (_BODY, _OTHER), "The distance between two origins in the plane.",
-             "ground_distance(rover, ball)", _LENGTH, _known(iv.POSITIVE), tree=_ground_distance, at_link=True),
+             "ground_distance(rover, ball)", _LENGTH, _known(iv.POSITIVE), tree=_ground_distance, reads_link_pose=True),
     Function("bearing", _OF_WORLD, (_BODY, _OTHER), "The horizontal angle from straight ahead to another body; left is positive.",
-             "bearing(rover, ball)", _ANGLE, _known(iv.TURN), tree=_bearing, at_link=True),
+             "bearing(rover, ball)", _ANGLE, _known(iv.TURN), tree=_bearing, reads_link_pose=True),
     Function("clearance", _OF_WORLD, (_SURFACE, _OTHER_SURFACE), "The distance between two surfaces.", "clearance(rover, ball)",
-             _LENGTH, _known(iv.POSITIVE), of_pieces="min"),
+             _LENGTH, _known(iv.POSITIVE), pieces_operator="min"),
     Function("path_distance", _OF_WORLD, (_BODY, _OTHER), "The length of the shortest path around solid objects.",
              "path_distance(rover, ball)", _LENGTH, _known(iv.POSITIVE)),
     Function("reachable", _OF_WORLD, (_BODY, _OTHER), "Whether there is a path around solid objects.", "reachable(rover, ball)",
@@ -425,10 +425,10 @@ _ENTRIES = (
     Function("joint_torque", _OF_WORLD, (_JOINT,), "The torque or force of a joint's actuator.", "joint_torque(rover.wheels)",
              lambda d: FORCE if d == LENGTH else TORQUE),
     Function("cross_track_error", _OF_WORLD, (_BODY, _LINE), "The signed distance of a body from a line; left of the line is positive.",
-             "cross_track_error(rover, track)", _LENGTH, at_link=True),
+             "cross_track_error(rover, track)", _LENGTH, reads_link_pose=True),
     Function("arc_length", _OF_WORLD, (_BODY, _LINE),
              "The distance that a body has travelled along a line since the reset; backward travel is subtracted.",
-             "arc_length(rover, track)", _LENGTH, at_link=True),
+             "arc_length(rover, track)", _LENGTH, reads_link_pose=True),
     Function("age", Family.MESSAGE, (_SENDER,), "The time since the measurement in the newest message that arrived.", "age(rover)",
              _TIME, _known(iv.POSITIVE)),
     Function("message_received", Family.MESSAGE, (_EMITTER,), "Whether a message of a robot arrived in this timestep.",
@@ -437,14 +437,14 @@ _ENTRIES = (
              interval=lambda x, *start: iv.subtract(x, iv.hull((x, *start))),
              memory="Delta"),
     Function("previous", _STATEFUL, (_X, _START), "The value in the previous timestep.", "previous(gas, 0)",
-             interval=_hull, truths=True, memory="Previous"),
+             interval=_hull, accepts_truths=True, memory="Previous"),
     Function("running_max", _STATEFUL, (_X,), "The largest value since the reset.", "running_max(arc_length(rover, track))",
              interval=_first, memory="RunningMax"),
     Function("running_min", _STATEFUL, (_X,), "The smallest value since the reset.", "running_min(distance(rover, ball))",
              interval=_first, memory="RunningMin"),
     Function("hold", _STATEFUL, (_X, _CONDITION), "The value when the condition last held, or at the reset.",
              "hold(position(rover), contact(rover, ball))",
-             interval=_first, truths=True, memory="Hold"),
+             interval=_first, accepts_truths=True, memory="Hold"),
     # Backward Euler: stable for every time constant, and the complementary filter's own formula.
     Function("low_pass", _STATEFUL, (_X, Param("tau", dimension=TIME)), "A first-order low-pass filter with the time constant tau.",
              "low_pass(velocity(rover).x, 0.2 s)",
@@ -468,11 +468,11 @@ _ENTRIES = (
              "integer(1 .. 6)", _NUMBER, _hull),
     Function("normal", _DRAW, (Param("spread", Form.SPREAD),), "A number drawn from a normal distribution.", "normal(0 +- 2 deg)"),
     Function("choice", _DRAW, (Param("options", Form.OPTIONS),), "One of the options, drawn uniformly.", "choice(-30 deg | 0 deg | 30 deg)",
-             interval=_hull, truths=True),
+             interval=_hull, accepts_truths=True),
 )  # fmt: skip
 
 _A, _B = Param("a"), Param("b")
-_MANY = (_A, Param("b", many=True))
+_MANY = (_A, Param("b", variadic=True))
 
 
 def _operator(name: str, params: tuple[Param, ...], python: str, interval: Callable[..., Interval], array: str = "") -> Function:
@@ -526,7 +526,7 @@ def _require_usable(function: object) -> None:
     require_printable(function)
     names = _names_in(function.python)
     arguments = [argument.removeprefix("*") for argument in function.arguments]
-    if function.params[-1].many and not function.arguments[-1].startswith("*"):
+    if function.params[-1].variadic and not function.arguments[-1].startswith("*"):
         raise ValueError(f"the python of {name!r} must hold *{arguments[-1]}")
     if any(names.count(argument) != 1 for argument in arguments):
         raise ValueError(f"the python of {name!r} must hold each of {', '.join(arguments)} once")
@@ -541,10 +541,10 @@ def _require_usable(function: object) -> None:
         raise ValueError(f"{name!r} needs an interval that gives an Interval, and a result that gives a Dimension")
 
 
-FUNCTIONS: Mapping[str, Function] = PluginTable(GROUP, {function.name: function for function in _ENTRIES}, _read)
+FUNCTIONS: Mapping[str, Function] = PluginTable(ENTRY_POINT_GROUP, {function.name: function for function in _ENTRIES}, _read)
 
 
-def operation(name: str) -> Function:
+def function_named(name: str) -> Function:
     """The operator or the function that a node of a scalar tree names.
 
     Raises:
@@ -553,7 +553,7 @@ def operation(name: str) -> Function:
     return OPERATORS[name] if name in OPERATORS else FUNCTIONS[name]
 
 
-def draws(tree: Typed) -> bool:
+def contains_draw(tree: Typed) -> bool:
     """Whether an expression holds a random draw; one behind a name does not count."""
     return any(isinstance(node, Invocation) and FUNCTIONS[node.function].family is Family.DRAW for node in walk(tree))
 
@@ -565,11 +565,11 @@ def interval_of(node: Scalar, of: Callable[[Scalar], Interval]) -> Interval:
     """
     match node:
         case Const(value):
-            return iv.exact(float(value))
+            return iv.single(float(value))
         case Op("mul", (a, b)) if a == b:
-            return iv.power(of(a), iv.exact(2.0))
+            return iv.power(of(a), iv.single(2.0))
         case Op(name, args) | State(name, args) | Draw(name, args):
-            return operation(name).interval(*map(of, args))
+            return function_named(name).interval(*map(of, args))
     return EVERYTHING
 
 

@@ -22,15 +22,15 @@ class Interval(NamedTuple):
         return bool(self.low <= value <= self.high)
 
     @property
-    def finite(self) -> bool:
+    def is_finite(self) -> bool:
         return self.low > -INF and self.high < INF
 
     @property
-    def single(self) -> bool:
+    def is_single(self) -> bool:
         """Whether only one number is left, as for a constant."""
         return self.low == self.high
 
-    def inside(self, other: Interval) -> bool:
+    def is_within(self, other: Interval) -> bool:
         return other.low <= self.low and self.high <= other.high
 
 
@@ -54,7 +54,7 @@ def _times(a: float, b: float) -> float:
     return 0.0 if a == 0.0 or b == 0.0 else a * b
 
 
-def value_or(function: Callable[..., float], *args: float, beyond: float = INF) -> float:
+def evaluate_or(function: Callable[..., float], *args: float, beyond: float = INF) -> float:
     """The value of a math function; `beyond` where it overflows or is not defined."""
     try:
         return function(*args)
@@ -62,7 +62,7 @@ def value_or(function: Callable[..., float], *args: float, beyond: float = INF) 
         return beyond
 
 
-def exact(value: float) -> Interval:
+def single(value: float) -> Interval:
     return Interval(value, value)
 
 
@@ -99,18 +99,18 @@ def divide(a: Interval, b: Interval) -> Interval:
 
 
 def power(a: Interval, exponent: Interval) -> Interval:
-    if not exponent.single or not exponent.finite:
+    if not exponent.is_single or not exponent.is_finite:
         return POSITIVE if a.low >= 0.0 else EVERYTHING
     n = exponent.low
     if n < 0.0:
-        return divide(exact(1.0), power(a, exact(-n)))
+        return divide(single(1.0), power(a, single(-n)))
     if not n.is_integer():
-        return monotone(lambda x: math.pow(x, n), Interval(max(a.low, 0.0), max(a.high, 0.0)))
+        return apply_monotone(lambda x: math.pow(x, n), Interval(max(a.low, 0.0), max(a.high, 0.0)))
     if n % 2.0 == 0.0:
         a = absolute(a)
     return Interval(
-        value_or(math.pow, a.low, n, beyond=-INF if a.low < 0.0 else INF),
-        value_or(math.pow, a.high, n, beyond=INF if a.high > 0.0 else -INF),
+        evaluate_or(math.pow, a.low, n, beyond=-INF if a.low < 0.0 else INF),
+        evaluate_or(math.pow, a.high, n, beyond=INF if a.high > 0.0 else -INF),
     )
 
 
@@ -120,34 +120,34 @@ def absolute(a: Interval) -> Interval:
     return Interval(*sorted((abs(a.low), abs(a.high))))
 
 
-def monotone(function: Callable[[float], float], a: Interval) -> Interval:
+def apply_monotone(function: Callable[[float], float], a: Interval) -> Interval:
     """The image under a function that never falls; infinite where the function overflows."""
-    return Interval(value_or(function, a.low, beyond=-INF if a.low < 0.0 else INF), value_or(function, a.high))
+    return Interval(evaluate_or(function, a.low, beyond=-INF if a.low < 0.0 else INF), evaluate_or(function, a.high))
 
 
 def square_root(a: Interval) -> Interval:
-    return monotone(math.sqrt, Interval(max(a.low, 0.0), max(a.high, 0.0)))
+    return apply_monotone(math.sqrt, Interval(max(a.low, 0.0), max(a.high, 0.0)))
 
 
 def logarithm(a: Interval) -> Interval:
-    return monotone(lambda x: math.log(x) if x > 0.0 else -INF, a)
+    return apply_monotone(lambda x: math.log(x) if x > 0.0 else -INF, a)
 
 
 def sine(a: Interval) -> Interval:
     """The values at both ends, and the peaks and troughs between them."""
-    if not a.finite or a.high - a.low >= 2 * math.pi or max(abs(a.low), abs(a.high)) > 1e6:
+    if not a.is_finite or a.high - a.low >= 2 * math.pi or max(abs(a.low), abs(a.high)) > 1e6:
         return SIGNED_UNIT
     ends = (math.sin(a.low), math.sin(a.high))
     return Interval(-1.0 if _passes(a, -math.pi / 2) else min(ends), 1.0 if _passes(a, math.pi / 2) else max(ends))
 
 
 def cosine(a: Interval) -> Interval:
-    return sine(Interval(a.low + math.pi / 2, a.high + math.pi / 2)) if a.finite else SIGNED_UNIT
+    return sine(Interval(a.low + math.pi / 2, a.high + math.pi / 2)) if a.is_finite else SIGNED_UNIT
 
 
 def tangent(a: Interval) -> Interval:
     inside = -math.pi / 2 < a.low and a.high < math.pi / 2
-    return monotone(math.tan, a) if inside else EVERYTHING
+    return apply_monotone(math.tan, a) if inside else EVERYTHING
 
 
 def _passes(a: Interval, angle: float) -> bool:
@@ -155,8 +155,8 @@ def _passes(a: Interval, angle: float) -> bool:
     return angle + math.ceil((a.low - angle) / (2 * math.pi)) * 2 * math.pi <= a.high
 
 
-def wrapped(a: Interval) -> Interval:
-    return a if a.inside(TURN) else TURN
+def wrap_angle(a: Interval) -> Interval:
+    return a if a.is_within(TURN) else TURN
 
 
 def minimum(*intervals: Interval) -> Interval:
@@ -167,26 +167,26 @@ def maximum(*intervals: Interval) -> Interval:
     return Interval(max(i.low for i in intervals), max(i.high for i in intervals))
 
 
-def clamped(a: Interval, low: Interval, high: Interval) -> Interval:
+def clamp(a: Interval, low: Interval, high: Interval) -> Interval:
     return minimum(maximum(a, low), high)
 
 
-def chosen(condition: Interval, a: Interval, b: Interval) -> Interval:
+def where(condition: Interval, a: Interval, b: Interval) -> Interval:
     """`a` where the condition holds, otherwise `b`."""
     return a if condition.low > 0.0 else b if condition.high <= 0.0 else hull((a, b))
 
 
-def times_count(a: Interval, count: int) -> Interval:
+def multiply_by_count(a: Interval, count: int) -> Interval:
     return Interval(_times(a.low, count), _times(a.high, count))
 
 
-def length_of(*parts: Interval) -> Interval:
+def hypot(*parts: Interval) -> Interval:
     """The square root of a sum of squares."""
     sizes = [absolute(part) for part in parts]
-    return Interval(value_or(math.hypot, *(s.low for s in sizes)), value_or(math.hypot, *(s.high for s in sizes)))
+    return Interval(evaluate_or(math.hypot, *(s.low for s in sizes)), evaluate_or(math.hypot, *(s.high for s in sizes)))
 
 
-def angle_of(y: Interval, x: Interval) -> Interval:
+def atan2(y: Interval, x: Interval) -> Interval:
     """The angle of the point (x, y), without the half planes where the point cannot lie."""
     if y.low < 0.0:
         return QUARTER_TURNS if x.low >= 0.0 else TURN
@@ -208,4 +208,4 @@ def less_equal(a: Interval, b: Interval) -> Interval:
 
 
 def equal(a: Interval, b: Interval) -> Interval:
-    return _truth(a.single and a == b and abs(a.low) < INF, a.high < b.low or b.high < a.low)
+    return _truth(a.is_single and a == b and abs(a.low) < INF, a.high < b.low or b.high < a.low)

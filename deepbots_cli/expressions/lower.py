@@ -16,7 +16,16 @@ from itertools import product
 from typing import NamedTuple
 
 from deepbots_cli.errors import BatchError
-from deepbots_cli.expressions.functions import FUNCTIONS, Family, Function, Reduction, operation, rotation, scalar_function, whole_exponent
+from deepbots_cli.expressions.functions import (
+    FUNCTIONS,
+    Family,
+    Function,
+    Reduction,
+    function_named,
+    rotation,
+    scalar_function,
+    whole_exponent,
+)
 from deepbots_cli.expressions.scalar import Const, Draw, Name, NamedFloat, Op, Scalar, State, World
 from deepbots_cli.expressions.types import (
     Components,
@@ -38,7 +47,7 @@ _NEUTRAL_LEFT = {"add": 0.0, "mul": 1.0}
 _SAME_OF_ONE = frozenset({"add", "min", "max", "and", "or"})
 
 
-def op(name: str, *args: Scalar) -> Scalar:
+def fold_operation(name: str, *args: Scalar) -> Scalar:
     """The operation, or its value where that is known now.
 
     An operation without a value (a division by zero, an overflow, an argument out of the domain) stays, and fails where
@@ -82,7 +91,7 @@ def lower(value: Typed, owner: str, per_component: Components | None = None) -> 
     return tuple(parts[index if len(parts) > 1 else 0] for index, parts in enumerate(lowered))
 
 
-def constant(value: Typed) -> tuple[float | bool, ...] | None:
+def constant_values(value: Typed) -> tuple[float | bool, ...] | None:
     """The SI values where they are known now; None for what is drawn, varies or cannot be computed."""
     scalars = lower(value, "")
     found = tuple(scalar.value for scalar in scalars if isinstance(scalar, Const))
@@ -103,7 +112,7 @@ class Lowering:
             case Reference():
                 return _reference(value)
             case Operation(operator=operator, args=args):
-                return tuple(op(operator, *column) for column in self._columns(value, args))
+                return tuple(fold_operation(operator, *column) for column in self._columns(value, args))
             case Invocation():
                 return self._invocation(value, FUNCTIONS[value.function])
             case ComponentSelection(value=whole, indices=indices):
@@ -133,23 +142,23 @@ class Lowering:
             return (Const(value.type.interval.low),)
         if function.reduction is not None and value.type.components is None and value.args[0].type.components is not None:
             return (self._reduced(value.args[0], function.reduction),)
-        return tuple(op(function.name, *column) for column in self._columns(value, value.args))
+        return tuple(fold_operation(function.name, *column) for column in self._columns(value, value.args))
 
     def _reduced(self, vector: Typed, reduction: Reduction) -> Scalar:
         parts = self.scalars(vector)
-        if vector.type.copies:
+        if vector.type.has_group_components:
             copies = zip(vector.type.components or (), parts, strict=True)
             parts = tuple(_if_present(reduction, copy, part) for copy, part in copies)
-        whole = op(reduction.operation, *parts)
-        return op("div", whole, Const(float(len(parts)))) if reduction.mean else whole
+        whole = fold_operation(reduction.operation, *parts)
+        return fold_operation("div", whole, Const(float(len(parts)))) if reduction.mean else whole
 
     def _world(self, value: Invocation, function: Function) -> Scalars:
         components = value.type.components
         names = [_named(subject, function) for subject in value.subjects]
         if value.args:  # `to_body_frame`: the transposed rotation matrix times the vector
             vector, body = self.scalars(value.args[0]), names[0][0]
-            rows = [[op("mul", rotation(body, row, column), vector[row]) for row in range(3)] for column in range(3)]
-            return tuple(op("add", *row) for row in rows)
+            rows = [[fold_operation("mul", rotation(body, row, column), vector[row]) for row in range(3)] for column in range(3)]
+            return tuple(fold_operation("add", *row) for row in rows)
         if function.components is not None:
             return tuple(World(function.name, (names[0][0],), component) for component in function.components)
         count = len(components or ("",))
@@ -167,11 +176,11 @@ def _if_present(reduction: Reduction, copy: str, part: Scalar) -> Scalar:
     present = World("present", (copy,))
     match reduction.operation:
         case "or":
-            return op("and", present, part)
+            return fold_operation("and", present, part)
         case "and":
-            return op("or", op("not", present), part)
+            return fold_operation("or", fold_operation("not", present), part)
         case _:
-            return op("where", present, part, Const(reduction.empty or 0.0))
+            return fold_operation("where", present, part, Const(reduction.empty or 0.0))
 
 
 def _reference(value: Reference) -> Scalars:
@@ -191,14 +200,14 @@ def _named(subject: Subject, function: Function) -> tuple[str, ...]:
     """The full names to read: those of the members of a group, or that of the link that stands for the subject."""
     if subject.members:
         return subject.members
-    return (subject.link if subject.link is not None and function.at_link else subject.name,)
+    return (subject.link if subject.link is not None and function.reads_link_pose else subject.name,)
 
 
 def _of_pieces(function: Function, names: tuple[str, ...], pieces: Mapping[str, tuple[str, ...]]) -> Scalar:
     """The value for every piece of a wall, joined: the least clearance, whether any is touched or seen."""
     read = function.tree or (lambda *bodies: World(function.name, bodies))
     found = [read(*each) for each in product(*(pieces.get(name, (name,)) for name in names))]
-    return found[0] if len(found) == 1 else op(function.of_pieces, *found)
+    return found[0] if len(found) == 1 else fold_operation(function.pieces_operator, *found)
 
 
 # Scalar trees to Python text
@@ -225,18 +234,18 @@ class Code(NamedTuple):
     """A piece of Python and how strongly its outermost operator binds."""
 
     text: str
-    bind: Precedence = Precedence.ATOM
+    precedence: Precedence = Precedence.ATOM
 
     def within(self, min_precedence: int) -> str:
         """The text, in parentheses where it binds less than `min_precedence`."""
-        return self.text if self.bind >= min_precedence else f"({self.text})"
+        return self.text if self.precedence >= min_precedence else f"({self.text})"
 
 
 class Target(NamedTuple):
-    """The kind of values that generated code computes with: `written` gives the Python of an operation over its arguments."""
+    """The kind of values that generated code computes with: `function_code` gives the Python of an operation over its arguments."""
 
     name: str
-    written: Callable[[Function], str]
+    function_code: Callable[[Function], str]
 
 
 def _on_floats(function: Function) -> str:
@@ -277,30 +286,30 @@ BATCH = Target("batch", _on_columns)
 """For many worlds at once: each value is a column with one number per world."""
 
 
-def python(scalar: Scalar, leaf: Leaf, target: Target = SCALAR) -> str:
+def to_python(scalar: Scalar, leaf: Leaf, target: Target = SCALAR) -> str:
     """The tree as one Python expression; `leaf` gives the code of what is read, as an atom."""
     return _code(scalar, leaf, target).text
 
 
-def number(value: float | bool) -> Code:
+def number_code(value: float | bool) -> Code:
     """The code of a constant."""
     negative = not isinstance(value, bool) and str(value).startswith("-")
     code = repr(value).replace(repr(math.pi), "pi") if abs(value) == math.pi else repr(value)
     return Code(code, Precedence.SIGN if negative else Precedence.ATOM)
 
 
-def applied(name: str, args: Sequence[Code], scalars: Sequence[Scalar], target: Target = SCALAR) -> Code:
+def operation_code(name: str, args: Sequence[Code], scalars: Sequence[Scalar], target: Target = SCALAR) -> Code:
     """The code of an operation on arguments with this code; `scalars` are the trees of the arguments."""
-    function = operation(name)
+    function = function_named(name)
     whole = whole_exponent(scalars[1].value) if name == "pow" and isinstance(scalars[1], Const) else None
     # Over columns, `a**2` would be a product, which rounds otherwise than the power of a single world.
     if whole is not None and (target is SCALAR or _is_product(whole, scalars[0])):
         return _power(args[0], whole, scalars[0])
     names = function.arguments
-    text = target.written(function)
+    text = target.function_code(function)
     if len(args) > len(names) and not names[-1].startswith("*"):  # `a + b` of more than two
         if isinstance(_template(text), ast.Call):
-            return applied(name, [applied(name, args[:-1], scalars[:-1], target), args[-1]], scalars[:2], target)
+            return operation_code(name, [operation_code(name, args[:-1], scalars[:-1], target), args[-1]], scalars[:2], target)
         return _infix(_template(text).op, args)  # type: ignore[attr-defined]
     if names[-1].startswith("*"):
         rest = len(names) - 1
@@ -318,7 +327,7 @@ def require_printable(function: Function) -> None:
         _printed(_template(function.python), dict.fromkeys(function.arguments, Code("x")))
 
 
-def operand(code: str) -> str:
+def operand_code(code: str) -> str:
     """The code as one side of any operator: in parentheses unless it is a name, an attribute, an item or a number."""
     return code if re.sub(r"[._\[\]]", "", code).isalnum() else f"({code})"
 
@@ -326,9 +335,9 @@ def operand(code: str) -> str:
 def _code(scalar: Scalar, leaf: Leaf, target: Target) -> Code:
     match scalar:
         case Const(value=value):
-            return number(value)
+            return number_code(value)
         case Op(op=name, args=args):
-            return applied(name, [_code(arg, leaf, target) for arg in args], args, target)
+            return operation_code(name, [_code(arg, leaf, target) for arg in args], args, target)
         case Name() | World() | State() | Draw():
             return Code(leaf(scalar))
 
@@ -377,7 +386,7 @@ def _printed(node: ast.expr, args: Mapping[str, Code]) -> Code:
         case ast.Name(id=name):
             return args.get(name) or Code(name)
         case ast.Constant(value=bool() | int() | float() as value):
-            return number(value)
+            return number_code(value)
         case ast.Call(func=ast.Name(id=name), args=parts, keywords=[]):
             return Code(f"{name}({', '.join(_printed(part, args).text for part in parts)})")
         case ast.Call(func=ast.Attribute(value=ast.Name(id="np"), attr=name), args=parts, keywords=[]):
@@ -391,7 +400,7 @@ def _printed(node: ast.expr, args: Mapping[str, Code]) -> Code:
         case ast.UnaryOp(op=ast.USub(), operand=inner):
             negated = _printed(inner, args)
             return Code(
-                f"-({negated.text})" if negated.bind is Precedence.POWER else f"-{negated.within(Precedence.SIGN)}", Precedence.SIGN
+                f"-({negated.text})" if negated.precedence is Precedence.POWER else f"-{negated.within(Precedence.SIGN)}", Precedence.SIGN
             )
         case ast.UnaryOp(op=ast.Not(), operand=inner):
             return Code(f"not {_printed(inner, args).within(Precedence.NOT)}", Precedence.NOT)

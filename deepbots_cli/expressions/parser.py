@@ -35,9 +35,9 @@ from deepbots_cli.expressions.syntax import (
     depth,
     tokens,
 )
-from deepbots_cli.expressions.types import Report
+from deepbots_cli.expressions.types import FindingReporter
 
-WORDS = frozenset({"and", "or", "not", "when", "every", "each", "if", "else", "is", "in", "lambda"})
+KEYWORDS = frozenset({"and", "or", "not", "when", "every", "each", "if", "else", "is", "in", "lambda"})
 # Python allows 1000 frames: the parser takes eight per level of nesting, later passes three per level of the tree.
 MAX_NESTING = 64
 MAX_DEPTH = 128
@@ -53,7 +53,7 @@ _SLOT_ENDS = {"", ",", ")", "..", "+-", "|", "when", "every", "each"}  # the fir
 _WANT_VALUE = {"when", "and", "or", "not", "every"}
 
 
-def parse(text: str, report: Report) -> Node | None:
+def parse(text: str, report: FindingReporter) -> Node | None:
     """The tree of an expression, literal or range; None after exactly one finding (DB401 or DB005)."""
     if len(text) > MAX_LENGTH:
         report("DB005", 0, len(text), f"an expression of {len(text)} characters", f"the limit is {MAX_LENGTH} characters")
@@ -182,7 +182,7 @@ class _Parser:
     def _percent_ends(self) -> bool:
         """Whether the `%` here closes its number; before an operand it would be a modulo."""
         behind = self._ahead
-        return (behind.kind in ("SIGN", "END") and behind.text != "(") or behind.text in WORDS
+        return (behind.kind in ("SIGN", "END") and behind.text != "(") or behind.text in KEYWORDS
 
     # text and slots
 
@@ -294,7 +294,7 @@ class _Parser:
             return self._quantity()
         if token.text == "(":
             return self._group()
-        if token.kind != "NAME" or token.text in WORDS:
+        if token.kind != "NAME" or token.text in KEYWORDS:
             raise self._misplaced(missing=True)
         if self._ahead.text == "(":
             return self._call()
@@ -341,7 +341,7 @@ class _Parser:
 
     def _name_ahead(self) -> bool:
         """Whether a name stands here that is no word of the grammar and calls no function."""
-        return self._peek.kind == "NAME" and self._peek.text not in WORDS and self._ahead.text != "("
+        return self._peek.kind == "NAME" and self._peek.text not in KEYWORDS and self._ahead.text != "("
 
     def _name(self) -> Name:
         parts = [self._next()]
@@ -359,7 +359,7 @@ class _Parser:
             raise _SyntaxError(token.start, token.end, f"more than {MAX_NESTING} levels of nesting", _SMALLER, code="DB005")
 
     def _close(self, opening: Token) -> int:
-        """Where the parenthesis ends that closes `opening`."""
+        """The end of the parenthesis that closes `opening`."""
         self._nesting -= 1
         if not self._peek.text:
             raise _SyntaxError(opening.start, opening.end, _NEVER_CLOSED)
@@ -386,7 +386,7 @@ def _borrow_unit(left: Node, right: Node) -> Node:
 
 
 class _Hint(NamedTuple):
-    """What to write instead, in words and, where it has one meaning wherever it stands, as text."""
+    """The correction in words and, if it has only one meaning, as text."""
 
     help: str
     text: str | None = None

@@ -30,7 +30,7 @@ class Stage(IntEnum):
     STEP = 2
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         return ("fixed", "drawn once per episode", "different in every step")[self]
 
 
@@ -48,21 +48,21 @@ class Type(NamedTuple):
     picture: Shape | None = None
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         """For a sentence: `a speed (m/s)`, `a truth value`."""
-        return "a picture" if self.picture else "a truth value" if self.boolean else self.dimension.words
+        return "a picture" if self.picture else "a truth value" if self.boolean else self.dimension.description
 
     @property
-    def copies(self) -> bool:
+    def has_group_components(self) -> bool:
         """Whether there is a component per copy of a group, of which some may be absent."""
         return isinstance(self.components, GroupComponents)
 
     @property
-    def shape_words(self) -> str:
-        return "a single value" if self.components is None else f"a vector of {shown(self.components)}"
+    def shape_description(self) -> str:
+        return "a single value" if self.components is None else f"a vector of {shortened_list(self.components)}"
 
 
-def shown(names: Iterable[str], limit: int = 12) -> str:
+def shortened_list(names: Iterable[str], limit: int = 12) -> str:
     """`a, b, c`, cut short after `limit`."""
     listed = list(names)
     return ", ".join(listed[:limit]) + (f" and {len(listed) - limit} more" if len(listed) > limit else "")
@@ -72,13 +72,13 @@ class Symbol(NamedTuple):
     """A named value.
 
     `type` is None if the definition is invalid; uses are then not reported. `value` holds the SI numbers of a fixed value, one
-    per component; lowering folds them. `text` is the source text of the definition. `refused` says why the name has no value in this place.
+    per component; lowering folds them. `text` is the source text of the definition. `refusal` says why the name has no value in this place.
     """
 
     name: str
     type: Type | None
     value: tuple[float | bool, ...] | None = None
-    refused: str | None = None
+    refusal: str | None = None
     text: str = ""
 
 
@@ -101,7 +101,7 @@ class Kind(StrEnum):
     BROKEN = "broken"
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         return {"object": "an object", "ground": "the ground"}.get(self.value, f"a {self.value}")
 
 
@@ -171,7 +171,7 @@ class Scope(Protocol):
         """Every name that `subject` knows, for suggestions."""
 
 
-class Report(Protocol):
+class FindingReporter(Protocol):
     """Takes a finding at the offsets `[start, end)` of the text; `meant` is the text to write there instead."""
 
     def __call__(

@@ -1,6 +1,6 @@
 """Unification: whether values fit together and fit their field, and what to write where they do not.
 
-Truth with truth, dimension with dimension, component with component. What does not fit is reported and raises `Stop`.
+Truth with truth, dimension with dimension, component with component. What does not fit is reported and raises `StopChecking`.
 """
 
 from __future__ import annotations
@@ -12,20 +12,20 @@ from typing import ParamSpec, TypeVar
 
 from deepbots_cli.diagnostics.nearest import Replacement
 from deepbots_cli.expressions import syntax
-from deepbots_cli.expressions.dimensions import ANGLE, NUMBER, Dimension, quantity
+from deepbots_cli.expressions.dimensions import ANGLE, NUMBER, Dimension, physical_quantity
 from deepbots_cli.expressions.types import (
     Components,
     Constant,
+    FindingReporter,
     Invocation,
     Operation,
     Reference,
-    Report,
     Stage,
     Typed,
     TypedRange,
     is_bare_number,
     is_bare_zero,
-    shown,
+    shortened_list,
 )
 
 P = ParamSpec("P")
@@ -38,26 +38,26 @@ _BEYOND = 10  # times what is plausible: an engine's sums lose their digits
 _LARGEST = 1e30  # of a dimension without a plausible limit
 
 
-class Stop(Exception):  # noqa: N818 - no error: it carries nothing
+class StopChecking(Exception):  # noqa: N818 - no error: it carries nothing
     """A part has a finding; nothing above it is checked."""
 
 
 def report_at(
-    report: Report, code: str, place: Place, headline: str, help: str | None = None, replacement: Replacement | None = None
-) -> Stop:
+    report: FindingReporter, code: str, place: Place, headline: str, help: str | None = None, replacement: Replacement | None = None
+) -> StopChecking:
     """Report a finding about a node; the caller raises the result."""
     report(code, place.start, place.end, headline, help, replacement)
-    return Stop()
+    return StopChecking()
 
 
-def or_none(function: Callable[P, T]) -> Callable[P, T | None]:
+def none_after_finding(function: Callable[P, T]) -> Callable[P, T | None]:
     """The same function, which returns None after a finding."""
 
     @wraps(function)
     def checked(*args: P.args, **kwargs: P.kwargs) -> T | None:
         try:
             return function(*args, **kwargs)
-        except Stop:
+        except StopChecking:
             return None
 
     return checked
@@ -66,7 +66,7 @@ def or_none(function: Callable[P, T]) -> Callable[P, T | None]:
 # Whether values fit together
 
 
-def require_kind(values: Sequence[Typed], report: Report, *, boolean: bool = False) -> None:
+def require_kind(values: Sequence[Typed], report: FindingReporter, *, boolean: bool = False) -> None:
     """Require numbers, or truth values where `boolean`; DB403 for each of the other kind, DB404 for each picture."""
     wrong = [value for value in values if value.type.picture or value.type.boolean != boolean]
     if not wrong:
@@ -87,10 +87,10 @@ def require_kind(values: Sequence[Typed], report: Report, *, boolean: bool = Fal
             name = value.symbol.name if isinstance(value, Reference) else "condition"
             help = f"make it a number with `where({name}, 1, 0)`, or write the value under the condition: `5 when {name}`"
             report_at(report, "DB403", value, "a truth value where a number belongs", help)
-    raise Stop
+    raise StopChecking
 
 
-def dimension_of(values: Sequence[Typed], place: Place, report: Report) -> Dimension:
+def dimension_of(values: Sequence[Typed], place: Place, report: FindingReporter) -> Dimension:
     """The one dimension of all values except bare zeros; DB502 or DB503 where they differ."""
     counted = [value for value in values if not is_bare_zero(value)]
     if not counted:
@@ -103,22 +103,22 @@ def dimension_of(values: Sequence[Typed], place: Place, report: Report) -> Dimen
             raise missing_unit(value, first.type.dimension, report)
         help = "both sides need the same dimension; divide by a unit to get a plain number"
         raise report_at(
-            report, "DB503", place, f"{first.type.words} is combined with {value.type.words}", _plain_name(first, value) or help
+            report, "DB503", place, f"{first.type.description} is combined with {value.type.description}", _plain_name(first, value) or help
         )
     return first.type.dimension
 
 
-def require_dimension(value: Typed, dimension: Dimension, what: str, report: Report, unit: str | None = None) -> None:
+def require_dimension(value: Typed, dimension: Dimension, what: str, report: FindingReporter, unit: str | None = None) -> None:
     """Require a dimension (a bare zero has any); DB502 or DB503 about `what` otherwise. `unit` is probably that of a bare number."""
     if is_bare_zero(value) or value.type.dimension == dimension:
         return
     if is_bare_number(value):
         raise missing_unit(value, dimension, report, unit)
     help = _plain_name(value) or _remedy(value, dimension)
-    raise report_at(report, "DB503", value, f"{what} must be {dimension.words}; this is {value.type.words}", help)
+    raise report_at(report, "DB503", value, f"{what} must be {dimension.description}; this is {value.type.description}", help)
 
 
-def missing_unit(value: Typed | TypedRange, dimension: Dimension, report: Report, unit: str | None = None) -> Stop:
+def missing_unit(value: Typed | TypedRange, dimension: Dimension, report: FindingReporter, unit: str | None = None) -> StopChecking:
     """DB502 for a bare number; it is probably in `unit` if it is at least 1, otherwise the dimension tells."""
     ends = (value.low, value.high) if isinstance(value, TypedRange) else (value,)
     help = f"write its unit, as in `{dimension.example}`"
@@ -130,7 +130,7 @@ def missing_unit(value: Typed | TypedRange, dimension: Dimension, report: Report
         if dimension == ANGLE:  # nobody writes an angle beyond a turn in radians
             units = ("deg",) if largest > 2 * math.pi else ("deg", "rad")
         help = "write its unit: " + " or ".join(f"`{written} {name}`" for name in units)
-    return report_at(report, "DB502", value, f"a number without unit where {dimension.words} is needed", help)
+    return report_at(report, "DB502", value, f"a number without unit where {dimension.description} is needed", help)
 
 
 def _plain_name(*values: Typed) -> str | None:
@@ -143,7 +143,7 @@ def _plain_name(*values: Typed) -> str | None:
 
 
 def _remedy(value: Typed, needed: Dimension) -> str:
-    """What to write instead of a value of another dimension."""
+    """The help for a value of another dimension."""
     given = value.type.dimension
     if needed == NUMBER:
         unit = str(given)
@@ -158,7 +158,7 @@ def _remedy(value: Typed, needed: Dimension) -> str:
     return f"one of its units is wrong, or a factor with the unit {needed / given} is missing"
 
 
-def components_of(values: Sequence[Typed], place: Place, report: Report) -> Components | None:
+def components_of(values: Sequence[Typed], place: Place, report: FindingReporter) -> Components | None:
     """The components of the result, None for a single value; DB404 where vectors differ."""
     vectors = [value.type.components for value in values if value.type.components is not None]
     for components in vectors:
@@ -167,14 +167,14 @@ def components_of(values: Sequence[Typed], place: Place, report: Report) -> Comp
     return vectors[0] if vectors else None
 
 
-def _differing(first: Components, second: Components, place: Place, report: Report) -> Stop:
+def _differing(first: Components, second: Components, place: Place, report: FindingReporter) -> StopChecking:
     help = "components are matched by name; select the ones that match, as in `v.x`"
     if set(first) == set(second):
         help = "the names are the same in another order; write both groups in one order"
-    return report_at(report, "DB404", place, f"a vector of {shown(first)} is combined with one of {shown(second)}", help)
+    return report_at(report, "DB404", place, f"a vector of {shortened_list(first)} is combined with one of {shortened_list(second)}", help)
 
 
-def warn_of_degrees(value: Typed, report: Report) -> None:
+def warn_of_degrees(value: Typed, report: FindingReporter) -> None:
     """DB504 for radians that look like degrees, such as 30 rad.
 
     Wheels turn by hundreds of radians; only values up to 180 and from 270 to 360 count.
@@ -190,17 +190,17 @@ def warn_of_degrees(value: Typed, report: Report) -> None:
 # Whether a value fits its field
 
 
-@or_none
-def expect_kind(value: Typed, report: Report, *, boolean: bool) -> Typed:
+@none_after_finding
+def expect_kind(value: Typed, report: FindingReporter, *, boolean: bool) -> Typed:
     """The value if it is a truth value (`boolean`) or a number, or None after a finding."""
     require_kind([value], report, boolean=boolean)
     return value
 
 
-@or_none
-def expect(
+@none_after_finding
+def expect_value(
     value: Typed,
-    report: Report,
+    report: FindingReporter,
     what: str,
     *,
     dimension: Dimension | None = None,
@@ -221,22 +221,22 @@ def expect(
     """
     require_kind([value], report, boolean=boolean)
     if not boolean and dimension is not None and value.type.dimension != dimension:
-        if not (is_bare_number(value) and quantity(dimension).bare_is_si):
+        if not (is_bare_number(value) and physical_quantity(dimension).bare_is_si):
             require_dimension(value, dimension, what, report, unit)
         value = value._replace(type=value.type._replace(dimension=dimension))
     _require_shape(value, components, what, report)
     if value.type.stage > stage:
         allowed = "may be drawn once per episode, but must not change during the episode" if stage is Stage.EPISODE else "must be fixed"
-        raise report_at(report, "DB407", value, f"{what} is {value.type.stage.words}", f"it {allowed}")
-    if value.type.interval.finite and not boolean:
+        raise report_at(report, "DB407", value, f"{what} is {value.type.stage.description}", f"it {allowed}")
+    if value.type.interval.is_finite and not boolean:
         _require_size(value, stage, what, report)
     return value
 
 
-@or_none
+@none_after_finding
 def expect_range(
     found: TypedRange,
-    report: Report,
+    report: FindingReporter,
     what: str,
     *,
     dimension: Dimension | None = None,
@@ -244,37 +244,37 @@ def expect_range(
     stage: Stage = Stage.FIXED,
     unit: str | None = None,
 ) -> TypedRange:
-    """As `expect`, for both ends of a range."""
-    needs_unit = dimension is not None and dimension != NUMBER and not quantity(dimension).bare_is_si
+    """As `expect_value`, for both ends of a range."""
+    needs_unit = dimension is not None and dimension != NUMBER and not physical_quantity(dimension).bare_is_si
     if dimension and needs_unit and is_bare_number(found.low) and is_bare_number(found.high) and not is_bare_zero(found.high):
         raise missing_unit(found, dimension, report, unit)  # one unit is missing, behind both ends
     # The right end first: the unit of both stands there.
-    high = expect(found.high, report, what, dimension=dimension, components=components, stage=stage)
-    low = expect(found.low, report, what, dimension=dimension, components=components, stage=stage) if high else None
+    high = expect_value(found.high, report, what, dimension=dimension, components=components, stage=stage)
+    low = expect_value(found.low, report, what, dimension=dimension, components=components, stage=stage) if high else None
     if low is None or high is None:
-        raise Stop
+        raise StopChecking
     return found._replace(low=low, high=high)
 
 
-def _require_shape(value: Typed, components: Components | None, what: str, report: Report) -> None:
+def _require_shape(value: Typed, components: Components | None, what: str, report: FindingReporter) -> None:
     found = value.type.components
     if components == ANY_SHAPE or found is None or found == components:
         return
     if components is None:
         help = f"pick a component, or reduce it with {'`any` or `all`' if value.type.boolean else '`norm`, `sum`, `max` ...'}"
-        raise report_at(report, "DB404", value, f"{what} must be a single value; this is {value.type.shape_words}", help)
+        raise report_at(report, "DB404", value, f"{what} must be a single value; this is {value.type.shape_description}", help)
     if len(found) != len(components) and found[0] in ("x", "1"):
         headline = f"{what} has {len(found)} values, not {len(components)}"
         raise report_at(report, "DB106", value, headline, f"give {' and '.join(components)}")
     raise _differing(components, found, value, report)
 
 
-def _require_size(value: Typed, stage: Stage, what: str, report: Report) -> None:
+def _require_size(value: Typed, stage: Stage, what: str, report: FindingReporter) -> None:
     """Warn of implausible values; refuse values beyond an engine's precision that are settled before the episode."""
     dimension, interval = value.type.dimension, value.type.interval
     farthest = max(interval, key=abs)
-    largest, is_or_reaches = abs(farthest), "is" if interval.single else "reaches"
-    plausible = quantity(dimension).plausible
+    largest, is_or_reaches = abs(farthest), "is" if interval.is_single else "reaches"
+    plausible = physical_quantity(dimension).plausible_limit
     limit = _LARGEST if plausible == math.inf else _BEYOND * plausible
     if largest > limit and stage is not Stage.STEP:
         unit = "" if dimension == NUMBER else f" {dimension}"
@@ -286,7 +286,7 @@ def _require_size(value: Typed, stage: Stage, what: str, report: Report) -> None
         report_at(report, "DB505", value, f"{what} {is_or_reaches} {farthest:g} {dimension}", "check the unit")
 
 
-def negated(value: Typed) -> Callable[[str], str]:
+def negated_text(value: Typed) -> Callable[[str], str]:
     """Makes the text of the value with its sign turned from the text of the value; of `a when c`, `a` is turned."""
     is_when = isinstance(value, Invocation) and value.function == "where" and value.args[1].start == value.start
     part = value.args[1] if is_when and isinstance(value, Invocation) else value

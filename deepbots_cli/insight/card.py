@@ -20,7 +20,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field
 
 import deepbots_cli
-from deepbots_cli.compiler.inputs import FOLDER, RESOLVED
+from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME
 from deepbots_cli.errors import MissingExtraError, RunError
 from deepbots_cli.learning.listing import last_evaluation
 from deepbots_cli.learning.run import Format, KeptEvaluation, ModelName, Run, read_json
@@ -111,12 +111,14 @@ def bundle(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
     try:
         from deepbots_cli.insight import export
         from deepbots_cli.learning import models, policy
+        from deepbots_cli.runtime.spaces import observation_space
     except ModuleNotFoundError as error:
         raise MissingExtraError("export", "exporting a policy") from error
     model = policy.loaded(run, name)
     graphs = export.networks(model, run.program)
     evaluated = last_evaluation(run.path, run.record) if name == "best" else None
     program, record, lstm = run.program, run.record, getattr(model.policy, "lstm_actor", None)
+    space: Any = observation_space(program)
     masks = [f"{part.name}: {option.name}" for part in program.policy.action if isinstance(part, Choices) for option in part.options]
     card = Card(
         format=FORMAT,
@@ -125,7 +127,7 @@ def bundle(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
         summary=program.summary,
         scenario_digest=run.digest,
         task_digest=identity.task_digest(program),
-        licences=_licences(run.path / FOLDER),
+        licences=_licences(run.path / INPUTS_FOLDER),
         algorithm=program.policy.training.algorithm if program.policy.training else "",
         model=name,
         training_seed=record.seed,
@@ -135,10 +137,7 @@ def bundle(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
         control_rate_hz=round(1 / program.period, 6),
         observation=program.policy.inputs,
         achieved_and_desired_goal=_goal(program),
-        pictures=tuple(
-            Picture(name=each.key, shape=(*each.shape[:2], each.shape[2] * len(each.ages(program.policy.frame_stack))))
-            for each in program.policy.images
-        ),
+        pictures=tuple(Picture(name=each.key, shape=space[each.key].shape) for each in program.policy.images),
         action=tuple(_acted(program)),
         action_mask=tuple(masks) if export.takes_masks(model, program) else None,
         memory=(lstm.num_layers, lstm.hidden_size) if lstm is not None else None,
@@ -156,8 +155,8 @@ def bundle(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
         **graphs,
         NAME: (card.model_dump_json(indent=2) + "\n").encode(),
         "README.md": readme.encode(),
-        "scenario.yaml": (run.path / RESOLVED).read_bytes(),
-        **{f"{FOLDER}/{name}": (run.path / FOLDER / name).read_bytes() for name in robots},
+        "scenario.yaml": (run.path / RESOLVED_NAME).read_bytes(),
+        **{f"{INPUTS_FOLDER}/{name}": (run.path / INPUTS_FOLDER / name).read_bytes() for name in robots},
     }
     return {PurePosixPath(name): content for name, content in files.items()}
 

@@ -95,7 +95,7 @@ class Watch:
 
     def read(self, agent: Supervisor) -> Values:
         """What this step left in a supervisor of the program."""
-        found = {name: getattr(agent, f"last_{name}") for name in self.program.kept}
+        found = {name: getattr(agent, f"last_{name}") for name in self.program.stored_signals}
         goal = self.program.policy.goal
         values = {name: tuple(value) if isinstance(value, list | tuple) else (float(value),) for name, value in found.items()}
         return values if goal is None else {**values, _GOAL: (_distance(goal, agent),), f"{_GOAL}_bound": (goal.tolerance,)}
@@ -110,7 +110,7 @@ def measured(program: Program, *, observed: bool = False) -> Watch:
     seen = [entry.value for entry in program.policy.observation if observed and entry.numbers and entry.value.foreign is None]
     kept = {value.name: made.probe(value.typed, value) for value in seen if made.is_measurable(value)}
     signals = (*program.signals, *made.probes.values())
-    return Watch(replace(program, signals=signals, kept=frozenset(made.probes)), conditions, kept)
+    return Watch(replace(program, signals=signals, stored_signals=frozenset(made.probes)), conditions, kept)
 
 
 class _UnmeasuredError(Exception):
@@ -149,7 +149,7 @@ class _Builder:
                 value, bound = self.probe(left, home), self.probe(right, home)
                 sides = (home.text[left.start : left.end], home.text[right.start : right.end])
                 return Comparison(home.text[node.start : node.end], used, value, bound, str(left.type.dimension), sides, joined)
-            case Invocation(function="any" | "all" as function, args=(inner,)) if not inner.type.copies:
+            case Invocation(function="any" | "all" as function, args=(inner,)) if not inner.type.has_group_components:
                 every: Literal["any", "all"] = "any" if (function == "any") != negated else "all"
                 if isinstance(inner, Operation) and inner.operator in SIGNS:
                     return self._condition(inner, home, negated=negated, joined=every)

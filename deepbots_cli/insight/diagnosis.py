@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from deepbots_cli.compiler.inputs import RESOLVED
 from deepbots_cli.errors import RunError
 from deepbots_cli.insight.statements import Finder, Numbers, Share, Statement, listed, state_all
 from deepbots_cli.insight.trace import Array, Trace
@@ -29,10 +28,12 @@ _UNLEARNABLE = {"DB705", "DB711", "DB807", "DB810"}
 """Lint shows by these that failing at once earns most, that all policies earn the same, or that what is required is out of reach."""
 _CERTAIN, _SYMPTOMS = 0.9, {"too_few_steps", "short_training", "one_ending"}
 """Beside a cause that is as likely as this, the length of the training and its most frequent ending are no causes of their own."""
+_NOT_YET = {"success_never_seen", "silent_terms", "one_ending"}
+"""What a training that was cut short may still come to see: a cause only after half of the planned timesteps, or if it is certain."""
 
 
 def diagnose(training: Training) -> list[Statement]:
-    """The causes that apply, the most likely first; none for a training that solves its task.
+    """The causes that apply, the most likely first; none for a training that solves its task, or of late succeeds in most episodes.
 
     A policy that solves it in evaluations, which act without exploration, and not in the training may still be random there.
 
@@ -43,18 +44,15 @@ def diagnose(training: Training) -> list[Statement]:
         raise RunError(
             f"{training.run.path} holds no finished episode yet; train it longer, with: deepbots train --resume {training.run.path}"
         )
-    if training.solved_while_exploring or _succeeds(training):
+    late, program = training.episodes.successes[-100:], training.program
+    succeeds = program.solved is None and program.defines_success and len(late) >= _ENOUGH and float(late.mean()) >= 0.8
+    if training.solved_while_exploring or succeeds:
         return []
     causes = (exploration_too_large,) if training.solved else CAUSES
     found = sorted(state_all(causes, training), key=lambda statement: -statement.evidence["likelihood"])
-    certain = bool(found) and found[0].evidence["likelihood"] >= _CERTAIN
-    return [statement for statement in found if not (certain and statement.cause in _SYMPTOMS)]
-
-
-def _succeeds(training: Training) -> bool:
-    """Whether a scenario that does not say what counts as solved succeeds in most episodes of late."""
-    late, program = training.episodes.successes[-100:], training.program
-    return program.solved is None and program.defines_success and len(late) >= _ENOUGH and float(late.mean()) >= 0.8
+    unlikely = [statement for statement in found if statement.evidence["likelihood"] < _CERTAIN]
+    left_out = (_SYMPTOMS if len(unlikely) < len(found) else set()) | (_NOT_YET if _length(training)["share"] < 0.5 else set())
+    return [statement for statement in found if not (statement in unlikely and statement.cause in left_out)]
 
 
 def _per_step(traces: Sequence[Trace]) -> float:
@@ -135,12 +133,13 @@ def lint_warns(t: Training) -> Numbers | None:
 
     Try: `deepbots lint {path}` shows the lines and what to write instead.
     """
-    found = sorted(findings(t.run), key=lambda finding: finding.code not in _UNLEARNABLE)
+    path, found = findings(t.run)
+    found.sort(key=lambda finding: finding.code not in _UNLEARNABLE)
     if not found:
         return None
     shown = "; ".join([f"{finding.headline} ({finding.code})" for finding in found[:2]] + [f"{len(found) - 2} more"] * (len(found) > 2))
     return {"likelihood": 0.91 if found[0].code in _UNLEARNABLE else 0.3, "count": f"{len(found)} warning{'s' * (len(found) > 1)}",
-            "findings": shown, "codes": [finding.code for finding in found], "path": str(t.run.path / RESOLVED)}  # fmt: skip
+            "findings": shown, "codes": [finding.code for finding in found], "path": path}  # fmt: skip
 
 
 # Observations
@@ -208,14 +207,16 @@ def term_dominates(t: Training) -> Numbers | None:
 
     Try: Weaken '{term}' until the other terms outweigh it, such as by a factor of 10.
     """
-    sums = {name: float(sum(np.nansum(trace.terms[name]) for trace in t.random)) for name in t.terms}
+    names = [term.name for term in t.program.policy.reward]
+    sums = {name: float(sum(np.nansum(trace.terms[name]) for trace in t.random)) for name in names}
     whole = sum(map(abs, sums.values()))
     if len(sums) < 2 or not whole:
         return None
     name = max(sums, key=lambda each: abs(sums[each]))
     share, rest = abs(sums[name]) / whole, sum(value for key, value in sums.items() if key != name)
     varies = any(np.ptp(trace.terms[name]) > 1e-9 for trace in t.random if trace.steps)
-    if share < 0.55 or not varies or not sums[name] < 0 < rest:
+    others = [fmean(trace.returns - float(np.nansum(trace.terms[name])) for trace in traces) for traces in (t.random, t.policy or t.random)]
+    if share < 0.55 or not varies or not sums[name] < 0 < rest or others[1] > 1.5 * others[0]:  # the policy earns the others all the same
         return None
     steps = sum(trace.steps for trace in t.random)
     return {"likelihood": 0.94, "term": name, "share": Share(share), "mean": sums[name] / steps, "others": rest / steps, "steps": steps}
@@ -233,7 +234,7 @@ def ending_early_pays(t: Training) -> Numbers | None:
         return None
     failed = float(np.mean([ending in t.program.failures for ending in late.endings]))
     per_step = float(late.returns.sum() / max(1.0, late.lengths.sum()))
-    if failed < 0.5 or per_step >= 0 or late.successes.mean() > 0.2 or np.ptp(t.episodes.lengths) == 0:
+    if failed < 0.5 or per_step >= 0 or late.successes.mean() > 0.2 or np.ptp(t.episodes.lengths) == 0 or _per_step(t.policy) > 0:
         return None
     together = float(np.corrcoef(t.episodes.lengths, t.episodes.returns)[0, 1]) if np.ptp(t.episodes.returns) else 0.0
     if not together < -0.5:
@@ -277,7 +278,8 @@ def silent_terms(t: Training) -> Numbers | None:
 
     Try: Check the condition of each such term: `deepbots run SCENARIO` shows the terms of an episode.
     """
-    sums = {name: sum(float(np.abs(trace.terms[name]).sum()) for trace in t.short) for name in t.terms}
+    names = [term.name for term in t.program.policy.reward]
+    sums = {name: sum(float(np.abs(trace.terms[name]).sum()) for trace in t.short) for name in names}
     silent = [name for name, value in sums.items() if value == 0 and not np.abs(t.curve(f"reward/{name}")).max(initial=0.0)]
     steps = sum(trace.steps for trace in t.short)
     if not silent or not steps:

@@ -167,7 +167,7 @@ def saturation(trace: Trace) -> Numbers | None:
     """Observations at an end of their range, as a share of steps: {parts}."""
     numbers = trace.program.policy.numbers
     at_end = (np.abs(trace.observations) >= 1.0).mean(axis=0)
-    return _shares({n.full_name: float(at_end[place]) for place, n in enumerate(numbers) if n.clip and not n.truth})
+    return _shares({n.full_name: float(at_end[place]) for place, n in enumerate(numbers) if n.clip and not n.is_truth})
 
 
 def limits(trace: Trace) -> Numbers | None:

@@ -93,12 +93,8 @@ def endings(logs: Sequence[Log], theme: str) -> Figure | None:
 def starts(episodes: Sequence[Episode], theme: str, *, success_defined: bool) -> Figure | None:
     """Drawn values of evaluation episodes against the return; bars are means of parts of the range with their intervals."""
     bins = by_drawn_value(episodes)
-
-    def effect(name: str) -> float:
-        means = [part.mean_return for part in bins[name]]
-        return max(means) - min(means)
-
-    names = sorted(bins, key=lambda name: -effect(name))[:_MAX_STARTS]
+    effects = {name: np.ptp([part.mean_return for part in parts]) for name, parts in bins.items()}
+    names = sorted(bins, key=lambda name: -effects[name])[:_MAX_STARTS]
     if not names:
         return None
     columns = min(2, len(names))

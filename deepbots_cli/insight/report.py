@@ -23,9 +23,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import deepbots_cli
-from deepbots_cli.compiler.inputs import RESOLVED
+from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.errors import DeepbotsError, EngineError, MissingExtraError, RunError
-from deepbots_cli.files import atomic
+from deepbots_cli.files import atomic_write
 from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.insight import figures
 from deepbots_cli.insight.card import rendered, result_text
@@ -42,7 +42,6 @@ from deepbots_cli.view.plots import Log
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from deepbots_cli.runtime import Supervisor
 
 LABELS = ("best", "median", "worst")
 _TRACED = 12
@@ -164,18 +163,12 @@ class Report:
 
     def run_again(self, shown: Sequence[Shown], on_episode: OnEpisode, *, clips: bool = True, allow_code: bool = False) -> None:
         """Run episodes of the evaluation again, for their paths and clips."""
-        try:
-            from deepbots_cli.learning.policy import loaded
-        except ModuleNotFoundError as error:
-            raise MissingExtraError("train", "running episodes again") from error
         self.shown, self.link = shown, ""
         ordered = sorted(shown, key=lambda each: self.members.index(each.member))
         for member, mine in groupby(ordered, lambda each: each.member):
-            model = loaded(member.run, "best")
             source = Source(str(member.run.path), engine=member.evaluation.engine, allow_code=allow_code)
-            with closing(Player(source.open(), "zero")) as player:
+            with closing(source.open().player()) as player:
                 for each in mine:
-                    player.driver = _AsEvaluated(model, player.env, each.number)
                     frames = [frame.links for frame in player.episode(member.evaluation.seed, each.number)]
                     self.link = self.link or _traced_link(player, frames)
                     body, _, link = self.link.partition("/")
@@ -240,7 +233,7 @@ class Report:
         for name, _, figure in self.figures("light"):
             if figure is not None:
                 written.append(folder / f"{name}.png")
-                with atomic(written[-1]) as draft:
+                with atomic_write(written[-1]) as draft:
                     figure.savefig(draft, dpi=150)
         return written
 
@@ -254,12 +247,13 @@ class Report:
             for name, caption, figure in self.figures("light")
             if figure is not None
         ]
-        run, found = self.members[0].run, findings(self.members[0].run)
+        run = self.members[0].run
+        _, found = findings(run)
         clips = {label: self.clips[label] for label in LABELS if label in self.clips}
         return rendered(
             "report.html.j2", html=True, report=self, program=run.program, record=run.record, figures=drawn, findings=found, clips=clips,
-            lines=(run.path / RESOLVED).read_text("utf-8").splitlines(),
-            marked={finding.span.begin.line for finding in found if finding.span.source.name.endswith(RESOLVED)},
+            lines=(run.path / RESOLVED_NAME).read_text("utf-8").splitlines(),
+            marked={finding.span.start_position.line for finding in found if finding.span.source.name.endswith(RESOLVED_NAME)},
             rows=[(member.run.path.name, member.run.record, result_text(member.evaluation)) for member in self.members],
             command=join(run.record.command) or "(from Python)", version=deepbots_cli.__version__, python=platform.python_version(),
             matplotlib=version("matplotlib"), notes=dict.fromkeys([*self.notes, *(note for m in self.members for note in m.run.notes())]),
@@ -273,23 +267,6 @@ def _over(form: str, values: Sequence[float], bounds: tuple[float, float] = UNBO
     found = mean_interval(values, bounds)
     interval = "" if found is None else f" (95 % interval over seeds {form.format(found[0])} .. {form.format(found[1])})"
     return form.format(fmean(values)) + interval
-
-
-class _AsEvaluated:
-    """The driver that acts to the bit as the evaluation did in the episode of this number."""
-
-    note = ""
-
-    def __init__(self, model: Any, env: Supervisor, number: int) -> None:
-        self._model, self._env, self._number = model, env, number
-
-    def begin(self, seed: int) -> None:
-        from deepbots_cli.learning.evaluation import acting
-
-        self._acting = acting(self._model, self._env, number=self._number)
-
-    def act(self, observation: Any) -> Any:
-        return self._acting(observation)
 
 
 def _traced_link(player: Player, trace: Trace) -> str:

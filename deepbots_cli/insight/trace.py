@@ -30,7 +30,7 @@ from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.view.episodes import Opened
 from deepbots_cli.view.frames import row_of
 from deepbots_cli.view.recordings import Recorded, Recording, observation_hash
-from deepbots_cli.view.replay import Actions, changes
+from deepbots_cli.view.replay import actions, changes, observation_hash_at
 
 Array = NDArray[np.float64]
 _EVALUATION_LIMIT = 200_000_000
@@ -270,24 +270,21 @@ def trace_recorded(opened: Opened, episodes: Sequence[Recorded]) -> Iterator[Tra
     assert opened.program is not None  # a recording that does not compile is refused when it is opened
     with closing(_world(measured(opened.program), opened.source.engine, opened.source.allow_code)) as world:
         for recorded in episodes:
-            actor = Actions(recording, recorded, world.action_space)
+            acting = actions(recording, recorded, world.action_space)
             observation, _ = world.reset(seed=recorded.seed)
             for place in range(len(recorded.steps)):
-                if place:
-                    try:
-                        observation, *_ = world.step(actor.act(observation))
-                    except UsageError:  # the episode has ended, or the action is none of this scenario
-                        raise _other(recording, place) from None
-                if actor.hash_at(place) != observation_hash(observation):
-                    raise _other(recording, place)
+                differs = False
+                try:
+                    observation = world.step(next(acting))[0] if place else observation
+                except UsageError:  # the episode has ended, or the action is none of this scenario
+                    differs = True
+                if differs or observation_hash_at(recording, recorded, place) != observation_hash(observation):
+                    reason = "; ".join(changes(recording)) or "it was made on another machine, or changed since then"
+                    what = f"{recording.path}: the episode differs from its recording at step {place}"
+                    raise UsageError(f"{what}, so it cannot be explained here: {reason}")
             trace = world.trace(f"episode {recorded.number} of {recording.path}")
             trace.critic_absent = "a recording keeps no critic"
             yield trace
-
-
-def _other(recording: Recording, step: int) -> UsageError:
-    reason = "; ".join(changes(recording)) or "it was made on another machine, or changed since then"
-    return UsageError(f"{recording.path}: the episode differs from its recording at step {step}, so it cannot be explained here: {reason}")
 
 
 def trace_failure(path: Path, *, allow_code: bool = False) -> Trace:

@@ -9,22 +9,24 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import cached_property
+from shlex import join, quote
 from statistics import fmean
 from typing import Any
 
 import numpy as np
 
 from deepbots_cli import api
-from deepbots_cli.compiler.inputs import RESOLVED
+from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME
 from deepbots_cli.diagnostics import Finding
+from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.insight.conditions import measured
 from deepbots_cli.insight.trace import Array, Trace, Traced
 from deepbots_cli.learning import failures
 from deepbots_cli.learning.defaults import effective
 from deepbots_cli.learning.episodes import meets
-from deepbots_cli.learning.run import Run
-from deepbots_cli.lint import review
+from deepbots_cli.learning.run import Run, changed_settings
+from deepbots_cli.lint import all_findings
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionRange, Choices, Schedule
 from deepbots_cli.runtime import Supervisor
@@ -74,11 +76,6 @@ class Training:
         """Of the short episodes."""
         return sum(len(trace.values) for trace in self.short)
 
-    @property
-    def terms(self) -> Sequence[str]:
-        """The names of the reward terms in the short episodes."""
-        return list(self.random[0].terms) if self.random else []
-
     def part(self, first: float, last: float) -> Any:
         """The episodes from one share of them to another: `part(0.75, 1)` is the last quarter."""
         return self.episodes[round(first * len(self.episodes)) : round(last * len(self.episodes))]
@@ -102,8 +99,7 @@ class Training:
     @property
     def solved_while_exploring(self) -> bool:
         """Whether the episodes of the training met what `solved` asks for."""
-        result = self.run.record.result
-        return result is not None and result.solved_at is not None
+        return self.run.record.result is not None and self.run.record.result.solved_at is not None
 
     @property
     def solved(self) -> bool:
@@ -117,9 +113,22 @@ class Training:
         return self.scalars[tag][1] if tag in self.scalars else np.zeros(0)
 
 
-def findings(run: Run) -> list[Finding]:
-    """What lint says of the scenario of a run."""
-    return review(api.load(run.path / RESOLVED, allow_code=True, project=run.path))
+def findings(run: Run) -> tuple[str, list[Finding]]:
+    """The scenario of a run as arguments of `deepbots lint`, and what lint finds.
+
+    The files that the scenario was made from hold the comments that ignore findings, and show what is a part of an included robot only.
+    `resolved.yaml` takes their place if they give another scenario, as after a change in Python.
+    """
+    record, resolved = run.record, run.path / RESOLVED_NAME
+    sets, folder = changed_settings(record.command), run.path / INPUTS_FOLDER
+    own = folder / next(iter(record.inputs), RESOLVED_NAME)
+    try:
+        checked = api.load(own, sets=with_engine(sets, record.engine), allow_code=True, project=folder)
+        if api.compile(checked).digest == run.digest:
+            return join([str(own), "--allow-path", str(folder), *(f"--set={text}" for text in sets)]), all_findings(checked)
+    except DeepbotsError:
+        pass
+    return quote(str(resolved)), all_findings(api.load(resolved, allow_code=True, project=run.path))
 
 
 def read(run: Run) -> Training:

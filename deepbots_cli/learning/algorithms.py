@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
-from inspect import signature
+from inspect import signature, unwrap
 from itertools import pairwise
 from typing import Any
 
@@ -22,10 +22,10 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.her import HerReplayBuffer
 from torch import nn
 
-from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning import defaults
-from deepbots_cli.plugins import attribute
+from deepbots_cli.plugins import import_attribute
 from deepbots_cli.program.task import ActionNoise as NoiseSettings
 from deepbots_cli.program.task import Hindsight, Hyperparameter, Network, Schedule, Training
 from deepbots_cli.scenario.training import ALGORITHMS
@@ -91,6 +91,8 @@ def create(
     memory = settings.pop("lstm", None)
     if memory is not None:
         networks["lstm_hidden_size"] = memory
+    if algorithm.base() == training.algorithm != "A2C":  # whose optimizer is one of Stable-Baselines3
+        networks |= {"optimizer_class": Adam, "optimizer_kwargs": {"eps": 1e-5 if algorithm.on_policy else 1e-8}}  # as by default
     inputs = "MultiInput" if isinstance(env.observation_space, gym.spaces.Dict) else "Mlp"
     policy = f"{inputs}{'' if memory is None else 'Lstm'}Policy"
     found = _imported(algorithm)
@@ -107,9 +109,24 @@ def create(
         if training.algorithm == algorithm.base():
             raise
         raise UsageError(_no_torch(algorithm, f"it fails with {type(error).__name__}: {' '.join(str(error).split())[:200]}")) from error
+    for name in ("optimizer_class", "optimizer_kwargs"):  # so that model files name no class of deepbots
+        models[0].policy_kwargs.pop(name, None)
     if not models[0]._get_torch_save_params()[0] or not models[0].policy.state_dict():
         raise UsageError(_no_torch(algorithm, "its runs could be neither evaluated nor resumed"))
     return models[0]
+
+
+class Adam(torch.optim.Adam):
+    """Adam of torch without its decorators for `torch.compile`.
+
+    They import `torch._dynamo` when an optimizer is first made, which takes 1.4 s of CPU. The numbers are the same to the bit.
+    """
+
+    add_param_group = unwrap(torch.optim.Adam.add_param_group)
+    zero_grad = unwrap(torch.optim.Adam.zero_grad)
+    state_dict = unwrap(torch.optim.Adam.state_dict)
+    load_state_dict = unwrap(torch.optim.Adam.load_state_dict)
+    step = torch.no_grad()(unwrap(torch.optim.Adam.step))
 
 
 def _no_torch(algorithm: type[Model], reason: str) -> str:
@@ -128,7 +145,7 @@ def _device(wanted: str, *, to_learn: bool) -> str:
 
 def _imported(algorithm: type[Model]) -> type[BaseAlgorithm]:
     try:
-        found: type[BaseAlgorithm] = attribute(algorithm.import_path)
+        found: type[BaseAlgorithm] = import_attribute(algorithm.import_path)
     except ModuleNotFoundError as error:
         raise MissingExtraError("contrib", f"training with {algorithm.import_path.rpartition(':')[2]}") from error
     return found
@@ -221,7 +238,7 @@ def _entry(name: str) -> type[Model]:
 
 
 def _unknown(kind: str, name: str, table: Mapping[str, object]) -> str:
-    near = nearest(name, table)
+    near = nearest_word(name, table)
     return f"{kind} '{name}' cannot be trained with; the choices are {', '.join(table)}" + (f" (did you mean {near}?)" if near else "")
 
 

@@ -12,13 +12,13 @@ import numpy.typing as npt
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
 from deepbots_cli import api, engines
-from deepbots_cli.codegen import not_batched
+from deepbots_cli.codegen import batch_obstacles
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.learning.environments import BuildWorld, VectorEnvironment, last_info
 from deepbots_cli.learning.episodes import Episode
 from deepbots_cli.learning.failures import BatchRecorder
 from deepbots_cli.program import Program
-from deepbots_cli.runtime.batch import BatchStep, BatchSupervisor, Running
+from deepbots_cli.runtime.batch import BatchStep, BatchSupervisor, EpisodeHistory
 
 SMALLEST = 8
 """Worlds from which on a batch is faster: what it does per step over arrays takes as long as 5 single worlds."""
@@ -32,7 +32,7 @@ def reasons_against(program: Program, worlds: int, engine: str, build: BuildWorl
         return [f"there are fewer than {SMALLEST} worlds"]
     own = [] if getattr(build, "func", None) is api.build else ["its worlds are made by a function of the caller"]
     stages = [stage.program for stage in program.curriculum]
-    return list(dict.fromkeys([*own, *(reason for one in (program, *stages) for reason in not_batched(one))]))
+    return list(dict.fromkeys([*own, *(reason for one in (program, *stages) for reason in batch_obstacles(one))]))
 
 
 def described(program: Program, worlds: int, engine: str, build: BuildWorld) -> str:
@@ -188,22 +188,22 @@ class BatchedWorlds(VectorEnvironment):
 
     def _close(self, world: int, place: int, outcome: BatchStep, sums: Sums) -> dict[str, Any]:
         """The last info of an episode, which is reported."""
-        info, last = outcome.infos[place], outcome.last
+        info, last = outcome.infos[place], outcome.final_observations
         episode = sums.close(world, info)
         self._on_episode(world, episode)
         seen = {key: part[place] for key, part in last.items()} if isinstance(last, dict) else last[place]
         return last_info(info, seen, episode, timed_out=not outcome.terminated[world])
 
-    def histories(self) -> list[Running]:
+    def histories(self) -> list[EpisodeHistory]:
         running = {stage: worlds.snapshot() for stage, (worlds, _) in self._batches.items()}
         return [running[stage][world] for world, stage in enumerate(self.stages)]
 
-    def repeat(self, histories: Sequence[Running]) -> VecEnvObs:
+    def repeat(self, histories: Sequence[EpisodeHistory]) -> VecEnvObs:
         for stage in dict.fromkeys(self.stages):
             worlds, inside = self._batch_of(stage), self._in(stage)
             sums = self._batches[stage][1]
             sums.clear()
-            begun = [history if inside[world] else Running(self.starts[world], []) for world, history in enumerate(histories)]
+            begun = [history if inside[world] else EpisodeHistory(self.starts[world], []) for world, history in enumerate(histories)]
             worlds.restore(begun, partial(_count, worlds, sums))
         self.drawn = [self._batch_of(stage).singles[world].drawn() for world, stage in enumerate(self.stages)]
         self.last_observations = self._observations()

@@ -28,7 +28,7 @@ from stable_baselines3.common.logger import HParam, Logger, TensorBoardOutputFor
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from deepbots_cli.api import build_batch
-from deepbots_cli.compiler.inputs import RESOLVED
+from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.errors import RunError
 from deepbots_cli.learning import batch, models
 from deepbots_cli.learning.curriculum import Curriculum
@@ -339,7 +339,7 @@ def _first_frame(program: Program) -> dict[str, int]:
     """Where the newest value of each clipped number stands in an observation, by name; a truth value is always at an end of its range."""
     numbers = program.policy.numbers
     places = enumerate(policy_inputs(numbers, program.policy.frame_stack))
-    return {numbers[i].full_name: place for place, (i, age) in places if age == 0 and numbers[i].clip and not numbers[i].truth}
+    return {numbers[i].full_name: place for place, (i, age) in places if age == 0 and numbers[i].clip and not numbers[i].is_truth}
 
 
 def option_shares(program: Program, actions: npt.NDArray[Any]) -> dict[str, float]:
@@ -361,7 +361,7 @@ def describe(run: Run, logger: Logger, training: Training) -> None:
     metrics = {"rollout/ep_rew_mean": 0.0, "eval/mean_return": 0.0}
     if run.program.defines_success:
         metrics |= {"rollout/success_rate": 0.0, "eval/success_rate": 0.0}
-    scenario = (run.path / RESOLVED).read_text(encoding="utf-8")
+    scenario = (run.path / RESOLVED_NAME).read_text(encoding="utf-8")
     content = {"hparams": HParam(values, metrics), "scenario": "".join(f"    {line}\n" for line in scenario.splitlines())}
     for output in logger.output_formats:
         if isinstance(output, TensorBoardOutputFormat):

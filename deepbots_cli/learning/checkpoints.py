@@ -39,7 +39,7 @@ from stable_baselines3.common.type_aliases import RolloutReturn
 from stable_baselines3.her import HerReplayBuffer
 
 from deepbots_cli.errors import RunError
-from deepbots_cli.files import unwritable
+from deepbots_cli.files import unwritable_message
 from deepbots_cli.learning import models
 from deepbots_cli.learning.algorithms import DecayingNoise
 from deepbots_cli.learning.callbacks import CallbackState, TrainingCallback, check_finite
@@ -47,7 +47,7 @@ from deepbots_cli.learning.curriculum import CurriculumState
 from deepbots_cli.learning.environments import VectorEnvironment, fingerprint
 from deepbots_cli.learning.episodes import StatisticsState
 from deepbots_cli.learning.run import Run, read_json
-from deepbots_cli.runtime.batch import Running
+from deepbots_cli.runtime.batch import EpisodeHistory
 from deepbots_cli.runtime.streams import derive_seed
 
 Array = npt.NDArray[Any]
@@ -237,7 +237,7 @@ class Checkpoints:
                 copy.unlink()
             if isinstance(error, RunError):
                 raise
-            raise RunError(unwritable(self.run.checkpoints, error)) from error
+            raise RunError(unwritable_message(self.run.checkpoints, error)) from error
         kept = {whole, self._replay, *(self._segment(*segment) for segment in self._segments)}
         for path in [*self.run.checkpoints.iterdir(), *(self._replay.iterdir() if self._replay.is_dir() else ())]:
             if path not in kept:
@@ -378,7 +378,7 @@ class Checkpoints:
         env = _environment(model)
         if len(state.starts) != len(env.worlds):
             raise ValueError(f"{len(state.starts)} worlds")
-        histories = [Running(start, list(arrays[f"actions/{index}"])) for index, start in enumerate(state.starts)]
+        histories = [EpisodeHistory(start, list(arrays[f"actions/{index}"])) for index, start in enumerate(state.starts)]
         if fingerprint(env.repeat(histories)) == state.observed:
             return True
         self.note(f"the episodes that ran at {model.num_timesteps:,} steps gave different results when repeated, so they were restarted")

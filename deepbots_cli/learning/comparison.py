@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
-from deepbots_cli.compiler.inputs import RESOLVED
+from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.environments import BuildWorld, compiled_of
 from deepbots_cli.learning.episodes import Episode, Interval
@@ -170,7 +170,7 @@ def compare(
     if own:
         judged = None
     elif scenario is None:
-        judged = api.compile(api.load(base / RESOLVED, allow_code=True, project=base))
+        judged = api.compile(api.load(base / RESOLVED_NAME, allow_code=True, project=base))
     else:
         judged = compiled_of(scenario)
     count = 0

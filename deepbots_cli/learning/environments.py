@@ -24,7 +24,7 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.learning.episodes import Episode, EpisodeAccumulator
 from deepbots_cli.learning.failures import FailureRecorder, set_random_state
 from deepbots_cli.program import Program
-from deepbots_cli.runtime.batch import Running
+from deepbots_cli.runtime.batch import EpisodeHistory
 from deepbots_cli.scenario import Scenario
 
 World = gym.Env[Any, Any]
@@ -168,11 +168,11 @@ class VectorEnvironment(VecEnv):
 
     # Checkpoints
 
-    def histories(self) -> list[Running]:
+    def histories(self) -> list[EpisodeHistory]:
         """The running episode of each world, enough to bring it back."""
         return [world.history for world in self.worlds]
 
-    def repeat(self, histories: Sequence[Running]) -> VecEnvObs:
+    def repeat(self, histories: Sequence[EpisodeHistory]) -> VecEnvObs:
         """Bring the worlds back to the moment at which `histories` were taken; the observations, which are the same if the physics is."""
         observations: list[Any] = []
         for index, history in enumerate(histories):

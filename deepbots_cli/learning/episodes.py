@@ -18,7 +18,7 @@ from typing import Any
 from pydantic import BaseModel, NonNegativeInt
 
 from deepbots_cli.errors import DeepbotsError, RunError
-from deepbots_cli.files import unwritable
+from deepbots_cli.files import unwritable_message
 from deepbots_cli.program.task import Solved
 
 WINDOW = 100
@@ -109,7 +109,7 @@ class EpisodeLog:
             header: dict[str, float | str] = {"t_start": time.time(), "env_id": scenario}
             self._writer = ResultsWriter(str(path), header, self.COLUMNS, override_existing=not path.exists())
         except OSError as error:
-            raise RunError(unwritable(path, error)) from error
+            raise RunError(unwritable_message(path, error)) from error
         self._started = time.time()
 
     def write(self, episode: Episode, statistics: Statistics, stage: str | None = None, drawn: Mapping[str, Any] | None = None) -> None:

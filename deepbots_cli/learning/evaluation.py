@@ -441,14 +441,14 @@ def repeat(model: BaseAlgorithm, world: World, seed: int, number: int, *, determ
     return _episode(world, seed, acting(model, world, deterministic=deterministic, number=number))
 
 
-def acting(model: BaseAlgorithm, world: World, *, deterministic: bool = True, number: int | None = None) -> Act:
+def acting(model: BaseAlgorithm, world: World, *, deterministic: bool = True, number: int | None = None, rows: int = 0) -> Act:
     """A function that returns the action of a policy for each observation of one episode.
 
     With `number`, the actions are to the bit those of the episode of this number in an evaluation. For copies of a robot they always are:
-    each forward pass has a row for each copy.
+    each forward pass has a row for each copy. `rows` is the number of worlds of a batch like `world`, whose episodes go on together.
     """
-    size = len(world.get_wrapper_attr("agents")) if has_copies(world) else 0
-    takes_masks = algorithms.takes_masks(model) and world.has_wrapper_attr("action_masks")
+    size = rows or (len(world.get_wrapper_attr("agents")) if has_copies(world) else 0)
+    takes_masks = algorithms.takes_masks(model) and not rows and world.has_wrapper_attr("action_masks")
     if number is not None and not size:
         forward, row = _Pass(world.observation_space, _choices(world) if takes_masks else None), number % ROWS
 

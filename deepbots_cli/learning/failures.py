@@ -27,7 +27,7 @@ from deepbots_cli.learning.episodes import Statistics
 from deepbots_cli.learning.report import Reporter
 from deepbots_cli.learning.run import Run, read_json, write_numbered
 from deepbots_cli.program import Program
-from deepbots_cli.runtime.batch import Loss, Running
+from deepbots_cli.runtime.batch import EpisodeHistory, LostWorld
 
 FOLDER = "failures"
 _LIMIT = 100_000_000
@@ -79,12 +79,12 @@ class FailureRecorder(gym.Wrapper[Any, Any, Any, Any]):
         stage: str | None = None,
     ) -> None:
         super().__init__(world)
-        self.history = Running(0, [])
+        self.history = EpisodeHistory(0, [])
         self._run, self._program, self._seeds, self._episode = run, program, seeds, episode
         self._case, self._stage = case, stage
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        self.history = Running(random_state(self.env) if seed is None else seed, [])
+        self.history = EpisodeHistory(random_state(self.env) if seed is None else seed, [])
         try:
             observation, info = self.env.reset(seed=seed, options=options)
         except DeepbotsError as error:
@@ -150,7 +150,7 @@ class BatchRecorder:
         self._losses: deque[int] = deque(maxlen=MAX_LOSSES)
         self._files = 0
 
-    def lost(self, stage: int, loss: Loss, history: Running) -> None:
+    def lost(self, stage: int, loss: LostWorld, history: EpisodeHistory) -> None:
         """Keep a lost episode and tell the user. There are files of the first ten, and of the one that ends the training.
 
         Raises:
@@ -170,7 +170,7 @@ class BatchRecorder:
             )
         self._reporter.note(f"{text}\nworld {loss.world} begins anew")
 
-    def failed(self, stage: int, histories: Sequence[Running]) -> None:
+    def failed(self, stage: int, histories: Sequence[EpisodeHistory]) -> None:
         """Find the episode that fails: repeat the running episodes of a stage in a single world, until one fails.
 
         Raises:
@@ -185,7 +185,7 @@ class BatchRecorder:
                     world.step(action)
 
 
-def _kept(error: str, number: int, history: Running, *, run: Run | None, case: str | None = None, stage: str | None = None) -> str:
+def _kept(error: str, number: int, history: EpisodeHistory, *, run: Run | None, case: str | None = None, stage: str | None = None) -> str:
     """The error with its episode, and with the command that repeats it if a file could be written."""
     start = history.start
     root = start if isinstance(start, int) else start.get("root")

@@ -21,7 +21,7 @@ from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt, PositiveInt
 import deepbots_cli
 from deepbots_cli import api, engine_kinds
 from deepbots_cli.api import Compiled
-from deepbots_cli.compiler.inputs import FOLDER, RESOLVED, write_copies
+from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME, write_copies
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.learning.report import Reporter
 from deepbots_cli.learning.run import (
@@ -97,7 +97,7 @@ class Group:
         record = read_json(path / GROUP_NAME, GroupRecord, _LIMIT)
         if len(set(record.seeds)) < len(record.seeds):
             raise RunError(f"{path / GROUP_NAME} is damaged: it names a seed twice")
-        for name in (GROUP_NAME, RESOLVED, FOLDER, *(f"seed-{seed}" for seed in record.seeds)):
+        for name in (GROUP_NAME, RESOLVED_NAME, INPUTS_FOLDER, *(f"seed-{seed}" for seed in record.seeds)):
             if (path / name).is_symlink():
                 raise RunError(f"{path / name} is a symbolic link, which no group of ours holds")
         return Group(path, record)
@@ -236,7 +236,7 @@ def resume_group(
             plugins.check(followers.get("callbacks", ()), followers.get("loggers", ()))
             known = Group(known.path, known.record.model_copy(update=followers))
             known.write()
-        compiled = api.compile(api.load(known.path / RESOLVED, allow_code=True, project=known.path))
+        compiled = api.compile(api.load(known.path / RESOLVED_NAME, allow_code=True, project=known.path))
         compiled = replace(compiled, source=Path(known.record.source), allow_code=allow_code)
         changes = followers | {name: value for name, value in given.items() if value is not None}
         return _train_seeds(known, compiled, changes, on_seed, progress=progress, build=build)
@@ -269,7 +269,7 @@ def _train_seeds(group: Group, compiled: Compiled, changes: Mapping[str, Any], o
         except DeepbotsError as error:
             if not group.runs:  # nothing can be trained with these settings, or written there
                 raise
-            failed[seed] = error.full
+            failed[seed] = error.full_message
             continue
         except KeyboardInterrupt:  # before the training handles it itself
             interrupted = True

@@ -9,8 +9,8 @@ from pathlib import Path
 from statistics import fmean
 from typing import Literal
 
-from deepbots_cli.compiler.inputs import RESOLVED
-from deepbots_cli.document import Mapping, load
+from deepbots_cli.compiler.inputs import RESOLVED_NAME
+from deepbots_cli.document import MappingNode, load
 from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.files import read_at_most
 from deepbots_cli.learning.episodes import WINDOW, read_log
@@ -203,11 +203,11 @@ def _cpu_of_checkpoint(run: Path) -> float | None:
 def _defines_success(run: Path) -> bool:
     """Whether the scenario of a run has a goal or an ending that is a success."""
     try:
-        root = load(run / RESOLVED, project=run).root
+        root = load(run / RESOLVED_NAME, project=run).root
     except DeepbotsError:
         return False
     endings = root.get("termination") if root is not None else None
-    return root is not None and (root.get("goal") is not None or (isinstance(endings, Mapping) and endings.get("success") is not None))
+    return root is not None and (root.get("goal") is not None or (isinstance(endings, MappingNode) and endings.get("success") is not None))
 
 
 def sort_runs(runs: Sequence[ListedRun], key: Literal["date", "name", "steps", "cpu", "return", "success"]) -> list[ListedRun]:

@@ -24,7 +24,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.save_util import is_json_serializable, save_to_zip_file
 
 from deepbots_cli.errors import RunError, UsageError
-from deepbots_cli.files import atomic
+from deepbots_cli.files import atomic_write
 
 Tensors = Mapping[str, Mapping[str, Any]]
 """What a model file holds: a state dictionary for each part (`policy`, `policy.optimizer`), and `pytorch_variables`."""
@@ -53,7 +53,7 @@ def save(path: Path, model: BaseAlgorithm) -> None:
     # In memory first: where a disk is full, torch's own writer ends in an error that does not say so.
     content = io.BytesIO()
     save_to_zip_file(content, data, model.get_parameters(), dict(_variables(model)))
-    with atomic(path, RunError) as draft, draft.open("wb") as stream:
+    with atomic_write(path, RunError) as draft, draft.open("wb") as stream:
         stream.write(content.getbuffer())
         stream.flush()
         os.fsync(stream.fileno())  # for a power cut

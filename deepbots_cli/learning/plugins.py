@@ -17,7 +17,7 @@ import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import KVWriter
 
-from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.errors import PluginError, UsageError
 from deepbots_cli.plugins import PluginTable
 
@@ -69,7 +69,7 @@ def check(callbacks: Sequence[str], loggers: Sequence[str]) -> None:
 
 
 def _unknown(what: str, name: str, table: PluginTable[Any]) -> str:
-    near = nearest(name, table)
+    near = nearest_word(name, table)
     known = f"known are {', '.join(table)}" if table else f"no installed package registers one under '{table.group}'"
     return f"there is no {what} '{name}'; {known}" + (f" (did you mean {near}?)" if near else "")
 

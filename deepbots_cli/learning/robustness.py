@@ -15,8 +15,8 @@ from typing import Any, Literal
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
 from deepbots_cli.compiler import check
-from deepbots_cli.compiler.inputs import RESOLVED
-from deepbots_cli.document import Mapping, Node, Scalar, load
+from deepbots_cli.compiler.inputs import RESOLVED_NAME
+from deepbots_cli.document import MappingNode, Node, ScalarNode, load
 from deepbots_cli.errors import DeepbotsError, ScenarioError, UsageError
 from deepbots_cli.learning.evaluation import EvaluationResult, evaluate
 from deepbots_cli.learning.run import ModelName, Run
@@ -147,7 +147,7 @@ def evaluate_robustness(
         UsageError: There is no such scenario, or nothing of this name has a mass.
     """
     known = run if isinstance(run, Run) else Run.open(run)
-    base, project = (known.path / RESOLVED, known.path) if scenario is None else (api.locate(scenario)[0], None)
+    base, project = (known.path / RESOLVED_NAME, known.path) if scenario is None else (api.locate(scenario)[0], None)
     base = base.resolve()
 
     code = allow_code or scenario is None  # worlds that run the functions of a run ask again
@@ -242,7 +242,7 @@ Plan = tuple[str, list[tuple[str, Change]]]
 """A condition, and its levels: label and change."""
 
 
-def plans(root: Mapping, program: Program, mass_of: str | None = None) -> Iterator[Plan]:
+def plans(root: MappingNode, program: Program, mass_of: str | None = None) -> Iterator[Plan]:
     """The conditions that a scenario has; `mass_of` as for `evaluate_robustness`."""
     if program.format != "none":
         for way, words in (("to_robot", "latency to the robot"), ("from_robot", "latency from the robot")):
@@ -272,27 +272,27 @@ def plans(root: Mapping, program: Program, mass_of: str | None = None) -> Iterat
 
 def _node(root: Node | None, *path: str) -> Node | None:
     for key in path:
-        root = root.get(key) if isinstance(root, Mapping) else None
+        root = root.get(key) if isinstance(root, MappingNode) else None
     return root
 
 
 def _text(root: Node | None, *path: str) -> str | None:
     """The single value that is written at a path; None where nothing is."""
     found = _node(root, *path)
-    return found.text if isinstance(found, Scalar) else None
+    return found.text if isinstance(found, ScalarNode) else None
 
 
 def _keys(root: Node | None, *path: str) -> list[str]:
     found = _node(root, *path)
-    return list(found.entries) if isinstance(found, Mapping) else []
+    return list(found.entries) if isinstance(found, MappingNode) else []
 
 
-def _noise(root: Mapping, program: Program, share: float) -> Change:
+def _noise(root: MappingNode, program: Program, share: float) -> Change:
     """Noise on each entry of the observation with a finite range, that of its narrowest component."""
     widths: dict[str, tuple[float, str]] = {}
     for number in program.policy.numbers:
         width = number.high - number.low
-        if number.truth or not 0 < width < 1e9:
+        if number.is_truth or not 0 < width < 1e9:
             continue
         widths[number.name] = min((width, number.unit), widths.get(number.name, (width, number.unit)))
     change: Change = {}
@@ -301,12 +301,12 @@ def _noise(root: Mapping, program: Program, share: float) -> Change:
         text = _text(root, "observation", name)
         if text is not None:
             change[name] = {"range": text, "noise": noise}
-        elif isinstance(_node(root, "observation", name), Mapping):
+        elif isinstance(_node(root, "observation", name), MappingNode):
             change[name] = {"noise": noise}
     return change
 
 
-def _mass(root: Mapping, program: Program, name: str | None) -> tuple[str, Callable[[float], Change]] | None:
+def _mass(root: MappingNode, program: Program, name: str | None) -> tuple[str, Callable[[float], Change]] | None:
     """What has its mass changed, a link or an object, and the change for a factor; None where nothing has a mass.
 
     By default it is the heaviest link of all robots, as if it carried a load. All masses by one factor would often change nothing: the
@@ -336,7 +336,7 @@ def _nested(path: Sequence[str], value: Change) -> Change:
     return {path[0]: _nested(path[1:], value)} if path else value
 
 
-def _strengths(root: Mapping, factor: float) -> Change:
+def _strengths(root: MappingNode, factor: float) -> Change:
     """The strength of every actuator times a factor."""
     return {
         robot: {

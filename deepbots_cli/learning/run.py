@@ -35,9 +35,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
-from deepbots_cli.compiler.inputs import FOLDER, RESOLVED, write_copies
+from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME, write_copies
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
-from deepbots_cli.files import atomic, unwritable
+from deepbots_cli.files import atomic_write, unwritable_message
 from deepbots_cli.learning.curriculum import StageEnd
 from deepbots_cli.learning.episodes import SolvedAt
 from deepbots_cli.program import Program, identity
@@ -57,8 +57,8 @@ M = TypeVar("M", bound=BaseModel)
 _LIMIT = 4_000_000
 _EVALUATION_LIMIT = 200_000_000
 _DISTRIBUTIONS = ("gymnasium", "mujoco", "numpy", "pybullet", "stable-baselines3", "torch")
-_FILES = (NAME, RESOLVED, "monitor.csv", ".lock")
-_FOLDERS = (FOLDER, "tensorboard", "models", "evaluations", "logs", "checkpoints", "failures")
+_FILES = (NAME, RESOLVED_NAME, "monitor.csv", ".lock")
+_FOLDERS = (INPUTS_FOLDER, "tensorboard", "models", "evaluations", "logs", "checkpoints", "failures")
 
 
 class Result(BaseModel):
@@ -209,7 +209,7 @@ def read_json(path: Path, model: type[M], limit: int) -> M:
 
 
 def write_text(path: Path, text: str) -> None:
-    with atomic(path, RunError) as draft:
+    with atomic_write(path, RunError) as draft:
         draft.write_bytes(text.encode())
 
 
@@ -291,7 +291,7 @@ class Run:
         except BaseException as error:  # also Ctrl-C: half a directory is no run, and would stand in the way of the next one
             shutil.rmtree(path, ignore_errors=True)
             if isinstance(error, OSError):
-                raise RunError(unwritable(path, error)) from error
+                raise RunError(unwritable_message(path, error)) from error
             raise
 
     @staticmethod
@@ -304,11 +304,11 @@ class Run:
         path = Path(path)
         record = Record.read(path)
         _check_plain(path)
-        if not (path / RESOLVED).is_file():
-            raise RunError(f"{path / RESOLVED} is missing")
+        if not (path / RESOLVED_NAME).is_file():
+            raise RunError(f"{path / RESOLVED_NAME} is missing")
         try:
             # The functions of Python that it names are not called before a world is built, which asks again whether they may.
-            compiled = api.compile(api.load(path / RESOLVED, allow_code=True, project=path))
+            compiled = api.compile(api.load(path / RESOLVED_NAME, allow_code=True, project=path))
         except DeepbotsError as error:
             raise RunError(f"{path} cannot be used, since its scenario does not compile: {' '.join(str(error).split())[:500]}") from error
         differences = identity.compare_interfaces(record.interface, identity.interface(compiled.program), words=("trained", "now"))
@@ -380,7 +380,7 @@ def write_numbered(folder: Path, text: str) -> Path:
             except FileExistsError:
                 number += 1  # another process was faster
     except OSError as error:
-        raise RunError(unwritable(path, error)) from error
+        raise RunError(unwritable_message(path, error)) from error
     try:
         write_text(path, text)
     except RunError:
@@ -431,7 +431,7 @@ def run_lock(folder: Path) -> Iterator[None]:
     except Timeout:
         raise UsageError(f"another training is at work in {folder}; wait for its end, or end it") from None
     except OSError as error:
-        raise UsageError(unwritable(folder, error)) from error
+        raise UsageError(unwritable_message(folder, error)) from error
     with lock:
         yield
 
@@ -476,7 +476,7 @@ def new_directory(wanted: str | Path | None, parent: str | Path, scenario: str, 
     except FileExistsError as error:
         raise UsageError(f"{error.filename} already exists; choose another directory, because runs are not overwritten") from error
     except OSError as error:
-        raise UsageError(unwritable(wanted or parent, error)) from error
+        raise UsageError(unwritable_message(wanted or parent, error)) from error
 
 
 def _number(name: str, stem: str) -> int:

@@ -18,7 +18,7 @@ from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.learning.episodes import Episode, EpisodeAccumulator, zero
 from deepbots_cli.lint.ranges import with_unit
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import Expected, ScenarioTest
+from deepbots_cli.program.task import ExpectedResult, ScenarioTest
 from deepbots_cli.runtime.streams import derive_seed
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ def _run(environment: Supervisor, test: ScenarioTest, on_episode: OnEpisode | No
                 on_episode(number + 1, test.episodes)
     except DeepbotsError as error:
         cut = environment.step_count
-        misses.append(Miss("no error", test.span.where, str(error), len(done), cut or None))
+        misses.append(Miss("no error", test.span.location, str(error), len(done), cut or None))
     else:
         misses += _over_episodes(environment.scenario, test, done)
     steps = cut + sum(episode.length for episode in done)
@@ -147,8 +147,8 @@ def _policy(environment: Supervisor, test: ScenarioTest) -> Callable[[int], Any]
     return lambda _: acting()
 
 
-def _miss(expected: Expected, measured: str, episode: int, step: int | None = None) -> Miss:
-    return Miss(f"{expected.key}: {expected.text}", expected.span.where, measured, episode, step)
+def _miss(expected: ExpectedResult, measured: str, episode: int, step: int | None = None) -> Miss:
+    return Miss(f"{expected.key}: {expected.text}", expected.span.location, measured, episode, step)
 
 
 class _Watch:
@@ -158,8 +158,8 @@ class _Watch:
         self._agent = agent
         self._test = test
         self._episode = episode
-        self._met: set[Expected] = set()
-        self._broken: dict[Expected, Miss] = {}
+        self._met: set[ExpectedResult] = set()
+        self._broken: dict[ExpectedResult, Miss] = {}
 
     def look(self, step: int) -> None:
         """Note which conditions hold after a step."""
@@ -179,7 +179,7 @@ class _Watch:
                 compared = self._compared(expected)
                 yield _miss(expected, f"never in {length}" + (f"; at the end, {compared}" if compared else ""), self._episode)
 
-    def _compared(self, wanted: Expected) -> str:
+    def _compared(self, wanted: ExpectedResult) -> str:
         """What the condition compares, with the values after the last step."""
         values = iter(self._agent.tested(self._test.name, "compared"))
         found = {expected: [(value, next(values)) for value in expected.compared] for expected in self._test.conditions}

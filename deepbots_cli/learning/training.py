@@ -25,7 +25,7 @@ import deepbots_cli
 from deepbots_cli import engine_kinds
 from deepbots_cli.api import Compiled, build_batch
 from deepbots_cli.errors import DeepbotsError, MissingExtraError, PluginError, RunError, UsageError
-from deepbots_cli.files import unwritable
+from deepbots_cli.files import unwritable_message
 from deepbots_cli.learning import algorithms, batch, models, plugins
 from deepbots_cli.learning.callbacks import AT_ONCE, Evaluator, TrainingCallback, check_finite, describe, signals_handled
 from deepbots_cli.learning.checkpoints import Checkpoints, Resumable, latest
@@ -357,7 +357,7 @@ def _quiet_writers() -> Iterator[None]:
 
 def _explained(error: DeepbotsError | OSError, run: Run, checkpoints: Checkpoints) -> DeepbotsError:
     """The error that ended a training, with what is kept of it and how to use that."""
-    known = RunError(unwritable(Path(error.filename or run.path), error)) if isinstance(error, OSError) else error
+    known = RunError(unwritable_message(Path(error.filename or run.path), error)) if isinstance(error, OSError) else error
     if checkpoints.kept and (isinstance(known, PluginError) or isinstance(known.__cause__ or error, OSError)):
         known.add_note(f"{checkpoints.kept}; go on from there with: deepbots train --resume {quote(str(run.path))}")
     elif checkpoints.kept:  # which would fail again, to the bit

@@ -11,7 +11,7 @@ from typing import Any
 import gymnasium as gym
 
 from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.files import atomic, check_writable
+from deepbots_cli.files import atomic_write, check_writable
 from deepbots_cli.learning.environments import World
 
 
@@ -38,7 +38,7 @@ def filmed(world: World, path: Path, rate: float) -> Iterator[World]:
     import imageio.v2 as imageio
 
     # Pictures of even height and width are all that the codec asks for; by default they would be scaled to multiples of 16.
-    with atomic(path) as draft, imageio.get_writer(draft, fps=rate, macro_block_size=2) as writer:
+    with atomic_write(path) as draft, imageio.get_writer(draft, fps=rate, macro_block_size=2) as writer:
         yield _Filmed(world, writer)
 
 

@@ -27,9 +27,9 @@ from inspect import cleandoc
 from pathlib import Path
 from textwrap import dedent, fill, indent
 
-from deepbots_cli.compiler import Checked
-from deepbots_cli.diagnostics import MAX_FINDINGS, RULES, Finding, Findings, Source, Span, faults_as_findings
-from deepbots_cli.diagnostics.findings import internal_error, suppress
+from deepbots_cli.compiler import CheckedScenario
+from deepbots_cli.diagnostics import MAX_FINDINGS, RULES, Finding, Findings, Source, Span, exceptions_as_findings
+from deepbots_cli.diagnostics.findings import internal_error_finding, suppress
 from deepbots_cli.document.nodes import to_data
 from deepbots_cli.document.parse import parse
 from deepbots_cli.lint import endings, names, observations, rewards, robots, saturation, shaping, world
@@ -69,7 +69,7 @@ def code_of(rule: Callable[..., Iterator[Finding]]) -> str:
     return (rule.__doc__ or "").partition(":")[0]
 
 
-def run(checked: Checked, *, preview: bool = False) -> Iterator[Finding]:
+def static_findings(checked: CheckedScenario, *, preview: bool = False) -> Iterator[Finding]:
     """The findings of all static rules; none for a scenario with errors.
 
     A rule that raises an exception is reported as DB903, and the other rules run.
@@ -78,11 +78,11 @@ def run(checked: Checked, *, preview: bool = False) -> Iterator[Finding]:
         return
     context, cascade, source = RuleContext(checked, checked.program, checked.namespace), CascadeFilter(checked), checked.document.source
     checks: list[tuple[str, Callable[[], Iterator[Finding]]]] = [(code_of(rule), partial(rule, context)) for rule in STATIC_RULES]
-    checks += [(rule.code, partial(rule.check, checked)) for rule in RULES.added.values() if rule.check is not None]
+    checks += [(rule.code, partial(rule.check, checked)) for rule in RULES.from_plugins.values() if rule.check is not None]
     for code, check in checks:
         if preview or not RULES[code].preview:
-            found = faults_as_findings(f"the rule {code}", source, partial(_found, check))
-            yield from (finding for finding in found if not cascade.drops(finding))
+            found = exceptions_as_findings(f"the rule {code}", source, partial(_found, check))
+            yield from (finding for finding in found if not cascade.is_consequence(finding))
 
 
 def _found(check: Callable[[], Iterator[Finding]]) -> Iterator[Finding]:
@@ -92,7 +92,7 @@ def _found(check: Callable[[], Iterator[Finding]]) -> Iterator[Finding]:
         return
 
 
-def review(checked: Checked, *, preview: bool = False, measured: Iterable[Finding] | None = None) -> list[Finding]:
+def all_findings(checked: CheckedScenario, *, preview: bool = False, measured: Iterable[Finding] | None = None) -> list[Finding]:
     """All findings of the compiler and of the rules, without suppressed ones and warnings about robot files of other packages.
 
     `inspect` of a robot file shows the latter. `measured` are the findings of a simulation, None if there was none; a static finding
@@ -100,7 +100,7 @@ def review(checked: Checked, *, preview: bool = False, measured: Iterable[Findin
     """
     models = (checked.robots or {}).values()
     sources = (*checked.document.sources, *(robot.file.source for robot in models))
-    found = [*checked.findings, *run(checked, preview=preview)]
+    found = [*checked.findings, *static_findings(checked, preview=preview)]
     known = {(finding.code, finding.span) for finding in found}
     found += [finding for finding in measured or () if (finding.code, finding.span) not in known]
     kept, unused = suppress(found, sources, preview=preview, deep=measured is not None)
@@ -120,14 +120,14 @@ def _limited(found: list[Finding]) -> list[Finding]:
 
 
 @dataclass(frozen=True)
-class Simulated:
-    """The findings of a simulation; `left` says why it ended early, where that is no finding."""
+class SimulationFindings:
+    """The findings of a simulation; `incomplete` says why it ended early, where that is no finding."""
 
     findings: list[Finding]
-    left: str | None = None
+    incomplete: str | None = None
 
 
-def simulate(checked: Checked, *, preview: bool = False, limits: Limits = Limits()) -> Simulated:  # noqa: B008  # immutable
+def simulate(checked: CheckedScenario, *, preview: bool = False, limits: Limits = Limits()) -> SimulationFindings:  # noqa: B008  # immutable
     """Simulate a scenario without errors in a process of its own, and apply the simulated rules.
 
     If these find errors, warnings are dropped except `_CAUSES`: the behaviour would follow from the errors. A rule that raises an
@@ -138,16 +138,16 @@ def simulate(checked: Checked, *, preview: bool = False, limits: Limits = Limits
     source = checked.document.source
     report = measure(checked.inputs, limits, allow_code=checked.document.allow_code)
     if report.fault is not None:
-        return Simulated([internal_error("the simulation", source, report.fault)])
+        return SimulationFindings([internal_error_finding("the simulation", source, report.fault)])
     simulation = Simulation(checked, checked.program, checked.namespace, report)
     rules = [(code_of(rule), rule) for rule in SIMULATED_RULES]
     active = [(code, rule) for code, rule in rules if preview or not RULES[code].deep_preview]
-    found = [finding for code, rule in active for finding in faults_as_findings(f"the rule {code}", source, partial(rule, simulation))]
+    found = [finding for code, rule in active for finding in exceptions_as_findings(f"the rule {code}", source, partial(rule, simulation))]
     errors = [finding for finding in found if finding.severity == "error"]
     if not all(finding.is_internal_error for finding in errors):
         found = [finding for finding in found if finding.severity == "error" or finding.code in _CAUSES]
     halt = report.halt
-    return Simulated(found, f"{simulation.when()}, after {halt.what}" if halt is not None and halt.kind == "slow" else None)
+    return SimulationFindings(found, f"{simulation.when()}, after {halt.description}" if halt is not None and halt.kind == "slow" else None)
 
 
 # Findings that follow from others
@@ -159,13 +159,13 @@ class CascadeFilter:
     A value whose finding is suppressed by a comment is not doubtful.
     """
 
-    def __init__(self, checked: Checked) -> None:
+    def __init__(self, checked: CheckedScenario) -> None:
         doubtful = [finding for finding in checked.findings if finding.code in _DOUBTFUL]
         spans = [finding.span for finding in suppress(doubtful, checked.document.sources)[0]] if doubtful else []
         self._texts = _Texts(_depending_on(checked, spans) if spans else ())
 
-    def drops(self, finding: Finding) -> bool:
-        places = (finding.span, *(label.span for label in finding.also))
+    def is_consequence(self, finding: Finding) -> bool:
+        places = (finding.span, *(label.span for label in finding.labels))
         return finding.severity == "warning" and any(map(self._texts.around, places))
 
 
@@ -184,7 +184,7 @@ class _Texts:
         return spans[at] if at >= 0 and place.end <= spans[at].end else None
 
 
-def _depending_on(checked: Checked, doubtful: list[Span]) -> set[Span]:
+def _depending_on(checked: CheckedScenario, doubtful: list[Span]) -> set[Span]:
     """The texts of the doubtful values, and all texts that refer to names that these define, however indirectly."""
     assert checked.namespace is not None  # the scenario has no errors
     values = checked.namespace.values

@@ -11,9 +11,9 @@ from functools import cached_property
 from typing import NamedTuple, cast
 from weakref import proxy
 
-from deepbots_cli.compiler import Checked
+from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.compiler.namespace import Namespace
-from deepbots_cli.compiler.values import Text, Values
+from deepbots_cli.compiler.values import SourceText, ValueReader
 from deepbots_cli.diagnostics import Finding, Span
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.dimensions import Dimension
@@ -35,7 +35,7 @@ COMPARISONS = ("less", "less_equal", "greater", "greater_equal")
 _LASTING = ("duration", "integral")
 _NO_NAMES: frozenset[str] = frozenset()
 _TIME = frozenset({"time"})
-FOLLOWING = frozenset({"running_max", "running_min", "low_pass", "hold"})
+ORDER_PRESERVING = frozenset({"running_max", "running_min", "low_pass", "hold"})
 """Functions with a memory that rise with their argument."""
 _CLOCK = frozenset({"time", "step", "episode_return", "previous_reward"})
 _MARGIN = 0.02
@@ -104,7 +104,7 @@ class Analysis:
         self._ranges: dict[tuple[float, float], Ranges] = {}
         self.period = program.world.timestep * program.action_repeat
         """Seconds between two actions."""
-        self.last = program.truncation.max_episode_steps(self.period)
+        self.last_step = program.truncation.max_episode_steps(self.period)
         """The step at which an episode is truncated at the latest."""
 
     @cached_property
@@ -128,7 +128,7 @@ class Analysis:
     @cached_property
     def shadowed(self) -> Mapping[Ending, Ending]:
         """Endings that have no effect, each with the ending that always holds first."""
-        return shadowed(self)
+        return shadowed_endings(self)
 
     def ranges_in(self, first: float, last: float) -> Ranges:
         """Value ranges in these steps."""
@@ -138,7 +138,7 @@ class Analysis:
 
     @property
     def placements(self) -> list[Placement]:
-        """Those of the reset and of all its layouts."""
+        """The placements of the reset and of all its layouts."""
         reset = self.program.reset
         return [*reset.placements, *(place for layout in reset.layouts for place in layout.placements)]
 
@@ -147,7 +147,7 @@ class Analysis:
 
     # Definitions
 
-    def named(self, name: str) -> Expression | None:
+    def expression_named(self, name: str) -> Expression | None:
         """The definition of a name, where it has one."""
         found = self._defined.get(name)
         return found[0] if found else None
@@ -162,7 +162,7 @@ class Analysis:
             self._lowerings[owner] = _CachedLowering(owner, self.leaves)
         return self._lowerings[owner].scalars(typed)
 
-    def meaning(self, node: Scalar) -> Scalar:
+    def resolve_aliases(self, node: Scalar) -> Scalar:
         """The definition of a name, through names that only rename; any other tree is returned as it is."""
         for _ in range(len(self._defined) + 1):
             found = self.definition(node) if isinstance(node, Name) else None
@@ -177,10 +177,10 @@ class Analysis:
 
     def definition(self, node: Name) -> Scalar | None:
         """The definition of a name, which may be another name; None for a leaf."""
-        return None if self.is_noisy(node.name) else self.exact(node)
+        return None if self.is_noisy(node.name) else self.definition_without_noise(node)
 
-    def exact(self, node: Name) -> Scalar | None:
-        """The same regardless of noise: the exact value behind a name."""
+    def definition_without_noise(self, node: Name) -> Scalar | None:
+        """The definition of a name regardless of noise: the exact value."""
         if node.name not in self._defined or self._defined[node.name][0].foreign is not None:
             return None
         if node.name not in self._components:
@@ -222,7 +222,7 @@ class Analysis:
 
     # Dependencies
 
-    def names_behind(self, node: Scalar) -> frozenset[str]:
+    def dependencies(self, node: Scalar) -> frozenset[str]:
         """All names that a value depends on, its own included; `time` where it depends on how long something lasts."""
         known = self._names_behind.get(id(node))
         if known is None:
@@ -233,15 +233,15 @@ class Analysis:
         match node:
             case Name(name):
                 meant = self.definition(node)
-                return frozenset((name,)) if meant is None else self.names_behind(meant) | {name}
+                return frozenset((name,)) if meant is None else self.dependencies(meant) | {name}
             case Const() | World():
                 return _NO_NAMES
             case State(function) if function in _LASTING:
-                return _TIME.union(*map(self.names_behind, node.args))
+                return _TIME.union(*map(self.dependencies, node.args))
             case _:
-                return _NO_NAMES.union(*map(self.names_behind, node.args))
+                return _NO_NAMES.union(*map(self.dependencies, node.args))
 
-    def sources(self, node: Scalar) -> frozenset[str]:
+    def drawn_dependencies(self, node: Scalar) -> frozenset[str]:
         """The drawn parameters and the bodies that a value depends on, among other names."""
         known = self._sources.get(id(node))
         if known is None:
@@ -254,22 +254,22 @@ class Analysis:
                 yield name
                 meant = self.definition(node)  # name by name: a parameter may be behind another name
                 if meant is not None:
-                    yield from self.sources(meant)
-                sensor = self.sensor(self.meaning(node))
+                    yield from self.drawn_dependencies(meant)
+                sensor = self.sensor(self.resolve_aliases(node))
                 if sensor is not None:
                     yield sensor[0]
             case World(_, subjects):
                 yield from (subject.partition(".")[0].partition("#")[0] for subject in subjects)
             case _:
                 for part in parts(node):
-                    yield from self.sources(part)
+                    yield from self.drawn_dependencies(part)
 
-    def unfold(self, node: Scalar) -> Iterator[Scalar]:
+    def walk_definitions(self, node: Scalar) -> Iterator[Scalar]:
         """A value and everything that it is made of, through all names; each quantity once."""
         met: set[int] = set()
         waiting = [node]
         while waiting:
-            node = self.meaning(waiting.pop())
+            node = self.resolve_aliases(waiting.pop())
             if self.identity(node) not in met:
                 met.add(self.identity(node))
                 yield node
@@ -287,7 +287,7 @@ class Analysis:
     def _identity(self, node: Scalar) -> int:
         match node:
             case Name():
-                meaning = self.meaning(node)
+                meaning = self.resolve_aliases(node)
                 return self._number("name", meaning.name, meaning.component) if isinstance(meaning, Name) else self.identity(meaning)
             case Const(value):
                 return self._number("const", value)
@@ -303,9 +303,9 @@ class Analysis:
     def _number(self, *key: object) -> int:
         return self._numbers.setdefault(key, len(self._numbers))
 
-    def pair(self, node: Scalar) -> frozenset[str] | None:
+    def distance_pair(self, node: Scalar) -> frozenset[str] | None:
         """The two bodies whose distance this is, by any measure: between origins, between surfaces, or along a path."""
-        match self.meaning(node):
+        match self.resolve_aliases(node):
             case World("clearance" | "path_distance", subjects):
                 return frozenset(self._roots.get(subject, subject) for subject in subjects)
             case Op("hypot", args):
@@ -329,7 +329,7 @@ class Analysis:
 
     def is_one_comparison(self, value: Expression) -> bool:
         """Whether a condition is a comparison, and no conjunction or disjunction."""
-        meaning = self.meaning(self.scalars(value)[0])
+        meaning = self.resolve_aliases(self.scalars(value)[0])
         return isinstance(meaning, Op) and meaning.op in COMPARISONS
 
     def _compared(self, value: Expression, node: Typed, met: set[str]) -> Iterator[Comparison]:
@@ -340,7 +340,7 @@ class Analysis:
             case Operation(operator="and" | "or", args=args):
                 for arg in args:
                     yield from self._compared(value, arg, met)
-            case Reference(symbol=symbol) if (meant := self.named(symbol.name)) is not None and meant.typed.type.boolean:
+            case Reference(symbol=symbol) if (meant := self.expression_named(symbol.name)) is not None and meant.typed.type.boolean:
                 if symbol.name not in met and meant.foreign is None:
                     met.add(symbol.name)
                     yield from self._compared(meant, meant.typed, met)
@@ -371,7 +371,7 @@ Terms = list[tuple[Expression, Scalar]]
 
 
 class RewardTerms:
-    """What each term pays, in a step after which the episode goes on and in the step that ends it.
+    """The value of each reward term, in a step after which the episode goes on and in the step that ends it.
 
     `terms` are those that are not written in Python; `is_complete` says whether these are all.
     """
@@ -381,25 +381,25 @@ class RewardTerms:
         self.program = analysis.program
         self.terms = [(term, analysis.scalars(term)[0]) for term in self.program.policy.reward if term.foreign is None]
         self.is_complete = len(self.terms) == len(self.program.policy.reward)
-        self._steps = (1.0, float(analysis.last))
+        self._steps = (1.0, float(analysis.last_step))
         self._running: dict[tuple[float, float], Ranges] = {}
         self._at: dict[Ending | None, Ranges] = {}
 
-    def running(self, steps: tuple[float, float] | None = None) -> Ranges:
+    def ranges_while_running(self, steps: tuple[float, float] | None = None) -> Ranges:
         """Ranges in a step after which the episode goes on."""
         steps = steps or self._steps
         if steps not in self._running:
             self._running[steps] = Ranges(self.analysis, self._holding(None, truncated=False), steps)
         return self._running[steps]
 
-    def at(self, ending: Ending | None) -> Ranges:
+    def ranges_at(self, ending: Ending | None) -> Ranges:
         """Ranges in the step in which this ending holds, and no other; None stands for the truncation."""
         if ending not in self._at:
             self._at[ending] = Ranges(self.analysis, self._holding(ending, truncated=ending is None), self._steps)
         return self._at[ending]
 
     @property
-    def ends(self) -> tuple[Ending | None, ...]:
+    def endings_and_truncation(self) -> tuple[Ending | None, ...]:
         """All endings, and None for the truncation."""
         return (*self.program.endings, None)
 
@@ -408,21 +408,23 @@ class RewardTerms:
         holds |= {"terminated": ending is not None, "truncated": truncated, "ended": truncated or ending is not None}
         return {name: ALWAYS if held else NEVER for name, held in holds.items()}
 
-    def split(self) -> tuple[Terms, Terms]:
+    def split_by_end(self) -> tuple[Terms, Terms]:
         """The terms that pay in ordinary steps, and the terms that pay only when an episode ends."""
         ordinary: Terms = []
         final: Terms = []
         for term, node in self.terms:
-            is_final = self.running().of(node) == NEVER and any(self.at(ending).of(node) != NEVER for ending in self.ends)
+            is_final = self.ranges_while_running().of(node) == NEVER and any(
+                self.ranges_at(ending).of(node) != NEVER for ending in self.endings_and_truncation
+            )
             (final if is_final else ordinary).append((term, node))
         return ordinary, final
 
     def largest_final(self, final: Terms) -> float:
         """The largest amount that the terms in `final` pay or cost at an end; infinite where that is unknown."""
-        return max(iv.absolute(total(final, self.at(ending))).high for ending in self.ends)
+        return max(iv.absolute(total_range(final, self.ranges_at(ending))).high for ending in self.endings_and_truncation)
 
 
-def total(terms: Terms, ranges: Ranges) -> Interval:
+def total_range(terms: Terms, ranges: Ranges) -> Interval:
     """The sum of terms in one step."""
     found = NEVER
     for _, node in terms:
@@ -454,7 +456,7 @@ class Threshold(NamedTuple):
 
 def is_clock(analysis: Analysis, quantity: Scalar) -> bool:
     """Whether a quantity is the time or the return, which advance by themselves."""
-    meaning = analysis.meaning(quantity)
+    meaning = analysis.resolve_aliases(quantity)
     return isinstance(meaning, Name) and meaning.name in _CLOCK
 
 
@@ -463,7 +465,7 @@ def has_choice(analysis: Analysis, condition: Expression) -> bool:
     met: set[int] = set()
     waiting = [analysis.scalars(condition)[0]]
     while waiting:
-        node = analysis.meaning(waiting.pop())
+        node = analysis.resolve_aliases(waiting.pop())
         if isinstance(node, Op) and node.op == "or":
             return True
         if isinstance(node, Op) and node.op == "and" and analysis.identity(node) not in met:
@@ -473,7 +475,7 @@ def has_choice(analysis: Analysis, condition: Expression) -> bool:
 
 
 def thresholds(comparison: Comparison, ranges: Ranges) -> Iterator[Threshold]:
-    """What a comparison needs of each quantity that its sides are made of, for each component."""
+    """The thresholds that a comparison sets for each quantity of its sides, for each component."""
     analysis, node = ranges.analysis, comparison.node
     left, right = (analysis.lowered(arg, comparison.value.owner) for arg in node.args)
     count = max(len(left), len(right))
@@ -482,14 +484,14 @@ def thresholds(comparison: Comparison, ranges: Ranges) -> Iterator[Threshold]:
     for a, b in zip(left * (count // len(left)), right * (count // len(right)), strict=True):
         for side, other, typed, above in ((a, b, node.args[0], rising), (b, a, node.args[1], not rising)):
             bound = ranges.of(other)
-            if bound.finite and typed.type.stage is Stage.STEP:
+            if bound.is_finite and typed.type.stage is Stage.STEP:
                 yield from _derived(Threshold(side, above, bound, dimension), ranges)
 
 
 def _derived(threshold: Threshold, ranges: Ranges) -> Iterator[Threshold]:
     """A threshold, and those of the quantities that its quantity is made of."""
     yield threshold
-    meaning = ranges.analysis.meaning(threshold.quantity)
+    meaning = ranges.analysis.resolve_aliases(threshold.quantity)
     match meaning:
         case Op("abs", (inner,)) if threshold.above or ranges.of(inner).low >= 0.0:
             now = threshold.now and ranges.of(inner).low >= 0.0
@@ -500,7 +502,7 @@ def _derived(threshold: Threshold, ranges: Ranges) -> Iterator[Threshold]:
             yield from _derived(threshold._replace(quantity=inner, above=not threshold.above, bound=iv.negate(threshold.bound)), ranges)
         case Op("add" | "sub" | "mul" | "div" as op, (a, b)):
             yield from _solved(op, a, b, threshold, ranges)
-        case State(function, (inner, *_)) if function in FOLLOWING:
+        case State(function, (inner, *_)) if function in ORDER_PRESERVING:
             yield from _derived(threshold._replace(quantity=inner, now=False), ranges)
         case Name() if meaning != threshold.quantity:
             yield threshold._replace(quantity=meaning)
@@ -508,8 +510,8 @@ def _derived(threshold: Threshold, ranges: Ranges) -> Iterator[Threshold]:
 
 def _solved(op: str, a: Scalar, b: Scalar, threshold: Threshold, ranges: Ranges) -> Iterator[Threshold]:
     """`a + b > c` needs a > c - b, where b is known."""
-    known, unknown = (ranges.of(b), a) if ranges.of(b).finite else (ranges.of(a), b)
-    if not known.finite or ranges.of(unknown).single:
+    known, unknown = (ranges.of(b), a) if ranges.of(b).is_finite else (ranges.of(a), b)
+    if not known.is_finite or ranges.of(unknown).is_single:
         return
     if op in ("mul", "div") and (known.low <= 0.0 <= known.high or (op == "div" and unknown is b)):
         return
@@ -528,13 +530,13 @@ def _solved(op: str, a: Scalar, b: Scalar, threshold: Threshold, ranges: Ranges)
     yield from _derived(Threshold(unknown, above, bound, dimension, threshold.now), ranges)
 
 
-def shadowed(analysis: Analysis) -> Mapping[Ending, Ending]:
+def shadowed_endings(analysis: Analysis) -> Mapping[Ending, Ending]:
     """Endings that have no effect, each with the ending that always holds first: `abs(x) > 45 cm` after `abs(x) > 39 cm`.
 
     A failure has precedence over a success, so a failure behind a success still counts.
     """
     program, ranges = analysis.program, analysis.ranges_in(0.0, INF)
-    own = [ending for ending in program.endings if ending.foreign is None and not ranges.of(analysis.scalars(ending.value)[0]).single]
+    own = [ending for ending in program.endings if ending.foreign is None and not ranges.of(analysis.scalars(ending.value)[0]).is_single]
     found: dict[Ending, Ending] = {}
     for late in own if 1 < len(own) <= _MAX_ENDINGS else ():
         others = [other for other in own if other is not late and late.outcome in (other.outcome, "success")]
@@ -556,7 +558,7 @@ def shadowed(analysis: Analysis) -> Mapping[Ending, Ending]:
 
 def _is_gradual(analysis: Analysis, quantity: Scalar) -> bool:
     parameters = {value.name for value in analysis.program.parameters}
-    for node in analysis.unfold(quantity):
+    for node in analysis.walk_definitions(quantity):
         match node:
             case World(function) if function in _GRADUAL:
                 continue
@@ -578,17 +580,17 @@ class RuleContext:
     `program` is what it compiles to, `analysis` what several rules ask about that, and `values` the places in its text.
     """
 
-    def __init__(self, checked: Checked, program: Program, namespace: Namespace) -> None:
+    def __init__(self, checked: CheckedScenario, program: Program, namespace: Namespace) -> None:
         self.checked = checked
         self.program = program
         self.namespace = namespace
-        self.values: Values = namespace.values
+        self.values: ValueReader = namespace.values
         self.analysis = Analysis(program)
         variants = [*(case.program for case in program.cases), *(stage.program for stage in program.curriculum)]
         self.versions = (self.analysis, *map(Analysis, variants))
         """The scenario itself, and under the settings of each case and each stage."""
 
-    def text(self, owner: str) -> Text:
+    def text(self, owner: str) -> SourceText:
         """The text of an expression, by its owner."""
         return self.values.text(tuple(owner.split(".")))
 

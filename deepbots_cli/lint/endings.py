@@ -8,16 +8,16 @@ from typing import NamedTuple
 
 from deepbots_cli import footprint
 from deepbots_cli.diagnostics import Finding, Label
-from deepbots_cli.document.nodes import Path
+from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import LENGTH, TIME
 from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, TRUTH, Interval, hull
 from deepbots_cli.expressions.scalar import Name, Op, Scalar, World
-from deepbots_cli.lint.analysis import Analysis, Comparison, RuleContext, Threshold, has_choice, names_in, thresholds, total
-from deepbots_cli.lint.ranges import Ranges, between, with_unit
+from deepbots_cli.lint.analysis import Analysis, Comparison, RuleContext, Threshold, has_choice, names_in, thresholds, total_range
+from deepbots_cli.lint.ranges import Ranges, bounds_text, with_unit
 from deepbots_cli.lint.simulation import Simulation
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Thrust
-from deepbots_cli.program.task import Ending, Expected, ScenarioTest
+from deepbots_cli.program.task import Ending, ExpectedResult, ScenarioTest
 from deepbots_cli.program.values import Expression
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, RobotModel, Shape, Sphere
 
@@ -70,10 +70,10 @@ def _reasons(analysis: Analysis, ending: Ending) -> Iterator[str]:
     for entry in never:
         yield from (f"`{text}` is {words}" for text, known, words in _sides(entry, ranges) if known.low > -INF or known.high < INF)
     (node,) = analysis.scalars(ending.value)
-    touched = (part for part in analysis.unfold(node) if isinstance(part, World) and part.function in ("contact", "collided"))
+    touched = (part for part in analysis.walk_definitions(node) if isinstance(part, World) and part.function in ("contact", "collided"))
     intangible = sorted({name for part in touched for name in analysis.intangible.intersection(part.subjects)})
     yield from (f"nothing touches `{name}`, which is not solid" for name in intangible)
-    if not never and not intangible and isinstance(meaning := analysis.meaning(node), Op) and meaning.op == "and":
+    if not never and not intangible and isinstance(meaning := analysis.resolve_aliases(node), Op) and meaning.op == "and":
         yield "its parts are never true at the same time"
 
 
@@ -81,8 +81,8 @@ def _sides(entry: Comparison, ranges: Ranges) -> Iterator[tuple[str, Interval, s
     """The text, the range and the range in words of both sides of a comparison, except constants."""
     for arg in entry.node.args:
         known = hull([ranges.of(part) for part in ranges.analysis.lowered(arg, entry.value.owner)])
-        if not known.single:
-            yield entry.value.text[arg.start : arg.end], known, between(known, arg.type.dimension)
+        if not known.is_single:
+            yield entry.value.text[arg.start : arg.end], known, bounds_text(known, arg.type.dimension)
 
 
 def always_true(context: RuleContext) -> Iterator[Finding]:
@@ -120,9 +120,9 @@ def shadowed_limit(context: RuleContext) -> Iterator[Finding]:
     """
     yield from _later_limit(context)
     yield from _later_ending(context)
-    analysis, last = context.analysis, context.analysis.last
+    analysis, last = context.analysis, context.analysis.last_step
     for ending in context.program.endings:
-        if _truth_over_episode(analysis, ending).single or ending.foreign:
+        if _truth_over_episode(analysis, ending).is_single or ending.foreign:
             continue  # DB801, DB802
         (node,) = analysis.scalars(ending.value)
         limit = f"the truncation at step {last}"
@@ -130,25 +130,25 @@ def shadowed_limit(context: RuleContext) -> Iterator[Finding]:
             headline = f"`{ending.value.name}` cannot hold before {limit}"
             help = "raise the limit under `truncation`, or remove the ending"
             yield Finding(
-                "DB804", ending.value.span, headline, help=help, also=(Label(context.values.key_span(("truncation",)), "the truncation"),)
+                "DB804", ending.value.span, headline, help=help, labels=(Label(context.values.key_span(("truncation",)), "the truncation"),)
             )
         elif not _leaves(analysis, node) <= _CLOCK and last > 1 and _with_return(analysis, last - 1, last - 1).of(node) == ALWAYS:
             headline = f"`{ending.value.name}` ends every episode before {limit}"
             help = "remove this ending: `truncation` ends the episode, and the section `solved` defines a good result"
             yield Finding(
-                "DB804", ending.value.span, headline, help=help, also=(Label(context.values.key_span(("truncation",)), "never reached"),)
+                "DB804", ending.value.span, headline, help=help, labels=(Label(context.values.key_span(("truncation",)), "never reached"),)
             )
 
 
 def _with_return(analysis: Analysis, first: int, last: int) -> Ranges:
     """Ranges in these steps, with the range of the return; `first` is 0 or `last`."""
     reward = analysis.reward
-    step = total(reward.terms, reward.running())
+    step = total_range(reward.terms, reward.ranges_while_running())
     ticks = float((last - bool(first)) * analysis.program.action_repeat)
     known = Interval()
     if reward.is_complete and not first:
         known = Interval(min(0.0, step.low * ticks), max(0.0, step.high * ticks))
-    elif reward.is_complete and step.finite:
+    elif reward.is_complete and step.is_finite:
         known = Interval(step.low * ticks, step.high * ticks)
     return Ranges(analysis, {"episode_return": known}, (float(first), float(last)))
 
@@ -160,7 +160,7 @@ def _later_limit(context: RuleContext) -> Iterator[Finding]:
         other = "max_steps" if name == "max_time" else "max_time"
         headline = f"`{name}` has no effect: `{other}` always ends the episode first"
         also = (Label(context.values.span(("truncation", other)), "ends the episode first"),)
-        yield Finding("DB804", context.values.span(("truncation", name)), headline, help="remove one of the two", also=also)
+        yield Finding("DB804", context.values.span(("truncation", name)), headline, help="remove one of the two", labels=also)
 
 
 def _later(program: Program) -> str:
@@ -179,13 +179,13 @@ def _later_ending(context: RuleContext) -> Iterator[Finding]:
         if all(late.value.name in names for names in later):
             headline = f"`{late.value.name}` has no effect: `{first.value.name}` always ends the episode first"
             help = "write a limit that is reached first" if late.outcome != first.outcome else "remove one of the two"
-            yield Finding("DB804", late.value.span, headline, help=help, also=(Label(first.value.span, "ends the episode first"),))
+            yield Finding("DB804", late.value.span, headline, help=help, labels=(Label(first.value.span, "ends the episode first"),))
 
 
 def _leaves(analysis: Analysis, node: Scalar) -> set[str]:
     """The names without definition that a value depends on, except parameters; facts of the world by their function."""
     parameters = {value.name for value in analysis.program.parameters}
-    nodes = list(analysis.unfold(node))
+    nodes = list(analysis.walk_definitions(node))
     names = {part.name for part in nodes if isinstance(part, Name)} - parameters
     return names | {f"{part.function}()" for part in nodes if isinstance(part, World)}
 
@@ -211,7 +211,7 @@ def timeout_as_termination(context: RuleContext) -> Iterator[Finding]:
     }
     for ending in context.program.endings if not shown & _CLOCK else ():
         names = _leaves(analysis, analysis.scalars(ending.value)[0]) if ending.foreign is None else set()
-        if names and names <= _CLOCK and not analysis.ranges.of(analysis.scalars(ending.value)[0]).single:
+        if names and names <= _CLOCK and not analysis.ranges.of(analysis.scalars(ending.value)[0]).is_single:
             headline = f"`{ending.value.name}` depends only on the time, which the policy does not observe"
             kept = " or ".join(f"`{'max_time: 5 s' if name == 'time' else 'max_steps: 200'}`" for name in sorted(names))
             yield Finding("DB805", ending.value.span, headline, help=f"limit the episode under `truncation`: {kept}")
@@ -233,7 +233,7 @@ def ends_at_reset(context: RuleContext) -> Iterator[Finding]:
         if ending.foreign is None and start.of(analysis.scalars(ending.value)[0]) == ALWAYS != _truth_over_episode(analysis, ending):
             headline = f"`{ending.value.name}` already holds when an episode begins"
             sides = [side for entry in analysis.comparisons(ending.value) for side in _sides(entry, start)]
-            notes = tuple(f"`{text}` begins {words}" for text, known, words in sides if known.finite)
+            notes = tuple(f"`{text}` begins {words}" for text, known, words in sides if known.is_finite)
             help = "change the initial state under `reset`, widen the limit, or reverse the comparison"
             yield Finding("DB806", ending.value.span, headline, help=help, notes=notes)
 
@@ -241,7 +241,7 @@ def ends_at_reset(context: RuleContext) -> Iterator[Finding]:
 def sometimes_ends_at_reset(simulation: Simulation) -> Iterator[Finding]:
     """DB806: an ending holds when an episode begins, with at least one seed."""
     for ending in simulation.program.endings:
-        seeds = simulation.report.early.get(ending.value.name, [])
+        seeds = simulation.report.endings_at_reset.get(ending.value.name, [])
         if seeds:
             headline = f"`{ending.value.name}` already holds at the start of {len(seeds)} of {simulation.plan.resets} episodes"
             more = ", ..." if len(seeds) > _MAX_SEEDS else ""
@@ -257,8 +257,8 @@ def undefined_value(simulation: Simulation) -> Iterator[Finding]:
         help = "write an expression that is always defined, such as `x / max(y, 1 cm)`"
         yield Finding("DB808", failed.span, f"`{failed.name}` has no value", help=help, notes=failed.notes)
     elif failed is None and stop.get("kind") == "value":
-        span = simulation.values.key_span(("reset",) if simulation.report.where.doing == "reset" else ("robots",))
-        headline = "an episode cannot begin" if simulation.report.where.doing == "reset" else "an episode cannot continue"
+        span = simulation.values.key_span(("reset",) if simulation.report.where.activity == "reset" else ("robots",))
+        headline = "an episode cannot begin" if simulation.report.where.activity == "reset" else "an episode cannot continue"
         yield Finding("DB808", span, headline, notes=(simulation.when(), str(stop.get("text", ""))))
 
 
@@ -280,14 +280,14 @@ def after_the_end(context: RuleContext) -> Iterator[Finding]:
           knock: {body: cart, force: 5 0 0 N, at: 2 s, duration: 50 ms}
     """
     times = [{path: time for _, time, path in _delays(analysis)} for analysis in context.versions]
-    end = max(analysis.last * analysis.period for analysis in context.versions)  # s
+    end = max(analysis.last_step * analysis.period for analysis in context.versions)  # s
     for what, time, path in _delays(context.analysis):
         if time >= end and all(known.get(path, time) >= end for known in times):
             headline = f"{what} {with_unit(time, TIME)} or more, and no episode lasts longer than {with_unit(end, TIME)}"
             yield Finding("DB811", context.values.span(path), headline, help="write a shorter time, or longer episodes under `truncation`")
 
 
-def _delays(analysis: Analysis) -> Iterator[tuple[str, float, Path]]:
+def _delays(analysis: Analysis) -> Iterator[tuple[str, float, NodePath]]:
     """Events that come with a delay, the smallest delay (s), and its place."""
     program = analysis.program
 
@@ -366,14 +366,14 @@ def unreachable_goal(context: RuleContext) -> Iterator[Finding]:
             if reason is not None:
                 words, help = reason
                 also = () if entry.value is ending.value else (Label(entry.value.span, f"`{ending.value.name}` depends on it"),)
-                yield Finding("DB807", ending.value.span, f"`{ending.value.name}` {words}", help=help, also=also)
+                yield Finding("DB807", ending.value.span, f"`{ending.value.name}` {words}", help=help, labels=also)
                 break
 
 
 def _unreachable(analysis: Analysis, asked: Threshold) -> tuple[str, str] | None:
     """Why two bodies cannot come so near, and a help; None where they can, or where that is unknown."""
-    pair = analysis.pair(asked.quantity)
-    if pair is None or len(pair) != 2 or isinstance(analysis.meaning(asked.quantity), World):
+    pair = analysis.distance_pair(asked.quantity)
+    if pair is None or len(pair) != 2 or isinstance(analysis.resolve_aliases(asked.quantity), World):
         return None
     a, b = sorted(pair)
     limit = asked.bound.high
@@ -433,9 +433,9 @@ def _height(analysis: Analysis, subject: str, shape: Shape | RobotModel) -> floa
     known = start.initial(World("position", (subject,), "z"))
     if known is None:
         return None
-    if known.single:
+    if known.is_single:
         return known.low
-    return footprint.resting_height(shape) if not known.finite else None
+    return footprint.resting_height(shape) if not known.is_finite else None
 
 
 def _core(shape: Shape, height: float, *, upright: bool) -> list[SolidProfile]:
@@ -493,19 +493,19 @@ def idle_test(context: RuleContext) -> Iterator[Finding]:
                 yield Finding("DB813", expected.span, headline, help=help)
 
 
-def _only_outcome(analysis: Analysis, test: ScenarioTest, expected: Expected) -> bool | None:
+def _only_outcome(analysis: Analysis, test: ScenarioTest, expected: ExpectedResult) -> bool | None:
     """Whether an expectation is met in any case (True) or in none (False)."""
     if expected.endings:
         limits = analysis.program.truncation
         every = {ending.name for ending in analysis.program.endings}
         every |= {name for name in ("max_steps", "max_time") if getattr(limits, name) is not None}
-        return True if every <= set(expected.endings) and test.steps >= analysis.last else None
+        return True if every <= set(expected.endings) and test.steps >= analysis.last_step else None
     if expected.condition is None:
         return True if expected.key != "mean_return" and expected.low <= 0.0 and expected.high >= 1.0 else None
     if not _OF_LAST_STEP.isdisjoint(names_in(expected.condition.typed)):
         return None  # their ranges are those of the step before
     known = analysis.ranges_in(1.0, float(test.steps)).of(analysis.scalars(expected.condition)[0])
-    return known == ALWAYS if known.single else None
+    return known == ALWAYS if known.is_single else None
 
 
 STATIC_RULES = (never_true, always_true, shadowed_limit, timeout_as_termination, ends_at_reset, after_the_end, unreachable_goal, idle_test)

@@ -13,14 +13,14 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from deepbots_cli.compiler import Checked
+from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.diagnostics import Edit, Finding, Findings, Source
 from deepbots_cli.document import files, shipped
 from deepbots_cli.document.load import NO_DRAFTS, Drafts
-from deepbots_cli.document.nodes import Mapping, enclosing_entry, to_data
+from deepbots_cli.document.nodes import MappingNode, enclosing_entry, to_data
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
-from deepbots_cli.lint import review
+from deepbots_cli.lint import all_findings
 
 _ROUNDS = 10
 _EFFORT = 150
@@ -33,7 +33,7 @@ _BETWEEN_ENTRIES = frozenset({"DB002", "DB202"})
 _PER_SCENARIO = frozenset({"DB205", "DB901"})
 """A definition that this scenario does not use may be used by another one that includes the same file."""
 
-Load = Callable[..., Checked]
+Load = Callable[..., CheckedScenario]
 """`api.load`, or a partial of it; called with a name and `drafts`."""
 
 
@@ -47,7 +47,7 @@ class Rewrite:
 
 
 @dataclass(frozen=True)
-class Linted:
+class LintResult:
     """The findings of a scenario and the files that it was read from, its own first.
 
     `root` is None where the text is no YAML; `compiled` says whether lint rules have run.
@@ -55,7 +55,7 @@ class Linted:
 
     findings: Sequence[Finding]
     files: dict[Path, Source]
-    root: Mapping | None
+    root: MappingNode | None
     compiled: bool
 
     @cached_property
@@ -76,7 +76,7 @@ class Linted:
     @property
     def first_error(self) -> int:
         """Its line."""
-        return min((finding.span.begin.line for finding in self.errors), default=0)
+        return min((finding.span.start_position.line for finding in self.errors), default=0)
 
 
 class Fixer:
@@ -118,14 +118,14 @@ class Fixer:
         return [Rewrite(path, self._originals[path], data) for path, data in self.drafts.items() if data != self._originals[path]]
 
     @property
-    def left(self) -> list[Finding]:
+    def remaining_findings(self) -> list[Finding]:
         """The findings of the drafts."""
         return [finding for linted in self._linted.values() for finding in linted.findings]
 
-    def _lint(self, name: str, drafts: Drafts) -> Linted:
+    def _lint(self, name: str, drafts: Drafts) -> LintResult:
         checked = self._load(name, drafts=drafts)
         document = checked.document
-        return Linted(review(checked, preview=self._preview), document.files, document.root, checked.program is not None)
+        return LintResult(all_findings(checked, preview=self._preview), document.files, document.root, checked.program is not None)
 
     def _round(self, name: str) -> bool:
         """Whether any fix of a scenario was applied."""
@@ -142,7 +142,7 @@ class Fixer:
         self.fixed += applied
         return bool(applied)
 
-    def _applicable(self, linted: Linted) -> list[Finding]:
+    def _applicable(self, linted: LintResult) -> list[Finding]:
         """Findings whose fixes do not overlap. Errors first: a warning may follow from an error that keeps rules from running."""
         chosen: list[Finding] = []
         ends: dict[Source, int] = {}
@@ -153,7 +153,7 @@ class Fixer:
                 ends |= {edit.span.source: edit.span.end for edit in edits}
         return chosen
 
-    def _is_applicable(self, finding: Finding, linted: Linted) -> bool:
+    def _is_applicable(self, finding: Finding, linted: LintResult) -> bool:
         if finding.fix is None or not (finding.fix.safe or self._unsafe) or not self._wanted(finding):
             return False
         if any(edit.span.source not in linted.editable for edit in finding.fix.edits):
@@ -162,12 +162,12 @@ class Fixer:
             return False
         return finding.code != "DB901" or _keeps_values(finding.span.source, finding.fix.edits)
 
-    def _try(self, name: str, fixes: list[Finding], before: dict[str, Linted], drafts: Drafts) -> bool:
+    def _try(self, name: str, fixes: list[Finding], before: dict[str, LintResult], drafts: Drafts) -> bool:
         """Apply fixes to the state at the beginning of a round; they stay applied if they do no harm."""
         self._effort -= 1 + sum(len(source.text) for source in before[name].files.values()) // _USUAL_SIZE
         edits = [edit for finding in fixes if finding.fix for edit in finding.fix.edits]
         edited = self._edited(before[name], edits)
-        after: dict[str, Linted] = {}
+        after: dict[str, LintResult] = {}
         for other, known in before.items():
             if other != name and known.files.keys().isdisjoint(edited):
                 continue
@@ -186,7 +186,7 @@ class Fixer:
         self.drafts, self._linted = {**drafts, **edited}, {**before, **after}
         return True
 
-    def _edited(self, linted: Linted, edits: Iterable[Edit]) -> dict[Path, bytes]:
+    def _edited(self, linted: LintResult, edits: Iterable[Edit]) -> dict[Path, bytes]:
         by_source: dict[Source, list[Edit]] = {}
         for edit in edits:
             by_source.setdefault(edit.span.source, []).append(edit)
@@ -216,7 +216,7 @@ def _keeps_values(source: Source, edits: Iterable[Edit]) -> bool:
     return before is not None and after is not None and to_data(before) == to_data(after)
 
 
-def _outside(added: Iterable[Finding], root: Mapping, edits: Iterable[Edit]) -> list[Finding]:
+def _outside(added: Iterable[Finding], root: MappingNode, edits: Iterable[Edit]) -> list[Finding]:
     """The new errors that are not within an edited entry of the document `root`."""
     entries = []
     shift: Counter[Source] = Counter()
@@ -241,7 +241,7 @@ def _counted(findings: Iterable[Finding]) -> Counter[tuple[str, str, str]]:
     return Counter(map(_key, findings))
 
 
-def _added(after: Linted, before: Linted) -> list[Finding]:
+def _added(after: LintResult, before: LintResult) -> list[Finding]:
     """The errors that were not there before."""
     added = _counted(after.errors) - _counted(before.errors)
     return [finding for finding in after.errors if added[_key(finding)]]

@@ -61,7 +61,7 @@ def _unused_parts(context: RuleContext) -> Iterator[Finding]:
     """Sensors and actuators of a robot, and what it receives."""
     read = {
         subject.name
-        for value in context.program.computed
+        for value in context.program.computed_expressions
         for node in walk(value.typed)
         if isinstance(node, Invocation)
         for subject in node.subjects
@@ -147,7 +147,7 @@ def _is_measurement(analysis: Analysis, node: Scalar, known: dict[int, bool]) ->
     """`known` holds the answers for quantities that were asked before."""
     number = analysis.identity(node)
     if number not in known:
-        match analysis.meaning(node):
+        match analysis.resolve_aliases(node):
             case World(function, subjects):
                 fixed = {thing.name for thing in analysis.program.world.objects if thing.fixed}
                 known[number] = function in _MEASURED and fixed.isdisjoint(subject.partition("#")[0] for subject in subjects)
@@ -225,7 +225,7 @@ class _Wrapping:
     def _differ(self, heading: Typed, other: Typed) -> bool:
         """Whether two angles can lie on both sides of 180 deg; a constant near 0 cannot."""
         known = other.type.interval
-        return self._wraps(heading) and (self._wraps(other) or (known.finite and max(-known.low, known.high) > pi / 2 + 1e-9))
+        return self._wraps(heading) and (self._wraps(other) or (known.is_finite and max(-known.low, known.high) > pi / 2 + 1e-9))
 
     def _wraps(self, node: Typed) -> bool:
         if node.type.dimension != ANGLE or node.type.stage is not Stage.STEP:
@@ -245,7 +245,7 @@ class _Wrapping:
     def _name_wraps(self, name: str) -> bool:
         if name not in self._known:
             robot = next((robot for robot in self._analysis.program.robots if name.startswith(f"{robot.name}.")), None)
-            meant = self._analysis.named(name)
+            meant = self._analysis.expression_named(name)
             inner = _Wrapping(self._analysis, robot, self._known)
             self._known[name] = meant is not None and meant.foreign is None and inner._wraps(meant.typed)
         return self._known[name]

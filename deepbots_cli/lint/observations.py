@@ -17,7 +17,7 @@ from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 from deepbots_cli.expressions.scalar import children as parts_of
 from deepbots_cli.expressions.types import Invocation, Reference, Typed, walk
 from deepbots_cli.lint.analysis import Analysis, RuleContext
-from deepbots_cli.lint.ranges import between, range_text, with_unit
+from deepbots_cli.lint.ranges import bounds_text, range_text, with_unit
 from deepbots_cli.lint.simulation import MeasuredNumber, Simulation
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Observation
@@ -155,7 +155,7 @@ def goal_in_observation(context: RuleContext) -> Iterator[Finding]:
     analysis = context.analysis.ideal
 
     def sources(value: Expression) -> set[str]:
-        return {name for node in analysis.scalars(value) for name in analysis.sources(node)}
+        return {name for node in analysis.scalars(value) for name in analysis.drawn_dependencies(node)}
 
     bodies = {thing.name for thing in program.world.objects} | {robot.name for robot in program.world.robots}
     goal_sources = sources(program.policy.goal.desired) - sources(program.policy.goal.achieved)
@@ -166,7 +166,7 @@ def goal_in_observation(context: RuleContext) -> Iterator[Finding]:
             headline = f"`{entry.value.name}` depends on the goal, but hindsight replay replaces only `desired`"
             help = "remove it: the policy sees `achieved` and `desired` in addition to the observation"
             also = (Label(program.policy.goal.desired.span, f"also depends on `{min(shared)}`"),)
-            yield Finding("DB614", entry.value.span, headline, help=help, also=also)
+            yield Finding("DB614", entry.value.span, headline, help=help, labels=also)
 
 
 class SeenNumber(NamedTuple):
@@ -222,7 +222,7 @@ def noise_without_effect(context: RuleContext) -> Iterator[Finding]:
             headline = f"`{number.name}` has noise, and the policy sees its exact value in `{shown.name}`"
             help = "declare the noise once, under `augment`, as `{value: ..., noise: ...}`, and use this name in both places"
             also = (Label(shown.span, "exact value"),)
-            yield Finding("DB616", noises[0].std.span, headline, help=help, also=also)
+            yield Finding("DB616", noises[0].std.span, headline, help=help, labels=also)
 
 
 def may_be_noisy(program: Program) -> tuple[Expression, ...]:
@@ -242,22 +242,22 @@ def _seen_numbers(analysis: Analysis) -> Iterator[SeenNumber]:
         for value in (program.policy.goal.achieved, program.policy.goal.desired):
             for node, low, high in zip(analysis.scalars(value), program.policy.goal.low, program.policy.goal.high, strict=False):
                 found.append(SeenNumber(value.name, value.span, node, Interval(low, high), value.noise))
-    return (number for number in found if not (is_late and any("." in name for name in analysis.names_behind(number.node))))
+    return (number for number in found if not (is_late and any("." in name for name in analysis.dependencies(number.node))))
 
 
 def _noises(analysis: Analysis, number: SeenNumber) -> list[Noise]:
     """The noise that a number has, its own first."""
-    names = [part.name for part in analysis.unfold(number.node) if isinstance(part, Name) and analysis.is_noisy(part.name)]
-    measured = [value for name in names if (value := analysis.named(name)) is not None]
+    names = [part.name for part in analysis.walk_definitions(number.node) if isinstance(part, Name) and analysis.is_noisy(part.name)]
+    measured = [value for name in names if (value := analysis.expression_named(name)) is not None]
     return [noise for noise in (number.noise, *(value.noise for value in measured)) if noise is not None]
 
 
 def _linear(analysis: Analysis, node: Scalar, known: dict[int, Linear]) -> Linear:
     """The value without noise; anything but a sum of products with fixed factors is one measurement. `known` is a cache."""
-    node = analysis.meaning(node)
+    node = analysis.resolve_aliases(node)
     number = analysis.identity(node)
     if number not in known:
-        exact = analysis.exact(node) if isinstance(node, Name) and analysis.is_noisy(node.name) else None
+        exact = analysis.definition_without_noise(node) if isinstance(node, Name) and analysis.is_noisy(node.name) else None
         parts = [_linear(analysis, part, known) for part in ((exact,) if exact is not None else parts_of(node))]
         match node:
             case Name() if exact is not None:
@@ -316,7 +316,7 @@ def observation_unbounded(context: RuleContext) -> Iterator[Finding]:
         observation: {speed: -0.8 .. 0.8 m/s}
     """
     analysis = context.analysis
-    loose = [number for number in ranged_numbers(analysis) if not number.entry.clip and not analysis.ranges.of(number.node).finite]
+    loose = [number for number in ranged_numbers(analysis) if not number.entry.clip and not analysis.ranges.of(number.node).is_finite]
     for entry in {id(number.entry): number.entry for number in loose}.values():
         headline = f"`{entry.value.name}` is not clipped to its range, and can be arbitrarily large"
         fix = removal_fix(context.values.root, ("observation", entry.value.name, "clip"))
@@ -342,8 +342,8 @@ def bounds_mismatch(context: RuleContext) -> Iterator[Finding]:
     for number in clipped_once(analysis):
         known = analysis.ranges.of(number.node)
         if number.is_outside(known):
-            headline = f"`{number.name}` is {between(known, number.dimension)}, outside of its range in the observation"
-            is_known = known.finite and not known.single
+            headline = f"`{number.name}` is {bounds_text(known, number.dimension)}, outside of its range in the observation"
+            is_known = known.is_finite and not known.is_single
             help = "write the range of the value" + (f": `{range_text(known, number.dimension)}`" if is_known else "")
             fix = replace_range(context, number, known, number.dimension) if is_known else None
             yield Finding("DB602", context.range_span(number.entry), headline, help=help, fix=fix)
@@ -374,7 +374,9 @@ def constant_observation(simulation: Simulation) -> Iterator[Finding]:
     if not simulation.is_complete or simulation.steps < _MIN_STEPS:
         return
     still = [
-        number for number in simulation.numbers if number.place in simulation.report.still and not number.entry.value.typed.type.boolean
+        number
+        for number in simulation.numbers
+        if number.place in simulation.report.constant_numbers and not number.entry.value.typed.type.boolean
     ]
     still = [number for number in still if -1.0 < _constant(simulation, number) < 1.0]
     for _, group in groupby(still, key=lambda number: number.entry.value.name):
@@ -388,7 +390,7 @@ def constant_observation(simulation: Simulation) -> Iterator[Finding]:
         yield Finding("DB608", entry.value.span, headline, help=help, notes=(simulation.summary,))
     pictures = [entry for entry in simulation.program.policy.observation if entry.value.typed.type.picture]
     for place, entry in enumerate(pictures, start=len(simulation.numbers)):
-        if place in simulation.report.still:
+        if place in simulation.report.constant_numbers:
             help = "check the place and the view of its camera, or add a script under `scripts` that changes it"
             yield Finding(
                 "DB608", entry.value.span, f"the picture `{entry.value.name}` never changes", help=help, notes=(simulation.summary,)

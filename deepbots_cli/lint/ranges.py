@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.dimensions import ANGLE, NUMBER, Dimension
-from deepbots_cli.expressions.functions import FUNCTIONS, operation
-from deepbots_cli.expressions.intervals import EVERYTHING, INF, NEVER, TRUTH, Interval, exact, hull
+from deepbots_cli.expressions.functions import FUNCTIONS, function_named
+from deepbots_cli.expressions.intervals import EVERYTHING, INF, NEVER, TRUTH, Interval, hull, single
 from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar, State, World
 from deepbots_cli.program.resets import Placement, Region, Top
 
@@ -42,7 +42,7 @@ class Ranges:
         `steps` are the first and the last step, by default all steps of an episode.
         """
         self.analysis = analysis
-        first, last = self.steps = steps or (0.0, float(analysis.last))
+        first, last = self.steps = steps or (0.0, float(analysis.last_step))
         before = max(0.0, first - 1.0) * analysis.period + (analysis.program.world.timestep if first else 0.0)
         self._time = Interval(before, last * analysis.period)
         self.given = {"step": Interval(first, last), "time": self._time, **given}
@@ -52,7 +52,7 @@ class Ranges:
         self._names: dict[Name, Interval] = {}
 
     def where(self, quantity: int, kept: Interval) -> Ranges:
-        """The same where the quantity of this identity stays within `kept`."""
+        """The ranges while the quantity of this identity stays within `kept`."""
         return type(self)(self.analysis, self.given, self.steps, (quantity, kept))
 
     def of(self, node: Scalar) -> Interval:
@@ -64,8 +64,8 @@ class Ranges:
 
     def _of(self, node: Scalar) -> Interval:
         if isinstance(node, Const):
-            return exact(float(node.value))
-        if self._base is not None and self.analysis.names_behind(node).isdisjoint(self.given):
+            return single(float(node.value))
+        if self._base is not None and self.analysis.dependencies(node).isdisjoint(self.given):
             return self._base.of(node)  # worked out once for all steps
         if self._kept is not None and self.analysis.identity(node) == self._kept[0]:
             return self._kept[1]
@@ -85,13 +85,13 @@ class Ranges:
         if node.name in self.given:
             return self.given[node.name]
         if node not in self._names:
-            meaning = self.analysis.meaning(node)
+            meaning = self.analysis.resolve_aliases(node)
             known = self._leaf(meaning) if isinstance(meaning, Name) else self.of(meaning)
             goal = self.analysis.program.policy.goal
             if goal is not None and node.name in ("achieved", "desired"):  # both are clipped to the range of the goal
                 names = goal.achieved.components or (None,)
                 at = names.index(node.component) if node.component in names else 0
-                known = iv.clamped(known, exact(goal.low[at]), exact(goal.high[at]))
+                known = iv.clamp(known, single(goal.low[at]), single(goal.high[at]))
             self._names[node] = known
         return self._names[node]
 
@@ -100,7 +100,7 @@ class Ranges:
             return self.given[node.name]
         if self.analysis.is_noisy(node.name):
             return EVERYTHING
-        foreign = self.analysis.named(node.name)
+        foreign = self.analysis.expression_named(node.name)
         return foreign.typed.type.interval if foreign is not None else self.analysis.leaves.get(node.name, EVERYTHING)
 
     def _world(self, node: World) -> Interval:
@@ -131,12 +131,12 @@ class Ranges:
             chosen = args[1:2] if condition.low > 0.0 else args[2:] if condition.high <= 0.0 else args[1:]
             return hull([self.of(arg) for arg in chosen])
         if op == "mul" and args[0] == args[1]:
-            return iv.power(self.of(args[0]), exact(2.0))
+            return iv.power(self.of(args[0]), single(2.0))
         if op == "sub" and self.analysis.identity(args[0]) == self.analysis.identity(args[1]):
             return NEVER
         if op == "and" and self._is_contradictory(args):
             return NEVER
-        return operation(op).interval(*[self.of(arg) for arg in args])
+        return function_named(op).interval(*[self.of(arg) for arg in args])
 
     def _is_contradictory(self, conditions: Sequence[Scalar]) -> bool:
         """Whether a quantity would have to be above and below: `x > 20 cm and x < 10 cm`."""
@@ -155,7 +155,7 @@ class Ranges:
         met: set[int] = set()
         waiting = list(conditions)
         while waiting and len(met) < _MAX_CONDITIONS:
-            condition = analysis.meaning(waiting.pop())
+            condition = analysis.resolve_aliases(waiting.pop())
             if analysis.identity(condition) in met:
                 continue
             met.add(analysis.identity(condition))
@@ -166,7 +166,7 @@ class Ranges:
                     high = self.of(large).high
                     high = math.nextafter(high, -INF) if condition.op in ("less", "greater") else high
                     yield analysis.identity(small), Interval(-INF, high)
-                    if isinstance(inner := analysis.meaning(small), Op) and inner.op == "abs":
+                    if isinstance(inner := analysis.resolve_aliases(small), Op) and inner.op == "abs":
                         yield analysis.identity(inner.args[0]), Interval(-high, high)
                     yield analysis.identity(large), Interval(self.of(small).low, INF)
 
@@ -258,16 +258,16 @@ class StartRanges(Ranges):
                 return EVERYTHING
             if isinstance(region, Region):
                 return Interval(region.low[axis], region.high[axis])
-            return hull([exact(spot[axis]) for spot in region.spots])
+            return hull([single(spot[axis]) for spot in region.spots])
         coordinate = place.coordinates.get(key)
         if coordinate is None:
-            return EVERYTHING if key == "z" and place.rests else exact(0.0)
+            return EVERYTHING if key == "z" and place.rests else single(0.0)
         return self.of(coordinate.scalar)
 
     def _quaternion(self, place: Placement) -> tuple[Interval, ...]:
         """(x, y, z, w) of a body turned by roll, pitch and yaw about fixed axes, in this order."""
-        halves = [iv.multiply(self._coordinate(place, key), exact(0.5)) for key in _TURNS]
-        halves[2] = iv.add(halves[2], exact(place.heading / 2))
+        halves = [iv.multiply(self._coordinate(place, key), single(0.5)) for key in _TURNS]
+        halves[2] = iv.add(halves[2], single(place.heading / 2))
         (cr, cp, cy), (sr, sp, sy) = map(iv.cosine, halves), map(iv.sine, halves)
         return (
             iv.subtract(_product(sr, cp, cy), _product(cr, sp, sy)),
@@ -291,7 +291,7 @@ class StartRanges(Ranges):
 
 def is_level(pose: Mapping[str, Interval]) -> bool:
     """Whether a pose of `StartRanges.poses` is neither rolled nor pitched."""
-    return pose["roll"] == pose["pitch"] == exact(0.0)
+    return pose["roll"] == pose["pitch"] == single(0.0)
 
 
 def _product(a: Interval, b: Interval, c: Interval) -> Interval:
@@ -311,11 +311,11 @@ def range_text(interval: Interval, dimension: Dimension) -> str:
     return f"{_number(interval.low, dimension)} .. {_number(interval.high, dimension)}{_unit(dimension)}"
 
 
-def between(interval: Interval, dimension: Dimension) -> str:
+def bounds_text(interval: Interval, dimension: Dimension) -> str:
     """`between 0 and 15 deg`, `at least 2 m`."""
-    if interval.single:
+    if interval.is_single:
         return f"always {with_unit(interval.low, dimension)}"
-    if interval.finite:
+    if interval.is_finite:
         return f"between {_number(interval.low, dimension)} and {with_unit(interval.high, dimension)}"
     known = interval.low if interval.low > -math.inf else interval.high
     return f"{'at least' if interval.low > -math.inf else 'at most'} {with_unit(known, dimension)}"

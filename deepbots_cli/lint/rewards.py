@@ -7,11 +7,11 @@ from math import nextafter
 from typing import NamedTuple
 
 from deepbots_cli.diagnostics import Finding, Label
-from deepbots_cli.document.nodes import Path
+from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.intervals import INF, NEVER, TRUTH, Interval
 from deepbots_cli.expressions.scalar import Name, Op, Scalar, State, walk
 from deepbots_cli.expressions.types import Constant, Invocation, Operation, Reference, Typed, children
-from deepbots_cli.lint.analysis import Analysis, RewardTerms, RuleContext, Threshold, is_clock, thresholds, total
+from deepbots_cli.lint.analysis import Analysis, RewardTerms, RuleContext, Threshold, is_clock, thresholds, total_range
 from deepbots_cli.lint.ranges import Ranges
 from deepbots_cli.lint.simulation import IDLE, Episode, Simulation
 from deepbots_cli.program.task import Ending
@@ -29,7 +29,7 @@ _PROGRESS = frozenset({"delta", "previous", "running_min", "running_max", "accum
 # Without bound
 
 
-class Pole(NamedTuple):
+class Singularity(NamedTuple):
     """The part of an expression that makes a term unbounded: a divisor that may be zero, or the argument of an exponential."""
 
     value: Expression
@@ -54,24 +54,24 @@ def reward_unbounded(context: RuleContext) -> Iterator[Finding]:
     analysis = context.analysis
     search = _PoleSearch(analysis)
     for term in context.program.policy.reward:
-        if term.foreign is None and not search.ranges.of(analysis.scalars(term)[0]).finite:
+        if term.foreign is None and not search.ranges.of(analysis.scalars(term)[0]).is_finite:
             found = search.pole(term, term.typed)
             search.met.clear()
             if found is not None:
                 yield _unbounded(context, term, found)
 
 
-def _unbounded(context: RuleContext, term: Expression, found: Pole) -> Finding:
+def _unbounded(context: RuleContext, term: Expression, found: Singularity) -> Finding:
     text = context.text(found.value.owner)
     place, part = text.part(found.node.start, found.node.end), text.text[found.node.start : found.node.end]
     also = () if found.value is term else (Label(term.span, f"`{term.name}` depends on it"),)
     if found.is_divisor:
         headline = f"`{term.name}` grows without bound as `{part}` approaches zero"
         return Finding(
-            "DB701", place, headline, help="keep the divisor away from zero, as in `max(x, 1 cm)`, or use `exp(-x / 10 cm)`", also=also
+            "DB701", place, headline, help="keep the divisor away from zero, as in `max(x, 1 cm)`, or use `exp(-x / 10 cm)`", labels=also
         )
     headline = f"`{term.name}` grows with the exponential of `{part}`, which has no upper bound"
-    return Finding("DB701", place, headline, help="bound the argument, as in `min(x, 3)`", also=also)
+    return Finding("DB701", place, headline, help="bound the argument, as in `min(x, 3)`", labels=also)
 
 
 class _PoleSearch:
@@ -79,7 +79,7 @@ class _PoleSearch:
 
     def __init__(self, analysis: Analysis) -> None:
         self._analysis = analysis
-        self.ranges = analysis.ranges_in(1.0, float(analysis.last))
+        self.ranges = analysis.ranges_in(1.0, float(analysis.last_step))
         self.met: set[str] = set()
         compared = [entry for ending in analysis.program.endings for entry in analysis.comparisons(ending.value)]
         threshold = [threshold for entry in compared for threshold in thresholds(entry, self.ranges)]
@@ -88,23 +88,25 @@ class _PoleSearch:
         }
         """Quantities that end the episode before they come near zero."""
 
-    def pole(self, value: Expression, node: Typed) -> Pole | None:
+    def pole(self, value: Expression, node: Typed) -> Singularity | None:
         """The first part that is infinite because of a pole or an exponential."""
-        if node.type.boolean or all(known.finite for known in self._known(value, node)):
+        if node.type.boolean or all(known.is_finite for known in self._known(value, node)):
             return None
         match node:
             case Operation(operator="div", args=(_, below)) if self._may_be_zero(value, below):
-                return Pole(value, below, True)
+                return Singularity(value, below, True)
             case Operation(operator="pow", args=(base, exponent)) if exponent.type.interval.high < 0.0:
-                return Pole(value, base, True) if self._may_be_zero(value, base) else None
+                return Singularity(value, base, True) if self._may_be_zero(value, base) else None
             case Invocation(function="log", args=(inner,)) if self._may_be_zero(value, inner):
-                return Pole(value, inner, True)
+                return Singularity(value, inner, True)
             case Invocation(function="exp", args=(inner,)):
                 grows = any(known.low > -INF and known.high == INF for known in self._known(value, inner))
-                return Pole(value, inner, False) if grows else None
+                return Singularity(value, inner, False) if grows else None
             case Invocation(function="where"):
                 return None
-            case Reference(symbol=symbol) if (meant := self._analysis.named(symbol.name)) is not None and symbol.name not in self.met:
+            case Reference(symbol=symbol) if (
+                meant := self._analysis.expression_named(symbol.name)
+            ) is not None and symbol.name not in self.met:
                 self.met.add(symbol.name)
                 return None if "." in symbol.name or meant.foreign else self.pole(meant, meant.typed)
         return next((found for part in children(node) if (found := self.pole(value, part)) is not None), None)
@@ -116,7 +118,7 @@ class _PoleSearch:
         """Whether a divisor may be zero; one between two finite bounds is DB405."""
         for part in self._analysis.lowered(node, value.owner):
             known = self.ranges.of(part)
-            if 0.0 in known and not known.finite and self._guarded.isdisjoint(map(self._analysis.identity, walk(part))):
+            if 0.0 in known and not known.is_finite and self._guarded.isdisjoint(map(self._analysis.identity, walk(part))):
                 return True
         return False
 
@@ -140,28 +142,30 @@ def term_dominates(context: RuleContext) -> Iterator[Finding]:
         reward: {time: -1 / 200, fallen_over: -1 when fallen}
     """
     reward = context.analysis.reward
-    ordinary, final = reward.split()
+    ordinary, final = reward.split_by_end()
     prize = reward.largest_final(final)
     if not 0.0 < prize < INF:
         return
     for term, node in ordinary:
-        known = reward.running().of(node)
-        high = max(abs(known.low), abs(known.high)) * reward.analysis.last * reward.program.action_repeat
-        if known.single or high <= _DOMINATES * prize:
+        known = reward.ranges_while_running().of(node)
+        high = max(abs(known.low), abs(known.high)) * reward.analysis.last_step * reward.program.action_repeat
+        if known.is_single or high <= _DOMINATES * prize:
             continue
         low = _smallest_sum(reward, node)
         if low > _DOMINATES * prize:
             headline = f"the absolute sum of `{term.name}` over an episode is at least {low:.4g}, and an ending pays at most {prize:.4g}"
             also = tuple(Label(paid.span, "paid at the end") for paid, _ in final)
-            yield Finding("DB702", term.span, headline, help=f"scale `{term.name}` down, or increase the rewards of the endings", also=also)
+            yield Finding(
+                "DB702", term.span, headline, help=f"scale `{term.name}` down, or increase the rewards of the endings", labels=also
+            )
 
 
 def _smallest_sum(reward: RewardTerms, node: Scalar) -> float:
     """The smallest size of the sum over an episode: block by block, since a term may depend on the number of the step."""
-    first, last, found, sign = 1, reward.analysis.last, 0.0, 0.0
+    first, last, found, sign = 1, reward.analysis.last_step, 0.0, 0.0
     while first <= last:
         end = min(last, 2 * first - 1)
-        known = reward.running((float(first), float(end))).of(node)
+        known = reward.ranges_while_running((float(first), float(end))).of(node)
         side = 1.0 if known.low > 0.0 else -1.0 if known.high < 0.0 else 0.0
         if side == 0.0 or side == -sign:
             return 0.0
@@ -176,14 +180,14 @@ def dominating_term(simulation: Simulation) -> Iterator[Finding]:
     if not simulation.is_complete or not simulation.measured:
         return
     reward = simulation.analysis.reward
-    prize = reward.largest_final(reward.split()[1])
+    prize = reward.largest_final(reward.split_by_end()[1])
     prize = prize if prize < INF else 0.0
     for term, rows in simulation.terms():
         ratios, notes = [], []
         for by, row in rows.items():
-            episodes = max(1, sum(episode.by == by for episode in simulation.report.episodes))
-            others = sum(other[by].size for name, other in simulation.terms() if name is not term) / episodes
-            size, rival = row.size / episodes, max(others, prize)
+            episodes = max(1, sum(episode.policy == by for episode in simulation.report.episodes))
+            others = sum(other[by].absolute_total for name, other in simulation.terms() if name is not term) / episodes
+            size, rival = row.absolute_total / episodes, max(others, prize)
             ratios.append(size / rival if rival > 0.0 and row.low < row.high else 0.0)
             notes.append(
                 f"{by}: {size:.3g} per episode, and {others:.3g} for all other terms" + (f", {prize:.3g} for an ending" if prize else "")
@@ -216,7 +220,7 @@ def inactive_term(context: RuleContext) -> Iterator[Finding]:
 
 def _always_zero(analysis: Analysis) -> set[str]:
     given = {ending.value.name: TRUTH for ending in analysis.program.endings}  # an ending that never holds is DB801
-    ranges = Ranges(analysis, given, (1.0, float(analysis.last)))
+    ranges = Ranges(analysis, given, (1.0, float(analysis.last_step)))
     return {term.name for term, node in analysis.reward.terms if ranges.of(node) == NEVER}
 
 
@@ -230,7 +234,7 @@ def _is_turned_off(node: Typed, analysis: Analysis) -> bool:
         case Constant(values=values):
             return not any(values)
         case Reference(symbol=symbol):
-            meant = analysis.named(symbol.name)
+            meant = analysis.expression_named(symbol.name)
             return (symbol.value is not None and not any(symbol.value)) or (meant is not None and is_off(meant.typed))
         case Invocation(function="where", args=(_, paid, *_)):
             return is_off(paid)
@@ -248,9 +252,9 @@ def silent_term(simulation: Simulation) -> Iterator[Finding]:
     if not simulation.is_complete or simulation.steps < _MIN_STEPS:
         return
     analysis = simulation.analysis
-    final = {term.name for term, _ in analysis.reward.split()[1]}
+    final = {term.name for term, _ in analysis.reward.split_by_end()[1]}
     for place, term in enumerate(simulation.program.policy.reward):
-        if place not in simulation.report.silent or term.name in final or term.foreign is not None:
+        if place not in simulation.report.zero_terms or term.name in final or term.foreign is not None:
             continue
         if not _is_turned_off(term.typed, analysis) and not _is_conditional(term.typed, analysis, set()):
             headline = f"`{term.name}` was zero in all {simulation.steps} simulated steps"
@@ -264,7 +268,7 @@ def _is_conditional(node: Typed, analysis: Analysis, met: set[str]) -> bool:
         return True
     if isinstance(node, Reference) and node.symbol.name not in met:
         met.add(node.symbol.name)
-        meant = analysis.named(node.symbol.name)
+        meant = analysis.expression_named(node.symbol.name)
         return meant is not None and (meant.foreign is not None or _is_conditional(meant.typed, analysis, met))
     return any(_is_conditional(part, analysis, met) for part in children(node))
 
@@ -297,19 +301,19 @@ def rewards_early_death(context: RuleContext) -> Iterator[Finding]:
         reward: {alive: 1, crash: -10 when off_track}
     """
     program, reward = context.program, context.analysis.reward
-    ordinary, final = reward.split()
+    ordinary, final = reward.split_by_end()
     running = _short_of_the_goal(reward)
-    step = total(ordinary, running)
+    step = total_range(ordinary, running)
     if not reward.is_complete or step.high >= 0.0:
         return
-    if any(total(final, reward.at(ending)).high > 0.0 for ending in program.endings if ending.outcome == "success"):
+    if any(total_range(final, reward.ranges_at(ending)).high > 0.0 for ending in program.endings if ending.outcome == "success"):
         return
     if program.policy.goal is not None:  # no term can refer to the failure, so its price is whatever may be paid as it happens
-        if total(ordinary, reward.running()).high > 0.0:
+        if total_range(ordinary, reward.ranges_while_running()).high > 0.0:
             return
         final = [*ordinary, *final]
-    ahead = step.high * program.action_repeat * (reward.analysis.last - 1)
-    failures = [(ending, total(final, reward.at(ending)).low) for ending in program.endings if ending.outcome == "failure"]
+    ahead = step.high * program.action_repeat * (reward.analysis.last_step - 1)
+    failures = [(ending, total_range(final, reward.ranges_at(ending)).low) for ending in program.endings if ending.outcome == "failure"]
     ending, cost = next(((ending, cost) for ending, cost in failures if cost > ahead), (None, 0.0))
     if ending is None:
         return
@@ -322,20 +326,20 @@ def rewards_early_death(context: RuleContext) -> Iterator[Finding]:
         )
         help = f"pay for the goal instead, as in `1 when goal_reached`, or remove `{ending.value.name}`"
     dearest = min(ordinary, key=lambda term: running.of(term[1]).high)[0]
-    yield Finding("DB705", dearest.span, headline, help=help, also=(Label(ending.value.span, "the cheaper ending"),))
+    yield Finding("DB705", dearest.span, headline, help=help, labels=(Label(ending.value.span, "the cheaper ending"),))
 
 
 def _short_of_the_goal(reward: RewardTerms) -> Ranges:
     """Ranges in a step that ends nothing and, where there is a goal, does not reach it."""
-    goal, running = reward.program.policy.goal, reward.running()
-    reached = reward.analysis.meaning(Name("goal_reached"))
+    goal, running = reward.program.policy.goal, reward.ranges_while_running()
+    reached = reward.analysis.resolve_aliases(Name("goal_reached"))
     if goal is None or not isinstance(reached, Op):
         return running
     return running.where(reward.analysis.identity(reached.args[0]), Interval(nextafter(goal.tolerance, INF), INF))
 
 
-class Staying(Ranges):
-    """The same, where values that are compared with the step before do not change."""
+class UnchangedRanges(Ranges):
+    """Ranges in which values that are compared with the step before do not change."""
 
     def _state(self, node: State) -> Interval:
         match node.function:
@@ -370,41 +374,41 @@ def hovering_pays(context: RuleContext) -> Iterator[Finding]:
         remove: [reward.alive]
     """
     analysis, reward = context.analysis, context.analysis.reward
-    ordinary, _ = reward.split()
+    ordinary, _ = reward.split_by_end()
     successes = [ending for ending in context.program.endings if ending.outcome == "success"]
     if not reward.is_complete or len(successes) != 1 or not ordinary:
         return
-    success, running = successes[0], reward.running()
-    possible = TRUTH if success.foreign else analysis.ranges_in(0.0, float(analysis.last)).of(analysis.scalars(success.value)[0])
+    success, running = successes[0], reward.ranges_while_running()
+    possible = TRUTH if success.foreign else analysis.ranges_in(0.0, float(analysis.last_step)).of(analysis.scalars(success.value)[0])
     if possible == NEVER or success in analysis.shadowed:
         return  # DB801, DB804
     for entry in analysis.comparisons(success.value):
         for threshold in thresholds(entry, running):
             if is_clock(analysis, threshold.quantity):
                 continue
-            pay = total(reward.terms, _staying_outside(running, threshold)).low
-            prize = total(reward.terms, _staying_outside(reward.at(success), threshold)).high if pay > 0.0 else INF
+            pay = total_range(reward.terms, _staying_outside(running, threshold)).low
+            prize = total_range(reward.terms, _staying_outside(reward.ranges_at(success), threshold)).high if pay > 0.0 else INF
             if pay * discounted_ticks(reward) > prize:
                 headline = f"staying just outside of `{success.value.name}` pays {pay:.3g} per step, and reaching it pays {prize:.3g} once"
                 best = max(ordinary, key=lambda term: running.of(term[1]).high)[0]
                 yield Finding(
-                    "DB708", best.span, headline, help=_PAY_FOR_PROGRESS, also=(Label(success.value.span, "ends these payments"),)
+                    "DB708", best.span, headline, help=_PAY_FOR_PROGRESS, labels=(Label(success.value.span, "ends these payments"),)
                 )
                 return
 
 
 def _staying_outside(ranges: Ranges, threshold: Threshold) -> Ranges:
-    """The same within a fifth of a threshold, on the side where the episode goes on."""
+    """The ranges within a fifth of a threshold, on the side where the episode goes on."""
     low, high = threshold.bound
     kept = Interval(low - 0.2 * abs(low), low) if threshold.above else Interval(high, high + 0.2 * abs(high))
-    return Staying(ranges.analysis, ranges.given, ranges.steps, (ranges.analysis.identity(threshold.quantity), kept))
+    return UnchangedRanges(ranges.analysis, ranges.given, ranges.steps, (ranges.analysis.identity(threshold.quantity), kept))
 
 
 def discounted_ticks(reward: RewardTerms) -> float:
     """The timesteps that count: half an episode, or the horizon of the discount factor if it is shorter."""
     gamma = reward.program.policy.discount
     seen = INF if gamma >= 1.0 else 1.0 / (1.0 - gamma)
-    return min(reward.analysis.last / 2, seen) * reward.program.action_repeat
+    return min(reward.analysis.last_step / 2, seen) * reward.program.action_repeat
 
 
 def other_policy_pays_more(simulation: Simulation) -> Iterator[Finding]:
@@ -417,11 +421,11 @@ def other_policy_pays_more(simulation: Simulation) -> Iterator[Finding]:
         best, success = found
         also = (Label(successes[0].value.span, "ends these payments"),)
         headline = (
-            f"the return of {best.by}, which runs to the time limit, is {best.worth:.3g}; "
-            f"the return of {success.by}, which succeeds, is {success.worth:.3g}"
+            f"the return of {best.policy}, which runs to the time limit, is {best.discounted_return:.3g}; "
+            f"the return of {success.policy}, which succeeds, is {success.discounted_return:.3g}"
         )
         notes = (f"both are discounted returns of the episode with seed {best.seed}",)
-        yield Finding("DB708", _most_paid(simulation, best.by).span, headline, help=_PAY_FOR_PROGRESS, notes=notes, also=also)
+        yield Finding("DB708", _most_paid(simulation, best.policy).span, headline, help=_PAY_FOR_PROGRESS, notes=notes, labels=also)
     elif len(successes) == 1 and not any(episode.end == "success" for episode in simulation.report.episodes):
         yield from _idle_pays(simulation, successes[0])
 
@@ -438,23 +442,25 @@ def _better_than_success(episodes: list[Episode]) -> tuple[Episode, Episode] | N
         lasting = [episode for episode in episodes if episode.seed == seed and episode.end == "limit"]
         reached = [episode for episode in episodes if episode.seed == seed and episode.end == "success"]
         if lasting and reached:
-            pairs.append((max(lasting, key=lambda episode: episode.worth), max(reached, key=lambda episode: episode.worth)))
-    return pairs[0] if pairs and all(best.worth > success.worth for best, success in pairs) else None
+            pairs.append(
+                (max(lasting, key=lambda episode: episode.discounted_return), max(reached, key=lambda episode: episode.discounted_return))
+            )
+    return pairs[0] if pairs and all(best.discounted_return > success.discounted_return for best, success in pairs) else None
 
 
 def _idle_pays(simulation: Simulation, success: Ending) -> Iterator[Finding]:
     """As the static rule: compare what doing nothing pays in the steps that count with what the success pays once."""
     reward, row = simulation.analysis.reward, simulation.measured.get(IDLE)
-    ordinary, _ = reward.split()
+    ordinary, _ = reward.split_by_end()
     if row is None or not reward.is_complete:
         return
-    if any(episode.end not in ("limit", "left") for episode in simulation.report.episodes if episode.by == IDLE):
+    if any(episode.end not in ("limit", "left") for episode in simulation.report.episodes if episode.policy == IDLE):
         return
-    trees = [node for _, tree in ordinary for node in walk(simulation.analysis.meaning(tree))]
+    trees = [node for _, tree in ordinary for node in walk(simulation.analysis.resolve_aliases(tree))]
     if any(isinstance(node, State) and node.function in _PROGRESS for node in trees):
         return
     pay = sum(term.total for term in row.terms) / row.steps
-    prize = total(reward.terms, reward.at(success)).high
+    prize = total_range(reward.terms, reward.ranges_at(success)).high
     ticks = discounted_ticks(reward)
     if pay > 0.0 and pay * ticks > prize:
         headline = f"doing nothing pays {pay:.3g} per step, and `{success.value.name}` pays {prize:.3g} once"
@@ -462,7 +468,7 @@ def _idle_pays(simulation: Simulation, success: Ending) -> Iterator[Finding]:
             f"measured in {row.steps} steps; about {ticks:.0f} steps count, given the discount factor of the training and the time limit",
         )
         also = (Label(success.value.span, "ends these payments"),)
-        yield Finding("DB708", _most_paid(simulation, IDLE).span, headline, help=_PAY_FOR_PROGRESS, notes=notes, also=also)
+        yield Finding("DB708", _most_paid(simulation, IDLE).span, headline, help=_PAY_FOR_PROGRESS, notes=notes, labels=also)
 
 
 def _most_paid(simulation: Simulation, by: str) -> Expression:
@@ -490,7 +496,7 @@ def nothing_to_learn(context: RuleContext) -> Iterator[Finding]:
         reward: {alive: 1}
         termination: {failure: {fallen: abs(cart.pole_angle) > fall_angle}}
     """
-    if context.program.policy.training is None or not all(return_range(analysis).single for analysis in context.versions):
+    if context.program.policy.training is None or not all(return_range(analysis).is_single for analysis in context.versions):
         return
     worth = return_range(context.analysis).low
     headline = f"every episode has the return {worth:.4g}, whatever the policy does"
@@ -529,7 +535,7 @@ def return_out_of_reach(context: RuleContext) -> Iterator[Finding]:
             yield Finding("DB810", context.values.span(path), headline, help=help)
 
 
-def _wanted_returns(context: RuleContext) -> Iterator[tuple[Analysis, float, Path]]:
+def _wanted_returns(context: RuleContext) -> Iterator[tuple[Analysis, float, NodePath]]:
     """The mean returns that the scenario asks for, each with the version of the scenario and its place."""
     program = context.program
     if program.solved is not None and program.solved.mean_return is not None:
@@ -545,9 +551,9 @@ def return_range(analysis: Analysis) -> Interval:
     reward = analysis.reward
     if not reward.is_complete:
         return Interval(-INF, INF)
-    step = total(reward.terms, reward.running())
-    end = total(reward.terms, analysis.ranges_in(1.0, float(analysis.last)))  # whichever endings hold, also several at once
-    ticks = analysis.last * analysis.program.action_repeat - 1
+    step = total_range(reward.terms, reward.ranges_while_running())
+    end = total_range(reward.terms, analysis.ranges_in(1.0, float(analysis.last_step)))  # whichever endings hold, also several at once
+    ticks = analysis.last_step * analysis.program.action_repeat - 1
     fewest = 0 if analysis.program.endings else ticks
     high = step.high * (ticks if step.high > 0.0 else fewest) + end.high if step.high < INF else INF
     low = step.low * (ticks if step.low < 0.0 else fewest) + end.low if step.low > -INF else -INF

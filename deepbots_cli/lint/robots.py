@@ -7,8 +7,8 @@ from math import ceil, degrees, hypot, inf, pi, radians
 from typing import TypeGuard
 
 from deepbots_cli import footprint, frames
-from deepbots_cli.compiler.robots import carries, joint_dimension
-from deepbots_cli.compiler.values import Values
+from deepbots_cli.compiler.robots import joint_dimension, joint_moves_link
+from deepbots_cli.compiler.values import ValueReader
 from deepbots_cli.diagnostics import Finding, Label, Span
 from deepbots_cli.expressions.dimensions import LENGTH, TIME
 from deepbots_cli.expressions.intervals import NEVER, Interval, hull
@@ -17,7 +17,7 @@ from deepbots_cli.footprint import link_frames
 from deepbots_cli.frames import Frame, Triple, quaternion
 from deepbots_cli.lint.analysis import Analysis, RuleContext
 from deepbots_cli.lint.ranges import is_level, range_text, with_unit
-from deepbots_cli.lint.simulation import ARENA, SINK, Clearance, Miss, Simulation, Where, casts_rays
+from deepbots_cli.lint.simulation import ARENA, MAX_SINK, Clearance, Simulation, SimulationPosition, UnreachedPose, casts_rays
 from deepbots_cli.program.robots import Actuator, Cartesian, CustomActuator, Motor, Robot, Thrust
 from deepbots_cli.program.world import ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots.meshes import mesh_bounds
@@ -72,7 +72,7 @@ def command_cut_off(context: RuleContext) -> Iterator[Finding]:
                 continue
             asked = hull([analysis.ranges.of(tree) for tree in trees])
             done = min(asked.high, limits.high) - max(asked.low, limits.low)
-            if asked.finite and not asked.single and done < _MIN_SHARE * (asked.high - asked.low):
+            if asked.is_finite and not asked.is_single and done < _MIN_SHARE * (asked.high - asked.low):
                 dimension = command.target.typed.type.dimension
                 able = f"receives commands of {range_text(asked, dimension)}, and its limits are {range_text(limits, dimension)}"
                 help = "scale the action to the limits of the actuator"
@@ -97,7 +97,7 @@ def _limits(actuator: Actuator, model: RobotModel) -> Interval | None:
 def _follows_action(analysis: Analysis, target: Scalar, robot: Robot) -> bool:
     """Whether a command depends on nothing but the action."""
     received = {value.name for value in robot.receive}
-    for node in analysis.unfold(target):
+    for node in analysis.walk_definitions(target):
         match node:
             case Const() | Op():
                 continue
@@ -140,7 +140,7 @@ def joint_driven_twice(context: RuleContext) -> Iterator[Finding]:
             if shared is not None:
                 first, second = (_joints_span(context.values, robot.name, called) for called in (driving[shared], name))
                 headline = f"`{name}` drives the joint `{shared}`, which `{driving[shared]}` already drives"
-                yield Finding("DB313", second, headline, help="give each joint one motor", also=(Label(first, "driven here"),))
+                yield Finding("DB313", second, headline, help="give each joint one motor", labels=(Label(first, "driven here"),))
             driving |= dict.fromkeys(joints, name)
 
 
@@ -153,7 +153,7 @@ def _held_joints(actuator: Actuator) -> tuple[str, ...]:
             return ()
 
 
-def _joints_span(values: Values, robot: str, actuator: str) -> Span:
+def _joints_span(values: ValueReader, robot: str, actuator: str) -> Span:
     place = ("robots", robot, "actuators", actuator)
     key = next((key for key in ("joint", "joints") if values.is_present((*place, key))), None)
     return values.span((*place, key)) if key else values.key_span(place)
@@ -217,7 +217,7 @@ def limp_at_start(context: RuleContext) -> Iterator[Finding]:
                 help = "hold the joint with a `position_motor`, or shorten the delay of the first command"
                 late = ("messages", "to_robot", "latency")
                 also = (Label(values.span(late), "delays the first command"),) if values.is_present(late) else ()
-                yield Finding("DB314", values.key_span(("robots", robot.name, "actuators", motor.name)), headline, help=help, also=also)
+                yield Finding("DB314", values.key_span(("robots", robot.name, "actuators", motor.name)), headline, help=help, labels=also)
 
 
 def _is_limp(actuator: Actuator) -> TypeGuard[Motor]:
@@ -257,7 +257,7 @@ def _moved(model: RobotModel, where: Mapping[str, Frame], joint: Joint, limit: f
     axis = frames.rotate(turned, joint.axis)
     load = inertia = 0.0
     for link in model.links:
-        if link.inertial is None or not carries(model, joint, link.name):
+        if link.inertial is None or not joint_moves_link(model, joint, link.name):
             continue
         mass = link.inertial.mass
         centre, own = frames.compose(where[link.name], frames.frame(link.inertial.origin))
@@ -281,21 +281,21 @@ def pose_out_of_reach(simulation: Simulation) -> Iterator[Finding]:
     """DB315: a `cartesian` actuator is commanded to a pose that the inverse kinematics does not reach."""
     reported: set[tuple[str, str]] = set()
     for miss in simulation.report.misses:
-        if (miss.turn or miss.out >= _OFTEN * miss.commands) and (miss.robot, miss.actuator) not in reported:
+        if (miss.turn or miss.unreached_commands >= _OFTEN * miss.commands) and (miss.robot, miss.actuator) not in reported:
             reported.add((miss.robot, miss.actuator))
             yield _turned_in_place(simulation, miss) if miss.turn else _missed(simulation, miss)
 
 
-def _missed(simulation: Simulation, miss: Miss) -> Finding:
+def _missed(simulation: Simulation, miss: UnreachedPose) -> Finding:
     model = simulation.analysis.body(miss.robot).model
     is_turned = miss.angle > _SLIGHT_ANGLE
     span = simulation.values.span(("robots", miss.robot, "actuators", miss.actuator, "rpy" if is_turned else "link"))
     distance = f"{miss.distance:.3g} m" if miss.distance > _SLIGHT_DISTANCE else ""
     by = " and ".join(filter(None, [distance, f"{degrees(miss.angle):.3g} deg" if is_turned else ""]))
-    notes = [simulation.when(Where(miss.by, miss.seed, miss.step))]
+    notes = [simulation.when(SimulationPosition(miss.policy, miss.seed, miss.step))]
     for name, limit in miss.at_limit.items():
         notes.append(f"joint `{name}` is at its limit of {with_unit(limit, joint_dimension(model.joint(name)))}")
-    notes += [f"{miss.out} of {miss.commands} commands in this episode are out of reach"] if miss.commands > 1 else []
+    notes += [f"{miss.unreached_commands} of {miss.commands} commands in this episode are out of reach"] if miss.commands > 1 else []
     remedy = (
         "write another `rpy`, or leave it out if any attitude is allowed" if is_turned else "command positions within the reach of the arm"
     )
@@ -304,14 +304,17 @@ def _missed(simulation: Simulation, miss: Miss) -> Finding:
     return Finding("DB315", span, headline, help=help, notes=tuple(notes))
 
 
-def _turned_in_place(simulation: Simulation, miss: Miss) -> Finding:
+def _turned_in_place(simulation: Simulation, miss: UnreachedPose) -> Finding:
     """The first command turns a link far in place, because the link starts in another attitude."""
     span = simulation.values.span(("robots", miss.robot, "actuators", miss.actuator, "rpy"))
     angles = [round(degrees(angle)) for angle in miss.start]
     start = " ".join(str(180 if angle == -180 else angle) for angle in angles)
     headline = f"the first command turns `{miss.actuator}` by {degrees(miss.turn):.3g} deg in place"
     help = f"write `rpy: {start} deg`, which is near the initial attitude, or start the arm in another pose"
-    notes = (simulation.when(Where(miss.by, miss.seed, miss.step)), "the joints may move far before the link reaches the pose")
+    notes = (
+        simulation.when(SimulationPosition(miss.policy, miss.seed, miss.step)),
+        "the joints may move far before the link reaches the pose",
+    )
     return Finding("DB315", span, headline, help=help, notes=notes)
 
 
@@ -372,7 +375,7 @@ class Heights:
             return None
         tallest, highest = "", -inf
         for name, top in self._tops(robot):
-            if top + SINK >= lowest:
+            if top + MAX_SINK >= lowest:
                 return None  # before the meshes of other robots are read
             if top > highest:
                 tallest, highest = name, top
@@ -418,7 +421,7 @@ class Heights:
         found: set[Frame] = set()
         for place, pose in self._analysis.start.poses(body.name):
             known = [pose[key] for key in ("z", "roll", "pitch")]
-            if body.fixed_base and all(interval.single for interval in known):
+            if body.fixed_base and all(interval.is_single for interval in known):
                 found.add(((0.0, 0.0, pose["z"].low), quaternion(pose["roll"].low, pose["pitch"].low, 0.0)))
             elif height is not None and is_level(pose) and (place.rests or all(abs(end - height) < _NEAR for end in pose["z"])):
                 found.add(((0.0, 0.0, height), frames.IDENTITY_ROTATION))
@@ -447,7 +450,7 @@ class Heights:
         top = -inf
         for shape, fixed in kinds:
             box = footprint.bounds_of_shape(shape)
-            size, high = footprint.sides(box), box[1][2]
+            size, high = footprint.box_sides(box), box[1][2]
             top = max(top, -inf if fixed else max(size))
             if not poses:  # a wall
                 top = max(top, size[2], thing.pose.xyz[2] + high)
@@ -462,7 +465,7 @@ class Heights:
         root = self._root(body)
         if root is None or root[1] != frames.IDENTITY_ROTATION or not _keeps(body.model, _HIGHEST):
             return inf
-        return root[0][2] + footprint.bounds(body.model)[1][2]
+        return root[0][2] + footprint.robot_bounds(body.model)[1][2]
 
 
 def _attitudes(model: RobotModel) -> Iterator[dict[str, float]]:
@@ -484,7 +487,7 @@ def _keeps(model: RobotModel, end: int) -> bool:
     Meshes do not count.
     """
     plain = footprint.without_meshes(model)
-    known, *others = [footprint.bounds(plain, positions)[end][2] for positions in _attitudes(model)]
+    known, *others = [footprint.robot_bounds(plain, positions)[end][2] for positions in _attitudes(model)]
     return all(abs(other - known) <= _SAME for other in others)
 
 
@@ -512,7 +515,7 @@ def _centre_of_mass(model: RobotModel) -> tuple[float, float]:
     return sum(weight * at[0] for weight, at in known) / mass, sum(weight * at[1] for weight, at in known) / mass
 
 
-def _passing_over(values: Values, robot: str, sensor: str, clearance: Clearance, notes: tuple[str, ...] = ()) -> Finding:
+def _passing_over(values: ValueReader, robot: str, sensor: str, clearance: Clearance, notes: tuple[str, ...] = ()) -> Finding:
     base = clearance.tallest.partition("#")[0]
     height, top, lower = (with_unit(length, LENGTH) for length in (clearance.lowest, clearance.top, clearance.lowest - clearance.top))
     help = f"lower the `pose` of the sensor by more than {lower}"
@@ -528,7 +531,7 @@ def _passing_over(values: Values, robot: str, sensor: str, clearance: Clearance,
     headline = (
         f"the rays of `{sensor}` meet nothing: they are at least {height} above the ground, and the tallest body, {named}, ends at {top}"
     )
-    return Finding("DB615", values.key_span(("robots", robot, "sensors", sensor)), headline, help=help, notes=notes, also=also)
+    return Finding("DB615", values.key_span(("robots", robot, "sensors", sensor)), headline, help=help, notes=notes, labels=also)
 
 
 STATIC_RULES = (

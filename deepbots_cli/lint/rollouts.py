@@ -21,23 +21,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli import api, footprint, frames
-from deepbots_cli.compiler.inputs import RESOLVED
+from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.errors import DeepbotsError, EngineError, EvaluationError
 from deepbots_cli.frames import Triple
 from deepbots_cli.lint.simulation import (
     ARENA,
-    HELD,
-    HOLD,
+    HELD_RANDOM,
+    HOLD_STEPS,
     IDLE,
+    MAX_SINK,
     RANDOM,
-    SINK,
     Clearance,
-    Miss,
     Rollout,
+    UnreachedPose,
     casts_rays,
-    idle,
-    planned,
-    planned_for_variant,
+    idle_action,
+    simulation_plan,
+    variant_plan,
 )
 from deepbots_cli.port import Engine, JointReader, MotionReader
 from deepbots_cli.program import Program
@@ -64,7 +64,7 @@ class StoppedError(Exception):
 
 def compiled(folder: Path, *, allow_code: bool) -> Program:
     """Compile the scenario whose files were copied into a folder."""
-    return api.compile(api.load(folder / RESOLVED, allow_code=allow_code, project=folder)).program
+    return api.compile(api.load(folder / RESOLVED_NAME, allow_code=allow_code, project=folder)).program
 
 
 class Simulator:
@@ -77,7 +77,7 @@ class Simulator:
         self._write = write
         self._begin_step = begin_step
         self._allow_code = allow_code
-        self._plan = planned(program)
+        self._plan = simulation_plan(program)
         self._counters: dict[str, Counter] = {}
         self._rays = RayWatch(program)
 
@@ -136,7 +136,7 @@ class Simulator:
 
     def _check_first_commands(self, environment: Supervisor, arms: ArmWatch) -> None:
         """Check whether arms reach their first commanded pose. Every choice should lead to one; the end of a range need not."""
-        by = IDLE if idle(self._program) is not None else RANDOM
+        by = IDLE if idle_action(self._program) is not None else RANDOM
         if by == RANDOM and not all(isinstance(part, Choices) for part in self._program.policy.action):
             return
         for seed in range(_FIRST_EPISODES):
@@ -165,10 +165,10 @@ class Simulator:
         self, environment: Supervisor, rollouts: tuple[Rollout, ...], arms: ArmWatch | None = None, counted_as: str | None = None
     ) -> None:
         for rollout in rollouts:
-            if counted_as is None and rollout.by in (RANDOM, HELD) and self._random_steps() >= self._plan.enough:
+            if counted_as is None and rollout.policy in (RANDOM, HELD_RANDOM) and self._random_steps() >= self._plan.enough:
                 continue
-            counter = self._counters.setdefault(counted_as or rollout.by, Counter(self._program))
-            self._write({"at": [rollout.by, rollout.seed]})
+            counter = self._counters.setdefault(counted_as or rollout.policy, Counter(self._program))
+            self._write({"at": [rollout.policy, rollout.seed]})
             if arms is not None:
                 arms.is_watching = rollout.script is not None
             try:
@@ -179,10 +179,10 @@ class Simulator:
                 raise self._stopped(environment, error) from None
             finally:
                 if arms is not None:
-                    self._write_misses(arms, rollout.by, rollout.seed)
+                    self._write_misses(arms, rollout.policy, rollout.seed)
 
     def _random_steps(self) -> int:
-        return sum(self._counters[by].steps for by in (RANDOM, HELD) if by in self._counters)
+        return sum(self._counters[by].steps for by in (RANDOM, HELD_RANDOM) if by in self._counters)
 
     def _episode(self, environment: Supervisor, rollout: Rollout, counter: Counter, *, report: bool) -> None:
         environment.reset(seed=rollout.seed)
@@ -195,8 +195,8 @@ class Simulator:
             counter.add(observation, info["reward_terms"])
             check_rays()
             violation = speeds.check(number * environment.scenario.period)
-            if speeds.news:
-                self._write({"fast": speeds.news})
+            if speeds.new_maximum:
+                self._write({"fast": speeds.new_maximum})
             if violation:
                 self._write({"stop": {"kind": "speed", **violation}})
                 raise StoppedError
@@ -209,7 +209,8 @@ class Simulator:
             worth = float(np.dot(rewards, self._program.policy.discount ** np.arange(len(rewards))))
             end = "success" if environment.is_success else "failure" if environment.terminated else None
             end = end or ("limit" if environment.truncated else "left")
-            self._write({"episode": {"by": rollout.by, "seed": rollout.seed, "steps": len(rewards), "worth": worth, "end": end}})
+            episode = {"policy": rollout.policy, "seed": rollout.seed, "steps": len(rewards), "discounted_return": worth, "end": end}
+            self._write({"episode": episode})
 
     # What has been constant so far
 
@@ -235,7 +236,7 @@ class Simulator:
             sizes = [(len(each.numbers) + len(each.images), len(each.reward)) for each in (own.policy, program.policy)]
             if sizes[0] == sizes[1]:
                 with closing(self._build(program)) as environment:
-                    self._run_episodes(environment, planned_for_variant(program), counted_as=_VARIANTS)
+                    self._run_episodes(environment, variant_plan(program), counted_as=_VARIANTS)
 
     def _stopped(self, environment: Supervisor, error: DeepbotsError) -> StoppedError:
         """Write what stopped an episode; returns the exception to raise."""
@@ -320,9 +321,9 @@ def _actions(environment: Supervisor, rollout: Rollout) -> Iterator[Any]:
     """An endless sequence of actions, none of them forbidden."""
     if rollout.script is not None:
         return (environment.script(rollout.script) for _ in count())
-    if rollout.by == IDLE:
+    if rollout.policy == IDLE:
         return _idle(environment)
-    return _random(environment, HOLD if rollout.by == HELD else 1)
+    return _random(environment, HOLD_STEPS if rollout.policy == HELD_RANDOM else 1)
 
 
 def _random(environment: Supervisor, hold: int) -> Iterator[Any]:
@@ -337,7 +338,7 @@ def _random(environment: Supervisor, hold: int) -> Iterator[Any]:
 
 
 def _idle(environment: Supervisor) -> Iterator[Any]:
-    wanted = idle(environment.scenario)
+    wanted = idle_action(environment.scenario)
     assert wanted is not None  # or it would not be in the plan
     action = environment.acting(*wanted)
     while True:
@@ -392,7 +393,7 @@ class _Moving(NamedTuple):
 
 
 class SpeedWatch:
-    """Checks the speeds of robots and of movable objects. `news` holds the fastest body so far, whenever its speed has grown a lot."""
+    """Checks the speeds of robots and of movable objects. `new_maximum` is the fastest body, when its speed has grown a lot."""
 
     def __init__(self, environment: Supervisor) -> None:
         world, engine = environment.world, environment.engine
@@ -407,17 +408,17 @@ class SpeedWatch:
             self._watched.append(_Moving(robot.name, engine.motion(robot.name), names, turns, reader))
         self._watched += [_Moving(thing.name, engine.motion(thing.name), (), (), None) for thing in world.objects if not thing.fixed]
         self._fastest = 1.0
-        self.news: list[Any] = []
+        self.new_maximum: list[Any] = []
 
     def check(self, time: float) -> dict[str, Any]:
         """The first implausible speed after `time` seconds; empty if there is none."""
-        self.news = []
+        self.new_maximum = []
         for watched in self._watched:
             velocity, spin = (math.hypot(*part) for part in watched.motion()[1])
             if not math.isfinite(velocity + spin):
                 return {"body": watched.body, "what": "nan"}
             if velocity > self._fastest * _GROWN:
-                self._fastest, self.news = velocity, [watched.body, velocity]
+                self._fastest, self.new_maximum = velocity, [watched.body, velocity]
             if velocity > _MAX_SPEED + self._fall * time:
                 return {"body": watched.body, "what": "velocity", "value": velocity}
             if spin > _MAX_SPIN and spin * self._substep > _HALF_TURN:
@@ -460,7 +461,7 @@ class ArmWatch:
         self.is_watching = False
         self.commands: dict[tuple[str, str], int] = {}
         """The number of commands since the last `take_misses`, by robot and actuator."""
-        self._misses: dict[tuple[str, str], Miss] = {}
+        self._misses: dict[tuple[str, str], UnreachedPose] = {}
         self.actuators = [arm for world in environment.agents.values() for arm in self._watched(world)]
 
     def _watched(self, world: Supervisor) -> Iterator[str]:
@@ -473,9 +474,9 @@ class ArmWatch:
                     drive.watch = partial(self._check, world, robot.name, models[robot.name], actuator, drive)
                     yield actuator.name
 
-    def take_misses(self, by: str, seed: int) -> list[Miss]:
+    def take_misses(self, by: str, seed: int) -> list[UnreachedPose]:
         """The first miss of each actuator since the last call; later misses start from where it brought the arm."""
-        found = [replace(miss, by=by, seed=seed, commands=self.commands[key]) for key, miss in self._misses.items()]
+        found = [replace(miss, policy=by, seed=seed, commands=self.commands[key]) for key, miss in self._misses.items()]
         self.commands.clear()
         self._misses.clear()
         return found
@@ -507,8 +508,8 @@ class ArmWatch:
             limits = {name: model.joint(name).limit for name in found}
             ends = {name: [end for end in (limit.lower, limit.upper) if end is not None] for name, limit in limits.items()}
             at_limit = {name: end for name, known in ends.items() for end in known if abs(found[name] - end) < _AT_LIMIT}
-            self._misses[key] = Miss(robot, actuator.name, distance, angle, at_limit, step=world.step_count)
-        self._misses[key] = replace(self._misses[key], out=self._misses[key].out + 1)
+            self._misses[key] = UnreachedPose(robot, actuator.name, distance, angle, at_limit, step=world.step_count)
+        self._misses[key] = replace(self._misses[key], unreached_commands=self._misses[key].unreached_commands + 1)
 
     def _check_turn(self, world: Supervisor, key: tuple[str, str], actuator: CartesianActuator, drive: Cartesian, target: Triple) -> None:
         """Check whether the first command of an episode turns a link in place."""
@@ -518,7 +519,7 @@ class ArmWatch:
         turn = _angle(frames.multiply(drive.attitude, frames.inverse(attitude)))
         if turn > _TURN and dist(place, target) < _IN_PLACE:
             start = frames.roll_pitch_yaw(attitude)
-            self._misses[key] = Miss(*key, 0.0, 0.0, {}, turn=turn, start=start, step=world.step_count)
+            self._misses[key] = UnreachedPose(*key, 0.0, 0.0, {}, turn=turn, start=start, step=world.step_count)
 
 
 def _angle(q: frames.Quaternion) -> float:
@@ -547,7 +548,7 @@ class RayWatch:
         if not self.clearances:
             return lambda: None
         tops = {thing.name: _top_of(engine, thing) for thing in self._world.objects if thing.solid}
-        tops |= {body.name: _top_of_robot(engine, body.name, footprint.bounds(body.model)) for body in self._world.robots}
+        tops |= {body.name: _top_of_robot(engine, body.name, footprint.robot_bounds(body.model)) for body in self._world.robots}
         if self._world.arena is not None:
             wall = self._world.arena.wall_height
             tops[ARENA] = lambda: wall
@@ -558,7 +559,7 @@ class RayWatch:
             for both, before in list(self.clearances.items()):
                 highest = max((top for top in known if top[1] != both[0]), default=(inf, ""))
                 low = lowest[both]()
-                if low > highest[0] + SINK:
+                if low > highest[0] + MAX_SINK:
                     self.clearances[both] = Clearance(min(low, before.lowest), *max(highest, (before.top, before.tallest)))
                 else:
                     del self.clearances[both]

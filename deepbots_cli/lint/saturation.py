@@ -14,7 +14,7 @@ from deepbots_cli.expressions.intervals import NEVER, SIGNED_UNIT, Interval
 from deepbots_cli.expressions.scalar import Draw, Name, Scalar, World, children
 from deepbots_cli.lint.analysis import Analysis, Comparison, RuleContext, Threshold, thresholds
 from deepbots_cli.lint.observations import RangedNumber, clipped_once, ranged_numbers, replace_range
-from deepbots_cli.lint.ranges import Ranges, between, range_text, with_unit
+from deepbots_cli.lint.ranges import Ranges, bounds_text, range_text, with_unit
 from deepbots_cli.program.values import Expression
 
 _ROUNDING = 1e-6
@@ -58,7 +58,7 @@ def saturates_before_termination(context: RuleContext) -> Iterator[Finding]:
                     yield _unseen(context, analysis, view, ending.value, comparison)
 
 
-class View(NamedTuple):
+class BlindNumber(NamedTuple):
     """A number of the observation, and the value of a threshold's quantity from which on the number is constant; NaN if it never is."""
 
     number: RangedNumber
@@ -78,7 +78,7 @@ def _parts(analysis: Analysis, node: Scalar) -> set[int]:
         node = waiting.pop()
         if analysis.identity(node) not in found:
             found.add(analysis.identity(node))
-            waiting += children(analysis.meaning(node))
+            waiting += children(analysis.resolve_aliases(node))
     return found
 
 
@@ -87,13 +87,13 @@ def _can_be_met(threshold: Threshold, ranges: Ranges) -> bool:
     return known.high > threshold.limit if threshold.above else known.low < threshold.limit
 
 
-def _blind(shown: list[tuple[RangedNumber, set[int]]], asked: list[Threshold], ranges: Ranges) -> Iterator[View]:
+def _blind(shown: list[tuple[RangedNumber, set[int]]], asked: list[Threshold], ranges: Ranges) -> Iterator[BlindNumber]:
     """For each threshold of a comparison that no number shows, the first number that should."""
-    views: list[tuple[int, list[View]]] = []
+    views: list[tuple[int, list[BlindNumber]]] = []
     for threshold in asked:
         quantity = ranges.analysis.identity(threshold.quantity)
         views.append(
-            (quantity, [View(number, threshold, _edge(number, threshold, ranges)) for number, parts in shown if quantity in parts])
+            (quantity, [BlindNumber(number, threshold, _edge(number, threshold, ranges)) for number, parts in shown if quantity in parts])
         )
     for quantity, found in views:
         # `abs(x) > 1 m` has thresholds of both `abs(x)` and `x`; the policy needs to see only one of them.
@@ -131,7 +131,7 @@ def _edge(number: RangedNumber, threshold: Threshold, ranges: Ranges) -> float:
     return near
 
 
-def _unseen(context: RuleContext, analysis: Analysis, view: View, ending: Expression, comparison: Comparison) -> Finding:
+def _unseen(context: RuleContext, analysis: Analysis, view: BlindNumber, ending: Expression, comparison: Comparison) -> Finding:
     number, name, limit = view.number, view.number.name, view.threshold.limit
     help, fix = "widen its range, or the range of its `clamp`, beyond the limit", None
     if analysis.identity(number.node) == analysis.identity(view.threshold.quantity):
@@ -151,7 +151,7 @@ def _unseen(context: RuleContext, analysis: Analysis, view: View, ending: Expres
     if comparison.value.owner:
         place = context.text(comparison.value.owner).part(comparison.node.start, comparison.node.end)
     also = (Label(place, f"`{ending.name}` ends the episode here"),)
-    return Finding("DB603", context.range_span(number.entry), headline, help=help, also=also, fix=fix)
+    return Finding("DB603", context.range_span(number.entry), headline, help=help, labels=also, fix=fix)
 
 
 def observation_saturates(context: RuleContext) -> Iterator[Finding]:
@@ -180,13 +180,13 @@ def _saturated_at_start(context: RuleContext) -> Iterator[Finding]:
     for number in clipped_once(analysis):
         if number.is_outside(analysis.ranges.of(number.node)):
             continue  # DB602
-        first, fact = analysis.start.of(number.node), analysis.meaning(number.node)
+        first, fact = analysis.start.of(number.node), analysis.resolve_aliases(number.node)
         is_beyond = first.low > number.high + number.slack or first.high < number.low - number.slack
         drawn = analysis.start.initial(fact) if isinstance(fact, World) else None
-        if drawn is not None and drawn.finite:  # exactly what is drawn, not a wider range around it
+        if drawn is not None and drawn.is_finite:  # exactly what is drawn, not a wider range around it
             is_beyond = drawn.high > number.high + number.slack or drawn.low < number.low - number.slack
         if is_beyond:
-            headline = f"`{number.name}` can start outside its range: its initial value is {between(first, number.dimension)}"
+            headline = f"`{number.name}` can start outside its range: its initial value is {bounds_text(first, number.dimension)}"
             yield Finding("DB611", context.range_span(number.entry), headline, help="widen the range, or start inside the range")
 
 
@@ -196,12 +196,12 @@ def _goal_out_of_range(context: RuleContext) -> Iterator[Finding]:
     if goal is None:
         return
     for node, low, high in zip(analysis.scalars(goal.desired), goal.low, goal.high, strict=True):
-        meant = analysis.meaning(node)
+        meant = analysis.resolve_aliases(node)
         drawn = analysis.start.of(meant) if isinstance(meant, Draw) else None
         drawn = analysis.start.initial(meant) if isinstance(meant, World) else drawn
         slack = _ROUNDING * (high - low)
-        if drawn is not None and drawn.finite and (drawn.low < low - slack or drawn.high > high + slack):
-            headline = f"`desired` can begin outside its range: it is drawn {between(drawn, goal.desired.typed.type.dimension)}"
+        if drawn is not None and drawn.is_finite and (drawn.low < low - slack or drawn.high > high + slack):
+            headline = f"`desired` can begin outside its range: it is drawn {bounds_text(drawn, goal.desired.typed.type.dimension)}"
             yield Finding(
                 "DB611", context.values.span(("goal", "range")), headline, help="widen the range of the goal, or draw from a smaller one"
             )
@@ -211,7 +211,7 @@ def _goal_out_of_range(context: RuleContext) -> Iterator[Finding]:
 def _saturated_by_gravity(context: RuleContext) -> Iterator[Finding]:
     met = set()
     for number in ranged_numbers(context.analysis):
-        leaf = context.analysis.meaning(number.node)
+        leaf = context.analysis.resolve_aliases(number.node)
         reading = _at_rest(context.analysis, leaf)
         if reading is None or not number.entry.clip or id(number.entry) in met or number.low <= reading <= number.high:
             continue

@@ -16,7 +16,7 @@ from typing import Literal, get_args
 
 from deepbots_cli.diagnostics import Source
 from deepbots_cli.diagnostics.findings import RuleSelectors
-from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document import files
 from deepbots_cli.errors import UsageError
 
@@ -62,9 +62,9 @@ def settings(folder: Path | None = None) -> Settings:
     for name, keys in _TABLES:
         path = root / name
         if path.is_file() and (data := _read(path)) and (name == "deepbots.toml" or _TOOL.search(data)):
-            table = _table(data, files.display(path), keys)
+            table = _table(data, files.display_path(path), keys)
             if table is not None:
-                return _settings(root, table, Source(files.display(path), data.decode()))
+                return _settings(root, table, Source(files.display_path(path), data.decode()))
     return Settings(root)
 
 
@@ -73,9 +73,9 @@ def _read(path: Path) -> bytes:
         with path.open("rb") as file:
             data = file.read(_MAX_BYTES + 1)
     except OSError as error:
-        raise UsageError(f"{files.display(path)} cannot be read: {(error.strerror or 'no reason given').lower()}") from None
+        raise UsageError(f"{files.display_path(path)} cannot be read: {(error.strerror or 'no reason given').lower()}") from None
     if len(data) > _MAX_BYTES:
-        raise UsageError(f"{files.display(path)} is larger than the limit of {_MAX_BYTES >> 10} KiB")
+        raise UsageError(f"{files.display_path(path)} is larger than the limit of {_MAX_BYTES >> 10} KiB")
     return data
 
 
@@ -113,7 +113,7 @@ def _settings(root: Path, table: dict[str, object], source: Source) -> Settings:
 def _check_keys(table: dict[str, object], known: Sequence[str], name: str) -> None:
     for key in table:
         if key not in known:
-            near = nearest(key, known)
+            near = nearest_word(key, known)
             there = f"did you mean '{near}'?" if near else f"there are {', '.join(known)}"
             raise UsageError(f"{name}: unknown key '{key}'; {there}")
 
@@ -121,7 +121,7 @@ def _check_keys(table: dict[str, object], known: Sequence[str], name: str) -> No
 def _word(value: object, key: str, name: str) -> str:
     if isinstance(value, str) and value in _WORDS[key]:
         return value
-    near = nearest(value, _WORDS[key]) if isinstance(value, str) else None
+    near = nearest_word(value, _WORDS[key]) if isinstance(value, str) else None
     there = f"did you mean '{near}'?" if near else f"it is one of {', '.join(_WORDS[key])}"
     raise UsageError(f"{name}: '{key}' cannot be {value!r}; {there}")
 

@@ -8,14 +8,24 @@ from deepbots_cli.diagnostics import Finding, Fix, Label
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH
 from deepbots_cli.expressions.intervals import NEVER, Interval
 from deepbots_cli.expressions.scalar import Name, Op, Scalar, State, World, children
-from deepbots_cli.expressions.unification import negated
-from deepbots_cli.lint.analysis import FOLLOWING, Analysis, Comparison, RewardTerms, RuleContext, Terms, Threshold, is_clock, thresholds
+from deepbots_cli.expressions.unification import negated_text
+from deepbots_cli.lint.analysis import (
+    ORDER_PRESERVING,
+    Analysis,
+    Comparison,
+    RewardTerms,
+    RuleContext,
+    Terms,
+    Threshold,
+    is_clock,
+    thresholds,
+)
 from deepbots_cli.lint.ranges import Ranges, with_unit
 from deepbots_cli.program.task import Ending
 from deepbots_cli.program.values import Expression
 from deepbots_cli.scenario.sensors import SENSORS
 
-_RISING = FOLLOWING | {"delta", "integral", "accumulate", "exp", "log", "sqrt", "clamp"}
+_RISING = ORDER_PRESERVING | {"delta", "integral", "accumulate", "exp", "log", "sqrt", "clamp"}
 """Functions that rise with their first argument."""
 _MAX_SHOWN = 60
 """Characters of an expression in a help text."""
@@ -49,12 +59,12 @@ def suspicious_sign(context: RuleContext) -> Iterator[Finding]:
         termination: {success: {arrived: left < 5 cm}}
     """
     reward, endings = context.analysis.reward, context.program.endings
-    ordinary, final = reward.split()
+    ordinary, final = reward.split_by_end()
     for term, node in final:
         for ending in endings:
-            paid = reward.at(ending).of(node)
-            others = (other for other in reward.ends if other is None or other.outcome != ending.outcome)
-            if any(reward.at(other).of(node) != NEVER for other in others):
+            paid = reward.ranges_at(ending).of(node)
+            others = (other for other in reward.endings_and_truncation if other is None or other.outcome != ending.outcome)
+            if any(reward.ranges_at(other).of(node) != NEVER for other in others):
                 continue  # paid at ends of another kind as well: its sign says nothing about this one
             if paid.low > 0.0 if ending.outcome == "failure" else paid.high < 0.0:
                 verb = f"pays {paid.low:.3g}" if paid.low > 0.0 else f"costs {-paid.high:.3g}"
@@ -68,15 +78,15 @@ def suspicious_sign(context: RuleContext) -> Iterator[Finding]:
 
 
 def _wrong_sign(term: Expression, headline: str, also: tuple[Label, ...]) -> Finding:
-    turned = negated(term.typed)(term.text)
+    turned = negated_text(term.typed)(term.text)
     fix = Fix.replacing(term.span, term.text, turned, safe=False)
     help = f"reverse the sign: `{turned}`" if len(turned) <= _MAX_SHOWN else "reverse the sign"
-    return Finding("DB703", term.span, headline, help=help, also=also, fix=fix)
+    return Finding("DB703", term.span, headline, help=help, labels=also, fix=fix)
 
 
 def _away_from_success(reward: RewardTerms, ordinary: Terms, ending: Ending) -> Iterator[Finding]:
     """Terms that pay for the opposite of the one comparison of a success."""
-    analysis, running = reward.analysis, reward.running()
+    analysis, running = reward.analysis, reward.ranges_while_running()
     compared = list(analysis.comparisons(ending.value))
     if len(compared) != 1 or not analysis.is_one_comparison(ending.value):
         return
@@ -103,18 +113,18 @@ class Slope:
         self._analysis = ranges.analysis
         self._ranges = ranges
         self._quantity = self._analysis.identity(threshold.quantity)
-        self._pair = self._analysis.pair(threshold.quantity)
+        self._pair = self._analysis.distance_pair(threshold.quantity)
         self._known: dict[Name, float | None] = {}
 
     def of(self, node: Scalar) -> float | None:
         if self._analysis.identity(node) == self._quantity:
             return 1.0
-        if self._pair is not None and self._analysis.pair(node) == self._pair:
+        if self._pair is not None and self._analysis.distance_pair(node) == self._pair:
             return 1.0  # another measure of the same distance
         match node:
             case Name():
                 if node not in self._known:
-                    meaning = self._analysis.meaning(node)
+                    meaning = self._analysis.resolve_aliases(node)
                     self._known[node] = 0.0 if isinstance(meaning, Name) else self.of(meaning)
                 return self._known[node]
             case State("previous", _):
@@ -196,7 +206,7 @@ def hidden_state_reward(context: RuleContext) -> Iterator[Finding]:
     analysis, program = context.analysis.ideal, context.program
     shown = [entry.value for entry in program.policy.observation]
     shown += [program.policy.goal.achieved, program.policy.goal.desired] if program.policy.goal is not None else []
-    seen = {found for value in shown for node in analysis.scalars(value) for found in analysis.sources(node)}
+    seen = {found for value in shown for node in analysis.scalars(value) for found in analysis.drawn_dependencies(node)}
     perceives = any(SENSORS[sensor.kind].perceives for robot in program.robots for sensor in robot.sensors)
     perceives = perceives or any(entry.value.typed.type.picture for entry in program.policy.observation)
     drawn = {value.name for value in program.parameters}
@@ -204,7 +214,7 @@ def hidden_state_reward(context: RuleContext) -> Iterator[Finding]:
     things = {thing.name for thing in program.world.objects if thing.name.partition(" ")[0] not in walls}
     bodies = set() if perceives else things | {robot.name for robot in program.world.robots}
     for term, node in analysis.reward.terms:
-        hidden = sorted((analysis.sources(node) - seen) & (drawn | bodies))
+        hidden = sorted((analysis.drawn_dependencies(node) - seen) & (drawn | bodies))
         if hidden:
             what = f"the {'drawn parameter' if hidden[0] in drawn else 'body'} `{hidden[0]}`"
             help = f"add an entry that uses `{hidden[0]}` under `augment`, and observe this entry"
@@ -232,35 +242,35 @@ def pays_towards_failure(context: RuleContext) -> Iterator[Finding]:
     analysis, reward = context.analysis, context.analysis.reward
     if context.program.policy.goal is not None or not reward.is_complete:
         return
-    ordinary, _ = reward.split()
+    ordinary, _ = reward.split_by_end()
     for ending in context.program.endings:
         compared = list(analysis.comparisons(ending.value)) if ending.outcome == "failure" else []
         if len(compared) != 1 or not analysis.is_one_comparison(ending.value):
             continue
-        threshold = next(thresholds(compared[0], reward.running()), None)
+        threshold = next(thresholds(compared[0], reward.ranges_while_running()), None)
         if threshold is None or not _counts_from_middle(reward, threshold):
             continue
         for term in _towards(reward, threshold, ordinary):
             headline = f"`{term.name}` pays more as the episode approaches `{ending.value.name}`"
             also = (Label(ending.value.span, "a failure"),)
-            yield Finding("DB710", term.span, headline, help=_opposite(compared[0], threshold), also=also)
+            yield Finding("DB710", term.span, headline, help=_opposite(compared[0], threshold), labels=also)
 
 
 def _counts_from_middle(reward: RewardTerms, threshold: Threshold) -> bool:
     """Whether a quantity counts from a middle up to a limit, and depends on the present alone."""
-    known = reward.running().of(threshold.quantity)
+    known = reward.ranges_while_running().of(threshold.quantity)
     is_place = threshold.dimension in (LENGTH, ANGLE) and threshold.above and known.low == 0.0 < threshold.bound.low
     return is_place and not _has_memory(reward.analysis, threshold.quantity)
 
 
 def _has_memory(analysis: Analysis, node: Scalar) -> bool:
-    node = analysis.meaning(node)
+    node = analysis.resolve_aliases(node)
     return isinstance(node, State) or any(_has_memory(analysis, part) for part in children(node))
 
 
 def _towards(reward: RewardTerms, threshold: Threshold, terms: Terms) -> list[Expression]:
     """The terms that pay more just before the failure than in the middle; none where another term or a success concerns the same."""
-    analysis, running, slope = reward.analysis, reward.running(), Slope(reward.running(), threshold)
+    analysis, running, slope = reward.analysis, reward.ranges_while_running(), Slope(reward.ranges_while_running(), threshold)
     limit, quantity = threshold.bound.low, analysis.identity(threshold.quantity)
     middle = running.where(quantity, Interval(0.0, _EDGE * limit))
     edge = running.where(quantity, Interval((1.0 - _EDGE) * limit, limit))
@@ -276,7 +286,7 @@ def _towards(reward: RewardTerms, threshold: Threshold, terms: Terms) -> list[Ex
 def _concerns(analysis: Analysis, node: Scalar) -> set[str]:
     """The names without definition that a value depends on, and the bodies on whose places it depends."""
     found: set[str] = set()
-    for part in analysis.unfold(node):
+    for part in analysis.walk_definitions(node):
         match part:
             case Name(name):
                 found.add(name)

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import deepbots_cli
-from deepbots_cli.compiler import Checked
+from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.compiler.inputs import Inputs
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.diagnostics import Span
@@ -36,9 +36,9 @@ from deepbots_cli.program.world import ARENA_WALLS, GROUND
 
 # What is simulated
 
-HOLD = 8
+HOLD_STEPS = 8
 """Steps for which a random action is held. Actions that are new in every step cancel each other, and move little."""
-RANDOM, HELD, IDLE = "random actions", f"random actions that each last {HOLD} steps", "doing nothing"
+RANDOM, HELD_RANDOM, IDLE = "random actions", f"random actions that each last {HOLD_STEPS} steps", "doing nothing"
 
 _RESETS = 24
 _RANDOM_EPISODES, _RANDOM_STEPS, _ENOUGH = 24, 250, 1500
@@ -54,10 +54,10 @@ _MIN_STEPS = 10
 class Rollout:
     """An episode: its policy, its seed, and the step after which it is left.
 
-    `by` is `RANDOM`, `HELD`, `IDLE`, or the words for a script.
+    `policy` is `RANDOM`, `HELD_RANDOM`, `IDLE`, or the words for a script.
     """
 
-    by: str
+    policy: str
     seed: int
     steps: int
     script: str | None = None
@@ -72,26 +72,26 @@ class Plan:
     enough: int
 
 
-def planned(program: Program) -> Plan:
+def simulation_plan(program: Program) -> Plan:
     """The plan for the scenario itself."""
     last = program.truncation.max_episode_steps(program.period)
-    drawn = [Rollout(HELD if seed % 2 else RANDOM, seed, min(last, _RANDOM_STEPS)) for seed in range(_RANDOM_EPISODES)]
+    drawn = [Rollout(HELD_RANDOM if seed % 2 else RANDOM, seed, min(last, _RANDOM_STEPS)) for seed in range(_RANDOM_EPISODES)]
     others = [Rollout(by, seed, min(last, _OTHER_STEPS), script) for by, script in _others(program) for seed in range(_OTHER_EPISODES)]
     share = min(1.0, _MAX_WORK / (_work(program) * (_ENOUGH + sum(rollout.steps for rollout in others))))
-    rollouts = tuple(Rollout(each.by, each.seed, max(_MIN_STEPS, int(each.steps * share)), each.script) for each in (*drawn, *others))
+    rollouts = tuple(Rollout(each.policy, each.seed, max(_MIN_STEPS, int(each.steps * share)), each.script) for each in (*drawn, *others))
     settling = program.reset.settle / program.world.timestep * program.world.substeps
     resets = max(2, min(_RESETS, int(_MAX_SETTLING / max(settling, 1.0))))
     return Plan(resets, rollouts, max(_MIN_STEPS, int(_ENOUGH * share)))
 
 
-def planned_for_variant(program: Program) -> tuple[Rollout, ...]:
+def variant_plan(program: Program) -> tuple[Rollout, ...]:
     """The episodes in a case or a stage, where something has been constant so far."""
     steps = max(_MIN_STEPS, min(_VARIANT_STEPS, int(_MAX_WORK / 20 / _work(program))))
-    return (Rollout(HELD, 1, steps), *(Rollout(by, 0, steps, script) for by, script in _others(program) if script))
+    return (Rollout(HELD_RANDOM, 1, steps), *(Rollout(by, 0, steps, script) for by, script in _others(program) if script))
 
 
 def _others(program: Program) -> Iterator[tuple[str, str | None]]:
-    if idle(program) is not None:
+    if idle_action(program) is not None:
         yield IDLE, None
     for script in program.policy.scripts:
         yield f"the script `{script.name}`", script.name
@@ -104,7 +104,7 @@ def _work(program: Program) -> float:
     return (len(program.robots) * (program.world.substeps * program.action_repeat + 10) + pixels / _PIXELS) * copies
 
 
-def idle(program: Program) -> tuple[tuple[int, ...], tuple[float, ...]] | None:
+def idle_action(program: Program) -> tuple[tuple[int, ...], tuple[float, ...]] | None:
     """The action that does nothing: the number of an option for each choice, and a value from -1 to 1 for each component of a range.
 
     It is the option of zeros, and the value of a range that is nearest to 0. None where a choice has no option of zeros.
@@ -129,14 +129,14 @@ End = Literal["success", "failure", "limit", "left"]
 """How an episode ended: by the task, by truncation, or left after enough steps."""
 ARENA = "arena walls"
 """Holds a blank, which no name of an object does."""
-SINK = 0.001
+MAX_SINK = 0.001
 """m; engines let bodies sink in by less, and round what rays meet."""
 
 
-class Where(NamedTuple):
+class SimulationPosition(NamedTuple):
     """A policy (or `build`, `reset`), a seed, and the number of a step, from 1."""
 
-    doing: str
+    activity: str
     seed: int
     step: int
 
@@ -146,7 +146,7 @@ class Halt:
     """The process ended early: a crash of the engine, a step without end, lack of memory, or the end of the whole time."""
 
     kind: Literal["crash", "hang", "memory", "slow", "killed"]
-    what: str
+    description: str
 
 
 @dataclass(frozen=True)
@@ -161,22 +161,22 @@ class Overlap:
 
 @dataclass(frozen=True)
 class Episode:
-    """One episode; `worth` is the discounted return."""
+    """One episode; `discounted_return` is the discounted return."""
 
-    by: str
+    policy: str
     seed: int
     steps: int
-    worth: float
+    discounted_return: float
     end: End
 
 
 @dataclass(frozen=True)
-class Miss:
-    """The first command of an episode to a `cartesian` actuator that the inverse kinematics does not reach; `out` counts them all.
+class UnreachedPose:
+    """The first command of an episode to a `cartesian` actuator that the inverse kinematics does not reach.
 
-    `distance` (m) and `angle` (rad) are the errors; `at_limit` maps joints that end at a limit to that limit (rad or m). With `turn`
-    (rad) it is instead a first command that the arm reaches by turning its link in place; `start` (roll, pitch, yaw in rad) is the
-    attitude of the link before.
+    `unreached_commands` counts such commands. `distance` (m) and `angle` (rad) are the errors; `at_limit` maps
+    joints that end at a limit to that limit (rad or m). With `turn` (rad) it is instead a first command that the arm reaches by turning
+    its link in place; `start` (roll, pitch, yaw in rad) is the attitude of the link before.
     """
 
     robot: str
@@ -186,10 +186,10 @@ class Miss:
     at_limit: Mapping[str, float]
     turn: float = 0.0
     start: Sequence[float] = ()
-    by: str = ""
+    policy: str = ""
     seed: int = 0
     step: int = 0
-    out: int = 0
+    unreached_commands: int = 0
     commands: int = 0
 
 
@@ -218,8 +218,8 @@ class TermStatistics(NamedTuple):
     """A term of the reward under one policy: its sum, the sum of its sizes, the steps in which it was not 0, and its range."""
 
     total: float
-    size: float
-    fired: int
+    absolute_total: float
+    nonzero_steps: int
     low: float
     high: float
 
@@ -234,41 +234,42 @@ class Statistics(NamedTuple):
 
 
 @dataclass
-class Report:
-    """What the process that simulates has written. Names in it are only ever looked up in the scenario.
+class SimulationReport:
+    """The lines that the simulating process has written. Names in it are only ever looked up in the scenario.
 
-    `early` maps endings to the seeds with which they hold at the start; `still` and `silent` are the places of the numbers and terms
-    that never changed. `done` says whether the plan was completed, `fault` which exception of deepbots ended it.
+    `endings_at_reset` maps endings to the seeds with which they hold at the start; `constant_numbers` and `zero_terms` are the places
+    of the numbers that never changed and of the terms that were always 0. `done` says whether the plan was completed, `fault` which
+    exception of deepbots ended it.
     """
 
-    where: Where = Where("build", 0, 0)
+    where: SimulationPosition = SimulationPosition("build", 0, 0)
     fastest: tuple[str, float] | None = None
     overlaps: list[Overlap] = field(default_factory=list)
-    early: dict[str, list[int]] = field(default_factory=dict)
-    misses: list[Miss] = field(default_factory=list)
+    endings_at_reset: dict[str, list[int]] = field(default_factory=dict)
+    misses: list[UnreachedPose] = field(default_factory=list)
     episodes: list[Episode] = field(default_factory=list)
     measured: dict[str, Statistics] = field(default_factory=dict)
-    still: Sequence[int] = ()
-    silent: Sequence[int] = ()
+    constant_numbers: Sequence[int] = ()
+    zero_terms: Sequence[int] = ()
     clearances: dict[tuple[str, str], Clearance] = field(default_factory=dict)
     stop: Mapping[str, Any] | None = None
     halt: Halt | None = None
     fault: str | None = None
     done: bool = False
 
-    def take(self, line: Mapping[str, Any]) -> None:  # one case per kind of line  # noqa: C901
+    def add_line(self, line: Mapping[str, Any]) -> None:  # one case per kind of line  # noqa: C901
         """Add one line of the process."""
         match line:
             case {"at": [str(doing), int(seed)]}:
-                self.where, self.fastest = Where(doing, seed, 0), None
+                self.where, self.fastest = SimulationPosition(doing, seed, 0), None
             case {"fast": [str(body), int() | float() as speed]}:
                 self.fastest = (body, speed)
             case {"overlap": {"one": [str(a), str(b)], "other": [str(c), str(d)], "depth": float(depth), "seed": int(seed)}}:
                 self.overlaps.append(Overlap((a, b), (c, d), depth, seed))
             case {"early": [str(ending), int(seed)]}:
-                self.early.setdefault(ending, []).append(seed)
+                self.endings_at_reset.setdefault(ending, []).append(seed)
             case {"miss": Mapping() as row}:
-                self.misses.append(Miss(**row))
+                self.misses.append(UnreachedPose(**row))
             case {"episode": Mapping() as row}:
                 self.episodes.append(Episode(**row))
             case {"measured": Mapping() as policies}:
@@ -276,7 +277,7 @@ class Report:
                     numbers, terms = [NumberStatistics(*row) for row in numbers], [TermStatistics(*row) for row in terms]
                     self.measured[by] = Statistics(steps, rows, numbers, terms)
             case {"still": still, "silent": silent}:
-                self.still, self.silent = still, silent
+                self.constant_numbers, self.zero_terms = still, silent
             case {"clearances": rows}:
                 self.clearances = {(robot, sensor): Clearance(*clearance) for robot, sensor, *clearance in rows}
             case {"stop": Mapping() as stop}:
@@ -323,7 +324,7 @@ def require_simulator() -> None:
         raise MissingExtraError("sim", "lint --deep")
 
 
-def measure(inputs: Inputs, limits: Limits, *, allow_code: bool = False) -> Report:
+def measure(inputs: Inputs, limits: Limits, *, allow_code: bool = False) -> SimulationReport:
     """Simulate a scenario in a process of its own, which compiles it from copies of its files.
 
     Raises:
@@ -359,9 +360,9 @@ def measure(inputs: Inputs, limits: Limits, *, allow_code: bool = False) -> Repo
     return report
 
 
-def _read(out: bytes) -> Report:
+def _read(out: bytes) -> SimulationReport:
     """Read lines of JSON, and `~17` before step 17; a last line that is cut off is ignored."""
-    report = Report()
+    report = SimulationReport()
     for line in out.split(b"\n"):
         if line.startswith(b"~") and line[1:].isdigit():
             report.where = report.where._replace(step=int(line[1:]))
@@ -373,7 +374,7 @@ def _read(out: bytes) -> Report:
         if isinstance(entry, dict):
             if "fault" in entry and os.environ.get("DEEPBOTS_DEBUG") == "1":
                 raise RuntimeError(f"the simulation failed by a fault of deepbots\n{entry.get('traceback')}")
-            report.take(entry)
+            report.add_line(entry)
     return report
 
 
@@ -430,9 +431,9 @@ class FailedExpression(NamedTuple):
 class Simulation(RuleContext):
     """A scenario and the report of its simulation."""
 
-    def __init__(self, checked: Checked, program: Program, namespace: Namespace, report: Report) -> None:
+    def __init__(self, checked: CheckedScenario, program: Program, namespace: Namespace, report: SimulationReport) -> None:
         super().__init__(checked, program, namespace)
-        self.plan = planned(program)
+        self.plan = simulation_plan(program)
         self.report = report
         self.measured = {by: found for by, found in report.measured.items() if found.steps}
         """By policy; only policies that made a step."""
@@ -472,7 +473,7 @@ class Simulation(RuleContext):
         return self.values.key_span(path)
 
     def placement(self, name: str) -> Span | None:
-        """Where the scenario places a body; None where it does not."""
+        """The span at which the scenario places a body; None if it does not."""
         base = name.partition("#")[0]
         place = next((place for place in self.analysis.placements if place.body == base), None)
         if place is None:
@@ -481,7 +482,7 @@ class Simulation(RuleContext):
 
     # Words
 
-    def when(self, where: Where | None = None) -> str:
+    def when(self, where: SimulationPosition | None = None) -> str:
         """The progress of the simulation, for a note."""
         doing, seed, step = where or self.report.where
         if doing == "build":

@@ -9,13 +9,13 @@ from typing import Any
 
 from deepbots_cli import footprint
 from deepbots_cli.compiler.robots import joint_dimension
-from deepbots_cli.compiler.values import Values
+from deepbots_cli.compiler.values import ValueReader
 from deepbots_cli.diagnostics import Finding, Label, Span
-from deepbots_cli.document.nodes import Path
+from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, MASS
-from deepbots_cli.expressions.functions import draws
-from deepbots_cli.expressions.intervals import ALWAYS, exact
+from deepbots_cli.expressions.functions import contains_draw
+from deepbots_cli.expressions.intervals import ALWAYS, single
 from deepbots_cli.expressions.scalar import World
 from deepbots_cli.expressions.types import Stage
 from deepbots_cli.lint.analysis import Analysis, RuleContext, names_in
@@ -85,9 +85,9 @@ def odd_scale(context: RuleContext) -> Iterator[Finding]:
         objects: {puck: {shape: cylinder, radius: 4 cm, height: 3 cm, mass: 200 g, pose: {x: 50 cm, z: 10 cm}}}
     """
     world, values = context.program.world, context.values
-    sizes = [(robot, max(footprint.sides(footprint.bounds(footprint.without_meshes(robot.model))))) for robot in world.robots]
+    sizes = [(robot, max(footprint.box_sides(footprint.robot_bounds(footprint.without_meshes(robot.model))))) for robot in world.robots]
     robots = [(robot, size) for robot, size in sizes if size > 0.0]
-    met: set[Path] = set()
+    met: set[NodePath] = set()
     for thing in world.objects:
         for path, kind in _forms(thing):
             if path in met or not values.is_present(path):
@@ -98,20 +98,20 @@ def odd_scale(context: RuleContext) -> Iterator[Finding]:
                 yield found
 
 
-def _forms(thing: ObjectBody) -> Iterator[tuple[Path, Variant]]:
+def _forms(thing: ObjectBody) -> Iterator[tuple[NodePath, Variant]]:
     """Each variant of a body, and its place in the scenario."""
-    path: Path = ("objects", thing.name.partition("#")[0])
+    path: NodePath = ("objects", thing.name.partition("#")[0])
     if thing.variants:
         yield from (((*path, "one_of", kind.name), kind) for kind in thing.variants)
     else:
         yield path, Variant(thing.name, thing.shape, thing.mass, fixed=thing.fixed)
 
 
-def _around(start: StartRanges, thing: ObjectBody, kind: Variant, robots: _Robots, path: Path, values: Values) -> Finding | None:
+def _around(start: StartRanges, thing: ObjectBody, kind: Variant, robots: _Robots, path: NodePath, values: ValueReader) -> Finding | None:
     """An object with a small robot inside, wherever both are placed."""
     if not thing.solid or isinstance(kind.shape, Mesh):
         return None
-    width = 2.0 * footprint.of_shape(kind.shape).inradius
+    width = 2.0 * footprint.shape_footprint(kind.shape).inradius
     for robot, size in robots:
         if width >= _DWARFS * size and _is_within(start, robot, thing, kind.shape):
             headline = f"`{path[-1]}` is {with_unit(width, LENGTH)} across, and `{robot.name}` ({with_unit(size, LENGTH)}) begins inside it"
@@ -122,14 +122,14 @@ def _around(start: StartRanges, thing: ObjectBody, kind: Variant, robots: _Robot
 def _is_within(start: StartRanges, robot: RobotBody, thing: ObjectBody, shape: Shape) -> bool:
     """Whether the origin of a robot lies within the outline of an object, seen from above, and part of the robot at the same height."""
     radius, half = _inner_cylinder(shape)
-    high = footprint.bounds(footprint.without_meshes(robot.model))[1][2]
+    high = footprint.robot_bounds(footprint.without_meshes(robot.model))[1][2]
     standing, lying = footprint.resting_height(robot.model), footprint.resting_height(shape)
     pairs = [(one, other) for one in start.poses(thing.name) for other in start.poses(robot.name)]
     for (place, here), (stand, there) in pairs:
         if not (is_level(here) and is_level(there)):
             return False
-        middle = exact(lying) if place.rests else here["z"]
-        root = exact(standing) if stand.rests else there["z"]
+        middle = single(lying) if place.rests else here["z"]
+        root = single(standing) if stand.rests else there["z"]
         apart = [max(here[axis].high - there[axis].low, there[axis].high - here[axis].low) for axis in "xy"]
         shared = min(root.low + high, middle.low + half) - max(root.high - standing, middle.high - half)
         if hypot(*apart) >= radius or shared < _INSIDE:
@@ -145,10 +145,10 @@ def _inner_cylinder(shape: Shape) -> tuple[float, float]:
         case Capsule(radius, length) | Cylinder(radius, length):
             return radius, length / 2
         case _:
-            return footprint.of_shape(shape).inradius, footprint.resting_height(shape)
+            return footprint.shape_footprint(shape).inradius, footprint.resting_height(shape)
 
 
-def _odd_mass(thing: ObjectBody, kind: Variant, robots: _Robots, path: Path, values: Values) -> Finding | None:
+def _odd_mass(thing: ObjectBody, kind: Variant, robots: _Robots, path: NodePath, values: ValueReader) -> Finding | None:
     """A movable object with the density of no material, or one that outweighs all robots by far."""
     size = volume(kind.shape)
     if not thing.solid or kind.fixed or not size or kind.mass <= 0.0:
@@ -168,13 +168,13 @@ def _odd_mass(thing: ObjectBody, kind: Variant, robots: _Robots, path: Path, val
     return Finding("DB507", _span(path, ("mass", "radius", "size"), values), headline, help=_in_centimetres(path, values))
 
 
-def _span(path: Path, keys: tuple[str, ...], values: Values) -> Span:
+def _span(path: NodePath, keys: tuple[str, ...], values: ValueReader) -> Span:
     """The value of the first of these keys that the object has, or else its name."""
     place = next(((*path, key) for key in keys if values.is_present((*path, key))), None)
     return values.span(place) if place else values.key_span(path)
 
 
-def _in_centimetres(path: Path, values: Values) -> str:
+def _in_centimetres(path: NodePath, values: ValueReader) -> str:
     """A help with the same size in centimetres, where it is written in metres."""
     written = _span(path, ("radius", "size"), values).text
     found = _METRES.fullmatch(written)
@@ -207,7 +207,7 @@ def unstable_simulation(simulation: Simulation) -> Iterator[Finding]:
         notes = [simulation.when()]
         if fastest:
             notes.append(f"the fastest body before was `{fastest[0]}`, at {fastest[1]:.3g} m/s")
-        yield Finding("DB309", simulation.body_span(body), headline.format(halt.what), help=help, notes=tuple(notes))
+        yield Finding("DB309", simulation.body_span(body), headline.format(halt.description), help=help, notes=tuple(notes))
     elif stop is not None:
         yield from _stopped(simulation, stop)
 
@@ -278,7 +278,7 @@ def identical_episodes(context: RuleContext) -> Iterator[Finding]:
         or _varies(context.analysis)
     ):
         return
-    if any(draws(tree) for reading in context.values.readings for tree in reading.trees):
+    if any(contains_draw(tree) for reading in context.values.readings for tree in reading.trees):
         return
     headline = f"nothing is drawn, so the {program.evaluation.episodes} episodes of an evaluation are identical"
     if program.reset.joint_starts:
@@ -321,7 +321,7 @@ def _has_noise(sensor: Sensor) -> bool:
 
 
 def _draws_coordinates(place: Placement) -> bool:
-    return any(draws(coordinate.typed) for coordinate in place.coordinates.values())
+    return any(contains_draw(coordinate.typed) for coordinate in place.coordinates.values())
 
 
 def requirement_not_redrawn(context: RuleContext) -> Iterator[Finding]:
@@ -349,11 +349,11 @@ def requirement_not_redrawn(context: RuleContext) -> Iterator[Finding]:
         return
     (node,) = analysis.scalars(require)
     drawn = {value.name for value in program.parameters if value.typed.type.stage is not Stage.FIXED}
-    facts = [fact for fact in analysis.unfold(node) if isinstance(fact, World)]
+    facts = [fact for fact in analysis.walk_definitions(node) if isinstance(fact, World)]
     bodies = {subject.partition(".")[0].partition("#")[0] for fact in facts for subject in fact.subjects}
     places = [place for place in analysis.placements if place.body in bodies]
     names = {name for place in places for coordinate in place.coordinates.values() for name in names_in(coordinate.typed)}
-    sources = sorted((analysis.sources(node) | names) & drawn)
+    sources = sorted((analysis.drawn_dependencies(node) | names) & drawn)
     bent = {subject.partition(".")[0] for fact in facts if not _is_of_root(program, fact) for subject in fact.subjects}
     if sources and not _is_drawn_again(program, places, bent) and analysis.start.of(node) != ALWAYS:
         headline = (
@@ -372,7 +372,7 @@ def _is_of_root(program: Program, fact: World) -> bool:
 
 def _is_drawn_again(program: Program, places: list[Placement], bent: set[str]) -> bool:
     """Whether the next attempt differs: in the place of a body, in the layout, or in a joint of a robot in `bent`."""
-    joints = any(start.robot in bent and draws(start.position.typed) for start in program.reset.joint_starts)
+    joints = any(start.robot in bent and contains_draw(start.position.typed) for start in program.reset.joint_starts)
     moved = any(_draws_coordinates(place) or place.spot is not None or place.at_most is not None for place in places)
     return joints or moved or (bool(places) and len(program.reset.layouts) > 1)
 
@@ -403,7 +403,7 @@ def _overlapping(simulation: Simulation, found: Overlap) -> Finding:
         help = "place them apart, or in a `region`, which finds free positions"
         there = simulation.placement(other[0]) or simulation.body_span(other[0])
         also = (Label(there, f"`{other[0]}` begins here"),)
-    return Finding("DB310", span, headline, help=help, notes=notes, also=also)
+    return Finding("DB310", span, headline, help=help, notes=notes, labels=also)
 
 
 def _order(simulation: Simulation, name: str) -> int:

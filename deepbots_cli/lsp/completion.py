@@ -12,16 +12,16 @@ from typing import Any, NamedTuple
 
 from lsprotocol.types import CompletionItem, CompletionItemKind, CompletionList, MarkupContent, MarkupKind, TextEdit
 
-from deepbots_cli.compiler import Checked
-from deepbots_cli.compiler.inventory import action_at, definition, names
+from deepbots_cli.compiler import CheckedScenario
+from deepbots_cli.compiler.inventory import action_at, definition, names_at
 from deepbots_cli.compiler.namespace import ParameterScope, RobotScope, SupervisorScope
 from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.document import shipped
-from deepbots_cli.document.nodes import Path
+from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions import parser, syntax
 from deepbots_cli.expressions.check import check
 from deepbots_cli.expressions.dimensions import UNITS, Unit
-from deepbots_cli.expressions.functions import ALLOWED, FUNCTIONS, Family, Form, Param
+from deepbots_cli.expressions.functions import ALLOWED_FAMILIES, FUNCTIONS, Family, Form, Param
 from deepbots_cli.expressions.types import Context, Kind, Scope, Type
 from deepbots_cli.lsp.cursor import value_at
 from deepbots_cli.lsp.lookup import (
@@ -33,9 +33,8 @@ from deepbots_cli.lsp.lookup import (
     shapes_at,
     summary,
 )
-from deepbots_cli.lsp.workspace import Analysis, View
-from deepbots_cli.scenario.base import Kinds, MappingOf, Section, about, example_of, fields
-from deepbots_cli.scenario.base import hover as hover_text
+from deepbots_cli.lsp.workspace import Analysis, CursorView
+from deepbots_cli.scenario.base import Kinds, MappingOf, Section, example_of, hover_text, section_description, section_fields
 from deepbots_cli.scenario.fields import (
     COLOURS,
     MEASURES,
@@ -73,7 +72,7 @@ _CODES = re.compile(r"deepbots:[ \t]*ignore\[(?:[^\]]*,)?[ \t]*([A-Za-z0-9]*)$")
 _COLON = re.compile(r"[\w]*[ \t]*:")
 
 
-def completion(view: View) -> CompletionList:
+def completion(view: CursorView) -> CompletionList:
     """All completions at the place; the client filters them by the text before the cursor.
 
     The list is marked as incomplete until the current text is analysed, so that the client asks again at the next letter.
@@ -95,7 +94,7 @@ def completion(view: View) -> CompletionList:
 # Keys
 
 
-def _keys(view: View) -> Iterator[CompletionItem]:
+def _keys(view: CursorView) -> Iterator[CompletionItem]:
     place, data = view.place, view.data
     given = view.keys
     colon = "" if _COLON.match(view.document.plain, view.offset) else ": "
@@ -104,7 +103,7 @@ def _keys(view: View) -> Iterator[CompletionItem]:
             yield _item(view, choice, place.start, choice.text + colon)
 
 
-def _key_choices(view: View, data: Any) -> Iterator[Choice]:
+def _key_choices(view: CursorView, data: Any) -> Iterator[Choice]:
     path = view.place.path
     for shape in shapes_at(path, data):
         match shape:
@@ -121,7 +120,7 @@ def _key_choices(view: View, data: Any) -> Iterator[Choice]:
 
 
 def _section_keys(section: type[Section]) -> Iterator[Choice]:
-    for key in fields(section):
+    for key in section_fields(section):
         yield Choice(key, CompletionItemKind.Property, summary(section, key), hover_text(section, key))
 
 
@@ -138,7 +137,7 @@ def _kind_keys(shape: Kinds, data: Any) -> Iterator[Choice]:
 # Values
 
 
-def _values(view: View) -> Iterator[CompletionItem]:
+def _values(view: CursorView) -> Iterator[CompletionItem]:
     place, data = view.place, view.data
     words = list(_word_choices(view, data)) or [*_example(view, data)]
     yield from (_item(view, choice, place.start) for choice in _unique(words))
@@ -150,7 +149,7 @@ def _values(view: View) -> Iterator[CompletionItem]:
             return
 
 
-def _expression_items(view: View, field: FieldType, data: Any) -> Iterator[Choice]:
+def _expression_items(view: CursorView, field: FieldType, data: Any) -> Iterator[Choice]:
     """What may come next in an expression, including names in the text that no analysis knows yet."""
     path, text = view.place.path, view.place.text
     if _expects_unit(text):
@@ -168,7 +167,7 @@ def _expression_items(view: View, field: FieldType, data: Any) -> Iterator[Choic
         yield from functions(frozenset(Family))
 
 
-def _example(view: View, data: Any) -> Iterator[Choice]:
+def _example(view: CursorView, data: Any) -> Iterator[Choice]:
     """The documented example of the key at the cursor, for values without a vocabulary."""
     path = view.place.path
     section = section_of(path, data) if not view.place.text.strip() else None
@@ -177,11 +176,13 @@ def _example(view: View, data: Any) -> Iterator[Choice]:
         yield Choice(found.text, CompletionItemKind.Value, "an example")
 
 
-def _word_choices(view: View, data: Any) -> Iterator[Choice]:
+def _word_choices(view: CursorView, data: Any) -> Iterator[Choice]:
     path = view.place.path
     for shape in shapes_at(path[:-1], data) if path else ():
         if isinstance(shape, Kinds) and shape.key == path[-1]:
-            yield from (Choice(word, CompletionItemKind.EnumMember, shape.key, about(shape.models[word])) for word in shape.names)
+            yield from (
+                Choice(word, CompletionItemKind.EnumMember, shape.key, section_description(shape.models[word])) for word in shape.names
+            )
     if path and path[-1] in ("include", "extends"):
         yield from _files(view, (".yaml", ".yml"))
     for shape in shapes_at(path, data):
@@ -189,7 +190,7 @@ def _word_choices(view: View, data: Any) -> Iterator[Choice]:
             yield from _field_choices(view, shape, path)
 
 
-def _field_choices(view: View, field: FieldType, path: Path) -> Iterator[Choice]:
+def _field_choices(view: CursorView, field: FieldType, path: NodePath) -> Iterator[Choice]:
     match field:
         case Word(words=words):
             yield from _words(words, "a word of the language")
@@ -216,18 +217,18 @@ def _words(words: Iterable[str], detail: str) -> Iterator[Choice]:
     return (Choice(word, CompletionItemKind.EnumMember, detail) for word in words)
 
 
-def _named(view: View, field: FieldType, path: Path) -> Iterator[Choice]:
+def _named(view: CursorView, field: FieldType, path: NodePath) -> Iterator[Choice]:
     """The names that a reference may take."""
     if isinstance(field, (Reference, Pattern)):
-        known = names(view.checked, field.kind, path) if view.checked is not None else ()
-        yield from (Choice(found.name, CompletionItemKind.Reference, found.what) for found in known)
+        known = names_at(view.checked, field.kind, path) if view.checked is not None else ()
+        yield from (Choice(found.name, CompletionItemKind.Reference, found.description) for found in known)
         yield from (Choice(name, CompletionItemKind.Reference, field.kind) for name in _names_in_text(field.kind, path, view.data))
 
 
 # Comments
 
 
-def _codes(view: View) -> list[CompletionItem]:
+def _codes(view: CursorView) -> list[CompletionItem]:
     """The warnings that a comment may suppress."""
     found = _CODES.search(view.document.plain[max(0, view.offset - 200) : view.offset])
     if found is None:
@@ -247,7 +248,7 @@ def _unique(found: Iterable[Choice]) -> Iterable[Choice]:
     return first.values()
 
 
-def _item(view: View, choice: Choice, start: int, text: str | None = None) -> CompletionItem:
+def _item(view: CursorView, choice: Choice, start: int, text: str | None = None) -> CompletionItem:
     before = view.document.plain[: view.offset]
     start = max(start, len(before) - len(before.rpartition("\n")[2].lstrip()))  # the protocol wants the edit on one line
     span = view.document.lines.range(start, view.offset)
@@ -286,7 +287,7 @@ def _is_expression(field: FieldType) -> bool:
     return isinstance(field, (Expression, Quantity, Range, Column))
 
 
-def _scope_of(analysis: Analysis, field: FieldType, path: Path) -> Scope | None:
+def _scope_of(analysis: Analysis, field: FieldType, path: NodePath) -> Scope | None:
     """The scope of an expression at `path` in a field of this type."""
     checked = analysis.checked
     if checked is None or checked.namespace is None:
@@ -327,7 +328,7 @@ def _expected_kind(text: str, field: FieldType) -> str:
     return "value on board" if field.context in _ROBOT_CONTEXTS else "value"
 
 
-def _expression_choices(text: str, scope: Scope, checked: Checked) -> Iterator[Choice]:
+def _expression_choices(text: str, scope: Scope, checked: CheckedScenario) -> Iterator[Choice]:
     """What may replace the name at the end of `text`, except units."""
     word = _word_before(text)
     before = text[: len(text) - len(word)]
@@ -341,7 +342,7 @@ def _expression_choices(text: str, scope: Scope, checked: Checked) -> Iterator[C
     if "." in word:
         yield from _components(word.rpartition(".")[0], scope)
     yield from _names(scope, checked)
-    yield from functions(ALLOWED[scope.context])
+    yield from functions(ALLOWED_FAMILIES[scope.context])
     for word, doc in {**_GRAMMAR, **(_REPEATS if scope.context is Context.PARAMETER else {})}.items():
         yield Choice(word, CompletionItemKind.Keyword, "", doc)
 
@@ -354,10 +355,10 @@ def _units(text: str, field: FieldType) -> Iterator[Choice]:
     goes_on = text[: len(text) - len(_word_before(text))].endswith(("*", "/"))
     wanted = [unit for measure in _measures(field) if (unit := _unit(measure)) is not None]
     if not goes_on:
-        yield from (Choice(unit.text, CompletionItemKind.Unit, unit.dimension.words) for unit in wanted if unit.text not in UNITS)
+        yield from (Choice(unit.text, CompletionItemKind.Unit, unit.dimension.description) for unit in wanted if unit.text not in UNITS)
     dimensions = [unit.dimension for unit in wanted]
     for unit in sorted(UNITS.values(), key=lambda unit: unit.dimension not in dimensions):
-        yield Choice(unit.text, CompletionItemKind.Unit, unit.dimension.words)
+        yield Choice(unit.text, CompletionItemKind.Unit, unit.dimension.description)
     if isinstance(field, Expression) and not goes_on:
         yield from (Choice(word, CompletionItemKind.Keyword, "", _GRAMMAR[word]) for word in ("when", "and", "or"))
 
@@ -381,13 +382,13 @@ def functions(families: frozenset[Family]) -> Iterator[Choice]:
             yield Choice(f"{function.name}(", CompletionItemKind.Function, function.signature, describe_function(function))
 
 
-def _names(scope: Scope, checked: Checked) -> Iterator[Choice]:
+def _names(scope: Scope, checked: CheckedScenario) -> Iterator[Choice]:
     robot = scope.robot if isinstance(scope, RobotScope) else None
     for name in list(dict.fromkeys(scope.names()))[:_MAX_NAMES]:
         symbol = scope.lookup(name)
-        if symbol is not None and symbol.refused is None:
+        if symbol is not None and symbol.refusal is None:
             found = definition(checked, name, robot)
-            yield Choice(name, CompletionItemKind.Variable, describe_symbol(symbol), found.what if found else "built in")
+            yield Choice(name, CompletionItemKind.Variable, describe_symbol(symbol), found.description if found else "built in")
 
 
 def _components(name: str, scope: Scope) -> Iterator[Choice]:
@@ -413,7 +414,7 @@ def _component_choices(vector: Type | None, before: str) -> Iterator[Choice]:
     """Each component of a vector, and `xy` for a vector in space."""
     components = (vector and vector.components) or ()
     for picked in (*components, *(("xy",) if components == ("x", "y", "z") else ())):
-        words = vector._replace(components=None).words if vector else ""
+        words = vector._replace(components=None).description if vector else ""
         yield Choice(f"{before}{picked}", CompletionItemKind.Field, words)
 
 
@@ -421,7 +422,7 @@ def _parts(scope: Scope, kinds: frozenset[Kind]) -> Iterator[Choice]:
     for name in list(dict.fromkeys((*scope.subjects(), "ground")))[:_MAX_NAMES]:
         subject = scope.subject(name, kinds)
         if subject is not None and subject.kind in kinds:
-            yield Choice(name, CompletionItemKind.Reference, subject.kind.words)
+            yield Choice(name, CompletionItemKind.Reference, subject.kind.description)
 
 
 def _expected_parts(before: str) -> frozenset[Kind] | None:
@@ -457,7 +458,7 @@ def _open_call(before: str) -> tuple[str, int] | None:
 
 # Names in the text, whether or not an analysis knows them
 
-_SECTIONS: dict[str, tuple[Path, ...]] = {
+_SECTIONS: dict[str, tuple[NodePath, ...]] = {
     "action": (("action",),),
     "layout": (("reset", "layouts"),),
     "robot": (("robots",),),
@@ -477,7 +478,7 @@ _SECTIONS: dict[str, tuple[Path, ...]] = {
 _ROBOT_SECTIONS = {"sensor": ("sensors",), "actuator": ("actuators",), "value on board": ("sensors", "receive")}
 
 
-def _names_in_text(kind: str, path: Path, data: Any) -> Iterator[str]:
+def _names_in_text(kind: str, path: NodePath, data: Any) -> Iterator[str]:
     """The names in `data` that a reference of this kind may name at `path`."""
     for section in _sections(kind, path):
         found = value_at(data, section)
@@ -488,12 +489,12 @@ def _names_in_text(kind: str, path: Path, data: Any) -> Iterator[str]:
         yield from (f"{robot}.{name}" for name in sent if isinstance(name, str) and name) if isinstance(sent, (dict, list)) else ()
 
 
-def _defines(path: Path, name: str) -> bool:
+def _defines(path: NodePath, name: str) -> bool:
     """Whether `path` is the definition of the name, which cannot refer to itself."""
     return path[:-1] in _SECTIONS["value"] and path[-1] == name
 
 
-def _sections(kind: str, path: Path) -> tuple[Path, ...]:
+def _sections(kind: str, path: NodePath) -> tuple[NodePath, ...]:
     if kind in ("choice", "option"):
         named = action_at(path)
         return (("action", named, "choices"),) if named else ()
@@ -507,7 +508,7 @@ def _sections(kind: str, path: Path) -> tuple[Path, ...]:
 _MAX_FILES = 300
 
 
-def _files(view: View, suffixes: tuple[str, ...], *, robots: bool = False) -> Iterator[Choice]:
+def _files(view: CursorView, suffixes: tuple[str, ...], *, robots: bool = False) -> Iterator[Choice]:
     """The files and folders that may continue the path at the cursor."""
     folder, slash, _ = view.place.text.rpartition("/")
     if robots and not slash:

@@ -12,8 +12,8 @@ from typing import Any, Literal, NamedTuple
 import yaml
 from yaml.error import MarkedYAMLError
 
-from deepbots_cli.document.files import FORBIDDEN, MAX_BYTES
-from deepbots_cli.document.nodes import Path
+from deepbots_cli.document.files import FORBIDDEN_CHARACTERS, MAX_BYTES
+from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.document.parse import LOADER, MAX_DEPTH
 
 Role = Literal["key", "value", "aside"]
@@ -34,7 +34,7 @@ class Place(NamedTuple):
     part before the cursor, and `data` holds the values before it.
     """
 
-    path: Path
+    path: NodePath
     role: Role
     start: int
     text: str
@@ -49,11 +49,11 @@ class _EndedError(Exception):
         self.opening = opening
 
 
-def place(text: str, offset: int) -> Place:
+def place_at(text: str, offset: int) -> Place:
     """The key or value at `offset`."""
     offset = min(offset, len(text), MAX_BYTES)
     text = text[:offset]
-    sound = _PERCENT.sub("_", FORBIDDEN.sub("_", text.replace(_MARK, "_")))
+    sound = _PERCENT.sub("_", FORBIDDEN_CHARACTERS.sub("_", text.replace(_MARK, "_")))
     behind = ""
     for _ in range(_MAX_REPAIRS):
         reader = _Reader(sound, offset)
@@ -71,7 +71,7 @@ def place(text: str, offset: int) -> Place:
     return Place((), "aside", offset, "", {})
 
 
-def value_at(data: Any, path: Path) -> Any:
+def value_at(data: Any, path: NodePath) -> Any:
     """The plain value at `path`; an empty text if `path` leads nowhere."""
     for step in path:
         if isinstance(data, dict):
@@ -117,19 +117,19 @@ class _Reader:
         self.text = text
         self.offset = offset
         self.root: dict[str, Any] = {"": ""}
-        self.slot: tuple[Any, Any, Path] = (self.root, "", ())
-        self.frames: list[tuple[Any, Any, Path]] = []
+        self.slot: tuple[Any, Any, NodePath] = (self.root, "", ())
+        self.frames: list[tuple[Any, Any, NodePath]] = []
         self.flows: list[int] = []  # the offsets of the open brackets
         self.flush: list[Any] = []  # lists in the column of their key, which have no tokens for beginning and end
         self.word = ""
         self.since, self.end = 0, 0  # of the last value
-        self.path: Path = ()
+        self.path: NodePath = ()
         self.role: Role = "aside"
         self.start = offset
 
     def read(self, behind: str) -> None:
         token: Any
-        last: Path = ()
+        last: NodePath = ()
         pad = " " if self.text.endswith(":") else ""
         for token in yaml.scan(f"{self.text}{pad}{_MARK}{behind}", Loader=LOADER):
             start, end = min(token.start_mark.index, self.offset), token.end_mark.index - len(pad)

@@ -10,34 +10,43 @@ from typing import Any, NamedTuple
 
 from lsprotocol import types
 
-from deepbots_cli.compiler.inventory import Named, definition, names
+from deepbots_cli.compiler.inventory import NameEntry, definition, names_at
 from deepbots_cli.compiler.namespace import RobotScope
-from deepbots_cli.compiler.values import Reading, Text
+from deepbots_cli.compiler.values import ScopedExpression, SourceText
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.diagnostics.registry import RULES
-from deepbots_cli.document import Entry, Mapping, Scalar, descend, shipped
-from deepbots_cli.document.files import resolve
-from deepbots_cli.document.nodes import Path as KeyPath
-from deepbots_cli.document.nodes import follow_dotted
+from deepbots_cli.document import Entry, MappingNode, ScalarNode, descend, shipped
+from deepbots_cli.document.files import resolve_reference
+from deepbots_cli.document.nodes import NodePath, follow_dotted
 from deepbots_cli.expressions import parser, syntax
 from deepbots_cli.expressions.check import check
 from deepbots_cli.expressions.dimensions import UNITS
 from deepbots_cli.expressions.functions import FUNCTIONS, Form, Function
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
-from deepbots_cli.expressions.types import Kind, Symbol, Type, Typed, children, shown
+from deepbots_cli.expressions.types import Kind, Symbol, Type, Typed, children, shortened_list
 from deepbots_cli.lint import pages_of
 from deepbots_cli.lsp.cursor import value_at
-from deepbots_cli.lsp.workspace import Document, Locator, View, uri_of
+from deepbots_cli.lsp.workspace import CursorView, Document, Locator, uri_of
 from deepbots_cli.robots import meshes
-from deepbots_cli.scenario.base import Forms, Kinds, ListOf, MappingOf, Section, Shape, about, fields, noun_of
-from deepbots_cli.scenario.base import hover as hover_text
+from deepbots_cli.scenario.base import (
+    Forms,
+    Kinds,
+    ListOf,
+    MappingOf,
+    Section,
+    Shape,
+    hover_text,
+    noun_of,
+    section_description,
+    section_fields,
+)
 from deepbots_cli.scenario.fields import FieldType, FilePath, Pattern, Reference
 from deepbots_cli.scenario.scenario import Scenario
 
 _OPTION = Reference("option")
 
 
-def shapes_at(path: KeyPath, data: Any) -> list[Shape]:
+def shapes_at(path: NodePath, data: Any) -> list[Shape]:
     """Every shape that the schema allows at `path`; several while the data does not decide between the forms of a value."""
     found = list(dict.fromkeys(_shapes(Scenario, data, path)))
     # A rule of a script, or an action of a test, gives an expression or an option of the action; the schema cannot tell the two apart.
@@ -45,23 +54,23 @@ def shapes_at(path: KeyPath, data: Any) -> list[Shape]:
     return [_OPTION, *found] if of_test or (path[:1] == ("scripts",) and len(path) == 3) else found
 
 
-def field_types_at(path: KeyPath, data: Any) -> list[FieldType]:
+def field_types_at(path: NodePath, data: Any) -> list[FieldType]:
     """The field types that the schema allows at `path`."""
     return [shape for shape in shapes_at(path, data) if isinstance(shape, FieldType)]
 
 
-def section_of(path: KeyPath, data: Any) -> type[Section] | None:
+def section_of(path: NodePath, data: Any) -> type[Section] | None:
     """The section that defines the last key of `path`; None for a name that the user chose."""
     if not path or not isinstance(path[-1], str):
         return None
     for shape in shapes_at(path[:-1], data):
         for section in _sections(shape, value_at(data, path[:-1])):
-            if path[-1] in fields(section):
+            if path[-1] in section_fields(section):
                 return section
     return None
 
 
-def _shapes(shape: Shape, data: Any, path: KeyPath) -> Iterator[Shape]:
+def _shapes(shape: Shape, data: Any, path: NodePath) -> Iterator[Shape]:
     if isinstance(shape, Forms):
         for option in _forms(shape, data, bool(path)):
             yield from _shapes(option, data, path)
@@ -82,8 +91,8 @@ def _shapes(shape: Shape, data: Any, path: KeyPath) -> Iterator[Shape]:
             return
         case _:
             for section in _sections(shape, data):
-                if step in fields(section):
-                    yield from _shapes(fields(section)[str(step)], below, rest)
+                if step in section_fields(section):
+                    yield from _shapes(section_fields(section)[str(step)], below, rest)
 
 
 def _forms(shape: Forms, data: Any, goes_on: bool) -> tuple[Shape, ...]:
@@ -101,7 +110,7 @@ def _sections(shape: Shape, data: Any) -> tuple[type[Section], ...]:
     """The sections whose keys data of this shape may hold."""
     if isinstance(shape, Kinds):
         found = shape.find(data)
-        return (found,) if found else shape.every
+        return (found,) if found else shape.distinct_models
     return (shape,) if isinstance(shape, type) else ()
 
 
@@ -116,7 +125,7 @@ class ExpressionNode(NamedTuple):
     `cursor` is the cursor's offset in the text of the expression. `kinds` is given if the node names a part of the world.
     """
 
-    reading: Reading
+    reading: ScopedExpression
     cursor: int
     node: syntax.Node
     kinds: frozenset[Kind] | None = None
@@ -155,14 +164,14 @@ class ExpressionNode(NamedTuple):
 class KeyOrValue(NamedTuple):
     """A key or a value at a path of the scenario; `start` and `end` are offsets in the current text."""
 
-    path: KeyPath
+    path: NodePath
     text: str
     start: int
     end: int
     is_key: bool
 
 
-def expression_at(view: View) -> ExpressionNode | None:
+def expression_at(view: CursorView) -> ExpressionNode | None:
     """The innermost node of the expression under the cursor."""
     if view.analysis is None or view.source is None or view.known_offset is None:
         return None
@@ -178,7 +187,7 @@ def expression_at(view: View) -> ExpressionNode | None:
     return _innermost(ExpressionNode(reading, index, tree))
 
 
-def key_or_value_at(view: View) -> KeyOrValue | None:
+def key_or_value_at(view: CursorView) -> KeyOrValue | None:
     """The key or the single value under the cursor."""
     place, text = view.place, view.document.plain
     if place.role == "aside":
@@ -198,7 +207,7 @@ def _end(pattern: re.Pattern[str], text: str, start: int) -> int:
     return found.end() if found else start
 
 
-def _size_around(view: View, reading: Reading) -> int | None:
+def _size_around(view: CursorView, reading: ScopedExpression) -> int | None:
     """The length of the expression's text if it holds the cursor, otherwise None; a default has no text in the file."""
     text, then = reading.text, view.known_offset
     first, last = text.part(0, 1), text.part(max(0, len(text.text) - 1), len(text.text))
@@ -208,7 +217,7 @@ def _size_around(view: View, reading: Reading) -> int | None:
     return None if is_default else last.end - first.start
 
 
-def _index(text: Text, offset: int) -> int:
+def _index(text: SourceText, offset: int) -> int:
     """The index in `text` of the character at an offset of its file."""
     return next((index for index in range(len(text.text)) if text.part(index, index + 1).end > offset), len(text.text))
 
@@ -246,7 +255,7 @@ _START = types.Range(types.Position(0, 0), types.Position(0, 0))
 _ALIAS = re.compile(r"\*([\w-]+)")
 
 
-def definitions(view: View, open_uris: dict[Path, str]) -> list[types.Location]:
+def definitions(view: CursorView, open_uris: dict[Path, str]) -> list[types.Location]:
     """The definitions of the name, alias or file under the cursor; several for a pattern that matches several names."""
     anchor = _anchor(view)
     if anchor is not None:
@@ -261,7 +270,7 @@ def definitions(view: View, open_uris: dict[Path, str]) -> list[types.Location]:
     return [locator.location(span) for span in _by_name(view) or (_by_reference(view, found) if found else [])]
 
 
-def _anchor(view: View) -> types.Location | None:
+def _anchor(view: CursorView) -> types.Location | None:
     """The anchor of the alias under the cursor."""
     text = view.document.plain
     begin = text.rfind("\n", 0, view.offset) + 1
@@ -272,7 +281,7 @@ def _anchor(view: View) -> types.Location | None:
     return None
 
 
-def _file(view: View, found: KeyOrValue, open_uris: dict[Path, str]) -> types.Location | None:
+def _file(view: CursorView, found: KeyOrValue, open_uris: dict[Path, str]) -> types.Location | None:
     kinds = [field.kind for field in field_types_at(found.path, view.data) if isinstance(field, FilePath)]
     if found.is_key or not (kinds or found.path[-1:] in (("include",), ("extends",))):
         return None
@@ -280,17 +289,17 @@ def _file(view: View, found: KeyOrValue, open_uris: dict[Path, str]) -> types.Lo
     return types.Location(open_uris.get(path) or uri_of(path), _START) if path is not None else None
 
 
-def _located(view: View, reference: str, *, robots: bool) -> Path | None:
+def _located(view: CursorView, reference: str, *, robots: bool) -> Path | None:
     """The file that a reference names; None if no such file exists or the scenario may not read it."""
     if reference.startswith("package://"):
         return meshes.package_file(reference)
-    found = resolve(reference, view.document.path.parent, view.roots)
+    found = resolve_reference(reference, view.document.path.parent, view.roots)
     if isinstance(found, Path):
         return found
     return shipped.robot_path(reference) if robots else None
 
 
-def _by_name(view: View) -> list[Span]:
+def _by_name(view: CursorView) -> list[Span]:
     """The definition of the name under the cursor in an expression."""
     found = expression_at(view)
     if found is None or found.name is None or view.checked is None:
@@ -299,7 +308,7 @@ def _by_name(view: View) -> list[Span]:
     return [named.span] if named and named.span else []
 
 
-def _by_reference(view: View, found: KeyOrValue) -> list[Span]:
+def _by_reference(view: CursorView, found: KeyOrValue) -> list[Span]:
     """The definitions of a reference or pattern outside of expressions."""
     checked = view.checked
     if checked is None or checked.document.root is None:
@@ -309,7 +318,9 @@ def _by_reference(view: View, found: KeyOrValue) -> list[Span]:
         kinds = [shape.key for shape in shapes_at(found.path[:-1], view.data) if isinstance(shape, MappingOf)]
     for field in kinds:
         if isinstance(field, (Reference, Pattern)):
-            fitting = [known.span for known in names(checked, field.kind, found.path) if fnmatchcase(known.name, found.text) and known.span]
+            fitting = [
+                known.span for known in names_at(checked, field.kind, found.path) if fnmatchcase(known.name, found.text) and known.span
+            ]
             if fitting:
                 return fitting
             if field.kind == "setting":
@@ -317,7 +328,7 @@ def _by_reference(view: View, found: KeyOrValue) -> list[Span]:
     return []
 
 
-def _setting(root: Mapping, text: str) -> list[Span]:
+def _setting(root: MappingNode, text: str) -> list[Span]:
     """The key at the dotted path of a setting."""
     steps, _, rest = follow_dotted(root, text)
     key = descend(root, steps)[1] if steps and not rest else None
@@ -346,14 +357,14 @@ _SECTIONS = {
 def document_symbols(document: Document) -> list[types.DocumentSymbol]:
     """The keys of a document in the order of the file; empty if the document cannot be parsed."""
     _, root, _ = document.read()
-    return list(_symbols(document, root, "", _DEPTH)) if isinstance(root, Mapping) else []
+    return list(_symbols(document, root, "", _DEPTH)) if isinstance(root, MappingNode) else []
 
 
-def _symbols(document: Document, mapping: Mapping, section: str, depth: int) -> Iterator[types.DocumentSymbol]:
+def _symbols(document: Document, mapping: MappingNode, section: str, depth: int) -> Iterator[types.DocumentSymbol]:
     for name, entry in mapping.entries.items():
         inner = entry.value
-        is_here = isinstance(inner, Mapping) and inner.span.start >= entry.key.span.start  # the value of an alias lies elsewhere
-        below = list(_symbols(document, inner, name, depth - 1)) if isinstance(inner, Mapping) and is_here and depth > 1 else []
+        is_here = isinstance(inner, MappingNode) and inner.span.start >= entry.key.span.start  # the value of an alias lies elsewhere
+        below = list(_symbols(document, inner, name, depth - 1)) if isinstance(inner, MappingNode) and is_here and depth > 1 else []
         kind = types.SymbolKind.Namespace if below else types.SymbolKind.Property
         yield _document_symbol(document, entry, _SECTIONS.get(section, kind), below)
 
@@ -371,7 +382,7 @@ _CODE = re.compile(r"DB\d{3}")
 _LONGEST = 300
 
 
-def hover(view: View) -> types.Hover | None:
+def hover(view: CursorView) -> types.Hover | None:
     """The hover text of a place; None for white space and text without a meaning."""
     found = _suppressed_code(view) or _expression(view) or _key_or_value(view)
     if found is None:
@@ -384,7 +395,7 @@ HoverText = tuple[str, int, int]
 """Markdown, and the start and end of the described text as offsets in the document."""
 
 
-def _suppressed_code(view: View) -> HoverText | None:
+def _suppressed_code(view: CursorView) -> HoverText | None:
     """The page of a rule whose code a suppressing comment names."""
     text = view.document.plain
     begin = text.rfind("\n", 0, view.offset) + 1
@@ -397,7 +408,7 @@ def _suppressed_code(view: View) -> HoverText | None:
     return None
 
 
-def _expression(view: View) -> HoverText | None:
+def _expression(view: CursorView) -> HoverText | None:
     found = expression_at(view)
     if found is None or view.known_offset is None:
         return None
@@ -409,7 +420,7 @@ def _expression(view: View) -> HoverText | None:
     return text, span.start + moved, span.end + moved
 
 
-def _node_text(view: View, found: ExpressionNode) -> str | None:
+def _node_text(view: CursorView, found: ExpressionNode) -> str | None:
     node, name = found.node, found.name
     if isinstance(node, syntax.Call) and found.cursor <= node.name_end and node.function in FUNCTIONS:
         known = found.type
@@ -421,34 +432,34 @@ def _node_text(view: View, found: ExpressionNode) -> str | None:
     return f"`{source[:_LONGEST]}`: {describe_type(known)}" if known else None
 
 
-def _name_text(view: View, found: ExpressionNode, name: str) -> str | None:
+def _name_text(view: CursorView, found: ExpressionNode, name: str) -> str | None:
     checked = view.checked
     if checked is None:
         return None
     named = definition(checked, name, found.robot)
     if found.kinds is not None:
         subject = found.reading.scope.subject(name, found.kinds)
-        return f"`{name}`: {subject.kind.words}{_definition_line(named)}" if subject else None
+        return f"`{name}`: {subject.kind.description}{_definition_line(named)}" if subject else None
     symbol = found.reading.scope.lookup(name)
     if symbol is None:  # a component of a vector, or a unit
         known = found.type
         if known:
             return f"`{name}`: {describe_type(known)}{_definition_line(named)}"
-        return f"`{name}`: {UNITS[name].dimension.words}" if name in UNITS else None
-    what = f"{named.what}, " if named else ""
+        return f"`{name}`: {UNITS[name].dimension.description}" if name in UNITS else None
+    what = f"{named.description}, " if named else ""
     return f"`{name}`: {what}{describe_symbol(symbol)}{_definition_line(named)}"
 
 
-def _definition_line(named: Named | None) -> str:
+def _definition_line(named: NameEntry | None) -> str:
     """The source line of a definition as a code block; empty if there is none."""
     if named is None or named.span is None:
         return ""
-    line = named.span.source.line(named.span.begin.line).strip()[:_LONGEST]
+    line = named.span.source.line(named.span.start_position.line).strip()[:_LONGEST]
     language = "xml" if line.startswith("<") else "yaml"
     return f"\n\n```{language}\n{line}\n```"
 
 
-def _key_or_value(view: View) -> HoverText | None:
+def _key_or_value(view: CursorView) -> HoverText | None:
     found = key_or_value_at(view)
     if found is None or not found.text or not found.start <= view.offset <= found.end:
         return None
@@ -456,7 +467,7 @@ def _key_or_value(view: View) -> HoverText | None:
     return (text, found.start, found.end) if text else None
 
 
-def _key_text(view: View, found: KeyOrValue) -> str | None:
+def _key_text(view: CursorView, found: KeyOrValue) -> str | None:
     kinds = _kinds(view, found)
     if kinds is not None:
         return f"**{found.text}**: one of {', '.join(f'`{name}`' for name in kinds.names)}"
@@ -470,13 +481,13 @@ def _key_text(view: View, found: KeyOrValue) -> str | None:
     return None
 
 
-def _kinds(view: View, found: KeyOrValue) -> Kinds | None:
+def _kinds(view: CursorView, found: KeyOrValue) -> Kinds | None:
     """The kinds among which the value of this key chooses."""
     above = shapes_at(found.path[:-1], view.data) if found.path else ()
     return next((shape for shape in above if isinstance(shape, Kinds) and shape.key == found.path[-1]), None)
 
 
-def _defined_name_text(view: View, found: KeyOrValue) -> str | None:
+def _defined_name_text(view: CursorView, found: KeyOrValue) -> str | None:
     """The description of a name at its definition."""
     checked = view.checked
     if view.analysis is None or checked is None or checked.namespace is None or checked.document.root is None:
@@ -489,32 +500,32 @@ def _defined_name_text(view: View, found: KeyOrValue) -> str | None:
         own = next((board.own[found.text] for board in boards if board.robot == found.path[1] and found.text in board.own), None)
         return f"`{found.text}`: a sensor, {describe_symbol(own)}" if own is not None else None
     node, _, steps = descend(checked.document.root, found.path)
-    if steps < len(found.path) or not isinstance(node, Scalar):
+    if steps < len(found.path) or not isinstance(node, ScalarNode):
         return None
     span = node.part(0, len(node.text))
     read = next((reading for reading in view.analysis.readings if reading.trees and reading.text.span == span), None)
     return f"`{found.text}`: {describe_type(read.trees[0].type)}" if read is not None else None
 
 
-def _value_text(view: View, found: KeyOrValue) -> str | None:
+def _value_text(view: CursorView, found: KeyOrValue) -> str | None:
     for field in field_types_at(found.path, view.data):
         named = _reference_text(view, found, field)
         if named:
             return named
     kinds = _kinds(view, found)
     if kinds is not None and found.text in kinds.names:
-        return f"`{found.text}`: {about(kinds.models[found.text])}"
+        return f"`{found.text}`: {section_description(kinds.models[found.text])}"
     steps = next((found.path[:end] for end in range(len(found.path), 0, -1) if isinstance(found.path[end - 1], str)), ())
     part = section_of(steps, view.data)
     return hover_text(part, str(steps[-1])) if part is not None else None
 
 
-def _reference_text(view: View, found: KeyOrValue, field: FieldType) -> str | None:
+def _reference_text(view: CursorView, found: KeyOrValue, field: FieldType) -> str | None:
     checked = view.checked
     if checked is None or not isinstance(field, (Reference, Pattern)):
         return None
-    match = next((known for known in names(checked, field.kind, found.path) if known.name == found.text), None)
-    return f"`{match.name}`: {match.what}{_definition_line(match)}" if match else None
+    match = next((known for known in names_at(checked, field.kind, found.path) if known.name == found.text), None)
+    return f"`{match.name}`: {match.description}{_definition_line(match)}" if match else None
 
 
 _LONGEST_NOUN = 120
@@ -522,7 +533,7 @@ _LONGEST_NOUN = 120
 
 def summary(part: type[Section], key: str) -> str:
     """The noun of a key's value, shortened for a completion list."""
-    noun = noun_of(fields(part)[key])
+    noun = noun_of(section_fields(part)[key])
     return noun if len(noun) <= _LONGEST_NOUN else f"{noun[:_LONGEST_NOUN]}…"
 
 
@@ -542,19 +553,19 @@ def describe_type(known: Type) -> str:
     if known.picture is not None:
         rows, columns, channels = known.picture
         return f"a picture of {columns} x {rows} pixels with {channels} channel{'s' if channels > 1 else ''}"
-    words = [known.words]
+    words = [known.description]
     if known.components is not None:
-        words.append(f"with the components {shown(known.components)}")
+        words.append(f"with the components {shortened_list(known.components)}")
     if not known.boolean and known.interval != EVERYTHING:
         words.append(_interval(known.interval, str(known.dimension)))
-    return ", ".join([*words, known.stage.words])
+    return ", ".join([*words, known.stage.description])
 
 
 def _interval(interval: Interval, dimension: str) -> str:
     unit = "" if dimension == "1" else f" {dimension}"
-    if interval.single:
+    if interval.is_single:
         return f"{interval.low:.6g}{unit}"
-    if not interval.finite:
+    if not interval.is_finite:
         low, high = interval.low > -float("inf"), interval.high < float("inf")
         return f"at least {interval.low:.6g}{unit}" if low else f"at most {interval.high:.6g}{unit}" if high else ""
     return f"from {interval.low:.6g} to {interval.high:.6g}{unit}"
@@ -562,8 +573,8 @@ def _interval(interval: Interval, dimension: str) -> str:
 
 def describe_symbol(symbol: Symbol) -> str:
     """The type and value of a name, or the reason why it has no value."""
-    if symbol.refused is not None:
-        return f"no value here: {symbol.refused}"
+    if symbol.refusal is not None:
+        return f"no value here: {symbol.refusal}"
     if symbol.type is None:
         return "its definition has a finding"
     text = describe_type(symbol.type)

@@ -45,8 +45,10 @@ _UNNECESSARY = frozenset({"DB205", "DB901"})
 
 def diagnostic(finding: Finding, locator: Locator) -> types.Diagnostic:
     """One finding with its related locations."""
-    also = [types.DiagnosticRelatedInformation(locator.location(label.span), shortened(label.text)) for label in finding.also]
-    also += [types.DiagnosticRelatedInformation(locator.location(span), "included from here") for span in finding.span.source.chain]
+    also = [types.DiagnosticRelatedInformation(locator.location(label.span), shortened(label.text)) for label in finding.labels]
+    also += [
+        types.DiagnosticRelatedInformation(locator.location(span), "included from here") for span in finding.span.source.inclusion_chain
+    ]
     return types.Diagnostic(
         range=locator.range(finding.span),
         message=message(finding),

@@ -20,20 +20,19 @@ from lsprotocol import types
 from pygls import uris
 from pygls.workspace import PositionCodec
 
-from deepbots_cli.compiler import Checked, check
-from deepbots_cli.compiler.values import Reading
+from deepbots_cli.compiler import CheckedScenario, check
+from deepbots_cli.compiler.values import ScopedExpression
 from deepbots_cli.diagnostics import Finding, Findings, Source, Span
 from deepbots_cli.diagnostics.findings import Selection
-from deepbots_cli.document import Mapping, descend, files, load, to_data
+from deepbots_cli.document import MappingNode, descend, files, load, to_data
 from deepbots_cli.document.files import project_root
 from deepbots_cli.document.load import Drafts
-from deepbots_cli.document.nodes import Node
-from deepbots_cli.document.nodes import Path as KeyPath
+from deepbots_cli.document.nodes import Node, NodePath
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
-from deepbots_cli.lint import review
+from deepbots_cli.lint import all_findings
 from deepbots_cli.lint.settings import Settings, is_scenario, settings
-from deepbots_cli.lsp.cursor import Place, place, value_at
+from deepbots_cli.lsp.cursor import Place, place_at, value_at
 
 _LINE_END = re.compile(r"\r\n|\n|\r")
 _BOM = "\ufeff"
@@ -148,7 +147,7 @@ class Analysis:
     document: Document
     drafts: Drafts
     findings: tuple[Finding, ...] = ()
-    checked: Checked | None = None
+    checked: CheckedScenario | None = None
     settings_error: str | None = None
     selection: Selection = field(default_factory=Selection)
 
@@ -185,7 +184,7 @@ class Analysis:
         return next((source for source, read in self.paths.items() if read == path), None)
 
     @cached_property
-    def readings(self) -> tuple[Reading, ...]:
+    def readings(self) -> tuple[ScopedExpression, ...]:
         """Every expression of the scenario; expressions of cases and stages come last."""
         if self.checked is None:
             return ()
@@ -212,7 +211,7 @@ def analyse(document: Document, drafts: Drafts, *, allow_paths: Iterable[Path] =
     except UsageError:  # a folder, or a name that no file can have
         return Analysis(document, drafts)
     checked = check(replace(read, allow_code=allow_code))
-    found = review(checked, preview=preview)
+    found = all_findings(checked, preview=preview)
     wanted = (*selection.inactive_rules(), *filter(selection.selects, found))
     return Analysis(document, drafts, wanted, checked, settings_error, selection)
 
@@ -241,7 +240,7 @@ class Locator:
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class CursorView:
     """A place in the current text of a document, and the last analysis that resolved the names of its scenario, if any.
 
     `source` is the text of the document in that analysis. `known_offset` is the offset of the place in `source`, None if
@@ -256,7 +255,7 @@ class View:
     is_settled: bool
 
     @property
-    def checked(self) -> Checked | None:
+    def checked(self) -> CheckedScenario | None:
         return self.analysis.checked if self.analysis else None
 
     @cached_property
@@ -265,7 +264,7 @@ class View:
         return self.place_at(self.offset)
 
     def place_at(self, offset: int) -> Place:
-        found = place(self.document.plain, offset)
+        found = place_at(self.document.plain, offset)
         return found._replace(path=(*self._prefix, *found.path), data=_nested(found.data, self._prefix))
 
     @property
@@ -280,7 +279,7 @@ class View:
         given = set(before) if isinstance(before, dict) else set()
         if self.checked is not None and self.checked.document.root is not None:
             node, _, steps = descend(self.checked.document.root, self.place.path)
-            if steps == len(self.place.path) and isinstance(node, Mapping):
+            if steps == len(self.place.path) and isinstance(node, MappingNode):
                 given |= {name for name, entry in node.entries.items() if self._is_elsewhere(entry.key.span)}
         return given
 
@@ -299,7 +298,7 @@ class View:
         return end is not None and now[max(0, start) : end] == span.text and not start <= self.offset <= end
 
     @cached_property
-    def _prefix(self) -> KeyPath:
+    def _prefix(self) -> NodePath:
         """The path in the scenario at which an included document is merged."""
         if self.document.is_scenario or self.source is None or self.checked is None:
             return ()
@@ -362,7 +361,7 @@ class Workspace:
             if source is not None and source.text == document.plain:
                 yield analysis, source
 
-    def view(self, uri: str, position: types.Position) -> View | None:
+    def view(self, uri: str, position: types.Position) -> CursorView | None:
         """The view of a position; None if the document is not open or not part of a scenario."""
         document = self.document(uri)
         if document is None:
@@ -371,7 +370,7 @@ class Workspace:
         analysis = self._resolved.get(uri) or next((known for known in self._resolved.values() if known.source(document.path)), None)
         source = analysis.source(document.path) if analysis else None
         known_offset = None if source is None else _map_offset(offset, document.plain, source.text)
-        return View(document, offset, analysis, source, known_offset, any(True for _ in self.analyses_of(document)))
+        return CursorView(document, offset, analysis, source, known_offset, any(True for _ in self.analyses_of(document)))
 
 
 def _map_offset(offset: int, now: str, then: str) -> int | None:
@@ -397,12 +396,12 @@ def common_prefix(one: str, other: str) -> int:
     return bisect_left(range(min(len(one), len(other))), True, key=lambda index: one[: index + 1] != other[: index + 1])
 
 
-def _include_path(node: Node | None, source: Source, path: KeyPath = ()) -> KeyPath:
+def _include_path(node: Node | None, source: Source, path: NodePath = ()) -> NodePath:
     """The path of the mapping into which `source` was included, found by the first key that comes from it."""
-    if isinstance(node, Mapping):
+    if isinstance(node, MappingNode):
         for entry in node.entries.values():
             if entry.key.span.source is source:
-                within = place(source.text, entry.key.span.end).path
+                within = place_at(source.text, entry.key.span.end).path
                 return path[: len(path) - len(within)]
         for name, entry in node.entries.items():
             if found := _include_path(entry.value, source, (*path, name)):
@@ -410,7 +409,7 @@ def _include_path(node: Node | None, source: Source, path: KeyPath = ()) -> KeyP
     return ()
 
 
-def _nested(data: Any, path: KeyPath) -> Any:
+def _nested(data: Any, path: NodePath) -> Any:
     for step in reversed(path):
         data = {step: data}
     return data

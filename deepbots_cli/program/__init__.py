@@ -28,8 +28,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeVar
 
-from deepbots_cli.diagnostics.nearest import nearest
-from deepbots_cli.engine_kinds import DEFAULT
+from deepbots_cli.diagnostics.nearest import nearest_word
+from deepbots_cli.engine_kinds import DEFAULT_ENGINE
 from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.scalar import is_drawn
 from deepbots_cli.program.resets import Disturbance, Reset
@@ -50,10 +50,10 @@ class Program:
     - parameters and signals, which form one namespace;
     - the episode: reset, endings, truncation, and the `repeat` of a step. A world is reset and stepped as a whole.
 
-    There is one policy, named `policy`. `augmented` holds the names of the signals that policies may see. `engine` is the one that the
-    scenario names, None for the default. `kept` names the signals that the supervisor keeps after each step, as `last_NAME`; a program
-    that explains its episodes (`insight`) has some, and no scenario does. `tests` are empty in what the compiler returns: `deepbots test`
-    adds those whose conditions the generated code computes.
+    There is one policy, named `policy`. `augmented` holds the names of the signals that policies may see. `engine` is the engine that the
+    scenario names, None for the default. `stored_signals` names the signals that the supervisor stores after each step, as `last_NAME`;
+    only programs of `insight`, which explains episodes, have some. The compiler returns no `tests`: `deepbots test` adds those
+    whose conditions the generated code computes.
     """
 
     name: str
@@ -77,11 +77,11 @@ class Program:
     disturbances: tuple[Disturbance, ...] = ()
     augmented: frozenset[str] = frozenset()
     engine: str | None = None
-    kept: frozenset[str] = frozenset()
+    stored_signals: frozenset[str] = frozenset()
     tests: tuple[ScenarioTest, ...] = ()
 
     def digest_fields(self) -> dict[str, object]:
-        left_out = {"augmented", "kept", "tests"} | ({"engine"} if self.engine in (None, DEFAULT) else set())
+        left_out = {"augmented", "stored_signals", "tests"} | ({"engine"} if self.engine in (None, DEFAULT_ENGINE) else set())
         return {name: value for name, value in vars(self).items() if name in self.__dataclass_fields__ and name not in left_out}
 
     @cached_property
@@ -95,14 +95,14 @@ class Program:
         return replace(self, policies={name: replace(policy, **changes) for name, policy in self.policies.items()})
 
     @property
-    def foreign(self) -> tuple[Foreign, ...]:
+    def python_functions(self) -> tuple[Foreign, ...]:
         """The functions of installed packages that rewards and endings call."""
         named = (*self.policy.reward, *(ending.value for ending in self.endings))
         return tuple(value.foreign for value in named if value.foreign is not None)
 
     @property
-    def computed(self) -> Iterator[Expression]:
-        """What the supervisor computes in a step: conditions of choices, signals, observation, reward, endings, goal, scripts, messages."""
+    def computed_expressions(self) -> Iterator[Expression]:
+        """The expressions of a step: conditions of choices, signals, observation, reward, endings, goal, scripts, messages."""
         for part in self.policy.action:
             if isinstance(part, Choices):
                 yield from (option.forbidden for option in part.options if option.forbidden is not None)
@@ -119,7 +119,7 @@ class Program:
             yield from robot.receive
 
     @property
-    def settable(self) -> tuple[NamedScalars, ...]:
+    def settable_draws(self) -> tuple[NamedScalars, ...]:
         """Draws with a name, which `options` of `reset` may set: parameters, places and joints."""
         drawn = (
             NamedScalars(value.name, value.components, value.scalars) for value in self.parameters if any(map(is_drawn, value.scalars))
@@ -150,18 +150,18 @@ class Program:
         return self._named("case", name, self.cases)
 
     def stage(self, name: str) -> CurriculumStage:
-        """The same for a stage of the curriculum."""
+        """The stage of the curriculum with that name."""
         return self._named("stage", name, self.curriculum)
 
     def script(self, name: str) -> Script:
-        """The same for a script."""
+        """The script with that name."""
         return self._named("script", name, self.policy.scripts)
 
     def _named(self, what: str, name: str, known: Sequence[Entry]) -> Entry:
         found = next((entry for entry in known if entry.name == name), None)
         if found is None:
             names = [entry.name for entry in known]
-            near = nearest(name, names)
+            near = nearest_word(name, names)
             hint = f" (did you mean {near}?)" if near else ""
             if not names:
                 raise UsageError(f"{self.name} has no {what}s, so there is no '{name}'")

@@ -134,7 +134,7 @@ def differences(one: Program, other: Program, *, words: tuple[str, str] = ("run"
 
 
 def compare_interfaces(old: Mapping[str, str], new: Mapping[str, str], *, words: tuple[str, str] = ("run", "scenario")) -> list[str]:
-    """The same for two sets of agreed items."""
+    """One line for each item in which two interfaces differ, as in `differences`."""
     here, there = words
     names = [*old, *(name for name in new if name not in old)]
     lines = [
@@ -162,8 +162,8 @@ def _range(low: float, high: float, unit: str) -> str:
 
 
 def _observed(observed: ObservedNumber) -> str:
-    text = "true or false" if observed.truth else _range(observed.low, observed.high, observed.unit)
-    text += "" if observed.clip or observed.truth else ", not clipped"
+    text = "true or false" if observed.is_truth else _range(observed.low, observed.high, observed.unit)
+    text += "" if observed.clip or observed.is_truth else ", not clipped"
     return f"{text}, {observed.history} in a row" if observed.history > 1 else text
 
 

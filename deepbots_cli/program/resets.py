@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import Literal, NamedTuple
 
 from deepbots_cli import footprint
-from deepbots_cli.expressions.lower import op
+from deepbots_cli.expressions.lower import fold_operation
 from deepbots_cli.expressions.scalar import Const, Scalar, is_drawn
 from deepbots_cli.program.values import Expression, NamedScalars
 from deepbots_cli.program.world import EngineParameter
@@ -60,7 +60,7 @@ class Top:
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """Where a body, or each present copy of a group, begins: the pose of its root link's origin, and its velocities.
+    """The initial state of a body, or of each present copy of a group: the pose of its root link's origin, and its velocities.
 
     `coordinates` holds x, y, z in m and roll, pitch, yaw in rad; a coordinate that is not listed is 0, and `heading` (rad) is added to
     the yaw. Velocities are in m/s and rad/s in the world frame; without, the body is at rest. Where the body `rests`, it has no height:
@@ -88,7 +88,7 @@ class Placement:
 
     @cached_property
     def rpy(self) -> Triple:
-        return self._coordinate("roll"), self._coordinate("pitch"), op("add", Const(self.heading), self._coordinate("yaw"))
+        return self._coordinate("roll"), self._coordinate("pitch"), fold_operation("add", Const(self.heading), self._coordinate("yaw"))
 
     @cached_property
     def xyz(self) -> Triple:
@@ -97,7 +97,7 @@ class Placement:
 
     @cached_property
     def _height(self) -> float | None:
-        """Where a lying body in a known attitude rests, in m."""
+        """The height (m) at which a lying body in a known attitude rests."""
         roll, pitch, _ = self.rpy
         if not self.rests or self.lying is None or not isinstance(roll, Const) or not isinstance(pitch, Const):
             return None
@@ -232,7 +232,7 @@ class RandomizedParameter:
         if not self.max:
             return found
         pairs = zip(found, self.max, strict=True)
-        return tuple(scalar if limit is None else op("min", scalar, Const(limit)) for scalar, limit in pairs)
+        return tuple(scalar if limit is None else fold_operation("min", scalar, Const(limit)) for scalar, limit in pairs)
 
     def digest_fields(self) -> dict[str, object]:
         return {"what": self.what, "of": self.of, "scalars": self.scalars}
@@ -240,10 +240,10 @@ class RandomizedParameter:
 
 @dataclass(frozen=True, eq=False)
 class Reset:
-    """In order: randomized parameters, a layout, placements, joints, then `settle` seconds of physics with the actuators holding.
+    """The steps of a reset, in order: randomized parameters, a layout, placements, joints, then physics for `settle` seconds.
 
-    Bodies with coordinates are placed before bodies that look for a spot. Where there is none, or the requirement does not hold,
-    everything from the layout on is drawn again, `attempts` times at most.
+    The actuators hold while the world settles. Bodies with coordinates are placed before bodies that look for a spot. If there is no
+    spot, or the requirement does not hold, everything from the layout on is drawn again, `attempts` times at most.
     """
 
     placements: tuple[Placement, ...] = ()

@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Literal
 
 from deepbots_cli.expressions.intervals import Interval
-from deepbots_cli.expressions.lower import op
+from deepbots_cli.expressions.lower import fold_operation
 from deepbots_cli.expressions.scalar import Const, Name, Scalar, World
 from deepbots_cli.program.values import Expression, NamedScalars
 from deepbots_cli.robots.model import Pose
@@ -22,7 +22,7 @@ MIN_RESOLUTION = 1e-12
 
 Parameter = float | bool | str | tuple[float, ...] | None
 """A parameter of a sensor or an actuator: a number or a vector in SI units, or a word."""
-Combined = Literal["each", "nearest", "mean"]
+RayReduction = Literal["each", "nearest", "mean"]
 Channels = Literal["rgb", "grayscale", "depth", "segmentation"]
 
 
@@ -65,7 +65,7 @@ class RayConfig:
 
     rays: tuple[Pose, ...]
     reach: float
-    combined: Combined = "each"
+    combined: RayReduction = "each"
     lookup: CalibrationTable | None = None
 
 
@@ -91,7 +91,7 @@ class CameraIntrinsics:
 
 @dataclass(frozen=True)
 class Sensor:
-    """What a robot can read. `subjects` are joints or links, as its kind says; `mount` is its frame in its link.
+    """A sensor of a robot. `subjects` are joints or links, as its kind says; `mount` is its frame in its link.
 
     `components` is empty for a single value. `against` lists what a touch sensor feels (full names, or
     `ground`), None for everything. `faults` None is a perfect sensor. `parameters` are those that the kind has of its own, in SI
@@ -166,7 +166,7 @@ class Motor:
 
     @property
     def components(self) -> tuple[str, ...]:
-        """What its command has one number for."""
+        """The joints, each of which has one number in the command."""
         return self.joints
 
 
@@ -288,7 +288,7 @@ class MessageLayout:
 
 @dataclass(frozen=True, eq=False)
 class Route:
-    """What happens to the messages of one robot in one direction.
+    """The transmission of the messages of one robot in one direction.
 
     Latency in s, from sending to arrival, None for 0; loss is a share of the messages, None for 0; `burst` the mean number of
     messages that are lost in a row, None where losses are independent; range in m, from the origin of the world to the
@@ -318,7 +318,7 @@ class Route:
 
     @property
     def settings(self) -> tuple[tuple[str, Expression], ...]:
-        """What the scenario gives, by name."""
+        """The settings that the scenario gives, by name."""
         found = (("latency", self.latency), ("loss", self.loss), ("range", self.range))
         return tuple((name, value) for name, value in found if value is not None)
 
@@ -337,7 +337,7 @@ def _is_zero(value: Expression | None) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Command:
-    """What drives one actuator: a target per component, or one for all.
+    """The command of one actuator: a target per component, or one for all.
 
     The target of a gripper is how far it is open, from 0 to 1; its joints move between the two positions of `opening`.
     """
@@ -361,7 +361,7 @@ class Command:
         if self.opening:
             closed, open_ = self.opening
             share = _clamped(values[0], 0.0, 1.0, reach)
-            values = (op("add", Const(closed), op("mul", Const(open_ - closed), share)),)
+            values = (fold_operation("add", Const(closed), fold_operation("mul", Const(open_ - closed), share)),)
         values = values * len(self.components) if len(values) == 1 else values
         match self.actuator:
             case Motor(kind="velocity_motor", max_velocity=limits):
@@ -378,7 +378,7 @@ class Command:
 
 def _clamped(value: Scalar, low: float, high: float, reach: Interval) -> Scalar:
     """The value kept within bounds, where it may leave them: it is known to stay within `reach`."""
-    return value if low <= reach.low and reach.high <= high else op("clamp", value, Const(low), Const(high))
+    return value if low <= reach.low and reach.high <= high else fold_operation("clamp", value, Const(low), Const(high))
 
 
 @dataclass(frozen=True, eq=False)
@@ -402,14 +402,14 @@ class Robot:
 
     @cached_property
     def received(self) -> tuple[NamedScalars | Expression, ...]:
-        """What the supervisor sends, in order."""
+        """The values that the supervisor sends, in order."""
         names = ((entry, entry.components or (None,)) for entry in self.variables)
         variables = (NamedScalars(entry.name, entry.components, tuple(Name(entry.name, part) for part in parts)) for entry, parts in names)
         return (*variables, *self.receive)
 
     @cached_property
     def emitted(self) -> tuple[NamedScalars | Expression, ...]:
-        """What the robot sends, in order."""
+        """The values that the robot sends, in order."""
         ages = (NamedScalars(field, (), (World("age", (f"{self.name}.{sensor}",)),)) for sensor, field in self.ages)
         return (*self.emit, *ages)
 

@@ -159,7 +159,7 @@ class ObservedNumber(NamedTuple):
     low: float
     high: float
     unit: str
-    truth: bool
+    is_truth: bool
     history: int
     clip: bool
     std: Scalar | None
@@ -208,7 +208,7 @@ def policy_inputs(numbers: Sequence[ObservedNumber], stack: int = 1) -> tuple[tu
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """What is achieved and what is desired, apart from the observation, with the bounds of both per component.
+    """The achieved and the desired goal, apart from the observation, with the bounds of both per component.
 
     The policy sees both mapped from [low, high] to [-1, 1] and clipped. In rewards, the names `achieved` and `desired`
     mean the clipped values, so that a reward can be recomputed from an observation. The goal is reached when the two are
@@ -300,7 +300,7 @@ class ScriptedChoice:
 
 @dataclass(frozen=True, eq=False)
 class ScriptedRange:
-    """What a script gives for a range of `size` numbers: one expression for all components, or one for each.
+    """The decision of a script for a range of `size` numbers: one expression for all components, or one for each.
 
     Values are in the unit of the range, to whose ends they are clamped.
     """
@@ -332,21 +332,21 @@ class Script:
 
 @dataclass(frozen=True)
 class FixedAction:
-    """The same action always: the index of an option of each choice, and a number in [-1, 1] for each component of the ranges.
+    """A constant action: the index of an option of each choice, and a number in [-1, 1] for each component of the ranges.
 
-    `words` are what `deepbots run --actions` takes.
+    `text` is what `deepbots run --actions` takes.
     """
 
     choices: tuple[int, ...]
     ranges: tuple[float, ...]
-    words: str
+    text: str
 
 
 ExpectedKey = Literal["success_rate", "failure_rate", "mean_return", "ends_by", "always", "eventually"]
 
 
 @dataclass(frozen=True, eq=False)
-class Expected:
+class ExpectedResult:
     """One expected result, its place and its text in the file.
 
     A rate or a return is expected from `low` to `high`; one of the `endings` is expected to end every episode; a `condition` has the
@@ -376,12 +376,12 @@ class ScenarioTest:
     episodes: int
     seed: int
     steps: int
-    expected: tuple[Expected, ...]
+    expected: tuple[ExpectedResult, ...]
     case: str | None = None
     stage: str | None = None
 
     @property
-    def conditions(self) -> tuple[Expected, ...]:
+    def conditions(self) -> tuple[ExpectedResult, ...]:
         return tuple(entry for entry in self.expected if entry.condition is not None)
 
     @property
@@ -452,7 +452,7 @@ class Training:
     device: Literal["auto", "cpu", "cuda"] = "cpu"
 
     def digest_fields(self) -> dict[str, object]:
-        """As it counts for the digest, which keys that were added later change only where they are given."""
+        """The fields that count for the digest. Keys that were added later count only if they are given."""
         later = {"normalize": None, "device": "cpu"}
         return {name: value for name, value in vars(self).items() if name not in later or value != later[name]}
 
@@ -486,7 +486,7 @@ class Policy:
     def inputs(self) -> tuple[ObservedValue, ...]:
         """The numbers that the policy sees, in their order in its observation."""
         seen = [(self.numbers[index], age) for index, age in policy_inputs(self.numbers, self.frame_stack)]
-        return tuple(ObservedValue(n.full_name, n.unit.removeprefix("1"), n.low, n.high, n.truth, age, n.clip) for n, age in seen)
+        return tuple(ObservedValue(n.full_name, n.unit.removeprefix("1"), n.low, n.high, n.is_truth, age, n.clip) for n, age in seen)
 
     @property
     def discount(self) -> float:
@@ -504,14 +504,14 @@ class Policy:
 
 @dataclass(frozen=True)
 class Solved:
-    """What counts as solved, over `episodes` consecutive episodes."""
+    """The criterion for a solved task, over `episodes` consecutive episodes."""
 
     episodes: int
     mean_return: float | None = None
     success_rate: float | None = None
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         """`mean return 195 over 100 episodes`."""
         wanted = [f"mean return {self.mean_return:g}"] if self.mean_return is not None else []
         wanted += [f"success rate {self.success_rate:g}"] if self.success_rate is not None else []

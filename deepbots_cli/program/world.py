@@ -105,7 +105,7 @@ class Line:
 
     @property
     def length(self) -> float:
-        """In m, along the middle of the stroke."""
+        """The length in m, along the middle of the stroke."""
         return sum(math.dist(*piece) for piece in self.pieces)
 
 

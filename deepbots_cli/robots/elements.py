@@ -1,7 +1,7 @@
 """Strict XML: elements that know their place, and the texts, numbers and vectors in their attributes.
 
 No DOCTYPE, no entities, bounded in depth and number. A value that cannot be read is reported once and
-replaced by a harmless one; `Report.errors` counts these. The loaders for simulation recover silently and
+replaced by a harmless one; `ElementReport.errors` counts these. The loaders for simulation recover silently and
 know no lines, so expat reads the text: it is in the standard library and knows byte offsets. Blanks before
 the XML declaration and zero bytes after the document, which published files have and PyBullet skips, are warnings.
 """
@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from xml.parsers import expat
 
 from deepbots_cli.diagnostics import Findings, Label, Source, Span
-from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.diagnostics.nearest import nearest_word
 
 MAX_DEPTH = 64
 MAX_ELEMENTS = 100_000
@@ -37,17 +37,17 @@ def quoted(text: str) -> str:
     return repr(text if len(text) <= 60 else text[:57] + "...")
 
 
-def known_names(word: str, known: Iterable[str], kind: str) -> str:
+def known_names_help(word: str, known: Iterable[str], kind: str) -> str:
     """The help for an unknown name: the nearest known one, and a list."""
     names = list(known)
-    match = nearest(word, names)
+    match = nearest_word(word, names)
     shown = ", ".join(names[:20]) + (f" and {len(names) - 20} more" if len(names) > 20 else "")
     listing = f"the {kind} are: {shown}" if names else f"there are no {kind}"
     return f"did you mean {quoted(match)}? {listing}" if match else listing
 
 
 @dataclass
-class Report:
+class ElementReport:
     """The findings of one file so far, and their number."""
 
     source: Source
@@ -62,7 +62,7 @@ class Element:
 
     tag: str
     attributes: dict[str, str]
-    report: Report
+    report: ElementReport
     start: int
     children: list[Element] = field(default_factory=list)
 
@@ -83,12 +83,12 @@ class Element:
         return tag
 
     def error(
-        self, headline: str, *, attribute: str | None = None, help: str | None = None, also: tuple[Label, ...] = (), code: str = "DB301"
+        self, headline: str, *, attribute: str | None = None, help: str | None = None, labels: tuple[Label, ...] = (), code: str = "DB301"
     ) -> None:
         """Report an error at the value of `attribute`, or at the start tag; only the first hundred of a file are kept."""
         self.report.errors += 1
         if self.report.errors <= MAX_REPORTED:
-            self.report.findings.add(code, self.value_span(attribute), headline, help=help, also=also)
+            self.report.findings.add(code, self.value_span(attribute), headline, help=help, labels=labels)
 
     def warn(
         self, headline: str, *, attribute: str | None = None, help: str | None = None, notes: tuple[str, ...] = (), code: str = "DB311"
@@ -97,19 +97,19 @@ class Element:
         if self.report.warnings <= MAX_REPORTED:
             self.report.findings.add(code, self.value_span(attribute), headline, help=help, notes=notes)
 
-    def all(self, tag: str) -> list[Element]:
+    def find_all(self, tag: str) -> list[Element]:
         return [child for child in self.children if child.tag == tag]
 
-    def only(self, tag: str) -> Element | None:
+    def find_one(self, tag: str) -> Element | None:
         """The first child called `tag`; further ones are reported and not read."""
-        found = self.all(tag)
+        found = self.find_all(tag)
         for extra in found[1:]:
             extra.warn(f"a further <{tag}> in the same <{self.tag}> is not read", help="remove it")
         return found[0] if found else None
 
-    def required(self, tag: str) -> Element | None:
-        """The same for a child that must be there."""
-        child = self.only(tag)
+    def require_one(self, tag: str) -> Element | None:
+        """The first child called `tag`; reports an error if there is none."""
+        child = self.find_one(tag)
         if child is None:
             self.error(f"<{self.tag}> without <{tag}>", help=f"add <{tag} .../> inside it")
         return child
@@ -128,7 +128,7 @@ class Element:
         """One number; where `default` is None the attribute is required."""
         return self._numbers(name, None if default is None else (default,), 1)[0]
 
-    def not_negative(self, name: str, default: float | None = None) -> float:
+    def non_negative_number(self, name: str, default: float | None = None) -> float:
         """A number of at least 0."""
         value = self.number(name, default)
         if value < 0:
@@ -213,7 +213,7 @@ class _Builder:
     Expat reads the code points from `begin` to `end` only.
     """
 
-    def __init__(self, report: Report, begin: int, end: int) -> None:
+    def __init__(self, report: ElementReport, begin: int, end: int) -> None:
         self.report = report
         self.begin = begin
         self.data = report.source.text[begin:end].encode()
@@ -263,7 +263,7 @@ def parse(source: Source, findings: Findings) -> Element | None:
     begin, end = len(text) - len(text.lstrip(_BLANKS)), len(text.rstrip(_BLANKS + "\0"))
     early = begin if text.startswith("<?xml", begin) else 0
     late = text.find("\0", end)
-    builder = _Builder(Report(source, findings), early, end if late >= 0 else len(text))
+    builder = _Builder(ElementReport(source, findings), early, end if late >= 0 else len(text))
     root = _parsed(builder)
     if root is None:
         return None
@@ -294,6 +294,6 @@ def _parsed(builder: _Builder) -> Element | None:
         what = "the file is empty" if not source.text.strip() else f"this is not XML: {expat.ErrorString(error.code)}"
         misplaced = error.code == expat.errors.codes[expat.errors.XML_ERROR_MISPLACED_XML_PI]
         help = "move <?xml ...?> to the start of the file" if misplaced else None
-        findings.add("DB301", Span(source, at, min(at + 1, len(source.text))), what, help=help, also=also)
+        findings.add("DB301", Span(source, at, min(at + 1, len(source.text))), what, help=help, labels=also)
         return None
     return builder.root

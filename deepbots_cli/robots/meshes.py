@@ -27,7 +27,7 @@ from deepbots_cli.robots.model import Mesh, Vector
 
 MAX_BYTES = 32 * 2**20
 MAX_TOTAL_BYTES = 256 * 2**20
-FORMATS = (".stl", ".obj", ".dae")
+MESH_SUFFIXES = (".stl", ".obj", ".dae")
 _VERTEX = re.compile(rb"^[ \t]*v[ \t]", re.MULTILINE)
 _NOT_FINITE = re.compile(rb"^[ \t]*v[ \t][^\n]*(?:nan|inf)", re.MULTILINE | re.IGNORECASE)
 _NOT_FINITE_STL = re.compile(rb"vertex[ \t][^\n]*(?:nan|inf)", re.IGNORECASE)
@@ -46,7 +46,7 @@ _ARCHIVES = (b"PK\x03\x04", b"PK\x05\x06", b"\x1f\x8b", b"BZh", b"\xfd7zXZ\0", b
 class UnusableMesh:
     """Why a file is not read, as a headline and a remedy."""
 
-    why: str
+    headline: str
     help: str | None = None
 
 
@@ -58,7 +58,7 @@ class MeshAboveRobot:
     reference: str
 
 
-class Loaded(NamedTuple):
+class LoadedMesh(NamedTuple):
     """A mesh that an engine may load; `reference` is a better name for it in the robot file, if there is one."""
 
     path: Path
@@ -70,7 +70,7 @@ ResolveMesh = Callable[[str], Path | MeshAboveRobot | UnusableMesh]
 """From a `filename` as written in the robot file to the real path, where it may be read."""
 
 
-def locate(reference: str, folder: Path) -> Path | UnusableMesh:
+def locate_mesh(reference: str, folder: Path) -> Path | UnusableMesh:
     """The real path that `reference` names in a robot file of `folder`, which need not exist.
 
     `package://X/rest` is looked up in the installed package X (found without importing it), then in a
@@ -134,7 +134,7 @@ def mesh_resolver(folder: Path, allowed: Iterable[Path] = ()) -> ResolveMesh:
     roots = [os.path.realpath(root) for root in (folder, *allowed)]
 
     def resolve(reference: str) -> Path | MeshAboveRobot | UnusableMesh:
-        path = locate(reference, folder)
+        path = locate_mesh(reference, folder)
         if isinstance(path, UnusableMesh):
             return path
         within = [*roots, *map(os.path.realpath, package_folders(reference))]
@@ -162,7 +162,7 @@ class MeshReader:
         self._known: dict[Path, str | UnusableMesh] = {}
         self._total = 0
 
-    def load(self, reference: str) -> Loaded | UnusableMesh:
+    def load(self, reference: str) -> LoadedMesh | UnusableMesh:
         try:
             found = self._resolve(reference)
             if isinstance(found, UnusableMesh):
@@ -176,14 +176,14 @@ class MeshReader:
         return (
             digest
             if isinstance(digest, UnusableMesh)
-            else Loaded(path, digest, found.reference if isinstance(found, MeshAboveRobot) else None)
+            else LoadedMesh(path, digest, found.reference if isinstance(found, MeshAboveRobot) else None)
         )
 
     def _digest(self, path: Path) -> str | UnusableMesh:
         if not str(path).isprintable():
             return UnusableMesh("the path of the mesh holds characters that cannot be printed", "rename the file or its folder")
-        if path.suffix.lower() not in FORMATS:
-            return UnusableMesh(f"the mesh format {path.suffix[:20]!r} is not read", f"convert it to one of: {', '.join(FORMATS)}")
+        if path.suffix.lower() not in MESH_SUFFIXES:
+            return UnusableMesh(f"the mesh format {path.suffix[:20]!r} is not read", f"convert it to one of: {', '.join(MESH_SUFFIXES)}")
         if not path.exists():
             return UnusableMesh("the mesh does not exist", f"looked for {path}")
         if not path.is_file():
@@ -200,7 +200,7 @@ class MeshReader:
         return UnusableMesh(wrong, "export the mesh again") if wrong else hashlib.sha256(data).hexdigest()
 
 
-def checked_bytes(mesh: Mesh) -> bytes:
+def read_verified(mesh: Mesh) -> bytes:
     """The file of a mesh of a compiled scenario, if it is still the file that the compiler checked.
 
     Raises:
@@ -222,7 +222,7 @@ def checked_bytes(mesh: Mesh) -> bytes:
 def mesh_bounds(mesh: Mesh) -> tuple[Vector, Vector] | None:
     """The lowest and the highest coordinates of a scaled mesh, m; None for a COLLADA file, or if the file is missing or changed."""
     try:
-        found = mesh_size(Path(mesh.path).suffix.lower(), checked_bytes(mesh))
+        found = mesh_size(Path(mesh.path).suffix.lower(), read_verified(mesh))
     except EngineError:
         return None
     if found is None:
@@ -324,5 +324,5 @@ def _dae(data: bytes) -> str | None:
     root = parse(source, Findings())
     if root is None or root.tag != "COLLADA":
         return "the mesh is not a COLLADA file"
-    missing = next((tag for tag in _COLLADA if not root.all(tag)), None)
+    missing = next((tag for tag in _COLLADA if not root.find_all(tag)), None)
     return f"the COLLADA file has no <{missing}>" if missing else None

@@ -96,7 +96,7 @@ class Inertial:
         trace = tensor[0][0] + tensor[1][1] + tensor[2][2]
         if trace <= 0:
             return False
-        unit = scaled(tensor, 1 / trace)
+        unit = scaled_matrix(tensor, 1 / trace)
         return _is_positive(unit, 0.0) and _is_positive(second_moments(unit), _TOLERANCE)
 
 
@@ -209,7 +209,7 @@ _TOLERANCE = 1e-3
 
 
 def volume(shape: Shape) -> float | None:
-    """In m^3; None for a mesh, which may not be closed."""
+    """The volume in m^3; None for a mesh, which may not be closed."""
     match shape:
         case Box((x, y, z)):
             return x * y * z
@@ -223,7 +223,7 @@ def volume(shape: Shape) -> float | None:
             return None
 
 
-def homogeneous(shape: Shape, mass: float, origin: Pose = _HERE) -> Inertial | None:
+def homogeneous_inertial(shape: Shape, mass: float, origin: Pose = _HERE) -> Inertial | None:
     """The inertial of a homogeneous body of `mass` kg whose shape has the pose `origin`; None for a mesh."""
     match shape:
         case Box((x, y, z)):
@@ -248,12 +248,12 @@ def second_moments(tensor: Matrix) -> Matrix:
     return _trace_minus(tensor, 0.5)
 
 
-def from_second_moments(moments: Matrix) -> Matrix:
+def inertia_from_second_moments(moments: Matrix) -> Matrix:
     """I = tr(J) - J, the inverse of `second_moments`."""
     return _trace_minus(moments, 1.0)
 
 
-def scaled(m: Matrix, factor: float) -> Matrix:
+def scaled_matrix(m: Matrix, factor: float) -> Matrix:
     return (frames.scaled(m[0], factor), frames.scaled(m[1], factor), frames.scaled(m[2], factor))
 
 
@@ -277,7 +277,7 @@ Lines = list[str]
 _ESCAPES = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;", "\n": "&#10;", "\r": "&#13;", "\t": "&#9;"})
 
 
-def write(model: RobotModel) -> str:
+def to_urdf(model: RobotModel) -> str:
     """The model as URDF text: one element per line, floats to the last digit, meshes by the path that the model holds.
 
     `reader.read_bytes(write(model).encode(), ...)` gives the same model again. This text, never the user's own file, is what an engine
@@ -388,7 +388,7 @@ def with_mass(model: RobotModel, link: str, mass: float) -> RobotModel | str:
         return f"link {link!r} has no mass in its robot file that could be changed"
     if not (math.isfinite(mass) and mass > 0):
         return f"the mass of link {link!r} must be above 0"
-    tensor = scaled(old.inertial.matrix, mass / old.inertial.mass)
+    tensor = scaled_matrix(old.inertial.matrix, mass / old.inertial.mass)
     return with_link(model, replace(old, inertial=_with_matrix(replace(old.inertial, mass=mass), tensor)))
 
 
@@ -401,7 +401,7 @@ def with_density(model: RobotModel, link: str, density: float) -> RobotModel | s
     shape = shapes[0].shape
     if isinstance(shape, Mesh) and shape.path.lower().endswith(".dae"):
         return f"the mesh of link {link!r} is a COLLADA file, whose volume is not read; give its `mass`"
-    inertial = homogeneous(shape, density * (volume(shape) or 0.0), shapes[0].origin)
+    inertial = homogeneous_inertial(shape, density * (volume(shape) or 0.0), shapes[0].origin)
     return with_link(model, replace(old, inertial=inertial, density=density if inertial is None else None))
 
 
@@ -474,8 +474,8 @@ def _stretched_inertial(old: Inertial, scale: Vector) -> Inertial:
     growth = scale[0] * scale[1] * scale[2]
     axes = rotation_matrix(old.origin.rpy)
     moments = rotate_tensor(second_moments(old.matrix), axes)
-    stretched = scaled(product(product(diagonal(scale), moments), diagonal(scale)), growth)
-    tensor = from_second_moments(rotate_tensor(stretched, transposed(axes)))
+    stretched = scaled_matrix(product(product(diagonal(scale), moments), diagonal(scale)), growth)
+    tensor = inertia_from_second_moments(rotate_tensor(stretched, transposed(axes)))
     return _with_matrix(replace(old, mass=old.mass * growth, origin=replace(old.origin, xyz=_along(old.origin.xyz, scale))), tensor)
 
 

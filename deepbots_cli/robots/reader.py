@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import get_args
 
 from deepbots_cli.diagnostics import Findings, Label, Source, Span
-from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.files import read_at_most
-from deepbots_cli.robots.elements import Element, known_names, parse, quoted
+from deepbots_cli.robots.elements import Element, known_names_help, parse, quoted
 from deepbots_cli.robots.meshes import MeshReader, ResolveMesh, UnusableMesh, mesh_resolver
 from deepbots_cli.robots.model import (
     Box,
@@ -128,7 +128,7 @@ def read(path: Path, display: str, findings: Findings, *, resolve_mesh: ResolveM
 
 
 def read_bytes(data: bytes, display: str, findings: Findings, *, resolve_mesh: ResolveMesh) -> RobotFile | None:
-    """The same for a file that is already in memory.
+    """Read a robot file that is already in memory.
 
     A robot without meshes and findings is read once: the scenarios of a folder share few robots.
     """
@@ -156,7 +156,7 @@ def _read(data: bytes, display: str, findings: Findings, resolve_mesh: ResolveMe
     if macro is not None:  # the plain elements of a program that writes URDF would give another robot
         macro.error("a xacro macro that has not been expanded", help="expand the file first: xacro robot.urdf.xacro > robot.urdf")
     links, joints = _named(root, "link"), _named(root, "joint")
-    if not root.all("link"):
+    if not root.find_all("link"):
         root.error("the robot has no links")
     if len(links) > MAX_LINKS:
         root.error(f"the robot has more than {MAX_LINKS} links", code="DB005")
@@ -199,7 +199,7 @@ def _check_words(root: Element) -> None:
             elif child.tag in _VOCABULARY:
                 waiting.append(child)
     for element, word, known, attribute in unknown[:MAX_WORDS]:
-        match = nearest(word, known.split(), 0.75)
+        match = nearest_word(word, known.split(), 0.75)
         if match:
             what = "attribute" if attribute else "element"
             element.warn(f"the {what} {quoted(word)} is not read", attribute=attribute, help=f"did you mean {match!r}?")
@@ -208,7 +208,7 @@ def _check_words(root: Element) -> None:
 def _named(root: Element, tag: str) -> dict[str, Element]:
     """The links or joints by name, in file order."""
     found: dict[str, Element] = {}
-    for element in root.all(tag):
+    for element in root.find_all(tag):
         name = element.text("name")
         if name is None:
             continue
@@ -221,7 +221,7 @@ def _named(root: Element, tag: str) -> dict[str, Element]:
         first = found.setdefault(name, element)
         if first is not element:
             also = (Label(first.value_span("name"), "first defined here"),)
-            element.error(f"a second {tag} called {quoted(name)}", attribute="name", help="rename one of the two", also=also)
+            element.error(f"a second {tag} called {quoted(name)}", attribute="name", help="rename one of the two", labels=also)
     return found
 
 
@@ -230,7 +230,7 @@ def _model(root: Element, links: dict[str, Element], joints: dict[str, Element],
     colours = _colours(root)
     read_links = [_link(element, name, colours, meshes) for name, element in links.items()]
     read_joints = {name: joint for name, element in joints.items() if (joint := _joint(element, name))}
-    complete = len(read_joints) == len(root.all("joint")) and _check_references(read_joints, links, joints)
+    complete = len(read_joints) == len(root.find_all("joint")) and _check_references(read_joints, links, joints)
     base = _root_link(read_joints, links, joints) if complete else None
     if root.report.errors or base is None:
         return None
@@ -244,8 +244,8 @@ def _model(root: Element, links: dict[str, Element], joints: dict[str, Element],
 def _colours(root: Element) -> dict[str, Colour]:
     """The colours of named materials, first of the robot, then of its visuals."""
     named: dict[str, Colour] = {}
-    holders = [root, *(visual for link in root.all("link") for visual in link.all("visual"))]
-    for material in (material for holder in holders for material in holder.all("material")):
+    holders = [root, *(visual for link in root.find_all("link") for visual in link.find_all("visual"))]
+    for material in (material for holder in holders for material in holder.find_all("material")):
         name, colour = material.attributes.get("name"), _colour(material)
         if name and colour:
             named.setdefault(name, colour)
@@ -254,7 +254,7 @@ def _colours(root: Element) -> dict[str, Colour]:
 
 def _colour(material: Element) -> Colour | None:
     """The material's own colour, each part clipped to 0 to 1."""
-    element = material.only("color")
+    element = material.find_one("color")
     if element is None:
         return None
     colour = element.rgba()
@@ -265,7 +265,7 @@ def _colour(material: Element) -> Colour | None:
 
 
 def _pose(element: Element) -> Pose:
-    origin = element.only("origin")
+    origin = element.find_one("origin")
     if origin is None:
         return Pose()
     rpy = origin.vector("rpy", (0.0, 0.0, 0.0))
@@ -278,40 +278,40 @@ def _pose(element: Element) -> Pose:
 
 
 def _link(element: Element, name: str, colours: dict[str, Colour], meshes: MeshReader) -> Link:
-    visuals = [_geometry(visual, meshes, _visual_colour(visual, colours)) for visual in element.all("visual")]
-    collisions = [_geometry(collision, meshes) for collision in element.all("collision")]
+    visuals = [_geometry(visual, meshes, _visual_colour(visual, colours)) for visual in element.find_all("visual")]
+    collisions = [_geometry(collision, meshes) for collision in element.find_all("collision")]
     return Link(name, _inertial(element), tuple(filter(None, visuals)), tuple(filter(None, collisions)), _friction(element))
 
 
 def _inertial(link: Element) -> Inertial | None:
-    element = link.only("inertial")
+    element = link.find_one("inertial")
     if element is None:
         return None
-    mass, inertia = element.required("mass"), element.required("inertia")
+    mass, inertia = element.require_one("mass"), element.require_one("inertia")
     if mass is None or inertia is None:
         return None
     return Inertial(
-        mass.not_negative("value"),
+        mass.non_negative_number("value"),
         _pose(element),
-        ixx=inertia.not_negative("ixx"),
+        ixx=inertia.non_negative_number("ixx"),
         ixy=inertia.number("ixy", 0.0),
         ixz=inertia.number("ixz", 0.0),
-        iyy=inertia.not_negative("iyy"),
+        iyy=inertia.non_negative_number("iyy"),
         iyz=inertia.number("iyz", 0.0),
-        izz=inertia.not_negative("izz"),
+        izz=inertia.non_negative_number("izz"),
     )
 
 
 def _visual_colour(visual: Element, named: dict[str, Colour]) -> Colour | None:
     """The colour inside the visual, else the colour of the material that it names."""
-    material = visual.only("material")
+    material = visual.find_one("material")
     if material is None:
         return None
-    return _colour(material) if material.all("color") else named.get(material.attributes.get("name", ""))
+    return _colour(material) if material.find_all("color") else named.get(material.attributes.get("name", ""))
 
 
 def _geometry(holder: Element, meshes: MeshReader, colour: Colour | None = None) -> Geometry | None:
-    element = holder.required("geometry")
+    element = holder.require_one("geometry")
     if element is None:
         return None
     shapes = [child for child in element.children if child.tag in _SHAPES]
@@ -355,7 +355,7 @@ def _mesh(element: Element, meshes: MeshReader) -> Mesh | None:
         return None
     loaded = meshes.load(filename)
     if isinstance(loaded, UnusableMesh):
-        element.error(loaded.why, attribute="filename", help=loaded.help)
+        element.error(loaded.headline, attribute="filename", help=loaded.help)
         return None
     if loaded.reference:
         headline = "the mesh is not in the folder of the robot file; the one in a parent folder is read, as in PyBullet"
@@ -364,11 +364,11 @@ def _mesh(element: Element, meshes: MeshReader) -> Mesh | None:
 
 
 def _friction(link: Element) -> Friction:
-    contact = link.only("contact")
+    contact = link.find_one("contact")
     if contact is None:
         return Friction()
-    found = [contact.only(tag) for tag in ("lateral_friction", "spinning_friction", "rolling_friction", "restitution")]
-    return Friction(*(element.not_negative("value") if element else None for element in found))
+    found = [contact.find_one(tag) for tag in ("lateral_friction", "spinning_friction", "rolling_friction", "restitution")]
+    return Friction(*(element.non_negative_number("value") if element else None for element in found))
 
 
 # Joints
@@ -377,12 +377,12 @@ def _friction(link: Element) -> Friction:
 def _joint(element: Element, name: str) -> Joint | None:
     """One `<joint>`; None if its type, parent or child is missing."""
     kind = _joint_type(element)
-    parent, child = element.required("parent"), element.required("child")
+    parent, child = element.require_one("parent"), element.require_one("child")
     above = parent and parent.text("link")
     below = child and child.text("link")
     if kind is None or not above or not below:
         return None
-    dynamics = element.only("dynamics")
+    dynamics = element.find_one("dynamics")
     return Joint(
         name,
         kind,
@@ -391,8 +391,8 @@ def _joint(element: Element, name: str) -> Joint | None:
         origin=_pose(element),
         axis=_axis(element, kind),
         limit=_limit(element, kind, name),
-        damping=dynamics.not_negative("damping", 0.0) if dynamics else 0.0,
-        friction=dynamics.not_negative("friction", 0.0) if dynamics else 0.0,
+        damping=dynamics.non_negative_number("damping", 0.0) if dynamics else 0.0,
+        friction=dynamics.non_negative_number("friction", 0.0) if dynamics else 0.0,
         mimic=_mimic(element),
     )
 
@@ -401,14 +401,14 @@ def _joint_type(element: Element) -> JointType | None:
     word = element.text("type")
     kind = "continuous" if word == _BALL else next((known for known in _JOINT_TYPES if known == word), None)
     if word is not None and kind is None:
-        help = known_names(word, _JOINT_TYPES, "joint types")
+        help = known_names_help(word, _JOINT_TYPES, "joint types")
         element.error(f"unknown joint type {quoted(word)}", attribute="type", help=help)
     return kind
 
 
 def _axis(joint: Element, kind: JointType) -> Vector:
     """The axis as a unit vector; fixed and floating joints have none."""
-    element = joint.only("axis")
+    element = joint.find_one("axis")
     if element is None or kind in ("fixed", "floating"):
         return (1.0, 0.0, 0.0)
     x, y, z = element.vector("xyz", (1.0, 0.0, 0.0))
@@ -424,13 +424,13 @@ def _limit(joint: Element, kind: JointType, name: str) -> Limit:
 
     Many published files write 0 there for joints that are driven; taken literally the joint could never move.
     """
-    element = joint.only("limit")
+    element = joint.find_one("limit")
     if element is None:
         if kind in ("revolute", "prismatic"):
             joint.warn(f"joint {quoted(name)} has no limits", help='add <limit lower="..." upper="..." .../>', code="DB307")
         return Limit()
-    effort = element.not_negative("effort", 0.0) or None
-    velocity = element.not_negative("velocity", 0.0) or None
+    effort = element.non_negative_number("effort", 0.0) or None
+    velocity = element.non_negative_number("velocity", 0.0) or None
     lower, upper = element.number("lower", 0.0), element.number("upper", 0.0)
     if kind in ("revolute", "prismatic"):
         if not {"lower", "upper"} & element.attributes.keys():
@@ -444,7 +444,7 @@ def _limit(joint: Element, kind: JointType, name: str) -> Limit:
 
 
 def _mimic(joint: Element) -> Mimic | None:
-    element = joint.only("mimic")
+    element = joint.find_one("mimic")
     other = element.text("joint") if element else None
     return Mimic(other, element.number("multiplier", 1.0), element.number("offset", 0.0)) if element and other else None
 
@@ -462,7 +462,7 @@ def _without_balls(model: RobotModel, elements: dict[str, Element]) -> RobotMode
     for joint in model.joints:
         element = elements[joint.name]
         if joint.mimic and (joint.name in balls or joint.mimic.joint in balls):
-            element.all("mimic")[0].error("a ball joint has three angles: it cannot follow a joint or be followed")
+            element.find_all("mimic")[0].error("a ball joint has three angles: it cannot follow a joint or be followed")
         if joint.name not in balls:
             joints.append(joint)
             continue
@@ -472,7 +472,7 @@ def _without_balls(model: RobotModel, elements: dict[str, Element]) -> RobotMode
             headline = f"{quoted(joint.name)} is a ball joint, and {quoted(clash)}, the name of one of its hinges, is taken"
             element.error(headline, attribute="name", help="rename one of the two")
             continue
-        limited = " Its lower and upper limits are not read." if element.all("limit") else ""
+        limited = " Its lower and upper limits are not read." if element.find_all("limit") else ""
         headline = f"ball joint {quoted(joint.name)} is read as three hinges at one place: {', '.join(names)}"
         help = f"near -90 and 90 deg about y, its axes x and z coincide.{limited}"
         element.warn(headline, attribute="type", help=help)
@@ -499,14 +499,14 @@ def _check_references(joints: Mapping[str, Joint], links: Mapping[str, Element],
             if link not in links:
                 complete = False
                 headline = f"joint {quoted(name)} has the unknown link {quoted(link)} as its {tag}"
-                element.all(tag)[0].error(headline, attribute="link", help=known_names(link, links, "links"))
+                element.find_all(tag)[0].error(headline, attribute="link", help=known_names_help(link, links, "links"))
         if joint.mimic and joint.mimic.joint not in joints:
             headline = f"joint {quoted(name)} follows the unknown joint {quoted(joint.mimic.joint)}"
-            help = known_names(joint.mimic.joint, joints, "joints")
-            element.all("mimic")[0].error(headline, attribute="joint", help=help)
+            help = known_names_help(joint.mimic.joint, joints, "joints")
+            element.find_all("mimic")[0].error(headline, attribute="joint", help=help)
     for cycle in _cycles({name: joint.mimic.joint for name, joint in joints.items() if joint.mimic}):
         headline = "these joints follow each other in a circle: " + ", ".join(map(quoted, cycle[:5]))
-        elements[cycle[0]].all("mimic")[0].error(headline, attribute="joint")
+        elements[cycle[0]].find_all("mimic")[0].error(headline, attribute="joint")
     return complete
 
 
@@ -520,7 +520,7 @@ def _root_link(joints: Mapping[str, Joint], links: Mapping[str, Element], elemen
             errors += 1
             also = (Label(elements[first].span, f"{quoted(first)} already holds it"),)
             headline = f"link {quoted(joint.child)} has two parents, {quoted(joints[first].parent)} and {quoted(joint.parent)}"
-            elements[name].all("child")[0].error(headline, attribute="link", also=also)
+            elements[name].find_all("child")[0].error(headline, attribute="link", labels=also)
     parent = {child: joints[name].parent for child, name in joint_above.items()}
     for cycle in _cycles(parent):
         errors += 1
@@ -531,7 +531,7 @@ def _root_link(joints: Mapping[str, Joint], links: Mapping[str, Element], elemen
         errors += 1
         also = (Label(links[roots[0]].value_span("name"), "the other root"),)
         headline = f"link {quoted(name)} is a second root: no joint has it as its child"
-        links[name].error(headline, attribute="name", help="join it to another link, or remove it", also=also)
+        links[name].error(headline, attribute="name", help="join it to another link, or remove it", labels=also)
     return roots[0] if roots and not errors else None
 
 
@@ -584,5 +584,5 @@ def _check_inertia(model: RobotModel, elements: Mapping[str, Element]) -> None:
     for link in model.links:
         if link.inertial and link.inertial.mass > 0 and not link.inertial.is_plausible:
             help = "each principal moment must be above 0 and at most the sum of the other two"
-            at = elements[link.name].all("inertial")[0].all("inertia")[0]
+            at = elements[link.name].find_all("inertial")[0].find_all("inertia")[0]
             at.warn(f"no rigid body can have the inertia of link {quoted(link.name)}", help=help, code="DB306")

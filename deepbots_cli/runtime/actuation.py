@@ -15,18 +15,18 @@ from typing import Any, NamedTuple
 
 from deepbots_cli import frames
 from deepbots_cli.frames import Triple, quaternion
-from deepbots_cli.plugins import attribute
+from deepbots_cli.plugins import import_attribute
 from deepbots_cli.port import STILL, Engine, MotorWriter, Part, Pusher
 from deepbots_cli.program.robots import CustomActuator, MotorKind
 
-Origin = Callable[[], Sequence[float]]
+InitialValue = Callable[[], Sequence[float]]
 _EARLY = 1e-9  # of a substep; what a sum of durations may be off
 PerJoint = float | Sequence[float]
 """One for all joints, or one for each."""
 
 
 class Response:
-    """What of its commands an actuator follows, from substep to substep.
+    """The response of an actuator to its commands, from substep to substep.
 
     A command takes effect in the first substep that begins `delay` after it was sent, or later. From there on what is
     followed approaches it: in a substep of h seconds by the share 1 - exp(-h / time_constant) of what is left, a lag of
@@ -36,7 +36,9 @@ class Response:
     next `reset`. A negative one, such as a normal distribution may draw, counts as 0.
     """
 
-    def __init__(self, substep: float, origin: Origin, delay: float = 0.0, time_constant: float = 0.0, rates: Sequence[float] = ()) -> None:
+    def __init__(
+        self, substep: float, origin: InitialValue, delay: float = 0.0, time_constant: float = 0.0, rates: Sequence[float] = ()
+    ) -> None:
         """`substep` is the length of one, s; without `rates` a command may jump."""
         self.delay = delay
         self.time_constant = time_constant
@@ -58,14 +60,14 @@ class Response:
         self._still = True
 
     def start(self, value: Sequence[float]) -> None:
-        """What is followed now, before any command."""
+        """Set the value that is followed before any command."""
         self._value = value
 
     def send(self, command: Sequence[float]) -> None:
         self._sent.append((self._now + self._wait, command))
 
     def advance(self) -> Sequence[float] | None:
-        """What is followed in the substep that begins now; None where that is what it was in the last one, or nothing."""
+        """The value that is followed in this substep; None if it has not changed, or if there is none."""
         sent = self._sent
         while sent and sent[0][0] <= self._now:
             self._goal = sent.popleft()[1]
@@ -238,7 +240,7 @@ class Cartesian(Motor):
 
 
 def _nothing() -> None:
-    """What a control law without a memory does at a reset."""
+    """Do nothing, as a control law without a memory at a reset."""
 
 
 class ControlLaw(NamedTuple):
@@ -282,7 +284,7 @@ class CustomMotor(Motor):
 
     def __init__(self, site: Site) -> None:
         actuator, response = site.actuator, site.actuator.response
-        self._law: ControlLaw = attribute(actuator.drive)(site)
+        self._law: ControlLaw = import_attribute(actuator.drive)(site)
         limits = [inf if limit is None else limit for limit in actuator.max_torque]
         super().__init__(
             site.engine,

@@ -2,7 +2,7 @@
 
 Each world of a batch is a single world with its supervisor, which begins its episodes. Generated code for a batch does what
 happens in each step over columns, one number per world in each. It takes over what an episode begins with from the single world: what
-functions remember, drawn parameters, readings. What has no form over columns is asked of the single worlds in turn (`Each`).
+functions remember, drawn parameters, readings. What has no form over columns is asked of the single worlds in turn (`PerWorldCall`).
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from deepbots_cli.errors import EngineError, EvaluationError
 from deepbots_cli.program.robots import Direction, Sensor
 from deepbots_cli.program.task import ActionRange
-from deepbots_cli.runtime.columns import Remembered
-from deepbots_cli.runtime.devices import Devices, columns_of
+from deepbots_cli.runtime.columns import BatchMemory
+from deepbots_cli.runtime.devices import BatchDevice, stack_worlds
 from deepbots_cli.runtime.messages import LossyChannel
-from deepbots_cli.runtime.spaces import views
+from deepbots_cli.runtime.spaces import frame_indices
 from deepbots_cli.runtime.supervisor import RobotController, Supervisor
 
 Column = NDArray[Any]
@@ -30,10 +30,10 @@ LOST = "not_finite"
 
 
 class BatchStep(NamedTuple):
-    """What a step came to, one row per world; observations are those that the agent acts on next.
+    """The result of a step, one row per world; observations are those that the agent acts on next.
 
-    `terms` has a row per term of the reward and a column per world. `done` holds the numbers of the worlds whose episode ended, `last`
-    their last observations, `infos` their infos. Their next episodes have begun.
+    `terms` has a row per term of the reward and a column per world. `done` holds the numbers of the worlds whose episode ended,
+    `final_observations` their last observations, `infos` their infos. Their next episodes have begun.
     """
 
     observations: Any
@@ -42,11 +42,11 @@ class BatchStep(NamedTuple):
     terminated: Column
     truncated: Column
     done: Column
-    last: Any
+    final_observations: Any
     infos: list[dict[str, Any]]
 
 
-class Loss(NamedTuple):
+class LostWorld(NamedTuple):
     """A world that was no longer finite: its number, the seed of its random generators, the step of its episode, and the error."""
 
     world: int
@@ -58,7 +58,7 @@ class Loss(NamedTuple):
         return f"world {self.world} (seed {self.seed}) was no longer finite in step {self.step} and begins anew"
 
 
-class Running(NamedTuple):
+class EpisodeHistory(NamedTuple):
     """The running episode of a world: its seed or the states of its random generators when it began, and the actions since then.
 
     Physics engines have no exact snapshot. An episode is brought back by the same start and the same actions.
@@ -68,7 +68,7 @@ class Running(NamedTuple):
     actions: list[Any]
 
 
-class Each:
+class PerWorldCall:
     """Asks the single worlds in turn: functions that take and give single numbers, over columns."""
 
     def __init__(self, functions: Sequence[Callable[..., Any]], chosen: Callable[[], Column | None]) -> None:
@@ -76,14 +76,14 @@ class Each:
 
     def __call__(self, *arguments: Any) -> Any:
         if not arguments:
-            return columns_of([function() for function in self._functions])
+            return stack_worlds([function() for function in self._functions])
         rows = zip(*(_rows(argument, len(self._functions)) for argument in arguments), strict=True)
         chosen = self._chosen()
         given = [
             function(*row) if chosen is None or chosen[world] else None
             for world, (function, row) in enumerate(zip(self._functions, rows, strict=True))
         ]
-        return None if given[0] is None else columns_of(given)
+        return None if given[0] is None else stack_worlds(given)
 
 
 def _rows(argument: Any, count: int) -> list[Any]:
@@ -95,7 +95,7 @@ def _rows(argument: Any, count: int) -> list[Any]:
     return [argument] * count
 
 
-class Direct:
+class BatchChannel:
     """A channel that delivers each message in the timestep in which it was sent; all formats carry numbers exactly."""
 
     def __init__(self) -> None:
@@ -108,7 +108,7 @@ class Direct:
         return self._message
 
 
-class Lossy:
+class BatchLossyChannel:
     """A channel on which messages come late or are lost: those of the single worlds, in turn."""
 
     def __init__(self, channels: Sequence[LossyChannel], batch: BatchSupervisor) -> None:
@@ -129,7 +129,7 @@ class Lossy:
             channel.send(one)
 
     def newest(self) -> Any:
-        return [columns_of(values) for values in zip(*(channel.newest() for channel in self._channels), strict=True)]
+        return [stack_worlds(values) for values in zip(*(channel.newest() for channel in self._channels), strict=True)]
 
     def receive(self) -> Iterator[Any]:
         """First the first message of each world that got one, then the second; meanwhile motors of the others are left alone."""
@@ -139,25 +139,25 @@ class Lossy:
             usual = arrived[int(having.argmax())][number]
             messages = [messages[number] if len(messages) > number else usual for messages in arrived]
             self._batch.engine.chosen = having
-            yield [columns_of(values) for values in zip(*messages, strict=True)]
+            yield [stack_worlds(values) for values in zip(*messages, strict=True)]
         self._batch.engine.chosen = None
 
 
 class _Part:
-    """What supervisor and controllers share: they take over from objects of the single worlds by the names of their attributes."""
+    """Base of supervisor and controllers: they take over from objects of the single worlds by the names of their attributes."""
 
     def __init__(self, singles: Sequence[Any], batch: BatchSupervisor) -> None:
         self._singles, self._batch = singles, batch
-        self._loaded: list[Remembered | Devices] = []
+        self._loaded: list[BatchMemory | BatchDevice] = []
 
-    def each(self, attribute: str, index: int | None = None) -> Each:
-        """What each of the single worlds has under this name."""
+    def each(self, attribute: str, index: int | None = None) -> PerWorldCall:
+        """A call of the attribute of this name of each single world."""
         found = [getattr(single, attribute) for single in self._singles]
-        return Each(found if index is None else [parts[index] for parts in found], lambda: self._batch.engine.chosen)
+        return PerWorldCall(found if index is None else [parts[index] for parts in found], lambda: self._batch.engine.chosen)
 
-    def memory(self, attribute: str) -> Remembered:
+    def memory(self, attribute: str) -> BatchMemory:
         """The memory of a stateful function."""
-        made = Remembered([getattr(single, attribute) for single in self._singles])
+        made = BatchMemory([getattr(single, attribute) for single in self._singles])
         self._loaded.append(made)
         return made
 
@@ -193,16 +193,16 @@ class BatchController(_Part):
 
     def __init__(self, singles: Sequence[RobotController], batch: BatchSupervisor) -> None:
         super().__init__(singles, batch)
-        self.devices: dict[str, Devices] = {}
+        self.devices: dict[str, BatchDevice] = {}
         self.bind(batch.engine)
 
     def bind(self, engine: Any) -> None:
         """Take readers and writers from the engine."""
 
-    def device(self, name: str) -> Devices:
+    def device(self, name: str) -> BatchDevice:
         """The devices behind a sensor."""
         sensor: Sensor = next(sensor for sensor in self._singles[0].spec.sensors if sensor.name == name)
-        made = Devices([single.devices[name] for single in self._singles], sensor, self._singles[0].spec.name, self._batch)
+        made = BatchDevice([single.devices[name] for single in self._singles], sensor, self._singles[0].spec.name, self._batch)
         self._loaded.append(made)
         self.devices[name] = made
         return made
@@ -227,12 +227,12 @@ class BatchSupervisor(_Part, ABC):
         self.singles, self.engine, self.scenario, self.count = singles, engine, first.scenario, len(singles)
         self.observation_space, self.action_space = first.observation_space, first.action_space
         self.controllers: dict[str, BatchController] = {}
-        self.channels: dict[tuple[str, str], Direct | Lossy] = {}
-        self.losses: list[Loss] = []
+        self.channels: dict[tuple[str, str], BatchChannel | BatchLossyChannel] = {}
+        self.losses: list[LostWorld] = []
         """The worlds that were no longer finite, in the order in which it was noticed."""
         self._errors: dict[int, str] = {}
-        self._episodes = [Running(0, []) for _ in singles]
-        self._views = views(self.scenario)
+        self._episodes = [EpisodeHistory(0, []) for _ in singles]
+        self._views = frame_indices(self.scenario)
         self.depth, self.newest = len(self._views), 0
         self.frames = np.zeros((self.depth, len(self.scenario.policy.numbers), self.count), np.float32)
         self._ranges = sum(max(1, len(part.components)) for part in self.scenario.policy.action if isinstance(part, ActionRange))
@@ -271,15 +271,15 @@ class BatchSupervisor(_Part, ABC):
         made = self.controllers[name] = controller([single.controllers[name] for single in self.singles], self)
         return made
 
-    def channel(self, name: str, direction: Direction) -> Direct:
+    def channel(self, name: str, direction: Direction) -> BatchChannel:
         """The paths of messages to or from a robot, where they are direct."""
-        made = self.channels[name, direction] = Direct()
+        made = self.channels[name, direction] = BatchChannel()
         return made
 
-    def lossy_channel(self, name: str, direction: Direction) -> Lossy:
+    def lossy_channel(self, name: str, direction: Direction) -> BatchLossyChannel:
         """The paths of messages to or from a robot, where messages come late or may be lost."""
         attribute = f"{'to' if direction == 'to_robot' else 'from'}_{name}"
-        made = self.channels[name, direction] = Lossy([getattr(single, attribute) for single in self.singles], self)
+        made = self.channels[name, direction] = BatchLossyChannel([getattr(single, attribute) for single in self.singles], self)
         return made
 
     # Course
@@ -332,15 +332,15 @@ class BatchSupervisor(_Part, ABC):
         """Let some worlds begin episodes, each with a seed of its own or going on with its streams."""
         for world, seed in zip(worlds, seeds, strict=True):
             single = self.singles[world]
-            self._episodes[world] = Running(single.random_state() if seed is None else seed, [])
+            self._episodes[world] = EpisodeHistory(single.random_state() if seed is None else seed, [])
             single.reset(seed=seed)
         self._take_over_from(worlds)
 
-    def snapshot(self) -> list[Running]:
+    def snapshot(self) -> list[EpisodeHistory]:
         """The running episode of each world, from which `restore` goes on; its size is proportional to the number of actions."""
-        return [Running(episode.start, list(episode.actions)) for episode in self._episodes]
+        return [EpisodeHistory(episode.start, list(episode.actions)) for episode in self._episodes]
 
-    def restore(self, episodes: Sequence[Running], on_step: Callable[[Column], None] = lambda acting: None) -> Any:
+    def restore(self, episodes: Sequence[EpisodeHistory], on_step: Callable[[Column], None] = lambda acting: None) -> Any:
         """Bring the worlds back to the moment of a snapshot, exactly: each episode begins again and repeats its actions.
 
         All end in the same step, so that short ones begin late. `on_step` is called after each step with the worlds that repeated an action
@@ -360,10 +360,10 @@ class BatchSupervisor(_Part, ABC):
                 with np.errstate(all="ignore"):
                     self._advance(_joined(rows))
                 on_step(np.array(places) >= 0)
-        self._episodes = [Running(episode.start, list(episode.actions)) for episode in episodes]
+        self._episodes = [EpisodeHistory(episode.start, list(episode.actions)) for episode in episodes]
         return self.observations()
 
-    def _begin_again(self, worlds: Sequence[int], episodes: Sequence[Running]) -> None:
+    def _begin_again(self, worlds: Sequence[int], episodes: Sequence[EpisodeHistory]) -> None:
         for world in worlds:
             start, single = episodes[world].start, self.singles[world]
             if isinstance(start, dict):
@@ -397,7 +397,7 @@ class BatchSupervisor(_Part, ABC):
         lost = self._lost
         for world in np.flatnonzero(lost).tolist():
             error = self._errors.pop(world, "the state left the range of numbers")
-            self.losses.append(Loss(world, self.singles[world].streams.root, int(self.step_count[world]), error))
+            self.losses.append(LostWorld(world, self.singles[world].streams.root, int(self.step_count[world]), error))
         self.reward = np.where(lost, 0.0, self.reward)
         self.terminated, self.truncated = self.terminated & ~lost, self.truncated | lost
         self.is_success = self.is_success & ~lost
@@ -413,7 +413,7 @@ class BatchSupervisor(_Part, ABC):
         return {"is_success": success, "ended_by": held[0] if held else None, "endings": held, "reward_terms": terms}
 
     def rewards(self) -> Column:
-        """Those of the last step, a copy."""
+        """The rewards of the last step, a copy."""
         return np.array(np.broadcast_to(self.reward, self.count), float)
 
     def terms(self) -> Column:
@@ -424,7 +424,7 @@ class BatchSupervisor(_Part, ABC):
         return terms
 
     def observations(self) -> Any:
-        """What the policies see, float32, a row per world; a copy."""
+        """The observations, float32, a row per world; a copy."""
         frames = self.frames.reshape(-1, self.count)
         seen = np.ascontiguousarray(frames[self._views[self.newest]].T)
         if not self._size:
@@ -521,7 +521,7 @@ class BatchSupervisor(_Part, ABC):
         self.newest = (self.newest + 1) % self.depth
 
     def set_goal_observation(self, achieved: Any, desired: Any) -> tuple[Column, Column]:
-        """See `Supervisor.aim`."""
+        """See `Supervisor.set_goal_observation`."""
         goal = self.scenario.policy.goal
         assert goal is not None
         low, high = (np.array(ends * 2)[:, None] for ends in (goal.low, goal.high))

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def pick(table: dict[int, Any], chosen: Any) -> Any:
-    """What each world's option sets: a column, or one per value of an option."""
+    """The values of each world's option: a column, or one per value of an option."""
     return np.array(list(table.values()))[chosen].T
 
 
@@ -61,7 +61,7 @@ def all_of(values: Iterable[Any]) -> Any:
     return reduce(np.logical_and, values)
 
 
-class Exact:
+class ExactFunction:
     """A function of `math` in each world; numpy may round its last bit otherwise, and a batch lives the episodes of single worlds.
 
     It takes 0.1 us per world. Where a world has no value, all take that of `estimate`, which numpy computes over columns.
@@ -83,12 +83,12 @@ def _length(*values: Any) -> Any:
     return np.sqrt(reduce(operator.add, [value * value for value in values]))
 
 
-exp = Exact(math.exp, np.exp)
-log = Exact(math.log, np.log)
-sin, cos, tan = Exact(math.sin, np.sin), Exact(math.cos, np.cos), Exact(math.tan, np.tan)
-atan2 = Exact(math.atan2, np.arctan2)
-pow = Exact(math.pow, np.float_power)
-hypot = Exact(math.hypot, _length)
+exp = ExactFunction(math.exp, np.exp)
+log = ExactFunction(math.log, np.log)
+sin, cos, tan = ExactFunction(math.sin, np.sin), ExactFunction(math.cos, np.cos), ExactFunction(math.tan, np.tan)
+atan2 = ExactFunction(math.atan2, np.arctan2)
+pow = ExactFunction(math.pow, np.float_power)
+hypot = ExactFunction(math.hypot, _length)
 
 
 def scale(value: Any, low: float, high: float) -> Any:
@@ -178,7 +178,7 @@ _MEMORIES: dict[type[formulas.Memory], Step] = {
 """The `advance` of each memory: from what is kept and the timestep to the value and what is kept then."""
 
 
-class Remembered:
+class BatchMemory:
     """The memory of a stateful function in all worlds; a new episode takes it over from that of the single world."""
 
     def __init__(self, singles: Sequence[formulas.Memory | formulas.Memories]) -> None:

@@ -24,7 +24,7 @@ from deepbots_cli.port import STILL, ContactReader, Engine, Part, Pusher
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import RobotCopies
 from deepbots_cli.program.world import WorldModel
-from deepbots_cli.runtime.placement import offset
+from deepbots_cli.runtime.placement import copy_offset
 from deepbots_cli.runtime.spaces import canonical_action, is_canonical
 from deepbots_cli.runtime.streams import Streams
 from deepbots_cli.runtime.supervisor import Info, Supervisor
@@ -39,7 +39,7 @@ def copy_name(copies: RobotCopies, number: int) -> str:
     return f"{copies.robot}#{number}"
 
 
-def populated(world: WorldModel, copies: RobotCopies) -> WorldModel:
+def world_with_copies(world: WorldModel, copies: RobotCopies) -> WorldModel:
     """The world with the copies in place of the robot."""
     one = next(robot for robot in world.robots if robot.name == copies.robot)
     others = tuple(robot for robot in world.robots if robot is not one)
@@ -53,7 +53,7 @@ def make_environment(
     copies = scenario.policy.copies
     if copies is None:
         return kind(scenario, create(scenario.world), render_mode)
-    return CopiesSupervisor(kind, scenario, copies, create(populated(scenario.world, copies)), render_mode)
+    return CopiesSupervisor(kind, scenario, copies, create(world_with_copies(scenario.world, copies)), render_mode)
 
 
 _PLACES = {
@@ -78,7 +78,7 @@ class EngineOfCopy:
         self._engine = engine
         self._robot = copies.robot
         self._copy = copy_name(copies, number)
-        self._offset = offset(copies, number)
+        self._offset = copy_offset(copies, number)
         self._is_first = number == 1
         self.settling = 0
 
@@ -146,7 +146,7 @@ class CopiesSupervisor(Supervisor):
         members = [kind(scenario, cast("Engine", view)) for view in self._engines]
         self._streams_of_agents: Streams | None = None
         super().__init__(scenario, engine, render_mode)
-        self.world = populated(scenario.world, copies)
+        self.world = world_with_copies(scenario.world, copies)
         self.agents = {copy_name(copies, number): member for number, member in enumerate(members, start=1)}
         self.observation_space = batch_space(members[0].observation_space, copies.count)
         self.action_space = batch_space(members[0].action_space, copies.count)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deepbots_cli.plugins import attribute
+from deepbots_cli.plugins import import_attribute
 from deepbots_cli.program.robots import NoiseModel, Sensor
 from deepbots_cli.runtime.readers import ON_COLUMNS
 from deepbots_cli.runtime.sensing import BLOCK, Device, Lookup, Normals, Site
@@ -23,15 +23,15 @@ if TYPE_CHECKING:
 Column = NDArray[Any]
 
 
-def columns_of(values: Sequence[Any]) -> Any:
+def stack_worlds(values: Sequence[Any]) -> Any:
     """One value per world as a column; vectors, and pairs of them, as a column per number."""
     first = values[0]
     if isinstance(first, (tuple, list)) and first and isinstance(first[0], (tuple, list)):
-        return tuple(columns_of(part) for part in zip(*values, strict=True))
+        return tuple(stack_worlds(part) for part in zip(*values, strict=True))
     return np.array(values).T
 
 
-class Noise:
+class BatchNormals:
     """The normal numbers of one sensor in all worlds, in the order in which the single worlds would take them."""
 
     def __init__(self, singles: Sequence[Normals], width: int) -> None:
@@ -42,8 +42,8 @@ class Noise:
 
     def load(self, world: int) -> None:
         normals = self._singles[world]
-        self._left[world] = normals.left
-        if normals.left:
+        self._left[world] = normals.rows_left
+        if normals.rows_left:
             self._blocks[world] = normals.drawn
 
     def row(self, wanted: Column | None) -> Column:
@@ -58,15 +58,15 @@ class Noise:
         return found.T
 
 
-class Faults:
-    """The faults of one sensor; see `sensing.Chain`."""
+class BatchSensorErrors:
+    """The faults of one sensor; see `sensing.SensorErrors`."""
 
     def __init__(self, devices: Sequence[Device], width: int) -> None:
         self._chains = [device.chain for device in devices if device.chain is not None]
         self._parameters = {name: np.zeros((width, len(devices))) for name in ("noise", "share", "gain", "bias", "drift")}
         self._has: dict[str, bool] = {}
         spec = self._chains[0].spec
-        self._noise = Noise([chain.normals for chain in self._chains], width)
+        self._noise = BatchNormals([chain.normals for chain in self._chains], width)
         self._ends = tuple(np.array(ends)[:, None] for ends in (spec.low, spec.high)) if spec.low else None
         self._steps = np.array(spec.resolution)[:, None] if spec.resolution else None
 
@@ -95,13 +95,13 @@ class Faults:
         return values if self._steps is None else self._steps * np.rint(values / self._steps)
 
 
-class Lookups:
-    """The lookup table of one sensor, with the noise of each world; see `readers.Table`."""
+class BatchLookupTable:
+    """The lookup table of one sensor, with the noise of each world; see `readers.LookupTable`."""
 
     def __init__(self, tables: Sequence[Lookup], width: int) -> None:
         self._rows = np.array(tables[0].rows)
         normals = [table.normals for table in tables if table.normals is not None]
-        self._noise = Noise(normals, width) if normals else None
+        self._noise = BatchNormals(normals, width) if normals else None
 
     def load(self, world: int) -> None:
         if self._noise is not None:
@@ -115,7 +115,7 @@ class Lookups:
         return readings if self._noise is None else readings * (1.0 + (noise + growth * along) * self._noise.row(sampled))
 
 
-class Devices:
+class BatchDevice:
     """The same device in all worlds, called once per tick; `reading` is the newest that was delivered, a row per component."""
 
     def __init__(self, devices: Sequence[Device], sensor: Sensor, robot: str, batch: BatchSupervisor) -> None:
@@ -123,13 +123,13 @@ class Devices:
         count, self._width = len(devices), max(1, len(sensor.components))
         faults = sensor.faults or NoiseModel()
         self._period, self._timestep = faults.period, batch.scenario.world.timestep
-        self._faults = Faults(devices, self._width) if devices[0].chain is not None else None
+        self._faults = BatchSensorErrors(devices, self._width) if devices[0].chain is not None else None
         tables = [device.instrument.lookup for device in devices if device.instrument.lookup is not None]
-        self._lookups = Lookups(tables, self._width) if tables else None
+        self._lookups = BatchLookupTable(tables, self._width) if tables else None
         self.reading: Any = np.zeros((self._width, count))
         self._tick, self._delay, self.measured = (np.zeros(count, np.intp) for _ in range(3))
         self._ring: list[Any] = []
-        reader = attribute(sensor.reader)
+        reader = import_attribute(sensor.reader)
         self._read: Callable[[], Any] | None = None
         varies = any(variation.what == "gravity" for variation in batch.scenario.reset.variations)
         joins = sensor.beams is not None and sensor.beams.combined not in (None, "each")
@@ -195,10 +195,10 @@ class Devices:
         return values if self._faults is None else self._faults(values, self._tick * self._timestep, sampled)
 
     def _single(self, world: int, sampled: Column | None) -> Column:
-        """What the instrument of one world says; it follows the world where no reading is taken."""
+        """The reading of the instrument of one world; without a reading, the instrument is only updated."""
         device = self._devices[world]
         if sampled is None or sampled[world]:
             return np.asarray(device.instrument.read())
         if self._batch.running is None or self._batch.running[world]:
-            device.instrument.follow()
+            device.instrument.update()
         return np.zeros(self._width)

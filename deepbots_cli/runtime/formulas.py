@@ -157,7 +157,7 @@ def _ahead(turn: Quaternion) -> tuple[float, float]:
 
 
 class Memory(ABC):
-    """What a stateful function of the language remembers of one number or truth value; `timestep` in s.
+    """The memory of a stateful function of the language for one number or truth value; `timestep` in s.
 
     `update` is called once per timestep, whether or not its value is used. The first call of an episode, with what holds right
     after the reset, is `begin`, and every other is `advance`. All take the arguments that the function has in the language.
@@ -207,7 +207,7 @@ class Memories:
 
 
 def memory_of_vector(kind: type[Memory], count: int, timestep: float) -> Memory | Memories:
-    """What a stateful function remembers of a vector of `count` components; `update` takes and gives vectors."""
+    """The memory of a stateful function for a vector of `count` components; `update` takes and returns vectors."""
     whole = _OF_VECTORS.get(kind)
     return Memories(kind, count, timestep) if whole is None else whole(count, timestep)
 
@@ -319,7 +319,7 @@ class RisingEdge(Memory):
 
 
 class VectorMemory(Memory):
-    """What a stateful function remembers of a whole vector, which costs a half to a seventieth of a memory per component."""
+    """The memory of a stateful function for a whole vector, which costs a half to a seventieth of a memory per component."""
 
     component: ClassVar[type[Memory]]
     """The memory of a single component, which gives the same values."""

@@ -30,13 +30,13 @@ from deepbots_cli.errors import MessageError
 from deepbots_cli.expressions.scalar import Const
 from deepbots_cli.frames import Triple
 from deepbots_cli.message_formats import FORMATS
-from deepbots_cli.plugins import attribute
+from deepbots_cli.plugins import import_attribute
 from deepbots_cli.program.robots import MessageField, MessageLayout, Route
 from deepbots_cli.runtime.streams import Streams
 
 Value = float | bool | bytes
 
-MALFORMED = (ValueError, TypeError, AttributeError, RecursionError, struct.error, msgspec.MsgspecError)
+DECODING_ERRORS = (ValueError, TypeError, AttributeError, RecursionError, struct.error, msgspec.MsgspecError)
 """What decoding raises for a message that is not of the layout."""
 
 
@@ -62,7 +62,7 @@ class FieldCodec:
         """`refuse` makes the error for a message that is not of the layout. With `format` none, messages are their values."""
         self.layout = layout
         self._refuse = refuse
-        self.silence: Any = grouped(layout, zeros(layout))
+        self.silence: Any = values_by_field(layout, zero_values(layout))
         if format == "none":
             self.encode = self.decode = lambda message: message  # type: ignore[method-assign]
             return
@@ -70,7 +70,7 @@ class FieldCodec:
         vectors = [bool(field.components) for field in layout.fields]
         self._decode = made.decode
         self._count = 1 + len(struct_codes(layout))
-        found = places(layout, 1)
+        found = value_slots(layout, 1)
         self._fields: Callable[[Any], Sequence[Any]] = itemgetter(*found) if len(found) > 1 else partial(_each, found)
 
         def flattened(message: Sequence[Any]) -> Any:
@@ -89,7 +89,7 @@ class FieldCodec:
             return made.encode(*numbers)
 
         self.encode = flattened if all(vectors) else mixed if any(vectors) else lambda message: made.encode(*message)
-        self.silence = made.encode(*zeros(layout))
+        self.silence = made.encode(*zero_values(layout))
 
     def decode(self, message: Any) -> Sequence[Any]:
         """The value of each field.
@@ -101,13 +101,13 @@ class FieldCodec:
             values = self._decode(message)
             if len(values) != self._count or values[0] != self.layout.layout_hash:
                 raise ValueError("another layout")
-        except MALFORMED:
+        except DECODING_ERRORS:
             raise self._refuse(self.layout, message) from None
         return self._fields(values)
 
 
-def places(layout: MessageLayout, start: int = 0) -> list[int | slice]:
-    """Where each field stands among the values, of which the first has the number `start`."""
+def value_slots(layout: MessageLayout, start: int = 0) -> list[int | slice]:
+    """The index or slice of each field among the values; the first value has the index `start`."""
     found: list[int | slice] = []
     for field in layout.fields:
         size = max(1, len(field.components))
@@ -120,9 +120,9 @@ def _each(found: Sequence[int | slice], values: Sequence[Any]) -> list[Any]:
     return [values[place] for place in found]
 
 
-def grouped(layout: MessageLayout, values: Sequence[Any]) -> list[Any]:
+def values_by_field(layout: MessageLayout, values: Sequence[Any]) -> list[Any]:
     """One value per field: a vector as the list of its components."""
-    return _each(places(layout), values)
+    return _each(value_slots(layout), values)
 
 
 def scalar_fields(layout: MessageLayout) -> list[tuple[str, str]]:
@@ -134,7 +134,7 @@ def _scalar_names(field: MessageField) -> list[str]:
     return [f"{field.name}.{c}" for c in field.components] if field.components else [field.name]
 
 
-def zeros(layout: MessageLayout) -> list[Any]:
+def zero_values(layout: MessageLayout) -> list[Any]:
     """The values of a message of zeros."""
     usual = {"bool": False, "float64": 0.0}
     return [
@@ -146,8 +146,8 @@ def zeros(layout: MessageLayout) -> list[Any]:
 
 def codec(layout: MessageLayout, format: str) -> Codec:
     """The codec of `format` for `layout`; `none` has no messages and no codec."""
-    made: Codec = attribute(FORMATS[format].codec)(layout.layout_hash, struct_codes(layout))
-    pictures = {index: value.shape for index, value in enumerate(zeros(layout)) if isinstance(value, np.ndarray)}
+    made: Codec = import_attribute(FORMATS[format].codec)(layout.layout_hash, struct_codes(layout))
+    pictures = {index: value.shape for index, value in enumerate(zero_values(layout)) if isinstance(value, np.ndarray)}
     return _with_pictures(made, pictures) if pictures else made
 
 
@@ -254,14 +254,14 @@ def msgpack_codec(layout_hash: int, codes: list[str]) -> Codec:
     )
 
 
-def explain(layout: MessageLayout, format: str, message: object, step: int) -> MessageError:
+def layout_error(layout: MessageLayout, format: str, message: object, step: int) -> MessageError:
     """Why `message` does not fit `layout`: names robot, direction, step and field."""
     place = f"robot '{layout.robot}', {'to' if layout.direction == 'to_robot' else 'from'} the robot, step {step}"
     expected = scalar_fields(layout)
     wanted = f"expected {len(expected)} values ({', '.join(name for name, _ in expected) or 'none'}) in {format}"
     try:
         values = codec(layout, format).parts(message)
-    except MALFORMED:
+    except DECODING_ERRORS:
         return MessageError(f"{place}: the message cannot be read as {format}; {wanted}, got {excerpt(message)}")
     if not values or values[0] != layout.layout_hash:
         return MessageError(
@@ -303,7 +303,7 @@ def excerpt(value: object) -> str:
 _ROUNDING = 1e-9
 """In timesteps: a latency of a whole number of timesteps must not become one more by rounding."""
 
-Where = Callable[[], tuple[Triple, Any]]
+PositionReader = Callable[[], tuple[Triple, Any]]
 
 
 class LossyChannel:
@@ -334,7 +334,7 @@ class LossyChannel:
         route: Route,
         timestep: float,
         delay: int = 0,
-        where: Where | None = None,
+        where: PositionReader | None = None,
         wire: FieldCodec | None = None,
         *,
         first_at_once: bool = False,
@@ -382,7 +382,7 @@ class LossyChannel:
         self.transmit(self.wire.encode(message) if self.wire else message)
 
     def transmit(self, message: Any) -> None:
-        """The same for a message that is encoded already."""
+        """Set an encoded message on its way, whether it will arrive or not."""
         if self._begins:
             self.latest = message
             self.message_received = True
@@ -405,7 +405,7 @@ class LossyChannel:
         return lost or (route.range is not None and self._where is not None and hypot(*self._where()[0]) > self.range)
 
     def receive(self) -> list[Any]:
-        """What the receiver takes in this timestep, in order."""
+        """The messages that the receiver takes in this timestep, in order."""
         taken = self._arrived()
         return [self.wire.decode(message) for message in taken] if self.wire else taken
 

@@ -6,13 +6,13 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from deepbots_cli.expressions.scalar import Const, Draw, Name, Scalar
-from deepbots_cli.footprint import Bounds, bounds, bounds_of_shape
+from deepbots_cli.footprint import Bounds, bounds_of_shape, robot_bounds
 from deepbots_cli.frames import Triple, add, cross, dot, scaled
 from deepbots_cli.port import STILL, View
 from deepbots_cli.program import Program
 from deepbots_cli.program.resets import Placement, Region, Top
 from deepbots_cli.program.world import ObjectBody, Picture, Pit, WorldModel
-from deepbots_cli.runtime.placement import offset
+from deepbots_cli.runtime.placement import copy_offset
 
 _FROM = (0.25, -0.94, 0.34)  # the direction of the eye from the middle: the right, a little to the front, above
 _LONG = 2.0  # how many times as long as wide a scene is that is seen from the front
@@ -28,7 +28,7 @@ Parameters = Mapping[tuple[str, str | None], Scalar]
 
 def overview(scenario: Program, width: int = 480, height: int = 320) -> View:
     """A view on the arena or the ground that matters, on objects, and on robots wherever an episode may begin."""
-    return around(extent(scenario), width, height)
+    return view_around(extent(scenario), width, height)
 
 
 def extent(scenario: Program) -> list[Bounds]:
@@ -49,7 +49,7 @@ def extent(scenario: Program) -> list[Bounds]:
     return [((max(a[0], -x), max(a[1], -y), a[2]), (min(b[0], x), min(b[1], y), b[2])) for a, b in boxes]
 
 
-def around(boxes: Sequence[Bounds], width: int = 480, height: int = 320) -> View:
+def view_around(boxes: Sequence[Bounds], width: int = 480, height: int = 320) -> View:
     """A view that just holds all boxes, each given by its least and its greatest corner: from the right, above, or from the front where
     the boxes extend far to the sides.
     """
@@ -67,8 +67,8 @@ def around(boxes: Sequence[Bounds], width: int = 480, height: int = 320) -> View
     return View(eye, add(eye, scaled(back, dot(middle, back) - distance)), width, height)
 
 
-def beside(boxes: Sequence[Bounds], others: Sequence[Bounds]) -> Triple:
-    """The shift (m) that puts other boxes to the right of boxes, as `around` sees these."""
+def shift_beside(boxes: Sequence[Bounds], others: Sequence[Bounds]) -> Triple:
+    """The shift (m) that puts other boxes to the right of boxes, as `view_around` sees these."""
     _, (right, _, _) = _axes(boxes)
     gap = max(dot(corner, right) for corner in _corners([_whole(boxes)])) - min(dot(corner, right) for corner in _corners([_whole(others)]))
     return scaled(right, _APART * gap)
@@ -116,7 +116,7 @@ def _surroundings(world: WorldModel) -> Iterator[Bounds]:
                 yield (-x / 2, -y / 2, 0.0), (x / 2, y / 2, 0.0)
 
 
-def strays(world: WorldModel) -> bool:
+def follows_robot(world: WorldModel) -> bool:
     """Whether a view follows the first free robot: nothing else shows where it is."""
     return world.arena is None and world.terrain is None and not world.lines and any(not robot.fixed_base for robot in world.robots)
 
@@ -124,14 +124,14 @@ def strays(world: WorldModel) -> bool:
 def _robots(scenario: Program, places: dict[str, Placement], parameters: Parameters) -> Iterator[Bounds]:
     """Robots, wherever they may stand when an episode begins; of copies the two at the ends of their row."""
     copies = scenario.policy.copies
-    shifts = [offset(copies, number) for number in (1, copies.count)] if copies else [STILL]
+    shifts = [copy_offset(copies, number) for number in (1, copies.count)] if copies else [STILL]
     for robot in scenario.world.robots:
         states = [state for start in scenario.reset.joint_starts if start.robot == robot.name for state in start.states]
         joints = {joint: sum(_ends(position, parameters)) / 2 for joint, position, _ in states}
-        box = bounds(robot.model, joints)
+        box = robot_bounds(robot.model, joints)
         turns = robot.name in places or robot.pose.rpy[2] != 0.0
         box = _all_round(box) if turns else box
-        if strays(scenario.world):
+        if follows_robot(scenario.world):
             room = _ROOM * max(high - low for low, high in zip(*box, strict=True))
             box = add(box[0], (-room, -room, 0.0)), add(box[1], (room, room, room))
         low, high = _placed(box, robot.pose.xyz, places.get(robot.name), scenario.world, places, parameters)
@@ -197,8 +197,8 @@ def _ends(scalar: Scalar, parameters: Parameters) -> tuple[float, float]:
             return 0.0, 0.0
 
 
-def moved(view: View, by: Iterable[float]) -> View:
-    """The same view from elsewhere, `by` so many metres along x, y and z."""
+def moved_view(view: View, by: Iterable[float]) -> View:
+    """The view shifted by `by` (m) along x, y and z."""
     x, y, z = by
     return View(add(view.eye, (x, y, z)), add(view.target, (x, y, z)), view.width, view.height, view.fov, view.samples)
 

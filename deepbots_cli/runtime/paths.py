@@ -1,7 +1,7 @@
 """Paths in the plane: along painted lines, and the shortest ones around solid objects.
 
-`Follower` gives the place of a body beside and along a line, `Paint` the light that the ground throws back. Both use plain floats and
-only the pieces near by, so that the cost does not grow with the length of a line.
+`Follower` gives the place of a body beside and along a line, `PaintedGround` the reflectance of the ground. Both use plain floats and
+only the segments near by, so that the cost does not grow with the length of a line.
 
 `Ways` hands out readers of lengths. Each pair of bodies has a `DistanceField`, which is computed anew when something in it
 has moved. `path_lengths` fills a field.
@@ -32,7 +32,7 @@ Mask = NDArray[np.bool_]
 
 CELLS = 100  # along the longer side of a field
 MARGIN = 2  # cells around the grid that no way enters: a knight's move leaps over one
-FAR = 1e4  # m; stands for "no way yet"
+UNREACHABLE_LENGTH = 1e4  # m; stands for "no way yet"
 SCALE = 2.0 / (1.0 + 1.0 / cos(atan(0.5) / 2))  # of the lengths of 16 directions, to a mean error of 0
 _CLEARANCE = 0.5  # m around everything, where no arena limits the ways
 _LEVEL = 1e-6  # m; an object that rises no higher is no obstacle
@@ -79,7 +79,7 @@ class Ways:
             self._ways[one, other] = _Way(self, one, other, self._engine.pose(*one), self._engine.pose(*other))
         return self._ways[one, other]
 
-    def shown(self) -> list[list[Spot]]:
+    def last_read_paths(self) -> list[list[Spot]]:
         """The points of the shortest paths whose lengths were read last, from where the bodies are now; reading them changes nothing."""
         return [way.points() for way in self._ways.values()]
 
@@ -142,7 +142,7 @@ class _Way:
     def points(self) -> list[Spot]:
         """The path in the field as it is, which is computed only when a length is read."""
         x, y, _ = self._here()[0]
-        return self._field.points(x, y) if self._field is not None else []
+        return self._field.path(x, y) if self._field is not None else []
 
     def _current(self) -> DistanceField:
         """The field; a new one where something has moved by more than a cell."""
@@ -195,11 +195,11 @@ class DistanceField:
         away = np.hypot(self._x - goal[0], (self._y - goal[1])[:, None])
         self._unit = max(1.0, self.cell * CELLS / _WIDE)
         self._step = self.cell / self._unit
-        starts = np.where((away <= max(radius + goal_radius, 1.5 * self.cell)) & ~blocked, away / self._unit, FAR)
+        starts = np.where((away <= max(radius + goal_radius, 1.5 * self.cell)) & ~blocked, away / self._unit, UNREACHABLE_LENGTH)
         found = path_lengths(blocked, starts, self._step)
-        self._reached: Mask = found < FAR
+        self._reached: Mask = found < UNREACHABLE_LENGTH
         if not self._reached.any():  # the goal itself is shut in: as the crow flies
-            found = np.where(self._outside, FAR, away / self._unit)
+            found = np.where(self._outside, UNREACHABLE_LENGTH, away / self._unit)
         self._found = found
         self._filled = False
         self._lengths: list[list[float]] = found.tolist()
@@ -212,8 +212,8 @@ class DistanceField:
         Lines are so dear that the nearest node counts and not the one with the shortest way, which may be beyond a wall.
         """
         self._filled = True
-        line = path_lengths(self._outside, np.where(self._reached, 0.0, FAR), self._step)
-        dear = path_lengths(self._outside, np.where(self._reached, self._found, FAR), self._step * _DEAR)
+        line = path_lengths(self._outside, np.where(self._reached, 0.0, UNREACHABLE_LENGTH), self._step)
+        dear = path_lengths(self._outside, np.where(self._reached, self._found, UNREACHABLE_LENGTH), self._step * _DEAR)
         self._found = np.where(self._reached | self._outside, self._found, dear - (_DEAR - 1.0) * line)
         self._lengths = self._found.tolist()
 
@@ -240,7 +240,7 @@ class DistanceField:
         u, v = inside_column - i, inside_row - j
         i, j = i + MARGIN, j + MARGIN
         here, there = self._lengths[j], self._lengths[j + 1]
-        if not self._filled and here[i] + here[i + 1] + there[i] + there[i + 1] >= FAR:  # one of them is reached by no way
+        if not self._filled and here[i] + here[i + 1] + there[i] + there[i + 1] >= UNREACHABLE_LENGTH:  # one of them is reached by no way
             self._fill()
             return self.length(x, y)
         low = here[i] + u * (here[i + 1] - here[i])
@@ -249,7 +249,7 @@ class DistanceField:
             return length * self._unit
         return length * self._unit + self.cell * hypot(column - inside_column, row - inside_row)
 
-    def points(self, x: float, y: float) -> list[Spot]:
+    def path(self, x: float, y: float) -> list[Spot]:
         """A place and the nodes of a shortest way from it to the goal, m; the place alone if no way begins there."""
         points = [(x, y)]
         column = min(max(round((x - self._left) / self.cell), 0), self._columns - 1) + MARGIN
@@ -303,7 +303,7 @@ class _Lines:
 
     def sweep(self, lengths: Array) -> Array:
         """The lengths when ways may also go along these lines, either way."""
-        lines = self.view(lengths, FAR)
+        lines = self.view(lengths, UNREACHABLE_LENGTH)
         ahead = np.minimum.accumulate(lines - self.forward, axis=0)
         ahead += self.forward
         behind = np.minimum.accumulate(lines[::-1] - self.backward, axis=0)
@@ -336,12 +336,12 @@ def path_lengths(blocked: Mask, starts: Array, cell: float) -> Array:
     directions = [_Lines(blocked, rows, columns, cell) for rows, columns in _MOVES]
     found = starts.ravel().copy()
     barred = blocked.ravel()
-    found[barred] = FAR
+    found[barred] = UNREACHABLE_LENGTH
     for _ in range(_MAX_ROUNDS):
         before = found
         for lines in directions:
             found = lines.sweep(found)
-            found[barred] = FAR
+            found[barred] = UNREACHABLE_LENGTH
         if not np.any(before - found > 1e-6):
             break
     return found.reshape(blocked.shape)
@@ -349,11 +349,11 @@ def path_lengths(blocked: Mask, starts: Array, cell: float) -> Array:
 
 # Painted lines
 
-_CELL = 0.1  # m, at least; the mesh in which `Paint` sorts the pieces
+_CELL = 0.1  # m, at least; the mesh in which `PaintedGround` sorts the pieces
 _MOST_CELLS = 100_000
 
 
-class Piece(NamedTuple):
+class Segment(NamedTuple):
     """A straight piece: where it begins (m), its direction, its length (m), how far along the line it begins (m)."""
 
     x: float
@@ -363,7 +363,7 @@ class Piece(NamedTuple):
     length: float
     start: float
 
-    def foot(self, x: float, y: float) -> tuple[float, float, float]:
+    def nearest_point(self, x: float, y: float) -> tuple[float, float, float]:
         """The nearest of its points to (x, y): how far along the piece, the distance squared, and the side (left positive)."""
         dx, dy = x - self.x, y - self.y
         along = min(max(dx * self.along_x + dy * self.along_y, 0.0), self.length)
@@ -371,12 +371,12 @@ class Piece(NamedTuple):
         return along, off_x * off_x + off_y * off_y, self.along_x * dy - self.along_y * dx
 
 
-def pieces(line: Line) -> list[Piece]:
+def line_segments(line: Line) -> list[Segment]:
     found, start = [], 0.0
     for (x, y), (end_x, end_y) in line.pieces:
         length = hypot(end_x - x, end_y - y)
         if length > 0.0:
-            found.append(Piece(x, y, (end_x - x) / length, (end_y - y) / length, length, start))
+            found.append(Segment(x, y, (end_x - x) / length, (end_y - y) / length, length, start))
         start += length
     return found
 
@@ -389,7 +389,7 @@ class Follower:
     """
 
     def __init__(self, line: Line) -> None:
-        self._pieces = pieces(line)
+        self._pieces = line_segments(line)
         self._length = line.length
         self._closed = line.closed
         self._width = line.width
@@ -417,7 +417,7 @@ class Follower:
         at, arc, nearest, side = max(self._at, 0), self._arc, float("inf"), 0.0
         for index in candidates:
             piece = self._pieces[index]
-            along, squared, left = piece.foot(x, y)
+            along, squared, left = piece.nearest_point(x, y)
             if squared < nearest:
                 arc, nearest, side, at = piece.start + along, squared, left, index
         if self._at >= 0:
@@ -442,7 +442,7 @@ class Follower:
                 yield index
 
 
-class Paint:
+class PaintedGround:
     """The reflectance of the ground at a position: 1 where nothing is painted. A later line covers an earlier one."""
 
     def __init__(self, lines: Sequence[Line], spot: float) -> None:
@@ -450,9 +450,9 @@ class Paint:
         self._spot = max(spot, 1e-6)
         self._halves = [0.5 * line.width for line in lines]
         self._reflectances = [line.reflectance for line in lines]
-        strokes = [(number, piece, 0.5 * line.width + self._spot) for number, line in enumerate(lines) for piece in pieces(line)]
+        strokes = [(number, piece, 0.5 * line.width + self._spot) for number, line in enumerate(lines) for piece in line_segments(line)]
         self._cell = max(_CELL, sum(piece.length for _, piece, _ in strokes) * 10 / _MOST_CELLS, *(reach for _, _, reach in strokes), 0.0)
-        self._cells: dict[tuple[int, int], list[tuple[int, Piece]]] = {}
+        self._cells: dict[tuple[int, int], list[tuple[int, Segment]]] = {}
         for number, piece, reach in strokes:
             for cell in _touched(piece, reach, self._cell):
                 self._cells.setdefault(cell, []).append((number, piece))
@@ -463,7 +463,7 @@ class Paint:
             return 1.0
         nearest: dict[int, float] = {}
         for number, piece in cell:
-            squared = piece.foot(x, y)[1]
+            squared = piece.nearest_point(x, y)[1]
             if squared < nearest.get(number, float("inf")):
                 nearest[number] = squared
         light = 1.0
@@ -475,7 +475,7 @@ class Paint:
         return light
 
 
-def _touched(piece: Piece, reach: float, cell: float) -> Iterator[tuple[int, int]]:
+def _touched(piece: Segment, reach: float, cell: float) -> Iterator[tuple[int, int]]:
     """The cells of a square mesh that come within `reach` of a piece, and some of their neighbours."""
     count = int(piece.length / cell) + 1
     seen = set()

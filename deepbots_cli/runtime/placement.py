@@ -18,7 +18,7 @@ from deepbots_cli import footprint
 from deepbots_cli.errors import EvaluationError
 from deepbots_cli.footprint import Footprint, Patch, Spot
 from deepbots_cli.frames import Triple, quaternion
-from deepbots_cli.geometry import height
+from deepbots_cli.geometry import ground_height
 from deepbots_cli.port import STILL, Engine
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import RobotCopies
@@ -33,8 +33,8 @@ Area = tuple[float, float, float, float]
 
 EVERYWHERE: Area = (-inf, -inf, inf, inf)
 TOUCHING = 1e-9  # m that rounding may cost
-ROUNDS = 30  # attitudes and kinds that are tried for one body in one attempt
-TRIES = 40  # spots for each of them
+MAX_ROUNDS = 30  # attitudes and kinds that are tried for one body in one attempt
+TRIES_PER_ROUND = 40  # spots for each of them
 _LEVEL = (0.0, 0.0, 0.0)
 
 
@@ -48,7 +48,7 @@ class Arrangement:
     def __init__(self, scenario: Program, engine: Engine) -> None:
         world, placed = scenario.world, _placed(scenario)
         self._engine = engine
-        self._height = height(world.terrain)
+        self._height = ground_height(world.terrain)
         self.forms = Forms(world)
         self._floor = Floor(world.arena.size if world.arena else None)
         built_in = [thing.name for thing in world.objects if not thing.pooled and thing.name not in placed]
@@ -85,7 +85,7 @@ class Arrangement:
         self._poses.clear()
         self._floor.clear()
         for patch, top in self._built_in:
-            self._floor.take(patch, 0.0, top)
+            self._floor.occupy(patch, 0.0, top)
         self.forms.chosen.clear()
         self.present.update(dict.fromkeys(self.present, 0))
 
@@ -167,18 +167,18 @@ class Arrangement:
         area, surface, base = area or EVERYWHERE, None, -inf
         if on:
             surface = self._surface(on, body)
-            area, base = cut(area, surface.area), surface.height
-        for number in range(ROUNDS):
+            area, base = intersection(area, surface.area), surface.height
+        for number in range(MAX_ROUNDS):
             if number or body not in self.forms.chosen:
                 self.forms.draw(body, self._streams)
             (_, _, z), rpy = pose()
             covered = self.forms.footprint(body, rpy)
             margin = 0.0 if self.forms.is_fixed(body) else clearance
-            within = self._floor.within(area, covered, rpy[2], margin)
-            within = surface.within(within, covered, rpy[2], margin) if surface else within
-            spots = on_grid(area, within, mesh, generator) if mesh else anywhere(within, TRIES, generator)
+            within = self._floor.allowed_area(area, covered, rpy[2], margin)
+            within = surface.allowed_area(within, covered, rpy[2], margin) if surface else within
+            spots = shuffled_grid_spots(area, within, mesh, generator) if mesh else random_spots(within, TRIES_PER_ROUND, generator)
             if number:
-                spots = self._floor.hopeful(spots, covered, rpy[2], clearance, base)
+                spots = self._floor.candidate_spots(spots, covered, rpy[2], clearance, base)
             for x, y in spots:
                 patch = covered.at(x, y, rpy[2])
                 if (surface is None or surface.contains(patch, margin)) and self._floor.is_free(patch, clearance, base):
@@ -218,7 +218,7 @@ class Arrangement:
         z += ground + (self.forms.resting_height(body, rpy) if rests else 0.0)
         top = self.forms.top(body, z, rpy)
         if top > ground + TOUCHING:  # a table top level with the ground is nothing to keep clear of
-            self._floor.take(patch, clearance, top)
+            self._floor.occupy(patch, clearance, top)
         self._poses[body] = ((x, y, z), rpy, *(() if motion == (STILL, STILL) else motion))
 
 
@@ -248,12 +248,12 @@ class Floor:
     def clear(self) -> None:
         self._taken.clear()
 
-    def take(self, patch: Patch, clearance: float, top: float) -> None:
+    def occupy(self, patch: Patch, clearance: float, top: float) -> None:
         """Take a patch for a body that reaches up to the height `top` (m)."""
         self._taken.append((patch, clearance, top))
 
-    def within(self, area: Area, covered: Footprint, yaw: float, clearance: float) -> Area:
-        """Where in the area the origin of a body may be, so that it keeps its clearance from the walls; may be empty."""
+    def allowed_area(self, area: Area, covered: Footprint, yaw: float, clearance: float) -> Area:
+        """The part of the area in which the origin of a body keeps its clearance from the walls; may be empty."""
         at_origin = covered.at(0.0, 0.0, yaw)
         (reach_x, reach_y), (half_x, half_y) = at_origin.half_extents, self._half
         room_x, room_y = half_x - clearance - reach_x, half_y - clearance - reach_y
@@ -272,7 +272,7 @@ class Floor:
                 return False
         return True
 
-    def hopeful(self, spots: list[Spot], covered: Footprint, yaw: float, clearance: float, base: float) -> list[Spot]:
+    def candidate_spots(self, spots: list[Spot], covered: Footprint, yaw: float, clearance: float, base: float) -> list[Spot]:
         """The spots where a disc that fits into the body would be free: a cheap test that drops most spots of a crowd."""
         taken = [(other, own) for other, own, top in self._taken if top > base + TOUCHING]
         if not spots or not taken:
@@ -299,23 +299,23 @@ class Surface(NamedTuple):
         (x, y), (reach_x, reach_y) = (self.patch.x, self.patch.y), self.patch.half_extents
         return x - reach_x, y - reach_y, x + reach_x, y + reach_y
 
-    def within(self, area: Area, covered: Footprint, yaw: float, margin: float) -> Area:
-        """Where in the area the origin of a body may be at most, so that it keeps `margin` from the edge; perhaps nowhere."""
+    def allowed_area(self, area: Area, covered: Footprint, yaw: float, margin: float) -> Area:
+        """The part of the area in which the origin of a body may keep `margin` from the edge; may be empty."""
         at_origin, (low_x, low_y, high_x, high_y) = covered.at(0.0, 0.0, yaw), self.area
         reach_x, reach_y = (reach + margin for reach in at_origin.half_extents)
         x, y = at_origin.x, at_origin.y
-        return cut(area, (low_x + reach_x - x, low_y + reach_y - y, high_x - reach_x - x, high_y - reach_y - y))
+        return intersection(area, (low_x + reach_x - x, low_y + reach_y - y, high_x - reach_x - x, high_y - reach_y - y))
 
     def contains(self, patch: Patch, margin: float) -> bool:
         return self.patch.contains(patch, margin - TOUCHING)
 
 
-def cut(one: Area, other: Area) -> Area:
+def intersection(one: Area, other: Area) -> Area:
     """The intersection of two areas; of an empty one, the lowest coordinate is above the highest."""
     return max(one[0], other[0]), max(one[1], other[1]), min(one[2], other[2]), min(one[3], other[3])
 
 
-def anywhere(area: Area, count: int, generator: np.random.Generator) -> list[Spot]:
+def random_spots(area: Area, count: int, generator: np.random.Generator) -> list[Spot]:
     """`count` spots of an area, drawn uniformly; none of an empty one."""
     if area[0] > area[2] or area[1] > area[3]:
         return []
@@ -323,15 +323,15 @@ def anywhere(area: Area, count: int, generator: np.random.Generator) -> list[Spo
     return [(area[0] + a * (area[2] - area[0]), area[1] + b * (area[3] - area[1])) for a, b in shares]
 
 
-def on_grid(area: Area, within: Area, mesh: float, generator: np.random.Generator) -> list[Spot]:
+def shuffled_grid_spots(area: Area, within: Area, mesh: float, generator: np.random.Generator) -> list[Spot]:
     """The middles of the cells of an area that lie within another, in random order."""
-    middles = grid(area, mesh)
+    middles = grid_spots(area, mesh)
     drawn = [middles[index] for index in generator.permutation(len(middles))]
     low_x, low_y, high_x, high_y = within
     return [(x, y) for x, y in drawn if low_x - TOUCHING <= x <= high_x + TOUCHING and low_y - TOUCHING <= y <= high_y + TOUCHING]
 
 
-def grid(area: Area, mesh: float) -> list[Spot]:
+def grid_spots(area: Area, mesh: float) -> list[Spot]:
     """The middles of the cells of size `mesh` that fit into an area, about its middle, row by row."""
     columns, rows = (max(1, int((area[axis + 2] - area[axis]) / mesh + 1e-9)) for axis in (0, 1))
     x, y = (area[0] + area[2]) / 2, (area[1] + area[3]) / 2
@@ -345,11 +345,11 @@ class Forms:
         self.models = {robot.name: robot.model for robot in world.robots}
         self.things: dict[str, ObjectBody] = {thing.name: thing for thing in world.objects}
         self.chosen: dict[str, Variant] = {}
-        self._robots = {name: footprint.of_robot(model) for name, model in self.models.items()}
+        self._robots = {name: footprint.robot_footprint(model) for name, model in self.models.items()}
         self._widths = {name: footprint.half_width(model) for name, model in self.models.items()}
         shapes = [thing.shape for thing in world.objects]
         shapes += [variant.shape for thing in world.objects for variant in thing.variants]
-        self._upright = {shape: footprint.of_shape(shape) for shape in shapes}
+        self._upright = {shape: footprint.shape_footprint(shape) for shape in shapes}
 
     def draw(self, body: str, streams: Streams) -> None:
         """Draw the variant of a body anew; a body without variants stays."""
@@ -363,7 +363,7 @@ class Forms:
         return body in self.things and (self.chosen.get(body) or self.things[body]).fixed
 
     def shape(self, body: str) -> Shape:
-        """Of an object."""
+        """The shape of an object."""
         return (self.chosen.get(body) or self.things[body]).shape
 
     def footprint(self, body: str, rpy: Triple = _LEVEL) -> Footprint:
@@ -372,7 +372,7 @@ class Forms:
         if known is not None:
             return known
         shape = self.shape(body)
-        return self._upright[shape] if rpy[0] == rpy[1] == 0.0 else footprint.of_shape(shape, rpy[0], rpy[1])
+        return self._upright[shape] if rpy[0] == rpy[1] == 0.0 else footprint.shape_footprint(shape, rpy[0], rpy[1])
 
     def half_width(self, body: str) -> float:
         """Half the width of the narrowest passage that it fits through, m."""
@@ -392,8 +392,8 @@ class Forms:
         return self.footprint(body, rpy).at(x, y, rpy[2]), self.top(body, z, rpy)
 
 
-def offset(copies: RobotCopies, number: int) -> Triple:
-    """Where a copy stands in the row, from its middle (m)."""
+def copy_offset(copies: RobotCopies, number: int) -> Triple:
+    """The offset (m) of a copy from the middle of the row."""
     steps = number - (copies.count + 1) / 2
     x, y, z = (steps * step for step in copies.spacing)
     return x, y, z

@@ -17,7 +17,7 @@ from deepbots_cli import frames
 from deepbots_cli.frames import IDENTITY_FRAME, IDENTITY_ROTATION, Frame, Quaternion, Triple
 from deepbots_cli.port import Engine, Part, PoseReader, RayReader, Sight, VelocityReader
 from deepbots_cli.program.robots import CalibrationTable, CameraIntrinsics, RayConfig
-from deepbots_cli.runtime.paths import Paint
+from deepbots_cli.runtime.paths import PaintedGround
 from deepbots_cli.runtime.sensing import Instrument, Normals, Site, Values
 
 if TYPE_CHECKING:
@@ -230,7 +230,7 @@ def ranging(site: Site) -> Instrument:
     read = _combined(site.engine.rays((site.robot, site.link), rays, beams.reach), beams)
     if beams.lookup is None:
         return Instrument(read)
-    table = Table(beams.lookup, max(1, len(site.sensor.components)))
+    table = LookupTable(beams.lookup, max(1, len(site.sensor.components)))
     return Instrument(read, table.restart, lookup=table)
 
 
@@ -245,7 +245,7 @@ def _combined(read: RayReader, beams: RayConfig) -> RayReader:
             return read
 
 
-class Table:
+class LookupTable:
     """Readings of `width` rays by their distances, with the noise of each row."""
 
     def __init__(self, spec: CalibrationTable, width: int) -> None:
@@ -267,7 +267,7 @@ class Table:
         if self.normals is None:
             return [(row := rows[bisect_right(known, x)])[1] + row[3] * (x - row[0]) for x in distances]
         readings = []
-        for x, normal in zip(distances, self.normals.row(), strict=True):
+        for x, normal in zip(distances, self.normals.next_row(), strict=True):
             start, value, noise, slope, growth = rows[bisect_right(known, x)]
             along = x - start
             readings.append((value + slope * along) * (1.0 + (noise + growth * along) * normal))
@@ -275,7 +275,7 @@ class Table:
 
 
 def _slopes(distance: Values, column: Values) -> list[float]:
-    """By how much a column changes per m after each row; not at all after the last."""
+    """The change of a column per m after each row; 0 after the last row."""
     pairs = zip(distance, distance[1:], column, column[1:], strict=False)
     return [*((d - c) / (b - a) for a, b, c, d in pairs), 0.0]
 
@@ -291,7 +291,7 @@ def reflectance(site: Site) -> Instrument:
     beams, mount, spot = site.sensor.beams or RayConfig((), 0.0), site.mount, site.parameters["spot"]
     rays = [frames.compose(mount, frames.frame(ray)) for ray in beams.rays]
     eyes = [(origin, frames.rotate(turned, _DOWN)) for origin, turned in rays]
-    read, paint, rotate = site.engine.pose(site.robot, site.link), Paint(site.world.lines, spot / 2), frames.rotate
+    read, paint, rotate = site.engine.pose(site.robot, site.link), PaintedGround(site.world.lines, spot / 2), frames.rotate
 
     def brightness() -> list[float]:
         (x, y, z), turned = read()

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from deepbots_cli import frames
 from deepbots_cli.frames import Frame
-from deepbots_cli.plugins import attribute
+from deepbots_cli.plugins import import_attribute
 from deepbots_cli.port import Engine
 from deepbots_cli.program.robots import NoiseModel, Sensor
 from deepbots_cli.program.world import WorldModel
@@ -55,7 +55,7 @@ class Normals:
         if self._rows:
             self._rows = (self.drawn[: len(self._rows)] * deviations).tolist()
 
-    def row(self) -> list[float]:
+    def next_row(self) -> list[float]:
         if not self._rows:
             self.drawn = self.block()
             self._rows = (self.drawn * self._scale).tolist()
@@ -67,7 +67,7 @@ class Normals:
         return block
 
     @property
-    def left(self) -> int:
+    def rows_left(self) -> int:
         """How many rows of the newest block were not taken yet; they are taken from its end."""
         return len(self._rows)
 
@@ -105,7 +105,7 @@ class SensorErrors:
 
     @property
     def parameters(self) -> dict[str, Values]:
-        """What is in force in this episode, one number per component; nothing for a fault that the sensor has not."""
+        """The values of the faults in this episode, one number per component; empty for a fault that the sensor does not have."""
         return {"noise": self._noise, "share": self._share, "gain": self._gain, "bias": self._bias, "drift": self._drift}
 
     def restart(self, generator: Any) -> None:
@@ -125,11 +125,11 @@ class SensorErrors:
 
     def _with_noise(self, values: Values) -> Values:
         """The usual case, in a third of the time."""
-        return list(map(add, values, self.normals.row()))
+        return list(map(add, values, self.normals.next_row()))
 
     def _with_all(self, values: Values, time: float) -> Values:
         if self._share:
-            rows = zip(values, self._gain, self._share, self.normals.row(), strict=True)
+            rows = zip(values, self._gain, self._share, self.normals.next_row(), strict=True)
             values = [x * (gain + share * normal) for x, gain, share, normal in rows]
         elif self._gain:
             values = [x * gain for x, gain in zip(values, self._gain, strict=True)]
@@ -137,7 +137,7 @@ class SensorErrors:
         if self._drift:
             bias = [b + drift * time for b, drift in zip(bias, self._drift, strict=True)]
         if self._noise:
-            rows = zip(values, bias or self._zeros, self._noise, self.normals.row(), strict=True)
+            rows = zip(values, bias or self._zeros, self._noise, self.normals.next_row(), strict=True)
             values = [x + b + noise * normal for x, b, noise, normal in rows]
         elif bias:
             values = [x + b for x, b in zip(values, bias, strict=True)]
@@ -145,15 +145,15 @@ class SensorErrors:
 
 
 def _nothing(_generator: Any = None) -> None:
-    """What most instruments do at a reset, and between two readings."""
+    """Do nothing, as most instruments at a reset and between two readings."""
 
 
 class Lookup(Protocol):
-    """A table between what an instrument reads and its readings; see `readers.Table`."""
+    """A table between what an instrument reads and its readings; see `readers.LookupTable`."""
 
     @property
     def rows(self) -> Sequence[tuple[float, float, float, float, float]]:
-        """Where each stretch starts: distance, value, noise, and by how much value and noise grow; the first lies before the table."""
+        """The start of each interval: distance, value, noise, and by how much value and noise grow; the first lies before the table."""
 
     @property
     def normals(self) -> Normals | None:
@@ -164,14 +164,14 @@ class Lookup(Protocol):
 
 
 class Instrument(NamedTuple):
-    """What a sensor measures: `read` gives the true values at this moment, `restart` begins an episode with a random generator.
+    """The measuring part of a sensor: `read` gives the true values at this moment, `restart` begins an episode with a random generator.
 
-    `follow` is called in the ticks without a reading. `lookup` turns what was read into a reading, with noise of its own.
+    `update` is called in the ticks without a reading. `lookup` turns what was read into a reading, with noise of its own.
     """
 
     read: Callable[[], Reading]
     restart: Callable[[Any], None] = _nothing
-    follow: Callable[[], None] = _nothing
+    update: Callable[[], None] = _nothing
     lookup: Lookup | None = None
 
 
@@ -204,15 +204,15 @@ def instrument(sensor: Sensor, robot: str, world: WorldModel, engine: Engine) ->
     Raises:
         EngineError: The robot has no such joint or link, or the engine cannot sense so.
     """
-    made: Instrument = attribute(sensor.reader)(Site(engine, robot, sensor, world))
+    made: Instrument = import_attribute(sensor.reader)(Site(engine, robot, sensor, world))
     return made
 
 
 class Device:
-    """Called once per timestep. `reading` is the newest that was delivered, `measured` the timestep at which it was taken."""
+    """Called once per timestep. `reading` is the newest that was delivered, `sampled_at` the timestep at which it was taken."""
 
     reading: Reading
-    measured: int
+    sampled_at: int
 
     def __init__(self, sensor: Sensor, robot: str, instrument: Instrument, timestep: float) -> None:
         faults = sensor.faults or NoiseModel()
@@ -236,7 +236,7 @@ class Device:
 
     def reset(self, streams: Streams) -> None:
         """Begin an episode: a first reading is taken and delivered at once."""
-        self._tick = self.measured = 0
+        self._tick = self.sampled_at = 0
         self.delay = math.ceil(max(0.0, self._latency) / self._timestep - 1e-9)
         self._under_way.clear()
         self.instrument.restart(streams[f"{self._stream}.lookup"])
@@ -247,20 +247,20 @@ class Device:
     @property
     def age(self) -> float:
         """The age of the reading, in s."""
-        return (self._tick - self.measured) * self._timestep
+        return (self._tick - self.sampled_at) * self._timestep
 
     def __call__(self) -> None:
         self._tick = tick = self._tick + 1
         if self._period == 1 or tick % self._period == 0:
             reading = self._sampled()
             if not self.delay:
-                self.reading, self.measured = reading, tick
+                self.reading, self.sampled_at = reading, tick
                 return
             self._under_way.append((tick + self.delay, tick, reading))
         else:
-            self.instrument.follow()
+            self.instrument.update()
         while self._under_way and self._under_way[0][0] <= tick:
-            _, self.measured, self.reading = self._under_way.popleft()
+            _, self.sampled_at, self.reading = self._under_way.popleft()
 
     def _sampled(self) -> Reading:
         values = self.instrument.read()

@@ -25,8 +25,8 @@ def observation_space(scenario: Program) -> gym.Space[Any]:
     columns, channels), and `achieved_goal` and `desired_goal`.
     """
     entries = [scenario.policy.numbers[index] for index, _ in policy_inputs(scenario.policy.numbers, scenario.policy.frame_stack)]
-    low = np.array([0.0 if entry.truth else -1.0 if entry.clip else -np.inf for entry in entries], np.float32)
-    high = np.array([1.0 if entry.truth or entry.clip else np.inf for entry in entries], np.float32)
+    low = np.array([0.0 if entry.is_truth else -1.0 if entry.clip else -np.inf for entry in entries], np.float32)
+    high = np.array([1.0 if entry.is_truth or entry.clip else np.inf for entry in entries], np.float32)
     box = gym.spaces.Box(low, high, dtype=np.float32)
     if scenario.policy.goal is None and not scenario.policy.images:
         return box
@@ -40,16 +40,16 @@ def observation_space(scenario: Program) -> gym.Space[Any]:
     return gym.spaces.Dict(parts)
 
 
-def depth(scenario: Program) -> int:
+def history_length(scenario: Program) -> int:
     """How many steps must be kept for the longest history."""
     stack = scenario.policy.frame_stack
     return stack + max([entry.history for entry in scenario.policy.observation], default=1) - 1
 
 
-def views(scenario: Program) -> NDArray[np.intp]:
-    """Where the numbers of an observation stand in a ring of frames; row p is for a newest frame in place p."""
+def frame_indices(scenario: Program) -> NDArray[np.intp]:
+    """The indices of the numbers of an observation in a ring of frames; row p is for a newest frame in place p."""
     seen = np.array(policy_inputs(scenario.policy.numbers, scenario.policy.frame_stack), np.intp).reshape(-1, 2)
-    frames = depth(scenario)
+    frames = history_length(scenario)
     newest = np.arange(frames)[:, None]
     return (newest - seen[:, 1]) % frames * len(scenario.policy.numbers) + seen[:, 0]
 
@@ -65,10 +65,10 @@ def action_space(scenario: Program) -> gym.Space[Any]:
     return gym.spaces.Dict({"choices": choices, "ranges": ranges}) if size else choices
 
 
-def composed(space: gym.Space[Any], choices: Sequence[int], ranges: Sequence[float]) -> Any:
+def compose_action(space: gym.Space[Any], choices: Sequence[int], ranges: Sequence[float]) -> Any:
     """The action of `space` with these options by number, one per choice, and these values from -1 to 1."""
     if isinstance(space, gym.spaces.Dict):
-        return {"choices": composed(space["choices"], choices, ()), "ranges": composed(space["ranges"], (), ranges)}
+        return {"choices": compose_action(space["choices"], choices, ()), "ranges": compose_action(space["ranges"], (), ranges)}
     if isinstance(space, gym.spaces.Discrete):
         return choices[0]
     return np.array(choices, np.int64) if choices else np.array(ranges, np.float32)
@@ -116,7 +116,7 @@ class FrameStack:
 # Goals
 
 
-def recomputed(scenario: Program, achieved: Goals, desired: Goals) -> NDArray[np.float64]:
+def recompute_rewards(scenario: Program, achieved: Goals, desired: Goals) -> NDArray[np.float64]:
     """The reward that each transition would have got for another goal; `achieved` and `desired` are (n, k), as the policy sees them.
 
     Raises:

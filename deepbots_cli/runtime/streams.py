@@ -13,7 +13,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from deepbots_cli.diagnostics.nearest import nearest
+from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.functions import interval_of
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
@@ -108,7 +108,7 @@ def episode_values(scenario: Program, options: Mapping[str, Any], fixed: Collect
     """
     if not isinstance(options, Mapping):
         raise UsageError(f"options of reset must be a mapping from names to values, not {type(options).__name__}")
-    known = {entry.name: entry for entry in scenario.settable}
+    known = {entry.name: entry for entry in scenario.settable_draws}
     found: dict[str, float] = {}
     for given, value in options.items():
         name = str(given).removeprefix("parameters.")
@@ -125,7 +125,7 @@ def _why_not(name: str, scenario: Program, known: list[str], fixed: Collection[s
         return f"it is a fixed parameter, the same in all episodes; change it when the environment is made, by sets=['{name}=...']"
     if any(name == entry.name for entry in scenario.parameters):
         return "it is computed from other parameters; set those"
-    near = nearest(name, known)
+    near = nearest_word(name, known)
     hint = f"did you mean {near!r}? " if near else ""
     return f"{hint}{scenario.name} draws {', '.join(map(repr, known)) or 'nothing that has a name'}"
 

@@ -26,19 +26,19 @@ from deepbots_cli.program.robots import Actuator, CustomActuator, Direction, Mes
 from deepbots_cli.program.task import ActionRange, Choices
 from deepbots_cli.runtime.actuation import CustomMotor, Site
 from deepbots_cli.runtime.formulas import Memories, Memory, clip, memory_of_vector
-from deepbots_cli.runtime.messages import Channel, FieldCodec, LossyChannel, excerpt, explain
-from deepbots_cli.runtime.overview import moved, overview, strays
+from deepbots_cli.runtime.messages import Channel, FieldCodec, LossyChannel, excerpt, layout_error
+from deepbots_cli.runtime.overview import follows_robot, moved_view, overview
 from deepbots_cli.runtime.readers import sees
 from deepbots_cli.runtime.sensing import Device, instrument
 from deepbots_cli.runtime.spaces import (
     FrameStack,
     action_space,
     canonical_action,
-    composed,
+    compose_action,
+    frame_indices,
     is_canonical,
     observation_space,
-    recomputed,
-    views,
+    recompute_rewards,
 )
 from deepbots_cli.runtime.streams import Streams, episode_values
 
@@ -123,7 +123,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         self.agents: dict[str, Supervisor] = {"agent": self}
         """Each agent by name: the supervisor that observes and scores for it. Where there is one agent, this one."""
         self.streams = Streams(None)
-        self.views = views(scenario)
+        self.views = frame_indices(scenario)
         self.depth = len(self.views)
         self.frame_stacks = {
             entry.key: FrameStack(entry.shape, entry.ages(scenario.policy.frame_stack), self.depth) for entry in scenario.policy.images
@@ -234,7 +234,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         return self.get_observations(), {**self.get_info(), "drawn": drawn}
 
     def drawn(self) -> dict[str, float | str]:
-        """What this episode draws, by its place in the scenario; see `reset`. Complete once `_begin` has returned."""
+        """The values that this episode draws, by their place in the scenario; see `reset`. Complete once `_begin` has returned."""
         layout = self.streams.drawn.get("reset.layout")
         others = tuple(f"reset.layouts.{other.name}." for other in self.scenario.reset.layouts if layout not in (None, other.name))
         found = {
@@ -281,12 +281,12 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
 
     def view(self, width: int = 480, height: int = 320) -> View:
         """The view of `render` in another size: it holds the whole scene, and follows a robot that may leave it."""
-        return moved(overview(self.scenario, width, height), self._strayed())
+        return moved_view(overview(self.scenario, width, height), self._strayed())
 
     def _strayed(self) -> Triple:
         """How far the view follows: nowhere within an arena or on terrain, else as far as the first free robot went."""
         world = self.scenario.world
-        if not strays(world):
+        if not follows_robot(world):
             return STILL
         x, y, _ = self.engine.pose(next(robot.name for robot in world.robots if not robot.fixed_base))()[0]
         self._viewed = self._viewed or (x, y)
@@ -311,7 +311,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         return np.array([may for mask in masks for may in mask])
 
     def action_mask(self) -> Any:
-        """The same masks in the form that `action_space.sample` takes."""
+        """The masks of `action_masks` in the form that `action_space.sample` takes."""
         masks = tuple(np.array(mask, np.int8) for mask in self.allowed())
         if isinstance(self.action_space, gym.spaces.Dict):
             return {"choices": masks[0] if len(masks) == 1 else masks, "ranges": None}
@@ -327,8 +327,8 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         """
         achieved, desired = np.asarray(achieved_goal), np.asarray(desired_goal)
         if achieved.ndim == 1:
-            return recomputed(self.scenario, achieved[None], np.atleast_2d(desired)).item()
-        return recomputed(self.scenario, achieved, desired)
+            return recompute_rewards(self.scenario, achieved[None], np.atleast_2d(desired)).item()
+        return recompute_rewards(self.scenario, achieved, desired)
 
     def script(self, name: str) -> Any:
         """The next action of a script of the scenario, in the action space; asking changes nothing.
@@ -346,7 +346,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
             raise self._no_value(error) from error
 
     def scripted(self, name: str) -> Any:
-        """The same, without a check that the script exists."""
+        """The next action of a script, without a check that the script exists."""
         return getattr(self, f"script_{name}")()
 
     def tested(self, test: str, what: Literal["holds", "compared"]) -> tuple[Any, ...]:
@@ -363,7 +363,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
 
     def acting(self, choices: Sequence[int], ranges: Sequence[float]) -> Any:
         """An action of these options, by number, and these values from -1 to 1."""
-        return composed(self.action_space, choices, ranges)
+        return compose_action(self.action_space, choices, ranges)
 
     # What the compiler prints
 
@@ -376,7 +376,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
 
     @abstractmethod
     def get_observations(self) -> Observation:
-        """What the policy sees, float32 in [-1, 1]; a copy."""
+        """The observation, float32 in [-1, 1]; a copy."""
 
     @abstractmethod
     def get_reward(self) -> float:
@@ -521,7 +521,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
 
     def _rejected(self, layout: MessageLayout, message: Any) -> MessageError:
         self.engine.require_finite()  # not every format can carry what a world that blew up gives
-        return explain(layout, self.scenario.format, message, self.step_count)
+        return layout_error(layout, self.scenario.format, message, self.step_count)
 
     def _try_again(self, action: Any, error: Exception) -> None:
         """Advance by an action in a form that the fast path does not take, or raise what was wrong.
@@ -561,7 +561,7 @@ def _rebuild(rebuild: Callable[[], Supervisor]) -> Supervisor:
 
 
 @runtime_checkable
-class Drive(Protocol):
+class ActuatorDevice(Protocol):
     """An actuator with a state of its own."""
 
     def reset(self) -> None:
@@ -589,9 +589,10 @@ class RobotController(_WithMemories):
         found = [(actuator, drive) for actuator, drive in drives if drive is not None]
         # Each look at a protocol takes as long as a physics step of a light robot.
         self._holds: list[Callable[[], object]] = [
-            drive.hold if isinstance(drive, Drive) else partial(_hold, engine, spec.name, actuator, drive) for actuator, drive in found
+            drive.hold if isinstance(drive, ActuatorDevice) else partial(_hold, engine, spec.name, actuator, drive)
+            for actuator, drive in found
         ]
-        self._releases = [drive.reset for _, drive in found if isinstance(drive, Drive)]
+        self._releases = [drive.reset for _, drive in found if isinstance(drive, ActuatorDevice)]
 
     def bind(self, engine: Engine) -> None:
         """Take readers and writers from the engine; called once."""

@@ -69,7 +69,7 @@ class BatchEnvironment(VectorEnv[Any, Any, Any]):
             ended[outcome.done] = True
             last = np.full(self.num_envs, None, object)
             for row, world in enumerate(outcome.done):
-                taken = outcome.last
+                taken = outcome.final_observations
                 last[world] = {key: part[row] for key, part in taken.items()} if isinstance(taken, dict) else taken[row]
             final: dict[str, Any] = {}
             for world, info in zip(outcome.done, outcome.infos, strict=True):

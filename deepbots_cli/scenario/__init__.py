@@ -10,8 +10,8 @@ validate.py     nodes to a Scenario; old spellings and validation errors become 
 json_schema.py  the JSON Schema for editors: `python -m deepbots_cli.scenario.json_schema` writes it
 """
 
-from deepbots_cli.scenario.base import visit
+from deepbots_cli.scenario.base import visit_values
 from deepbots_cli.scenario.scenario import VERSION, Scenario
 from deepbots_cli.scenario.validate import validate
 
-__all__ = ["VERSION", "Scenario", "validate", "visit"]
+__all__ = ["VERSION", "Scenario", "validate", "visit_values"]

@@ -15,7 +15,7 @@ from deepbots_cli.expressions.intervals import EVERYTHING, Interval
 from deepbots_cli.expressions.types import SPACE, Components
 from deepbots_cli.plugins import PluginTable
 from deepbots_cli.robots.model import Joint
-from deepbots_cli.scenario.base import FORMS, KeyCount, Kinds, Section, kind_of, parameters, require_kind
+from deepbots_cli.scenario.base import FORMS, KeyCount, Kinds, Section, check_kind_model, kind_of, kind_parameters
 from deepbots_cli.scenario.fields import (
     JointName,
     JointNames,
@@ -180,8 +180,8 @@ def _read(name: str, kind: Any) -> Iterator[tuple[str, type[Actuator]]]:
     """
     if not (isinstance(kind, type) and issubclass(kind, JointActuator)):
         raise ValueError(f"{kind!r} is not a subclass of JointActuator")
-    require_kind(name, kind, kind.drive)
-    list(parameters(kind, JointActuator))
+    check_kind_model(name, kind, kind.drive)
+    list(kind_parameters(kind, JointActuator))
     yield name, kind
 
 

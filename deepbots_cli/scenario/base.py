@@ -34,22 +34,22 @@ from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, cor
 
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.document import nodes
-from deepbots_cli.document.nodes import Path
+from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.document.parse import parse
 from deepbots_cli.scenario.fields import (
     MEASURES,
-    PLAIN,
+    PLAIN_FIELD_TYPES,
     Column,
     FieldType,
     Quantity,
     Range,
     Word,
-    article,
-    at,
-    choose_from,
-    count,
+    choices_help,
+    counted_noun,
     error,
+    error_at,
     mismatch,
+    with_article,
     word_replacement,
 )
 
@@ -89,10 +89,10 @@ class Section(BaseModel):
     identifying_keys: ClassVar[frozenset[str]] = frozenset()
     """Keys that distinguish this form from other forms that are mappings."""
 
-    _path: Path = PrivateAttr(())
+    _path: NodePath = PrivateAttr(())
 
     @property
-    def path(self) -> Path:
+    def path(self) -> NodePath:
         """The place of the section in its file."""
         return self._path
 
@@ -124,8 +124,8 @@ class Size:
     def _check(self, value: Any, info: ValidationInfo) -> Any:
         if len(value) < self.min and not (info.context and info.context.get(LENIENT)):
             if not value:
-                raise error("DB107", "is empty", f"give at least {count(self.min, self.noun)}")
-            raise error("DB106", f"expected at least {count(self.min, self.noun)}, found {len(value)}")
+                raise error("DB107", "is empty", f"give at least {counted_noun(self.min, self.noun)}")
+            raise error("DB106", f"expected at least {counted_noun(self.min, self.noun)}, found {len(value)}")
         return value
 
 
@@ -222,7 +222,7 @@ class Kinds:
         return tuple(self.models)
 
     @property
-    def every(self) -> tuple[type[Section], ...]:
+    def distinct_models(self) -> tuple[type[Section], ...]:
         """Each model once."""
         return tuple(dict.fromkeys((*self.models.values(), *self.marked.values())))
 
@@ -232,7 +232,7 @@ class Kinds:
     def find(self, value: object) -> type[Section] | None:
         """The model for `value`, raw or validated; None if its kind is unknown."""
         if isinstance(value, Section):
-            return type(value) if type(value) in self.every else None
+            return type(value) if type(value) in self.distinct_models else None
         if not isinstance(value, Mapping):
             return None
         word = value.get(self.key)
@@ -252,11 +252,11 @@ class Kinds:
             raise error("DB102", f"missing key {wanted}", help, missing=(self.key, *self.marked))
         word = value[self.key]
         if not isinstance(word, str):
-            raise at(self.key, mismatch(f"the name of {article(self.key)}", choose_from("", self.names), value=word))
+            raise error_at(self.key, mismatch(f"the name of {with_article(self.key)}", choices_help("", self.names), value=word))
         unknown = error(
-            "DB104", f"unknown {self.key} `{word[:40]}`", choose_from(word, self.names), replacement=word_replacement(word, self.names)
+            "DB104", f"unknown {self.key} `{word[:40]}`", choices_help(word, self.names), replacement=word_replacement(word, self.names)
         )
-        raise at(self.key, unknown)
+        raise error_at(self.key, unknown)
 
 
 def kind_of(model: type[Section], key: str = "type") -> str:
@@ -265,7 +265,7 @@ def kind_of(model: type[Section], key: str = "type") -> str:
     return str(words[0]) if len(words) == 1 else ""
 
 
-def require_kind(name: str, model: type[Section], place: str, key: str = "type") -> None:
+def check_kind_model(name: str, model: type[Section], place: str, key: str = "type") -> None:
     """Check the model of a kind that a plug-in calls `name`, and whose code for the runtime stands at `place`.
 
     Raises:
@@ -276,17 +276,17 @@ def require_kind(name: str, model: type[Section], place: str, key: str = "type")
         raise ValueError(f'{model.__name__} needs the field `{key}: Literal["{name}"]`')
     if not model.__doc__ or not place.partition(":")[2]:
         raise ValueError(f"{model.__name__} needs a docstring, and the `module:attribute` of its code for the runtime")
-    fields(model)
+    section_fields(model)
 
 
-def parameters(model: type[Section], *bases: type[Section]) -> Iterator[tuple[str, FieldType]]:
+def kind_parameters(model: type[Section], *bases: type[Section]) -> Iterator[tuple[str, FieldType]]:
     """The fields that the model of a kind has beyond those of its `bases`.
 
     Raises:
         ValueError: One of them is not a single value.
     """
     known = {name for base in bases if issubclass(model, base) for name in base.model_fields}
-    for name, shape in fields(model).items():
+    for name, shape in section_fields(model).items():
         if name not in known:
             if not isinstance(shape, FieldType):
                 raise ValueError(f"{model.__name__}.{name} is not a single value")
@@ -310,7 +310,7 @@ def noun_of(shape: Shape) -> str:
 
 
 @cache
-def fields(section: type[Section]) -> Mapping[str, Shape]:
+def section_fields(section: type[Section]) -> Mapping[str, Shape]:
     """The keys of a section, in order, each with its shape."""
     return {name: shape_of(info.annotation, tuple(info.metadata)) for name, info in section.model_fields.items()}
 
@@ -340,15 +340,15 @@ def shape_of(annotation: Any, metadata: tuple[Any, ...] = ()) -> Shape:
         return ListOf(shape_of(arguments[0]))
     if isinstance(annotation, type) and issubclass(annotation, Section):
         return annotation
-    if annotation in PLAIN:
-        return PLAIN[annotation]
+    if annotation in PLAIN_FIELD_TYPES:
+        return PLAIN_FIELD_TYPES[annotation]
     raise TypeError(f"no shape for {annotation!r}")
 
 
 # Walking
 
 
-def set_paths(value: object, path: Path = ()) -> None:
+def set_paths(value: object, path: NodePath = ()) -> None:
     """Set the paths of `value` and of all sections below it."""
     if isinstance(value, Section):
         value._path = path
@@ -363,20 +363,20 @@ def set_paths(value: object, path: Path = ()) -> None:
         set_paths(item, (*path, step))
 
 
-def visit(section: Section, path: Path = ()) -> Iterator[tuple[Path, FieldType, object]]:
+def visit_values(section: Section, path: NodePath = ()) -> Iterator[tuple[NodePath, FieldType, object]]:
     """Yield the path, the field type and the written value of every single value in a validated section.
 
     A key that the user chose comes before the values of its entry, with the path of the entry, the field type of keys, and the key
     as value. Defaults are not visited.
     """
-    for name, shape in fields(type(section)).items():
+    for name, shape in section_fields(type(section)).items():
         if name in section.model_fields_set:
             yield from _visit(shape, getattr(section, name), (*path, name))
 
 
-def _visit(shape: Shape, value: object, path: Path) -> Iterator[tuple[Path, FieldType, object]]:
+def _visit(shape: Shape, value: object, path: NodePath) -> Iterator[tuple[NodePath, FieldType, object]]:
     if isinstance(value, Section):
-        yield from visit(value, path)
+        yield from visit_values(value, path)
         return
     match shape, value:
         case FieldType(), tuple():
@@ -409,7 +409,7 @@ def chosen_shape(shape: Shape, data: object) -> Shape | None:
             return shape
 
 
-def shape_at(shape: Shape, data: object, path: Path, *, choose: bool = True) -> Shape | None:
+def shape_at(shape: Shape, data: object, path: NodePath, *, choose: bool = True) -> Shape | None:
     """The shape of the value at `path` in raw data; None if the language does not know the path.
 
     Unless `choose`, the result may be a union of forms or kinds.
@@ -420,42 +420,42 @@ def shape_at(shape: Shape, data: object, path: Path, *, choose: bool = True) -> 
                 shape, data = item, data[step]
             case (MappingOf(value=value), dict()) if step in data:
                 shape, data = value, data[step]
-            case (type() as section, dict()) if step in data and (below := fields(section).get(str(step))) is not None:
+            case (type() as section, dict()) if step in data and (below := section_fields(section).get(str(step))) is not None:
                 shape, data = below, data[step]
             case _:
                 return None
     return chosen_shape(shape, data) if choose else shape
 
 
-def sections(shape: Shape, path: tuple[str, ...] = (), mark: str = "") -> Iterator[tuple[tuple[str, ...], type[Section] | Kinds, str]]:
+def walk_sections(shape: Shape, path: tuple[str, ...] = (), mark: str = "") -> Iterator[tuple[tuple[str, ...], type[Section] | Kinds, str]]:
     """Yield every section and every union of kinds below a shape: its path, and the key of its kind.
 
     In the path `*` stands for a name that the user chooses.
     """
     match shape:
         case ListOf(item=inner):
-            yield from sections(inner, path)
+            yield from walk_sections(inner, path)
         case MappingOf(value=inner):
-            yield from sections(inner, (*path, "*"))
+            yield from walk_sections(inner, (*path, "*"))
         case Forms(options=options):
             for option in options:
-                yield from sections(option, path)
+                yield from walk_sections(option, path)
         case Kinds():
             yield path, shape, ""
             for name, model in (*shape.models.items(), *shape.marked.items()):
-                yield from sections(model, path, shape.key if name in shape.models else "")
+                yield from walk_sections(model, path, shape.key if name in shape.models else "")
         case type():
             yield path, shape, mark
-            for name, below in fields(shape).items():
-                yield from sections(below, (*path, name))
+            for name, below in section_fields(shape).items():
+                yield from walk_sections(below, (*path, name))
 
 
 # Documentation of keys
 
-FILE = FilePath(__file__).with_name("examples.yaml")
+EXAMPLES_FILE = FilePath(__file__).with_name("examples.yaml")
 
 
-def description(section: type[Section], key: str) -> str:
+def key_description(section: type[Section], key: str) -> str:
     """The sentence about a key of a section."""
     found = (_docstrings(model.__module__).get((model.__name__, key)) for model in section.__mro__ if issubclass(model, Section))
     return next(filter(None, found), "")
@@ -477,8 +477,8 @@ def _docstrings(module: str) -> Mapping[tuple[str, str], str]:
     return found
 
 
-def about(section: type[Section]) -> str:
-    """What a section is, in a sentence."""
+def section_description(section: type[Section]) -> str:
+    """The sentence that describes a section."""
     return " ".join(inspect.cleandoc(section.__doc__ or "").partition("\n\n")[0].split())
 
 
@@ -504,9 +504,9 @@ def default_of(section: type[Section], key: str) -> str:
     return str(value).lower() if isinstance(value, bool) else str(list(value)) if isinstance(value, tuple) else str(value)
 
 
-def hover(section: type[Section], key: str) -> str:
+def hover_text(section: type[Section], key: str) -> str:
     """A key in Markdown: its type, sentence, unit, default and example."""
-    shape = fields(section)[key]
+    shape = section_fields(section)[key]
     unit = unit_of(shape)
     shown = "none, a plain number" if unit == "1" else unit if unit.startswith("of the ") else f"`{unit.replace(' or ', '` or `')}`"
     facts = [f"**Unit:** {shown}"] if unit else []
@@ -515,7 +515,7 @@ def hover(section: type[Section], key: str) -> str:
     elif default := default_of(section, key):
         facts.append(f"**Default:** `{default}`")
     example = example_text(section, key)
-    blocks = [f"**{key}**: {noun_of(shape)}", description(section, key), " · ".join(facts)]
+    blocks = [f"**{key}**: {noun_of(shape)}", key_description(section, key), " · ".join(facts)]
     return "\n\n".join([*filter(None, blocks), *([f"```yaml\n{key}: {example}\n```"] if example else [])])
 
 
@@ -541,7 +541,7 @@ def example_text(section: type[Section], key: str) -> str:
     """The example of a key as text; of a word, the first one."""
     if found := example_of(section, key):
         return found.text
-    shape = fields(section)[key]
+    shape = section_fields(section)[key]
     return shape.words[0] if isinstance(shape, Word) else ""
 
 
@@ -549,11 +549,11 @@ def example_text(section: type[Section], key: str) -> str:
 def examples() -> Mapping[str, Mapping[str, Example]]:
     """The examples by the name of the model, and by key."""
     findings = Findings()
-    root = parse(Source(FILE.name, FILE.read_text(encoding="utf-8")), findings)
+    root = parse(Source(EXAMPLES_FILE.name, EXAMPLES_FILE.read_text(encoding="utf-8")), findings)
     if root is None or list(findings):
-        raise ValueError(f"{FILE} is broken: {[finding.headline for finding in findings]}")
+        raise ValueError(f"{EXAMPLES_FILE} is broken: {[finding.headline for finding in findings]}")
     return {section.key.text: {entry.key.text: Example.of(entry) for entry in _entries(section.value)} for section in _entries(root)}
 
 
 def _entries(node: nodes.Node) -> tuple[nodes.Entry, ...]:
-    return tuple(node.entries.values()) if isinstance(node, nodes.Mapping) else ()
+    return tuple(node.entries.values()) if isinstance(node, nodes.MappingNode) else ()

@@ -1,7 +1,7 @@
 """Field types: the type of a single value of a scenario.
 
 A field type stands in the annotation of a field, `Annotated[str | int | float, Quantity("length")]`. It checks the form of the value
-(a text, a number, a range) and raises errors with the code, headline and help of a finding. `base.visit` hands it to the compiler,
+(a text, a number, a range) and raises errors with the code, headline and help of a finding. `base.visit_values` hands it to the compiler,
 which reads units, names and expressions inside a text. A value is kept as it is written.
 
 Aliases at the end name the field types that several sections use. Values of the aliases `Randomizable...` may be drawn in every episode.
@@ -19,10 +19,10 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationError, ValidationInfo
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
-from deepbots_cli.diagnostics.nearest import Replacement, nearest, suggest_replacement
+from deepbots_cli.diagnostics.nearest import Replacement, nearest_word, suggest_replacement
 from deepbots_cli.expressions import parser, syntax
 from deepbots_cli.expressions.dimensions import NUMBER, UNITS, Dimension
-from deepbots_cli.expressions.types import PLANE, SPACE, Components, shown
+from deepbots_cli.expressions.types import PLANE, SPACE, Components, shortened_list
 
 Stage = Literal["fixed", "episode", "step"]
 Scalar = str | int | float
@@ -30,12 +30,12 @@ JsonSchema = dict[str, object]
 
 _JSON_TYPES = {str: "string", int: "integer", float: "number", bool: "boolean", dict: "object", list: "array", tuple: "array"}
 
-LARGEST = 1e30
+MAX_MAGNITUDE = 1e30
 """Beyond this a number means nothing physical, and arithmetic on it overflows."""
 _LISTED = 24
 _NUMBER = r"[-+]?(?:[0-9]+(?:_[0-9]{3})*\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 _UNIT = r"[A-Za-z%1][A-Za-z0-9%*/^()-]*"
-GROUPED = r"[-+]?[0-9]{1,3}(_[0-9]{3})+"
+GROUPED_DIGITS = r"[-+]?[0-9]{1,3}(_[0-9]{3})+"
 """Digits in groups of three: a number in a scenario, but a text in editors, which read YAML 1.2."""
 
 
@@ -57,16 +57,16 @@ def mismatch(expected: str, help: str | None = None, replacement: Replacement | 
     return refused
 
 
-def at(step: str | int, refused: PydanticCustomError) -> ValidationError:
-    """The same error one step further down."""
+def error_at(step: str | int, refused: PydanticCustomError) -> ValidationError:
+    """The error with its path one step further down."""
     return ValidationError.from_exception_data("", [InitErrorDetails(type=refused, loc=(step,), input=None)])
 
 
-def article(noun: str) -> str:
+def with_article(noun: str) -> str:
     return f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
 
 
-def count(number: int, noun: str) -> str:
+def counted_noun(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
@@ -101,22 +101,22 @@ _OTHER_NAMES = {
 """Words of the language with their names in other tools."""
 
 
-def other_name(word: str, known: Iterable[str]) -> str | None:
+def word_for_foreign_name(word: str, known: Iterable[str]) -> str | None:
     """The `known` word for a name in other tools."""
     plain = word.lower().replace("-", "_").replace(" ", "_")
     return next((of_language for of_language in known if plain in _OTHER_NAMES.get(of_language, "").split()), None)
 
 
-def choose_from(word: str, words: Sequence[str]) -> str:
+def choices_help(word: str, words: Sequence[str]) -> str:
     """The help for an unknown word: the probable word, and all known words."""
-    near = other_name(word, words) or nearest(word, words)
-    listed = shown((f"`{known}`" for known in words), _LISTED)
+    near = word_for_foreign_name(word, words) or nearest_word(word, words)
+    listed = shortened_list((f"`{known}`" for known in words), _LISTED)
     return f"did you mean `{near}`? known names: {listed}" if near else f"known names: {listed}"
 
 
 def word_replacement(word: str, words: Sequence[str]) -> Replacement | None:
     """The probable word of the language, as a replacement."""
-    other = other_name(word, words)
+    other = word_for_foreign_name(word, words)
     return Replacement(other, safe=False) if other else suggest_replacement(word, words, of_language=True)
 
 
@@ -146,7 +146,7 @@ def check_bounds(
     value: float, minimum: float | None = None, maximum: float | None = None, *, exclusive: bool = False, is_share: bool = False
 ) -> None:
     """Raise DB105 unless `value` is finite and inside; with `exclusive` the minimum itself is outside."""
-    if not -LARGEST <= value <= LARGEST:
+    if not -MAX_MAGNITUDE <= value <= MAX_MAGNITUDE:
         is_nan = isinstance(value, float) and math.isnan(value)
         raise error("DB105", "a value that is not a number" if is_nan else "a number too large to be meant")
     if minimum is not None and (value < minimum or (exclusive and value == minimum)):
@@ -191,13 +191,13 @@ class FieldType:
         return f"{noun}s{preposition}{rest}"
 
     @property
-    def takes(self) -> tuple[type, ...]:
+    def accepted_types(self) -> tuple[type, ...]:
         """The types of a value of the right form."""
         return (str,)
 
     def has_form(self, value: object) -> bool:
         """Whether `value` has the right form at all; `check` looks at its content."""
-        return isinstance(value, self.takes) and (bool in self.takes or not isinstance(value, bool))
+        return isinstance(value, self.accepted_types) and (bool in self.accepted_types or not isinstance(value, bool))
 
     def check(self, value: Any) -> None:
         """Raise an `error` if a value of the right form cannot be meant."""
@@ -214,7 +214,9 @@ class FieldType:
         return None
 
     def json_schema(self) -> JsonSchema:
-        types = list(dict.fromkeys(_JSON_TYPES[each] for each in self.takes if each is not int or float not in self.takes))
+        types = list(
+            dict.fromkeys(_JSON_TYPES[each] for each in self.accepted_types if each is not int or float not in self.accepted_types)
+        )
         return {"type": types if len(types) > 1 else types[0]}
 
     def validate(self, value: object) -> object:
@@ -248,7 +250,7 @@ class Flag(FieldType):
     """A truth value."""
 
     noun = "`true` or `false`"
-    takes = (bool,)
+    accepted_types = (bool,)
 
     def help_for(self, value: object) -> str | None:
         if value in ("true", "false"):
@@ -263,7 +265,7 @@ class Flag(FieldType):
 
 @dataclass(frozen=True)
 class Number(FieldType):
-    """A plain number within bounds, or a text that matches `text`, whose groups are such numbers or percentages.
+    """A plain number within bounds, or a text that matches `pattern`, whose groups are such numbers or percentages.
 
     With `exclusive` the minimum itself is refused.
     """
@@ -271,37 +273,37 @@ class Number(FieldType):
     minimum: float | None = None
     maximum: float | None = None
     exclusive: bool = False
-    text: str = ""
+    pattern: str = ""
     noun: str = "a number"
     example: str | None = None
 
     @property
-    def takes(self) -> tuple[type, ...]:
+    def accepted_types(self) -> tuple[type, ...]:
         return (int, float)
 
     def has_form(self, value: object) -> bool:
-        return re.fullmatch(self.text, value) is not None if isinstance(value, str) else super().has_form(value)
+        return re.fullmatch(self.pattern, value) is not None if isinstance(value, str) else super().has_form(value)
 
     def check(self, value: Any) -> None:
-        found = re.fullmatch(self.text, value) if isinstance(value, str) else None
+        found = re.fullmatch(self.pattern, value) if isinstance(value, str) else None
         for number in map(read_fraction, found.groups()) if found else [value]:
             check_bounds(number, self.minimum, self.maximum, exclusive=self.exclusive, is_share=self.maximum == 1)
 
     def json_schema(self) -> JsonSchema:
         bounds = {"exclusiveMinimum" if self.exclusive else "minimum": self.minimum, "maximum": self.maximum}
-        schema = self._matching(f"^({self.text}|{GROUPED})$" if self.text else f"^{GROUPED}$")
+        schema = self._matching(f"^({self.pattern}|{GROUPED_DIGITS})$" if self.pattern else f"^{GROUPED_DIGITS}$")
         schema["type"] = [super().json_schema()["type"], "string"]
         return schema | {word: bound for word, bound in bounds.items() if bound is not None}
 
 
 @dataclass(frozen=True)
-class Whole(Number):
+class WholeNumber(Number):
     """A whole number within bounds."""
 
     noun: str = "a whole number"
 
     @property
-    def takes(self) -> tuple[type, ...]:
+    def accepted_types(self) -> tuple[type, ...]:
         return (int,)
 
     def help_for(self, value: object) -> str | None:
@@ -348,7 +350,7 @@ class Word(FieldType):
     def check(self, value: Any) -> None:
         if value not in self.known:
             raise error(
-                "DB104", f"unknown word `{value[:40]}`", choose_from(value, self.words), replacement=word_replacement(value, self.words)
+                "DB104", f"unknown word `{value[:40]}`", choices_help(value, self.words), replacement=word_replacement(value, self.words)
             )
 
     def json_schema(self) -> JsonSchema:
@@ -386,7 +388,7 @@ _BARE = frozenset({"length", "mass", "number"})
 
 
 @cache
-def si(measure: str) -> Dimension | None:
+def measure_dimension(measure: str) -> Dimension | None:
     """The dimension of a measure; None where it is one of several."""
     unit = MEASURES[measure][2]
     return None if " " in unit else _dimension(unit)
@@ -434,8 +436,8 @@ class Quantity(Parsed):
         words: Texts that are accepted as they are.
         relative: Whether a percentage of the value is accepted.
         whole: Whether the number has no fraction.
-        like: An example.
-        usual: The probable unit of a number of at least 1 without a unit, if it is not that of SI.
+        example_text: An example.
+        usual_unit: The probable unit of a number of at least 1 without a unit, if it is not that of SI.
     """
 
     dimension: str
@@ -448,15 +450,15 @@ class Quantity(Parsed):
     words: tuple[str, ...] = ()
     relative: bool = False
     whole: bool = False
-    like: str = ""
-    usual: str | None = None
+    example_text: str = ""
+    usual_unit: str | None = None
 
-    takes = (str, int, float)
+    accepted_types = (str, int, float)
 
     @property
     def si(self) -> Dimension | None:
         """The dimension; None where it depends on what the quantity is of."""
-        return si(self.dimension)
+        return measure_dimension(self.dimension)
 
     @property
     def axes(self) -> Components | None:
@@ -471,12 +473,12 @@ class Quantity(Parsed):
     @property
     def example(self) -> str:
         number, _, unit = ("3", "", "") if self.whole else MEASURES[self.dimension][1].partition(" ")
-        return self.like or " ".join([number] * (self.components or 1) + [unit]).strip()
+        return self.example_text or " ".join([number] * (self.components or 1) + [unit]).strip()
 
     def check(self, value: Any) -> None:
         found, wanted = count_literal(value) if isinstance(value, str) else 1, self.components or 1
         if found not in (None, wanted):
-            raise error("DB106", f"expected {count(wanted, 'number')}, found {found}", self.help_for(None))
+            raise error("DB106", f"expected {counted_noun(wanted, 'number')}, found {found}", self.help_for(None))
         if not isinstance(value, str):
             minimum = self.minimum if self.dimension in _BARE else None
             is_share = self.dimension == "number" and self.maximum == 1
@@ -491,7 +493,7 @@ class Quantity(Parsed):
             raise error("DB503", f"`{text[:60]}` is not {self.noun}", self.help_for(None))
         match tree:
             case syntax.Vector(items=(syntax.Number(), syntax.Name(parts=(word,)))) if not self.components:
-                raise error("DB501", f"unknown unit `{word}`", choose_from(word, tuple(UNITS)))
+                raise error("DB501", f"unknown unit `{word}`", choices_help(word, tuple(UNITS)))
 
     def help_for(self, value: object) -> str | None:
         if isinstance(value, list) and self.components:
@@ -510,7 +512,7 @@ class Column(FieldType):
 
     noun = "a column of numbers"
     example = "0 5 10"
-    takes = (str, int, float)
+    accepted_types = (str, int, float)
 
     def check(self, value: Any) -> None:
         if not isinstance(value, str):
@@ -554,7 +556,7 @@ class Bounds(Range):
 
     noun = "a minimum or a range"
     example = "0 .. 10 %"
-    takes = (str, int, float)
+    accepted_types = (str, int, float)
 
     def check(self, value: Any) -> None:
         if not isinstance(value, str):
@@ -591,7 +593,7 @@ class Expression(Parsed):
         return super().help_for(value)
 
     @property
-    def takes(self) -> tuple[type, ...]:
+    def accepted_types(self) -> tuple[type, ...]:
         return (str, *(() if self.boolean else (int, float)), *(() if self.boolean is False else (bool,)))
 
     def check(self, value: Any) -> None:
@@ -617,14 +619,14 @@ class Reference(FieldType):
 
     @property
     def noun(self) -> str:
-        return f"a list of {_SEVERAL[self.kind]} names" if self.several else f"the name of {article(self.kind)}"
+        return f"a list of {_SEVERAL[self.kind]} names" if self.several else f"the name of {with_article(self.kind)}"
 
     @property
     def plural(self) -> str:
         return f"{self.kind} names"
 
     @property
-    def takes(self) -> tuple[type, ...]:
+    def accepted_types(self) -> tuple[type, ...]:
         return (str, list, tuple) if self.several else (str,)
 
     def validate(self, value: object) -> object:
@@ -634,7 +636,7 @@ class Reference(FieldType):
             raise error("DB107", "is empty")
         for index, item in enumerate(value):
             if not isinstance(item, str) or not item.strip():
-                raise at(index, mismatch(f"the name of {article(_SEVERAL[self.kind])}", value=item))
+                raise error_at(index, mismatch(f"the name of {with_article(_SEVERAL[self.kind])}", value=item))
         return tuple(value)
 
     def json_schema(self) -> JsonSchema:
@@ -664,18 +666,18 @@ class FilePath(FieldType):
 
     @property
     def noun(self) -> str:
-        return f"the path of {article(self.kind)}"
+        return f"the path of {with_article(self.kind)}"
 
 
-BUILT_IN = frozenset(
+BUILT_IN_NAMES = frozenset(
     {"time", "step", "episode_return", "previous_action", "previous_reward", "terminated", "truncated", "ended", "goal_reached"}
     | {"ground", "arena", "pi", "true", "false"}
 )
 """Values that every scenario has."""
-GRAMMAR = frozenset(["and", "or", "not", "when", "every", "each", "auto", "any", "urdf"])
+GRAMMAR_WORDS = frozenset(["and", "or", "not", "when", "every", "each", "auto", "any", "urdf"])
 """Keywords of expressions, and special values of fields."""
-NAME = r"[a-z_][a-z0-9_]*"
-LONGEST = 64
+NAME_PATTERN = r"[a-z_][a-z0-9_]*"
+MAX_NAME_LENGTH = 64
 
 
 @dataclass(frozen=True)
@@ -687,22 +689,22 @@ class Name(FieldType):
     noun = "a name"
 
     def check(self, value: Any) -> None:
-        if not re.fullmatch(NAME, value):
-            suggestion = re.sub(r"[^a-z0-9_]+", "_", re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", value[:LONGEST]).lower()).strip("_")
-            likely = f", such as `{suggestion}`" if re.fullmatch(NAME, suggestion) else ""
+        if not re.fullmatch(NAME_PATTERN, value):
+            suggestion = re.sub(r"[^a-z0-9_]+", "_", re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", value[:MAX_NAME_LENGTH]).lower()).strip("_")
+            likely = f", such as `{suggestion}`" if re.fullmatch(NAME_PATTERN, suggestion) else ""
             help = f"use lower-case letters, digits and `_`, and do not begin with a digit{likely}"
             raise error("DB105", f"`{value[:40]}` cannot be a name", help)
-        if len(value) > LONGEST:
-            raise error("DB105", f"a name of {len(value)} characters", f"use at most {LONGEST}")
+        if len(value) > MAX_NAME_LENGTH:
+            raise error("DB105", f"a name of {len(value)} characters", f"use at most {MAX_NAME_LENGTH}")
         if self.shared:
-            taken = {"the name of a unit": UNITS, "built in": BUILT_IN, "a word of the language": GRAMMAR}
+            taken = {"the name of a unit": UNITS, "built in": BUILT_IN_NAMES, "a word of the language": GRAMMAR_WORDS}
             for what, names in taken.items():
                 if value in names:
                     raise error("DB105", f"`{value}` is {what}", "choose another name")
 
     def json_schema(self) -> JsonSchema:
         about = "A name of your choice: lower-case letters, digits and `_`, not beginning with a digit."
-        return {"pattern": f"^{NAME}$", "title": "name", "patternErrorMessage": about}
+        return {"pattern": f"^{NAME_PATTERN}$", "title": "name", "patternErrorMessage": about}
 
 
 COLOURS = {
@@ -738,7 +740,7 @@ class Color(FieldType):
     def check(self, value: Any) -> None:
         for word in colour_options(value):
             if word not in COLOURS and not re.fullmatch(r"#[0-9a-fA-F]{6}", word):
-                help = f"{choose_from(word, tuple(COLOURS))}, or write `'#ffa500'`"
+                help = f"{choices_help(word, tuple(COLOURS))}, or write `'#ffa500'`"
                 near = suggest_replacement(word, tuple(COLOURS), of_language=True) if word == value else None
                 raise error("DB104", f"unknown colour `{word[:40]}`", help, replacement=near)
 
@@ -763,7 +765,7 @@ def read_fraction(value: str | float) -> float:
 def read_schedule(value: object) -> tuple[float, float] | None:
     """`3e-4 -> 0` or a plain number, as its values at the start and at the end of the training; None if it is neither."""
     if isinstance(value, (int, float)) and not isinstance(value, bool):
-        return (float(value), float(value)) if abs(value) < LARGEST else None
+        return (float(value), float(value)) if abs(value) < MAX_MAGNITUDE else None
     match = re.fullmatch(_SCHEDULE, value) if isinstance(value, str) else None
     return (float(match[1]), float(match[2])) if match else None
 
@@ -808,25 +810,25 @@ class Setting(FieldType):
     The compiler checks it at its place.
     """
 
-    takes = (str, int, float, bool, dict, list)
+    accepted_types = (str, int, float, bool, dict, list)
 
 
 # Field types that several sections use
 
 
-PLAIN: Mapping[object, FieldType] = {int: Whole(), float: Number(), bool: Flag(), str: Text()}
+PLAIN_FIELD_TYPES: Mapping[object, FieldType] = {int: WholeNumber(), float: Number(), bool: Flag(), str: Text()}
 """Field types of plain Python types, which pydantic validates itself."""
 
-PositiveInt = Annotated[int, Whole(1, 1_000_000_000)]
-SmallInt = Annotated[int, Whole(1, 1000)]
+PositiveInt = Annotated[int, WholeNumber(1, 1_000_000_000)]
+SmallInt = Annotated[int, WholeNumber(1, 1000)]
 Bool = Annotated[bool, Flag()]
 PlainText = Annotated[str, Text()]
-Fraction = Annotated[Scalar, Number(0, 1, text=_PERCENT, noun="a number from 0 to 1", example="0.9"), AfterValidator(read_fraction)]
-Schedule = Annotated[Scalar, Number(0, text=_SCHEDULE, noun="a number or a schedule", example="3e-4 -> 0")]
+Fraction = Annotated[Scalar, Number(0, 1, pattern=_PERCENT, noun="a number from 0 to 1", example="0.9"), AfterValidator(read_fraction)]
+Schedule = Annotated[Scalar, Number(0, pattern=_SCHEDULE, noun="a number or a schedule", example="3e-4 -> 0")]
 
 Length = Annotated[Scalar, Quantity("length", minimum=0)]
 Thickness = Annotated[Scalar, Quantity("length", minimum=1e-4)]
-Timestep = Annotated[Scalar, Quantity("time", minimum=0, exclusive=True, usual="ms")]
+Timestep = Annotated[Scalar, Quantity("time", minimum=0, exclusive=True, usual_unit="ms")]
 Share = Annotated[Scalar, Quantity("number", minimum=0, maximum=1)]
 Area = Annotated[Scalar, Quantity("length", components=2, minimum=1e-4)]
 Point = Annotated[Scalar, Quantity("length", components=2)]
@@ -834,7 +836,7 @@ Scale = Annotated[Scalar, Quantity("number", components=3)]
 
 RandomizableFactor = Annotated[Scalar, Quantity("number", stage="episode", minimum=0)]
 RandomizableShare = Annotated[Scalar, Quantity("number", stage="episode", minimum=0, maximum=1)]
-RandomizableDelay = Annotated[Scalar, Quantity("time", stage="episode", minimum=0, maximum=60, usual="ms")]
+RandomizableDelay = Annotated[Scalar, Quantity("time", stage="episode", minimum=0, maximum=60, usual_unit="ms")]
 RandomizableCoordinate = Annotated[Scalar, Quantity("length", stage="episode")]
 RandomizableAngle = Annotated[Scalar, Quantity("angle", stage="episode", words=("any",))]
 RandomizableCount = Annotated[Scalar, Quantity("number", stage="episode", minimum=0, whole=True)]

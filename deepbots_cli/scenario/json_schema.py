@@ -33,13 +33,13 @@ from deepbots_cli.scenario.base import (
     MappingOf,
     Section,
     Shape,
-    about,
     default_of,
-    description,
     example_of,
     example_text,
-    fields,
+    key_description,
     noun_of,
+    section_description,
+    section_fields,
     unit_of,
 )
 from deepbots_cli.scenario.fields import COLOURS, Color, Expression, FieldType, FilePath, Name, Pattern, Range, Reference, Word
@@ -55,11 +55,11 @@ INCLUDE: Json = {"$ref": "#/$defs/include"}
 
 
 @dataclass(frozen=True)
-class Offer:
-    """Names for one kind of value, each with a description; with `only`, other names are errors unless they are patterns."""
+class OfferedNames:
+    """Names for one kind of value, each with a description; with `is_complete`, other names are errors unless they are patterns."""
 
     names: Mapping[str, str]
-    only: bool = False
+    is_complete: bool = False
 
     def added_to(self, schema: Json, noun: str) -> Json:
         """The schema of a value called `noun`, with the names as an enumeration beside whatever else may stand there.
@@ -72,31 +72,31 @@ class Offer:
         known: Json = {"title": "a known name", "enum": list(self.names)}
         if any(self.names.values()):
             known["enumDescriptions"] = list(self.names.values())
-        if self.only:
+        if self.is_complete:
             return {"anyOf": [known, {"title": "a pattern", "type": "string", "pattern": r"[*?\[]"}]}
         return schema | {"anyOf": [known, {"title": noun, "not": {"enum": list(self.names)}}]}
 
 
-Names = Mapping[str, Offer]
-"""Offers by the topic of a value (`topic_of`)."""
+Names = Mapping[str, OfferedNames]
+"""Offers by the topic of a value (`names_key_of`)."""
 
 _LANGUAGE: Names = {
-    "robot file": Offer(dict.fromkeys(shipped.robot_names(), "a robot that comes with deepbots")),
-    "region": Offer({"arena": "the floor of the arena"}),
-    "colour": Offer(dict.fromkeys(COLOURS, "")),
-    "known range": Offer({"auto": "the interval that is known of the value"}),
+    "robot file": OfferedNames(dict.fromkeys(shipped.robot_names(), "a robot that comes with deepbots")),
+    "region": OfferedNames({"arena": "the floor of the arena"}),
+    "colour": OfferedNames(dict.fromkeys(COLOURS, "")),
+    "known range": OfferedNames({"auto": "the interval that is known of the value"}),
 }
 
 
 @dataclass(frozen=True)
-class Known:
+class ScenarioNames:
     """The names of one scenario: names that are valid everywhere, and names of each robot."""
 
-    everywhere: Names = field(default_factory=dict)
+    shared: Names = field(default_factory=dict)
     robots: Mapping[str, Names] = field(default_factory=dict)
 
 
-def topic_of(shape: Shape) -> str:
+def names_key_of(shape: Shape) -> str:
     """The key of the names for a value of this shape; empty if there are none."""
     match shape:
         case Reference(kind=kind) | FilePath(kind=kind):
@@ -116,12 +116,12 @@ def topic_of(shape: Shape) -> str:
 # Shapes
 
 
-def json_schema(known: Known | None = None) -> Json:
+def json_schema(known: ScenarioNames | None = None) -> Json:
     """The schema (draft 2020-12), in stable order; without names of a scenario it is the committed schema."""
     sentence = "A file with the value of this mapping; what stands beside it is merged over it.\n\nExample: include: parts/arena.yaml"
     definitions: Json = {"include": {"type": "string", "description": sentence}}
-    _Writer(definitions, known or Known(), {**_LANGUAGE, **(known.everywhere if known else {})}).reference(Scenario)
-    below = {name: _required(shape) for name, shape in fields(Scenario).items() if isinstance(shape, type)}
+    _Writer(definitions, known or ScenarioNames(), {**_LANGUAGE, **(known.shared if known else {})}).reference(Scenario)
+    below = {name: _required(shape) for name, shape in section_fields(Scenario).items() if isinstance(shape, type)}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         **({} if known else {"$id": FILE_NAME}),
@@ -145,7 +145,7 @@ def _required(section: type[Section]) -> list[str]:
     return [name for name, info in section.model_fields.items() if info.is_required()]
 
 
-def to_text(known: Known | None = None) -> str:
+def schema_text(known: ScenarioNames | None = None) -> str:
     """The text of the schema; the keywords of a key are on one line."""
     return re.sub(r"\n {5,}", " ", json.dumps(json_schema(known), indent=1)) + "\n"
 
@@ -167,7 +167,7 @@ class _Writer:
     own, told apart by `suffix`.
     """
 
-    def __init__(self, definitions: Json, known: Known, names: Names, suffix: str = "") -> None:
+    def __init__(self, definitions: Json, known: ScenarioNames, names: Names, suffix: str = "") -> None:
         self.definitions = definitions
         self._known = known
         self._names = names
@@ -200,7 +200,7 @@ class _Writer:
         return {"$ref": f"#/$defs/{name}"}
 
     def _single(self, shape: FieldType) -> Json:
-        schema, offer = shape.json_schema(), self._names.get(topic_of(shape))
+        schema, offer = shape.json_schema(), self._names.get(names_key_of(shape))
         if offer is None or not offer.names:
             return self._shared("name", schema) if isinstance(shape, Name) else schema
         if isinstance(shape, Color):
@@ -241,15 +241,15 @@ class _Writer:
         )
         if len(types) > 1:
             schema = {"type": list(types), **schema}
-        offers = [self._names[topic] for option in shape.options if (topic := topic_of(option)) in self._names]
-        offers += [Offer(dict.fromkeys(option.words, "")) for option in shape.options if isinstance(option, Word)]
+        offers = [self._names[topic] for option in shape.options if (topic := names_key_of(option)) in self._names]
+        offers += [OfferedNames(dict.fromkeys(option.words, "")) for option in shape.options if isinstance(option, Word)]
         return schema | (offers[0].added_to({}, noun_of(shape)) if offers else {})
 
     def _with_marks(self, form: Shape, other: Json) -> Json:
         """The schema of the other forms, with the marks of this form as completions."""
         if not isinstance(form, type) or not form.identifying_keys:
             return other
-        identifying_keys = {key: self._property(form, key) for key in fields(form) if key in form.identifying_keys}
+        identifying_keys = {key: self._property(form, key) for key in section_fields(form) if key in form.identifying_keys}
         return other | {"properties": identifying_keys | other.get("properties", {})}
 
     def _kinds(self, shape: Kinds) -> Json:
@@ -260,19 +260,19 @@ class _Writer:
         ]
         for mark, model in shape.marked.items():
             branches.append({"if": {"required": [mark], "not": {"required": [key]}}, "then": self.reference(model)})
-        kinds = {"enum": list(shape.models), "enumDescriptions": [about(shape.models[name]) for name in shape.models]}
+        kinds = {"enum": list(shape.models), "enumDescriptions": [section_description(shape.models[name]) for name in shape.models]}
         first = shape.models[shape.names[0]]
         properties: Json = {key: kinds | {"description": _text(first, key, shape.names[0])}}
         properties |= {mark: {"description": _text(model, mark)} for mark, model in shape.marked.items()}
         return {"type": "object", "properties": properties | {"include": INCLUDE}, "allOf": branches}
 
     def _section(self, section: type[Section]) -> Json:
-        properties = {name: self._property(section, name) for name in fields(section)}
+        properties = {name: self._property(section, name) for name in section_fields(section)}
         if section is Scenario:
             properties |= _ACROSS_FILES
         schema: Json = {
             "type": "object",
-            "description": about(section),
+            "description": section_description(section),
             "properties": properties | {"include": INCLUDE},
             "additionalProperties": False,
         }
@@ -280,13 +280,13 @@ class _Writer:
         return schema | ({"allOf": list(map(_excluding, excluding))} if excluding else {})
 
     def _property(self, section: type[Section], key: str) -> Json:
-        shape = fields(section)[key]
+        shape = section_fields(section)[key]
         schema = self.schema(shape)
-        own = next(iter(offer.names), "") if (offer := self._names.get(topic_of(shape))) and offer.only else ""
+        own = next(iter(offer.names), "") if (offer := self._names.get(names_key_of(shape))) and offer.is_complete else ""
         for keyword in ("additionalProperties", "items"):  # entries have no sentence of their own, unless they are sections
             entries = schema.get(keyword)
             if isinstance(entries, dict) and not entries.keys() & {"$ref", "allOf"}:
-                schema = schema | {keyword: entries | {"description": description(section, key)}}
+                schema = schema | {keyword: entries | {"description": key_description(section, key)}}
         schema = schema | {"description": _text(section, key, own)}  # `joint: left_wheel` is no example for an arm
         default = section.model_fields[key].default
         if isinstance(default, (str, int, float)) and default != "":
@@ -308,11 +308,11 @@ def definition_of(section: type[Section]) -> type[Section]:
 
 def _text(section: type[Section], key: str, example: str = "") -> str:
     """The sentence about a key, its unit, default and example; `example` overrides the example of the key."""
-    unit, default = unit_of(fields(section)[key]), default_of(section, key)
+    unit, default = unit_of(section_fields(section)[key]), default_of(section, key)
     facts = [f"Unit: {'none, a plain number' if unit == '1' else unit}."] if unit else []
     facts += ["Required."] if section.model_fields[key].is_required() else [f"Default: {default}."] if default else []
     shown = example or example_text(section, key)
-    return "\n\n".join([description(section, key), " ".join([*facts, *([f"Example: {key}: {shown}"] if shown else [])])]).strip()
+    return "\n\n".join([key_description(section, key), " ".join([*facts, *([f"Example: {key}: {shown}"] if shown else [])])]).strip()
 
 
 def _excluding(pair: tuple[str, str]) -> Json:
@@ -340,7 +340,7 @@ def main() -> None:
     """Write the schema to `schemas/` below the working directory."""
     target = Path("schemas") / FILE_NAME
     target.parent.mkdir(exist_ok=True)
-    target.write_text(to_text(), encoding="utf-8")
+    target.write_text(schema_text(), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -5,10 +5,10 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, PrivateAttr
 
-from deepbots_cli.document.nodes import Path
+from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.message_formats import FORMATS
 from deepbots_cli.scenario.actuators import AnyActuator, JointPosition
-from deepbots_cli.scenario.base import FORMS, KeyCount, Many, Section, Size, visit
+from deepbots_cli.scenario.base import FORMS, KeyCount, Many, Section, Size, visit_values
 from deepbots_cli.scenario.fields import (
     BodyName,
     Bool,
@@ -38,7 +38,7 @@ from deepbots_cli.scenario.fields import (
     Text,
     Thickness,
     Until,
-    Whole,
+    WholeNumber,
     Word,
 )
 from deepbots_cli.scenario.sensors import AnySensor
@@ -123,7 +123,7 @@ class Robot(Section):
 class Route(Section):
     """Transmission of messages in one direction."""
 
-    latency: Annotated[Scalar, Quantity("time", stage="step", minimum=0, maximum=60, usual="ms")] = "0 ms"
+    latency: Annotated[Scalar, Quantity("time", stage="step", minimum=0, maximum=60, usual_unit="ms")] = "0 ms"
     """Time from sending to arrival."""
     loss: Annotated[Scalar, Quantity("number", stage="step", minimum=0, maximum=1)] = 0
     """Share of messages that never arrive."""
@@ -340,9 +340,9 @@ class ScenarioTest(Section):
     """What acts: a script, `random`, or `zero`, which takes the middle of each range and the first option of each choice."""
     actions: Annotated[Many[Annotated[FixedAction | Choice, FORMS]], Size(1, "action")] | None = None
     """Actions of the first steps; the episode stops after the last of them."""
-    episodes: Annotated[int, Whole(1, 1000)] = 1
+    episodes: Annotated[int, WholeNumber(1, 1000)] = 1
     """Number of episodes."""
-    seed: Annotated[int, Whole(0, 1_000_000_000)] = 0
+    seed: Annotated[int, WholeNumber(0, 1_000_000_000)] = 0
     """Root seed of the episodes, which start as those of an evaluation."""
     max_steps: PositiveInt | None = None
     """Steps after which an episode stops."""
@@ -461,7 +461,7 @@ class Reset(Section):
     """Arrangements by names of your choice: a place for each body, or a map in letters."""
     require: Annotated[str, Expression("require", boolean=True)] | None = None
     """A condition at the start; while it is false, everything is drawn again."""
-    attempts: Annotated[int, Whole(1, 100_000)] = 100
+    attempts: Annotated[int, WholeNumber(1, 100_000)] = 100
     """Maximum number of draws; then the reset fails."""
     settle: Annotated[Scalar, Quantity("time", minimum=0)] = "0 s"
     """Simulated time for things to come to rest before the episode begins."""
@@ -558,10 +558,10 @@ class Scenario(Section):
     tests: dict[LocalName, ScenarioTest] = {}
     """Tests by names of your choice, which `deepbots test` runs: who acts, and the expected result."""
 
-    _pruned: frozenset[Path] = PrivateAttr(frozenset())
+    _pruned: frozenset[NodePath] = PrivateAttr(frozenset())
 
     @property
-    def pruned(self) -> frozenset[Path]:
+    def pruned(self) -> frozenset[NodePath]:
         """The paths that `validate` removed because they had findings; their names are known, their values are not."""
         return self._pruned
 
@@ -583,7 +583,7 @@ class Scenario(Section):
         if root is None or found is None or document.findings.errors:
             raise ScenarioError(list(document.findings))
         data: Any = to_data(root)
-        for place, kind, value in visit(found):
+        for place, kind, value in visit_values(found):
             node = descend(root, place)[0]
             file = document.directory_of(node.span) / str(value)
             if isinstance(kind, FilePath) and value not in shipped.robot_names() and file.exists():

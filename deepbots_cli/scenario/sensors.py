@@ -29,7 +29,7 @@ from deepbots_cli.expressions.intervals import EVERYTHING, Interval
 from deepbots_cli.expressions.types import QUATERNION, SPACE, Components
 from deepbots_cli.plugins import PluginTable
 from deepbots_cli.robots.model import Joint
-from deepbots_cli.scenario.base import FORMS, KeyCount, Kinds, Section, Size, kind_of, parameters, require_kind
+from deepbots_cli.scenario.base import FORMS, KeyCount, Kinds, Section, Size, check_kind_model, kind_of, kind_parameters
 from deepbots_cli.scenario.fields import (
     Column,
     JointName,
@@ -44,7 +44,7 @@ from deepbots_cli.scenario.fields import (
     Reference,
     Scalar,
     Timestep,
-    Whole,
+    WholeNumber,
 )
 from deepbots_cli.scenario.world import SensorFrame
 
@@ -293,7 +293,7 @@ NamedRays = Annotated[dict[LocalName, SensorFrame], Size(1, "ray")]
 class RayScan(LinkSensor):
     """Looks along rays: given by name, or as a fan of a number of them."""
 
-    rays: Annotated[NamedRays | Annotated[int, Whole(1, 4096)], FORMS] | None = None
+    rays: Annotated[NamedRays | Annotated[int, WholeNumber(1, 4096)], FORMS] | None = None
     """Rays by name, each with its frame on the sensor; or the number of rays over `angle_range`, named `r0`, `r1` ...; by default one."""
     angle_range: Annotated[str, Range("angle")] | None = None
     """Yaw of the first and of the last ray, such as `90 .. -90 deg`."""
@@ -354,7 +354,7 @@ class Camera(LinkSensor):
     perceives = True
 
     type: Literal["camera"]
-    resolution: Annotated[Scalar, Quantity("number", components=2, minimum=1, maximum=1024, whole=True, like="64 48")]
+    resolution: Annotated[Scalar, Quantity("number", components=2, minimum=1, maximum=1024, whole=True, example_text="64 48")]
     """Columns and rows, such as `64 48`."""
     fov: Annotated[Scalar, Quantity("angle", minimum=0, exclusive=True)] = "60 deg"
     """Angle of view from top to bottom."""
@@ -374,8 +374,8 @@ def _read(name: str, kind: Any) -> Iterator[tuple[str, type[Sensor]]]:
     """
     if not (isinstance(kind, type) and issubclass(kind, (JointSensor, LinkSensor, ContactSensor))):
         raise ValueError(f"{kind!r} is not a subclass of JointSensor, LinkSensor or ContactSensor")
-    require_kind(name, kind, kind.reader)
-    list(parameters(kind, *BASES))
+    check_kind_model(name, kind, kind.reader)
+    list(kind_parameters(kind, *BASES))
     yield name, kind
 
 

@@ -10,14 +10,14 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 from deepbots_cli.plugins import PluginTable
-from deepbots_cli.scenario.base import FORMS, Kinds, Many, Section, require_kind
-from deepbots_cli.scenario.fields import Bool, Fraction, Number, PlainText, PositiveInt, Scalar, Schedule, Whole
+from deepbots_cli.scenario.base import FORMS, Kinds, Many, Section, check_kind_model
+from deepbots_cli.scenario.fields import Bool, Fraction, Number, PlainText, PositiveInt, Scalar, Schedule, WholeNumber
 
 Weight = Annotated[float, Number(0)]
 Positive = Annotated[float, Number(0, exclusive=True)]
-StepsOrAll = Annotated[int, Whole(-1, 1_000_000_000)]
-StepsOrEpisodes = Whole(
-    1, 1_000_000_000, text="[1-9][0-9]{0,8} (?:step|episode)s?", noun="a number of steps or episodes", example="1 episode"
+StepsOrAll = Annotated[int, WholeNumber(-1, 1_000_000_000)]
+StepsOrEpisodes = WholeNumber(
+    1, 1_000_000_000, pattern="[1-9][0-9]{0,8} (?:step|episode)s?", noun="a number of steps or episodes", example="1 episode"
 )
 
 
@@ -46,7 +46,7 @@ class Hindsight(Section):
 class Policy(Section):
     """The network of the policy."""
 
-    hidden: Many[Annotated[int, Whole(1, 8192)]] = (64, 64)
+    hidden: Many[Annotated[int, WholeNumber(1, 8192)]] = (64, 64)
     """Units of each hidden layer, such as `[64, 64]`."""
     activation: Literal["tanh", "relu", "elu", "leaky_relu", "gelu", "silu"] = "tanh"
     """Activation between the layers."""
@@ -65,9 +65,9 @@ class Training(Section):
 
     algorithm: PlainText
     """The learning algorithm."""
-    total_timesteps: Annotated[int, Whole(1, 10**12)]
+    total_timesteps: Annotated[int, WholeNumber(1, 10**12)]
     """Steps of the agent to train for, summed over all environments."""
-    environments: Annotated[int, Whole(1, 1024)] = 1
+    environments: Annotated[int, WholeNumber(1, 1024)] = 1
     """Copies of the environment that are trained in at once."""
     policy: Policy = Field(default_factory=Policy)
     """The network of the policy."""
@@ -117,7 +117,7 @@ class _OnPolicy(Training):
 
 
 class _Proximal(_OnPolicy):
-    batch_size: Annotated[int, Whole(2, 1_000_000_000)] | None = None
+    batch_size: Annotated[int, WholeNumber(2, 1_000_000_000)] | None = None
     """Samples in one gradient step."""
     n_epochs: PositiveInt | None = None
     """Passes over the samples of a roll-out."""
@@ -141,7 +141,7 @@ class _OffPolicy(Training):
     """Learning rate: a number, or a schedule such as `3e-4 -> 0`."""
     buffer_size: PositiveInt | None = None
     """Steps that are remembered."""
-    learning_starts: Annotated[int, Whole(0, 1_000_000_000)] | None = None
+    learning_starts: Annotated[int, WholeNumber(0, 1_000_000_000)] | None = None
     """Steps before the first update."""
     batch_size: PositiveInt | None = None
     """Samples in one gradient step."""
@@ -171,11 +171,11 @@ class _Deterministic(_OffPolicy):
 class _SoftActorCritic(_StateDependentExploration, _Deterministic):
     use_sde_at_warmup: Bool | None = None
     """Use state-dependent noise (`use_sde`) also before learning starts."""
-    ent_coef: Annotated[Scalar, Number(0, text=r"auto(?:_[0-9]+(?:\.[0-9]+)?)?")] | None = None
+    ent_coef: Annotated[Scalar, Number(0, pattern=r"auto(?:_[0-9]+(?:\.[0-9]+)?)?")] | None = None
     """Weight of the entropy; `auto` learns it, `auto_0.1` begins at 0.1."""
     target_update_interval: PositiveInt | None = None
     """Steps between two updates of the target network."""
-    target_entropy: Annotated[Scalar, Number(text="auto")] | None = None
+    target_entropy: Annotated[Scalar, Number(pattern="auto")] | None = None
     """The entropy that `ent_coef: auto` aims at."""
     stats_window_size: PositiveInt | None = None
     """Episodes over which progress is averaged."""
@@ -270,7 +270,7 @@ class RecurrentPPO(_StateDependentExploration, _Proximal):
     import_path = "sb3_contrib:RecurrentPPO"
 
     algorithm: Literal["RecurrentPPO"]
-    lstm: Annotated[int, Whole(1, 2048)] | None = None
+    lstm: Annotated[int, WholeNumber(1, 2048)] | None = None
     """Units of the memory: an LSTM before the layers of actor and of critic."""
 
 
@@ -280,7 +280,7 @@ class TQC(_SoftActorCritic):
     import_path = "sb3_contrib:TQC"
 
     algorithm: Literal["TQC"]
-    top_quantiles_to_drop_per_net: Annotated[int, Whole(0, 1_000_000_000)] | None = None
+    top_quantiles_to_drop_per_net: Annotated[int, WholeNumber(0, 1_000_000_000)] | None = None
     """Highest quantiles to drop, per critic."""
 
 
@@ -292,7 +292,7 @@ def _read(name: str, model: Any) -> Iterator[tuple[str, type[Training]]]:
     """
     if not (isinstance(model, type) and issubclass(model, _BUILT_IN)):
         raise ValueError(f"{model!r} is derived from none of {', '.join(known.__name__ for known in _BUILT_IN)}")
-    require_kind(name, model, model.import_path, "algorithm")
+    check_kind_model(name, model, model.import_path, "algorithm")
     yield name, model
 
 

@@ -19,10 +19,10 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from deepbots_cli.diagnostics import Finding, Findings, Fix, Span, TooManyFindings
-from deepbots_cli.diagnostics.nearest import KEYS_AND_WORDS, RENAMES, Rename, Replacement, nearest, suggest_replacement
+from deepbots_cli.diagnostics.nearest import FORMER_KEYS_AND_WORDS, RENAMES, Rename, Replacement, nearest_word, suggest_replacement
 from deepbots_cli.document import nodes
 from deepbots_cli.document.hints import GIVE_A_VALUE
-from deepbots_cli.document.nodes import Entry, Node, Path, Scalar, descend, to_data, walk
+from deepbots_cli.document.nodes import Entry, Node, NodePath, ScalarNode, descend, to_data, walk
 from deepbots_cli.scenario.base import (
     LENIENT,
     Forms,
@@ -32,11 +32,11 @@ from deepbots_cli.scenario.base import (
     Section,
     Shape,
     chosen_shape,
-    fields,
     noun_of,
-    sections,
+    section_fields,
     set_paths,
     shape_at,
+    walk_sections,
 )
 from deepbots_cli.scenario.fields import FieldType, error, mismatch
 from deepbots_cli.scenario.scenario import VERSION, Scenario
@@ -65,13 +65,13 @@ _STAND_INS: dict[str, object] = {
 class _Problem:
     """A finding about `path`, with `missing` keys, or with the key that was probably `meant` by an unknown one."""
 
-    path: Path
+    path: NodePath
     finding: Finding
     missing: tuple[str, ...] = ()
     replacement: Replacement | None = None
 
 
-def validate(root: nodes.Mapping, findings: Findings) -> Scenario | None:
+def validate(root: nodes.MappingNode, findings: Findings) -> Scenario | None:
     """Validate `root`; errors go to `findings`.
 
     Returns the scenario. If there are findings, faulty entries are removed from it (`Scenario.pruned` has the paths), and stand-ins
@@ -83,7 +83,7 @@ def validate(root: nodes.Mapping, findings: Findings) -> Scenario | None:
     if not _is_readable(root, findings):
         return None
     data: Any = to_data(root)
-    pruned: set[Path] = set()
+    pruned: set[NodePath] = set()
     _advise(root, data, findings)
 
     for round_number in range(_ROUNDS):
@@ -108,9 +108,9 @@ def validate(root: nodes.Mapping, findings: Findings) -> Scenario | None:
     return None
 
 
-def _is_readable(root: nodes.Mapping, findings: Findings) -> bool:
+def _is_readable(root: nodes.MappingNode, findings: Findings) -> bool:
     node = root.get("deepbots")
-    version = node.value if isinstance(node, Scalar) else None
+    version = node.value if isinstance(node, ScalarNode) else None
     if node is None or not isinstance(version, int) or version <= VERSION:
         return True
     headline = f"this file is written in version {node.span.text[:9]} of the language, and this deepbots reads version {VERSION}"
@@ -118,7 +118,7 @@ def _is_readable(root: nodes.Mapping, findings: Findings) -> bool:
     return False
 
 
-def _prune(data: Any, path: Path, pruned: set[Path], missing: tuple[str, ...] = ()) -> None:
+def _prune(data: Any, path: NodePath, pruned: set[NodePath], missing: tuple[str, ...] = ()) -> None:
     """Remove the entry at `path`; of a list the whole list, since its items keep their numbers."""
     while path and isinstance(path[-1], int):
         path = path[:-1]
@@ -142,7 +142,7 @@ def _prune(data: Any, path: Path, pruned: set[Path], missing: tuple[str, ...] = 
 # Errors to problems
 
 
-def _problem(root: nodes.Mapping, data: Any, error: ErrorDetails) -> _Problem:
+def _problem(root: nodes.MappingNode, data: Any, error: ErrorDetails) -> _Problem:
     """An error of pydantic, of a field type or of a section, in the words of the language."""
     path, kind = error["loc"], error["type"]
     if kind == "missing":
@@ -156,7 +156,7 @@ def _problem(root: nodes.Mapping, data: Any, error: ErrorDetails) -> _Problem:
         key_node = descend(root, path)[1]
         return _Problem(path, Finding("DB101", _key_span(root, path), headline, help, fix=_fix(key_node, near)), replacement=near)
     node, key_node, _ = descend(root, path)
-    at_key = path[-1:] == ("[key]",) and not (isinstance(node, nodes.Mapping) and "[key]" in node.entries)
+    at_key = path[-1:] == ("[key]",) and not (isinstance(node, nodes.MappingNode) and "[key]" in node.entries)
     path = path[:-1] if at_key else path
     context = error["ctx"] if kind.startswith("DB") else _reworded(shape_at(Scenario, data, path), to_data(node), error["msg"])
     kind = context.get("code", kind)
@@ -171,12 +171,12 @@ def _problem(root: nodes.Mapping, data: Any, error: ErrorDetails) -> _Problem:
     elif kind == "DB107":
         headline = f"{'a key' if at_key else f'`{_name_of(path)}`'} {headline}"
     at_key = at_key or kind in ("DB101", "DB102", "DB107")
-    span = _key_span(root, path) if at_key or node.span.begin.line != node.span.finish.line else node.span
+    span = _key_span(root, path) if at_key or node.span.start_position.line != node.span.end_position.line else node.span
     fix = _fix(key_node if at_key else node, near)
     return _Problem(path, Finding(kind, span, headline, help or about_key(data, path), fix=fix), context["missing"])
 
 
-def _key_span(root: nodes.Mapping, path: Path) -> Span:
+def _key_span(root: nodes.MappingNode, path: NodePath) -> Span:
     """The key at `path`, the head of the item of a list, or the first line of the file."""
     node, key, _ = descend(root, path)
     if key is not None and path:
@@ -187,7 +187,9 @@ def _key_span(root: nodes.Mapping, path: Path) -> Span:
 
 
 def _fix(word: Node | None, near: Replacement | None) -> Fix | None:
-    return Fix.replacing(word.part(0, len(word.text)), word.text, near.text, safe=near.safe) if near and isinstance(word, Scalar) else None
+    return (
+        Fix.replacing(word.part(0, len(word.text)), word.text, near.text, safe=near.safe) if near and isinstance(word, ScalarNode) else None
+    )
 
 
 def _reworded(shape: Shape | None, value: object, message: str) -> dict[str, Any]:
@@ -205,34 +207,34 @@ def _reworded(shape: Shape | None, value: object, message: str) -> dict[str, Any
 def _describe(node: Node) -> str:
     """The noun for a node, for `expected ..., found ...`."""
     match node:
-        case nodes.Sequence():
+        case nodes.SequenceNode():
             return "a list"
-        case nodes.Mapping():
+        case nodes.MappingNode():
             return "a mapping"
-        case Scalar(value=bool()):
+        case ScalarNode(value=bool()):
             return f"the truth value `{node.text}`"
-        case Scalar(value=int() | float()):
+        case ScalarNode(value=int() | float()):
             return f"the number `{_shortened(node.text)}`"
-        case Scalar():
+        case ScalarNode():
             return f"the text `{_shortened(node.text)}`"
 
 
-def _typing_hint(node: Node, data: object, path: Path) -> tuple[str, Replacement | None] | None:
+def _typing_hint(node: Node, data: object, path: NodePath) -> tuple[str, Replacement | None] | None:
     """Help and replacement for a typing error that the form of a wrong value shows."""
     match node:
-        case Scalar(style="plain", text=text) if glued := re.fullmatch(r"([A-Za-z_]\w*):(\S.*)", text):
+        case ScalarNode(style="plain", text=text) if glued := re.fullmatch(r"([A-Za-z_]\w*):(\S.*)", text):
             return f"a colon is followed by a space: `{glued[1]}: {glued[2][:60]}`", None
-        case Scalar(style="plain", text=text) if text.endswith(",") and (bare := text.rstrip(", ")):
+        case ScalarNode(style="plain", text=text) if text.endswith(",") and (bare := text.rstrip(", ")):
             return f"a line ends without a comma: `{bare[:60]}`", Replacement(bare, safe=True)
-        case nodes.Sequence(items=items) if items and all(isinstance(item, nodes.Mapping) for item in items):
+        case nodes.SequenceNode(items=items) if items and all(isinstance(item, nodes.MappingNode) for item in items):
             return "; ".join(filter(None, ("remove the dashes to write keys", about_key(data, path)))), None
     return None
 
 
-def _is_follow_up(root: nodes.Mapping, problem: _Problem) -> bool:
+def _is_follow_up(root: nodes.MappingNode, problem: _Problem) -> bool:
     """Whether a key is missing, or a mapping empty, only because its text had a finding and was left out."""
     node = descend(root, problem.path)[0]
-    if not isinstance(node, nodes.Mapping) or not node.partial:
+    if not isinstance(node, nodes.MappingNode) or not node.partial:
         return False
     empty = {key.text for key in node.keys_without_value}
     is_missing = problem.finding.code == "DB102" and (not empty or not empty.isdisjoint(problem.missing))
@@ -245,9 +247,9 @@ def _is_misspelt(problem: _Problem, problems: list[_Problem]) -> bool:
     return any(near is not None and near.text in problem.missing for near in misspelt)
 
 
-def _in_place(root: nodes.Mapping, data: Any, problems: list[_Problem]) -> list[_Problem]:
+def _in_place(root: nodes.MappingNode, data: Any, problems: list[_Problem]) -> list[_Problem]:
     """Replace all problems of a section that is indented into another section by a single one."""
-    moved: dict[Path, _Problem] = {}
+    moved: dict[NodePath, _Problem] = {}
     kept = []
     for problem in problems:
         if path := _displaced(root, data, problem.path):
@@ -258,18 +260,18 @@ def _in_place(root: nodes.Mapping, data: Any, problems: list[_Problem]) -> list[
     return [*moved.values(), *(problem for problem in kept if problem.path or problem.missing not in lacking)]
 
 
-def _displaced(root: nodes.Mapping, data: object, path: Path) -> Path | None:
+def _displaced(root: nodes.MappingNode, data: object, path: NodePath) -> NodePath | None:
     """The first key on the path that is a section which the file lacks, where its name is no key."""
     for depth in range(1, len(path)):
         key, here = path[depth], path[: depth + 1]
-        if key in Scenario.model_fields and key not in root.entries and isinstance(descend(root, here)[0], nodes.Mapping):
+        if key in Scenario.model_fields and key not in root.entries and isinstance(descend(root, here)[0], nodes.MappingNode):
             holder = shape_at(Scenario, data, path[:depth])
             if not isinstance(holder, type) or key not in holder.model_fields:
                 return here
     return None
 
 
-def _together(root: nodes.Mapping, problems: list[_Problem]) -> list[_Problem]:
+def _together(root: nodes.MappingNode, problems: list[_Problem]) -> list[_Problem]:
     """Replace the problems of missing sections by a single one: a new file lacks many. Its notes explain all but the first."""
     lacking = [problem for problem in problems if problem.finding.code == "DB102" and not problem.path]
     if len(lacking) < 2:
@@ -284,16 +286,16 @@ def _together(root: nodes.Mapping, problems: list[_Problem]) -> list[_Problem]:
 # Keys without a value
 
 
-def _advise(root: nodes.Mapping, data: Any, findings: Findings) -> None:
+def _advise(root: nodes.MappingNode, data: Any, findings: Findings) -> None:
     """Add help to the findings about keys without a value; the parser does not know the language."""
     vague = {found.span: found for found in findings if found.code == "DB107" and found.help == GIVE_A_VALUE}
     for path, node in walk(root) if vague else ():
-        for key in node.keys_without_value if isinstance(node, nodes.Mapping) else ():
+        for key in node.keys_without_value if isinstance(node, nodes.MappingNode) else ():
             if found := vague.get(key.span):
                 findings.replace_help(found, _wanted(data, (*path, key.text)))
 
 
-def _wanted(data: object, path: Path) -> str:
+def _wanted(data: object, path: NodePath) -> str:
     """The help for a key without a value."""
     message = about_key(data, path)
     if message is not None and message.startswith(f"`{path[-1]}`"):
@@ -319,7 +321,7 @@ def _wanted(data: object, path: Path) -> str:
 # Wording
 
 
-def _place(path: Path) -> str:
+def _place(path: NodePath) -> str:
     """The place of a key, for a headline."""
     if not path:
         return "at the top level"
@@ -327,7 +329,7 @@ def _place(path: Path) -> str:
     return f"in entry {last + 1} of `{_name_of(path)}`" if isinstance(last, int) else f"in `{_name_of(path)}`"
 
 
-def _name_of(path: Path) -> str:
+def _name_of(path: NodePath) -> str:
     """The innermost key of a path, short enough for a headline."""
     return _shortened(next((step for step in reversed(path) if isinstance(step, str)), ""))
 
@@ -346,22 +348,22 @@ def _keys_of(shape: Shape | None) -> str | None:
     return f"its keys are {_listed(shape.model_fields)}" if isinstance(shape, type) else None
 
 
-def about_key(data: object, path: Path) -> str | None:
+def about_key(data: object, path: NodePath) -> str | None:
     """The sentence about the innermost known key of a path."""
-    from deepbots_cli.scenario.base import description, example_of  # only on the way to a finding
+    from deepbots_cli.scenario.base import example_of, key_description  # only on the way to a finding
 
     steps = next((path[:depth] for depth in range(len(path), 0, -1) if isinstance(path[depth - 1], str)), ())
     section = shape_at(Scenario, data, steps[:-1]) if steps else None
     key = str(steps[-1]) if steps else ""
     if not isinstance(section, type) or key not in section.model_fields:
         return None
-    text = description(section, key).rstrip(".")
+    text = key_description(section, key).rstrip(".")
     example = None if re.search("such as `|`{", text) else example_of(section, key)
     shown = f". Example: `{key}: {example.text}`" if example and "\n" not in example.text and len(example.text) <= _EXEMPLARY else ""
     return f"`{key}`: {text[:1].lower()}{text[1:]}{shown}"
 
 
-def _help_for_unknown(data: object, path: Path) -> str | None:
+def _help_for_unknown(data: object, path: NodePath) -> str | None:
     """The help for an unknown key: where it belongs, the probable key, or the known keys."""
     *_, key = map(str, path)
     parent = path[:-1]
@@ -381,14 +383,14 @@ def _help_for_unknown(data: object, path: Path) -> str | None:
     british = key.replace("color", "colour")
     if british != key and british in known:
         return f"write `{british}`: keys are in British English"
-    near = nearest(key, known)
+    near = nearest_word(key, known)
     belongs = _nearest_home(parent, key)
     if belongs is not None and (near is None or near.replace("_", "") != key.lower().replace("_", "")):
         return f"it belongs {belongs}; {here}"
     return f"did you mean `{near}`? {here}" if near else _keys_of(section)
 
 
-def replacement_for(data: object, path: Path) -> Replacement | None:
+def replacement_for(data: object, path: NodePath) -> Replacement | None:
     """The probable key for an unknown one; not a safe fix if the unknown key exists elsewhere in the language."""
     section = shape_at(Scenario, data, path[:-1])
     if not isinstance(section, type):
@@ -401,13 +403,13 @@ def replacement_for(data: object, path: Path) -> Replacement | None:
 def _homes() -> Mapping[str, frozenset[tuple[str, ...]]]:
     """The paths of the sections that have each key; `*` stands for a name that the user chooses."""
     found: dict[str, set[tuple[str, ...]]] = {}
-    for home, section, _ in sections(Scenario):
+    for home, section, _ in walk_sections(Scenario):
         for key in section.model_fields if isinstance(section, type) else ():
             found.setdefault(key, set()).add(home)
     return {key: frozenset(places) for key, places in found.items()}
 
 
-def _nearest_home(parent: Path, key: str) -> str | None:
+def _nearest_home(parent: NodePath, key: str) -> str | None:
     """The nearest place where this key exists, unless there are many."""
     here = tuple(step for step in parent if isinstance(step, str))
 
@@ -425,7 +427,7 @@ def _nearest_home(parent: Path, key: str) -> str | None:
 # Old spellings
 
 
-def with_new_names(root: nodes.Mapping, findings: Findings) -> nodes.Mapping:
+def with_new_names(root: nodes.MappingNode, findings: Findings) -> nodes.MappingNode:
     """The tree under the new names; DB109 for each old one.
 
     Raises:
@@ -434,37 +436,37 @@ def with_new_names(root: nodes.Mapping, findings: Findings) -> nodes.Mapping:
     if not any(_holds_old_word(node) for _, node in walk(root)):
         return root
     renamed = _with_new_names(root, Scenario, findings)
-    assert isinstance(renamed, nodes.Mapping)  # as it was
+    assert isinstance(renamed, nodes.MappingNode)  # as it was
     return renamed
 
 
 def _holds_old_word(node: Node) -> bool:
     match node:
-        case nodes.Mapping():
-            return not KEYS_AND_WORDS.isdisjoint(node.entries)
-        case Scalar():
-            return node.text in KEYS_AND_WORDS
-        case nodes.Sequence():
+        case nodes.MappingNode():
+            return not FORMER_KEYS_AND_WORDS.isdisjoint(node.entries)
+        case ScalarNode():
+            return node.text in FORMER_KEYS_AND_WORDS
+        case nodes.SequenceNode():
             return False
 
 
 def _with_new_names(node: Node, shape: Shape | None, findings: Findings) -> Node:
-    if isinstance(node, nodes.Mapping) and isinstance(shape, Kinds):
+    if isinstance(node, nodes.MappingNode) and isinstance(shape, Kinds):
         node = _with_new_kind(node, shape, findings)
     shape = None if shape is None else chosen_shape(shape, to_data(node))
     match shape, node:
-        case ListOf(item=item), nodes.Sequence():
-            return nodes.Sequence(node.span, tuple(_with_new_names(each, item, findings) for each in node.items))
-        case MappingOf(value=value), nodes.Mapping():
+        case ListOf(item=item), nodes.SequenceNode():
+            return nodes.SequenceNode(node.span, tuple(_with_new_names(each, item, findings) for each in node.items))
+        case MappingOf(value=value), nodes.MappingNode():
             entries = {key: Entry(entry.key, _with_new_names(entry.value, value, findings)) for key, entry in node.entries.items()}
             return replace(node, entries=entries)
-        case type(), nodes.Mapping():
+        case type(), nodes.MappingNode():
             return _section(node, shape, findings)
         case _:
             return node
 
 
-def _section(node: nodes.Mapping, section: type[Section], findings: Findings) -> nodes.Mapping:
+def _section(node: nodes.MappingNode, section: type[Section], findings: Findings) -> nodes.MappingNode:
     entries: dict[str, Entry] = {}
     for name, entry in node.entries.items():
         rename = next((each for each in RENAMES if each.old == name and _is_key_of(each, section)), None)
@@ -473,17 +475,17 @@ def _section(node: nodes.Mapping, section: type[Section], findings: Findings) ->
             is_twice = other is not None and other.key.span.source is entry.key.span.source
             entry = Entry(_renamed(entry.key, rename, findings, fixed=not is_twice), entry.value)
         key = entry.key.text if rename else name
-        below = fields(section).get(key)
+        below = section_fields(section).get(key)
         word = next((each for each in RENAMES if each.key == key and _is_word_of(each, section, entry.value)), None)
-        value = _renamed(entry.value, word, findings) if word and isinstance(entry.value, Scalar) else entry.value
+        value = _renamed(entry.value, word, findings) if word and isinstance(entry.value, ScalarNode) else entry.value
         entries[key] = Entry(entry.key, _with_new_names(value, below, findings))  # of two files, the one that extends the other wins
     return replace(node, entries=entries)
 
 
-def _with_new_kind(node: nodes.Mapping, kinds: Kinds, findings: Findings) -> nodes.Mapping:
+def _with_new_kind(node: nodes.MappingNode, kinds: Kinds, findings: Findings) -> nodes.MappingNode:
     """The mapping with the new word for its kind."""
     entry = node.entries.get(kinds.key)
-    if entry is None or not isinstance(entry.value, Scalar) or entry.value.text in kinds.models:
+    if entry is None or not isinstance(entry.value, ScalarNode) or entry.value.text in kinds.models:
         return node
     for rename in RENAMES:
         model = kinds.models.get(rename.new)
@@ -498,18 +500,18 @@ def _is_key_of(rename: Rename, section: type[Section]) -> bool:
     owner = next((base for base in section.__mro__ if base.__name__ == rename.section), None)
     if owner is None or rename.key or rename.old in section.model_fields:
         return False
-    return fields(section).get(rename.new) == fields(owner)[rename.new]
+    return section_fields(section).get(rename.new) == section_fields(owner)[rename.new]
 
 
 def _is_word_of(rename: Rename, section: type[Section], value: Node) -> bool:
-    return isinstance(value, Scalar) and value.text == rename.old and _is_below(section, rename.section)
+    return isinstance(value, ScalarNode) and value.text == rename.old and _is_below(section, rename.section)
 
 
 def _is_below(section: type[Section], name: str) -> bool:
     return any(base.__name__ == name for base in section.__mro__)
 
 
-def _renamed(node: Scalar, rename: Rename, findings: Findings, *, fixed: bool = True) -> Scalar:
+def _renamed(node: ScalarNode, rename: Rename, findings: Findings, *, fixed: bool = True) -> ScalarNode:
     span = node.part(0, len(node.text))
     fix = Fix.replacing(span, rename.old, rename.new, safe=True) if fixed else None
     help = f"write `{rename.new}`" if fixed else f"keep one of `{rename.old}` and `{rename.new}`, under the new name"

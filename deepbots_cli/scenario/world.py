@@ -28,7 +28,7 @@ from deepbots_cli.scenario.fields import (
     SharedName,
     Thickness,
     Timestep,
-    Whole,
+    WholeNumber,
     Word,
 )
 
@@ -156,11 +156,11 @@ class World(Section):
 
     timestep: Timestep
     """Time of one control step: robots sense and act this often, such as `32 ms`."""
-    substeps: Annotated[int, Whole(1, 10_000)] = 1
+    substeps: Annotated[int, WholeNumber(1, 10_000)] = 1
     """Physics steps in one timestep."""
     engine: Annotated[str, Word(ENGINES)] | None = None
     """Physics engine; by default `pybullet`. `--engine` on the command line overrides it."""
-    gravity: Annotated[Scalar, Quantity("acceleration", 3, "episode", like="0 0 -9.81 m/s^2")] = "0 0 -9.81 m/s^2"
+    gravity: Annotated[Scalar, Quantity("acceleration", 3, "episode", example_text="0 0 -9.81 m/s^2")] = "0 0 -9.81 m/s^2"
     """Gravity in the world frame, m/s^2."""
     ground: Ground = Field(default_factory=Ground)
     """The plane that everything stands on."""

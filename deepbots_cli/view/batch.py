@@ -9,28 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from deepbots_cli import api
 from deepbots_cli.errors import UsageError
+from deepbots_cli.program import Program
 from deepbots_cli.runtime import Supervisor
-from deepbots_cli.runtime.batch import Direct, columns_array
+from deepbots_cli.runtime.batch import BatchChannel, columns_array
 from deepbots_cli.runtime.streams import derive_seed
-from deepbots_cli.view.episodes import HAND, POLICY, RANDOM, ZERO, Driver, Player, Scripted, Trained
+from deepbots_cli.view.episodes import HAND, POLICY, RANDOM, ZERO, Driver, Player, Trained, composed
 from deepbots_cli.view.frames import FrameReader, Message, WorldFrame, row_of
-
-
-class Together:
-    """Drivers of single worlds as the driver of a batch."""
-
-    note = ""
-
-    def __init__(self, drivers: Sequence[Driver]) -> None:
-        self._drivers = drivers
-
-    def begin(self, seed: int) -> None:
-        for driver in self._drivers:
-            driver.begin(seed)
-
-    def act(self, observation: Any) -> Any:
-        return _joined([driver.act(None) for driver in self._drivers])
 
 
 class BatchPlayer(Player):
@@ -40,8 +26,8 @@ class BatchPlayer(Player):
     rests until the next episodes begin.
     """
 
-    def _make(self) -> Supervisor:
-        self.batch = self.opened.make_batch()
+    def _make(self, program: Program) -> Supervisor:
+        self.batch = api.build_batch(program, self.opened.source.worlds, engine=self.opened.source.engine or "mujoco")
         self.worlds = self.batch.count
         self._readers: dict[int, FrameReader] = {}
         return self.batch.singles[0]
@@ -57,12 +43,11 @@ class BatchPlayer(Player):
         Raises:
             UsageError: It is a script, which reads what only a single world computes.
         """
-        if name == HAND:
-            self.driver = Together([self.hand] * self.worlds)
-        elif name == POLICY:
+        if name == POLICY and self.opened.run is not None:
             self.driver = Trained(self.opened.run, self.env, rows=self.worlds)
-        elif name in (RANDOM, ZERO):
-            self.driver = Together([Scripted(single, name) for single in self.batch.singles])
+        elif name in (HAND, RANDOM, ZERO):
+            each = [self._acting(single, name) for single in self.batch.singles]
+            self.driver = Driver(lambda: _joined([act() for act in each]))
         else:
             raise UsageError(f"'{name}' cannot act in a batch of worlds; use {', '.join(self.opened.drivers)}, or leave out --worlds")
         self.driver_name = name
@@ -83,7 +68,7 @@ class BatchPlayer(Player):
         self._rewards, self._returns = np.zeros(self.worlds), np.zeros(self.worlds)
         self._terms = np.zeros((len(self.batch.TERMS), self.worlds))
         self.action = None
-        self.driver.begin(seed)
+        self.driver.begin(None)
         self._turn_to(self.world)  # before the reset, whose messages its reader keeps
         self.observation = self.batch.reset(self._seeds)
         return self._read()
@@ -92,7 +77,7 @@ class BatchPlayer(Player):
         return episode + self.worlds
 
     def step(self, *, by_hand: bool = False) -> WorldFrame:
-        self.action = _joined([self.hand.act(None)] * self.worlds) if by_hand else self.driver.act(self.observation)
+        self.action = _joined([composed(self.env, self.hand)] * self.worlds) if by_hand else self.driver.act(self.observation)
         outcome = self.batch.advance(self.action, self._resting if self._resting.any() else None)
         acting = ~self._resting
         self._rewards[acting], self._terms[:, acting] = outcome.rewards[acting], outcome.terms[:, acting]
@@ -144,7 +129,7 @@ class BatchPlayer(Player):
         """The newest message; one that may be late or lost passed through the channel of the single world."""
         robot, _, direction = key.partition("/")
         channel = self.batch.channels[robot, direction]
-        if not isinstance(channel, Direct):
+        if not isinstance(channel, BatchChannel):
             return message
         columns = [columns_array(value, self.worlds) for value in channel.receive()]
         return Message(tuple(float(x) for column in columns for x in np.atleast_1d(column[..., self.world])), 0.0, True)

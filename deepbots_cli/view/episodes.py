@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from gymnasium.vector.utils import batch_space
 
 from deepbots_cli import api
-from deepbots_cli.compiler import Checked
+from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import EngineError, MissingExtraError, RunError, ScenarioError, UsageError
@@ -27,7 +26,6 @@ from deepbots_cli.view.frames import FrameReader, WorldFrame
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.run import ModelName, Run
-    from deepbots_cli.runtime.batch import BatchSupervisor
 
 RANDOM, ZERO, HAND, POLICY, RECORDED = "random", "zero", "you", "policy", "recording"
 """Drivers besides the scripts of a scenario. `zero` is the middle of each range and the first option of each choice."""
@@ -77,7 +75,7 @@ class Source:
         parameters = {name: str(value) for name, value in checked.spec.parameters.items()} if checked.spec else {}
         return Opened(self._chosen(compiled.program), compiled.findings, files, self, run, compiled=compiled, parameters=parameters)
 
-    def _kept(self, folder: Path) -> Checked:
+    def _kept(self, folder: Path) -> CheckedScenario:
         """The scenario of a run or a recording, which reads only files of its folder."""
         # The functions of Python that it names are not called before a world is built, which asks again whether they may.
         return api.load(folder / "resolved.yaml", project=folder, sets=self.sets, allow_paths=self.allow_paths, allow_code=True)
@@ -123,26 +121,15 @@ class Opened:
         scripts = [script.name for script in self.program.policy.scripts] if self.program and not self.source.worlds else []
         return (*([POLICY] if self.run else []), *scripts, RANDOM, ZERO, HAND)
 
-    def make(self) -> Supervisor:
-        """An environment of the program.
+    def checked(self) -> api.Compiled:
+        """The compiled scenario.
 
         Raises:
-            ScenarioError: There is no program.
+            ScenarioError: It has errors.
         """
-        if self.program is None:
+        if self.compiled is None:
             raise ScenarioError(self.findings)
-        engine = self.source.engine or (self.run.engine_for(self.program) if self.run else None)
-        return api.build(self.program, engine=engine, allow_code=self.source.allow_code)
-
-    def make_batch(self) -> BatchSupervisor:
-        """A batch of worlds of the program.
-
-        Raises:
-            ScenarioError, BatchError: There is no program, or a batch cannot hold it.
-        """
-        if self.program is None:
-            raise ScenarioError(self.findings)
-        return api.build_batch(self.program, self.source.worlds, engine=self.source.engine or "mujoco")
+        return self.compiled
 
     def player(self, driver: str | None = None) -> Player:
         """A player of it.
@@ -162,84 +149,25 @@ class Opened:
 
         return Replayed(self)
 
-    def texts(self) -> tuple[str, Mapping[str, bytes], str]:
-        """The resolved scenario, the files that it names, and its digest.
 
-        Raises:
-            ScenarioError: There is no program.
-        """
-        if self.compiled is None:
-            raise ScenarioError(self.findings)
-        return self.compiled.resolved, self.compiled.inputs, self.compiled.digest
+class Driver:
+    """Takes the actions of an episode from a function. `note` is what a person should know, in words."""
 
+    note = ""
 
-class Driver(Protocol):
-    """Chooses the actions of an episode. `note` is what a person should know of it, in words."""
+    def __init__(self, act: Callable[[], Any]) -> None:
+        self._act = act
 
-    note: str
-
-    def begin(self, seed: int) -> None:
-        """Called before the reset of an episode."""
+    def begin(self, number: int | None) -> None:
+        """Called before the reset of an episode; `number` is that in an evaluation, None outside of one."""
 
     def act(self, observation: Any) -> Any:
         """The next action, in the action space."""
+        return self._act()
 
 
-class Scripted:
-    """Random, zero or scripted actions."""
-
-    note = ""
-
-    def __init__(self, env: Supervisor, name: str) -> None:
-        if name == RANDOM:
-            self._next = env.action_space.sample  # seeded by the reset
-        elif name == ZERO:
-            self._next = partial(composed, env, {})
-        else:
-            env.scenario.script(name)
-            self._next = partial(env.script, name)
-
-    def begin(self, seed: int) -> None:
-        """Nothing: the reset seeds the action space."""
-
-    def act(self, observation: Any) -> Any:
-        return self._next()
-
-
-class Repeated:
-    """The actions of an earlier episode."""
-
-    note = ""
-
-    def __init__(self, actions: Iterable[Any]) -> None:
-        self._actions = iter(actions)
-
-    def begin(self, seed: int) -> None:
-        """Nothing."""
-
-    def act(self, observation: Any) -> Any:
-        return next(self._actions)
-
-
-class ManualDriver:
-    """A person: `values` holds an option by its index for each choice, and a number from -1 to 1 for each component of a range."""
-
-    note = ""
-
-    def __init__(self, env: Supervisor) -> None:
-        self._env = env
-        self.values: dict[str, float] = {}
-
-    def begin(self, seed: int) -> None:
-        """Nothing is left of the last episode."""
-        self.values.clear()
-
-    def act(self, observation: Any) -> Any:
-        return composed(self._env, self.values)
-
-
-def composed(env: Supervisor, values: dict[str, float]) -> Any:
-    """The action with these values by the names of action fields; others are 0."""
+def composed(env: Supervisor, values: Mapping[str, float]) -> Any:
+    """The action with these values by the names of action fields: the index of an option, or a number from -1 to 1; others are 0."""
     choices, ranges = [], []
     for part in env.scenario.policy.action:
         if isinstance(part, Choices):
@@ -249,53 +177,42 @@ def composed(env: Supervisor, values: dict[str, float]) -> Any:
     return env.acting(choices, ranges)
 
 
-class Trained:
-    """The best policy of a run, which takes its likeliest actions; while the run is trained, the newest one of each episode."""
+class Trained(Driver):
+    """The best policy of a run, which acts as in an evaluation; while the run is trained, the newest one of each episode."""
 
     def __init__(self, run: Any, env: Supervisor, rows: int = 0) -> None:
         """`rows` are the worlds of a batch, which one forward pass acts in."""
         try:
-            from deepbots_cli.learning import algorithms, evaluation, models
+            from deepbots_cli.learning import evaluation, models
             from deepbots_cli.learning.run import Record
         except ModuleNotFoundError as error:
             raise MissingExtraError("train", "showing the policy of a run") from error
         if differences := identity.differences(run.program, env.scenario):
             raise RunError(f"the policy of {run.path} does not fit the changed scenario:\n  " + "\n  ".join(differences))
-        self._load, self._takes_masks, self._steps_of = evaluation.load, algorithms.takes_masks, models.steps_of
-        self._run, self._env, self._record = run, env, Record.read
+        self._load, self._acting, self._steps_of, self._record = evaluation.load, evaluation.acting, models.steps_of, Record.read
+        self._run, self._env, self._rows = run, env, rows
         self._model: Any = None
         self._stamp: tuple[int, int] | None = None
-        self._agents = rows or (len(env.agents) if next(iter(env.agents.values())) is not env else 0)
-        self._actions = batch_space(env.action_space, rows) if rows else env.action_space
-        self.note = ""
-        self.begin(0)
+        self.begin(None)
 
-    def begin(self, seed: int) -> None:
-        self._memory: Any = None
-        self._starts = np.ones(self._agents or 1, dtype=bool)
+    def begin(self, number: int | None) -> None:
         running = self._record(self._run.path).status == "running"
         names: tuple[ModelName, ...] = ("best", "last")
         found = {name: stamp for name in names if (stamp := stamps([path := self._run.model(name)])[path]) is not None}
         name = next(iter(found if not running else sorted(found, key=found.__getitem__, reverse=True)), None)
         if name is not None and found[name] != self._stamp:
             self._model, self._stamp = self._load(self._run, name, self._env), found[name]
-            self._masked = self._takes_masks(self._model)
             self.note = f"policy after {self._steps_of(self._run.model(name)):,} steps" if running else ""
-        if self._model is None and not running:
+        if self._model is not None:
+            self._policy = self._acting(self._model, self._env, number=number, rows=self._rows)
+        elif running:
+            space = batch_space(self._env.action_space, self._rows) if self._rows else self._env.action_space
+            self._policy, self.note = lambda observation: space.sample(), "the training has saved no policy yet: random actions"
+        else:
             raise RunError(f"{self._run.path} holds no model yet; train it, or show its scenario")
-        if self._model is None:
-            self.note = "the training has saved no policy yet: random actions"
 
     def act(self, observation: Any) -> Any:
-        if self._model is None:
-            return self._actions.sample()
-        masks = {}
-        if self._masked:
-            allowed = self._env.action_masks()
-            masks = {"action_masks": allowed.reshape(self._agents, -1) if self._agents else allowed}
-        action, self._memory = self._model.predict(observation, state=self._memory, episode_start=self._starts, deterministic=True, **masks)
-        self._starts = np.zeros_like(self._starts)
-        return action
+        return self._policy(observation)
 
 
 class Player:
@@ -313,11 +230,14 @@ class Player:
         Raises:
             ScenarioError, EngineError, UsageError: As for `api.make`, or there is no such driver.
         """
+        if opened.program is None:
+            raise ScenarioError(opened.findings)
         self.opened = opened
-        self.env = self._make()
+        self.env = self._make(opened.program)
         self.program = self.env.scenario
-        self.hand = ManualDriver(self.env)
-        self.driver: Driver = self.hand
+        self.hand: Mapping[str, float] = {}
+        """What a person commands, as `composed` takes it."""
+        self.driver = Driver(lambda: composed(self.env, self.hand))
         self.observation: Any = None
         self.action: Any = None
         """What the last step of the environment gave and took."""
@@ -330,8 +250,9 @@ class Player:
             self.close()
             raise
 
-    def _make(self) -> Supervisor:
-        return self.opened.make()
+    def _make(self, program: Program) -> Supervisor:
+        run, source = self.opened.run, self.opened.source
+        return api.build(program, engine=source.engine or (run.engine_for(program) if run else None), allow_code=source.allow_code)
 
     def _reader(self) -> FrameReader:
         return FrameReader(self.env)
@@ -344,17 +265,26 @@ class Player:
         """
         if name == POLICY and self.opened.run is None:
             raise UsageError("only a run has a policy")
+        self.driver = Trained(self.opened.run, self.env) if name == POLICY else Driver(self._acting(self.env, name))
         self.driver_name = name
-        self.driver = self.hand if name == HAND else Trained(self.opened.run, self.env) if name == POLICY else Scripted(self.env, name)
+
+    def _acting(self, env: Supervisor, name: str) -> Callable[[], Any]:
+        """The actions of a driver other than the policy."""
+        if name == RANDOM:
+            return env.action_space.sample  # seeded by the reset
+        if name in (HAND, ZERO):
+            return lambda: composed(env, self.hand if name == HAND else {})
+        env.scenario.script(name)
+        return partial(env.script, name)
 
     def begin(self, seed: int, episode: int) -> WorldFrame:
         """Reset to an episode; its first frame."""
-        return self.start(derive_seed(seed, "evaluation", episode))
+        return self.start(derive_seed(seed, "evaluation", episode), episode)
 
-    def start(self, seed: int) -> WorldFrame:
+    def start(self, seed: int, number: int | None = None) -> WorldFrame:
         """Reset to the episode of a seed; its first frame."""
         self.seed, self.action, self.actions = seed, None, []
-        self.driver.begin(seed)
+        self.driver.begin(number)
         self.observation, _ = self.env.reset(seed=seed)
         self.frame = self.reader.read(self.observation)
         return self.frame
@@ -365,7 +295,7 @@ class Player:
 
     def step(self, *, by_hand: bool = False) -> WorldFrame:
         """The frame after the next step of an episode that has not ended; `by_hand` lets a person act instead of the driver."""
-        self.action = (self.hand if by_hand else self.driver).act(self.observation)
+        self.action = composed(self.env, self.hand) if by_hand else self.driver.act(self.observation)
         self.actions.append(self.action)
         self.observation, *_ = self.env.step(self.action)
         self.frame = self.reader.read(self.observation, self.action)
@@ -394,7 +324,7 @@ class Player:
     def ways(self) -> list[list[tuple[float, float]]]:
         """The shortest paths (points in m) whose lengths the scenario reads with `path_distance`."""
         found = (getattr(agent, "ways", None) for agent in self.env.agents.values())
-        return [points for ways in found if isinstance(ways, Ways) for points in ways.shown()]
+        return [points for ways in found if isinstance(ways, Ways) for points in ways.last_read_paths()]
 
     def episode(self, seed: int, episode: int, steps: int | None = None) -> Iterator[WorldFrame]:
         """The frames of an episode, at most those of so many steps."""

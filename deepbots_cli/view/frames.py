@@ -140,7 +140,7 @@ class WorldFrame:
 def observation_fields(program: Program) -> tuple[Field, ...]:
     """The numbers of the newest observation, then those of the goal."""
     policy = program.policy
-    named = [Field(n.full_name, n.name, 0.0 if n.truth else n.low, 1.0 if n.truth else n.high, n.unit) for n in policy.numbers]
+    named = [Field(n.full_name, n.name, 0.0 if n.is_truth else n.low, 1.0 if n.is_truth else n.high, n.unit) for n in policy.numbers]
     goal = policy.goal
     for word in ("achieved", "desired") if goal else ():
         parts = goal.components or ("",) if goal else ()
@@ -209,21 +209,26 @@ class FrameReader:
         }
         touching = [(name, link.name) for name, model in models.items() for link in model.links if link.collisions]
         self._forces = {part: engine.contact_force(part) for part in touching} if "contacts" in engine.capabilities else {}
-        self._controllers = {
-            copy if policy.copies and policy.copies.robot == name else name: controller
-            for copy, agent in env.agents.items()
-            for name, controller in agent.controllers.items()
-        }
+
+        def called(body: str, agent: str) -> str:
+            """What a body of an agent is called: a copy of a robot has the name of its agent."""
+            return agent if policy.copies and policy.copies.robot == body else body
+
+        controllers = {called(name, copy): each for copy, agent in env.agents.items() for name, each in agent.controllers.items()}
+        devices = {f"{body}.{name}": device for body, each in controllers.items() for name, device in each.devices.items()}
+        cameras = {f"{body}.{sensor.name}" for body, each in controllers.items() for sensor in each.spec.sensors if sensor.optics}
+        self._cameras = {key: device for key, device in devices.items() if key in cameras}
+        self._sensors = {key: device for key, device in devices.items() if key not in cameras}
         self._taps: dict[str, tuple[Channel | LossyChannel, MessageRecorder]] = {}
         for copy, agent in env.agents.items():
             for (name, direction), channel in agent.channels.items():
                 assert channel.wire is not None  # only those of tests have none
                 tap = MessageRecorder(channel.wire)
                 channel.wire = cast("FieldCodec", tap)
-                self._taps[f"{copy if policy.copies and policy.copies.robot == name else name}/{direction}"] = channel, tap
+                self._taps[f"{called(name, copy)}/{direction}"] = channel, tap
         beams = {
             f"{body}.{sensor.name}": _beams((body, sensor.subjects[0]), sensor)
-            for body, controller in self._controllers.items()
+            for body, controller in controllers.items()
             for sensor in controller.spec.sensors
             if sensor.beams and sensor.subjects[0] in {link.name for link in models[body].links}
         }
@@ -237,7 +242,7 @@ class FrameReader:
             for disturbance in program.disturbances:
                 found = getattr(agent, f"push_{disturbance.name}", None)
                 if isinstance(found, Push):
-                    body = name if policy.copies and disturbance.body == policy.copies.robot else disturbance.body
+                    body = called(disturbance.body, name)
                     self._pushes.append(((body, disturbance.link or (models[body].root if body in models else body)), found))
         self._pooled = {thing.name for thing in world.objects if thing.pooled}
         self._variants = {thing.name: thing.variants[0].name for thing in world.objects if thing.variants}
@@ -248,9 +253,8 @@ class FrameReader:
     def read(self, observation: Any, action: Any = None) -> WorldFrame:
         """The frame of this moment, given the observation that `reset` or `step` returned and the action of the step."""
         env = self.env
-        arrangement = next(
-            (a for a in (getattr(agent, "bodies", None) for agent in env.agents.values()) if isinstance(a, Arrangement)), None
-        )
+        bodies = [getattr(agent, "bodies", None) for agent in env.agents.values()]
+        arrangement = next((found for found in bodies if isinstance(found, Arrangement)), None)
         absent = self._pooled - set(arrangement.placed) if arrangement else self._pooled
         chosen: Mapping[str, Variant] = arrangement.forms.chosen if arrangement else {}
         forces = {part: read() for part, read in self._forces.items()}
@@ -266,12 +270,12 @@ class FrameReader:
             links={part: read() for part, read in self._poses.items() if part[0] not in absent},
             joints={name: tuple(float(state[0]) for state in read()) for name, read in self._joints.items()},
             rays={key: tuple(map(float, read())) for key, read in self._rays.items()},
-            readings=self._readings(),
+            readings={key: tuple(map(float, sensor.reading)) for key, sensor in self._sensors.items()},
             forces={part: force for part, force in forces.items() if force > 0.0},
             pushes=tuple((part, force) for part, push in self._pushes if (force := push.acting) != STILL),
             variants=self._variants | {body: variant.name for body, variant in chosen.items() if body in self._variants},
             messages={key: tap.message(channel) for key, (channel, tap) in self._taps.items()},
-            cameras=self._cameras(),
+            cameras={key: _image(camera.reading) for key, camera in self._cameras.items()},
             drawn={
                 f"{name}/{key}" if several else key: value
                 for name, agent in env.agents.items()
@@ -282,23 +286,6 @@ class FrameReader:
             is_success=env.is_success,
             truncated=env.truncated,
         )
-
-    def _cameras(self) -> dict[str, Image]:
-        return {
-            f"{body}.{name}": np.asarray(device.reading[0] if isinstance(device.reading, list | tuple) else device.reading)
-            for body, controller in self._controllers.items()
-            for name, device in controller.devices.items()
-            if any(sensor.name == name and sensor.optics for sensor in controller.spec.sensors)
-        }
-
-    def _readings(self) -> dict[str, tuple[float, ...]]:
-        found = {}
-        for body, controller in self._controllers.items():
-            images = {sensor.name for sensor in controller.spec.sensors if sensor.optics}
-            for name, device in controller.devices.items():
-                if name not in images:
-                    found[f"{body}.{name}"] = tuple(float(value) for value in device.reading)
-        return found
 
     def _agent(self, agent: Supervisor, seen: Any, done: Any, episode_return: float) -> AgentFrame:
         vector, goal = seen, []
@@ -331,6 +318,10 @@ class FrameReader:
         )
 
 
+def _image(reading: Any) -> Image:
+    return np.asarray(reading[0] if isinstance(reading, list | tuple) else reading)
+
+
 def row_of(value: Any, row: int) -> Any:
     """The part of one agent or world of the observation or action of all; None stays None."""
     if isinstance(value, dict):
@@ -342,7 +333,7 @@ def _newest(program: Program) -> tuple[NDArray[np.intp], list[bool]]:
     """Where the newest value of each number stands in the observation, and whether it is a truth value."""
     numbers = program.policy.numbers
     places = [at for at, (_, age) in enumerate(policy_inputs(numbers, program.policy.frame_stack)) if age == 0]
-    return np.array(places, np.intp), [number.truth for number in numbers]
+    return np.array(places, np.intp), [number.is_truth for number in numbers]
 
 
 def _beams(part: LinkName, sensor: Sensor) -> tuple[Beams, Sequence[Frame]]:

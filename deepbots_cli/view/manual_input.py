@@ -4,35 +4,52 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from deepbots_cli.view.frames import Field
-from deepbots_cli.view.server import Axes, Keys
 
+Keys = frozenset[str]
+Axes = tuple[float, ...]
 RELEASED_AFTER = 0.25  # s; keys and gamepads are sent 20 times a second while they are held
-_PAIRS = (("KeyW", "KeyS"), ("KeyD", "KeyA"), ("KeyR", "KeyF"), ("KeyT", "KeyG"), ("KeyY", "KeyH"))
-_ARROWS = (("ArrowUp", "ArrowDown"), ("ArrowRight", "ArrowLeft"))
-_GAMEPAD = ((1, -1.0), (0, 1.0), (3, -1.0), (2, 1.0))
-"""The axis of a gamepad for each range, and its sign: up and right are positive."""
-_WORDS = {
-    "up": ("forward", "forwards", "ahead", "up", "gas", "faster", "push"),
-    "down": ("backward", "backwards", "back", "down", "reverse", "brake", "slower", "pull"),
-    "left": ("left", "turn_left", "rotate_left", "ccw"),
-    "right": ("right", "turn_right", "rotate_right", "cw"),
-    "": ("stop", "none", "idle", "coast", "stay", "wait", "keep", "hold", "nothing"),
-}
-_KEYS_OF = {"up": ("KeyW", "ArrowUp"), "down": ("KeyS", "ArrowDown"), "left": ("KeyA", "ArrowLeft"), "right": ("KeyD", "ArrowRight")}
+
+
+class Binding(NamedTuple):
+    """The keys that push a range up and down, and an axis of a gamepad with its sign: up and right are positive."""
+
+    more: tuple[str, ...]
+    less: tuple[str, ...]
+    axis: int
+    sign: float
+
+
+_RANGES = (
+    Binding(("KeyW", "ArrowUp"), ("KeyS", "ArrowDown"), 1, -1.0),
+    Binding(("KeyD", "ArrowRight"), ("KeyA", "ArrowLeft"), 0, 1.0),
+    Binding(("KeyR",), ("KeyF",), 3, -1.0),
+    Binding(("KeyT",), ("KeyG",), 2, 1.0),
+    Binding(("KeyY",), ("KeyH",), 4, 1.0),
+)
+_OPTIONS = (
+    (_RANGES[0].more, ("forward", "forwards", "ahead", "up", "gas", "faster", "push")),
+    (_RANGES[0].less, ("backward", "backwards", "back", "down", "reverse", "brake", "slower", "pull")),
+    (_RANGES[1].less, ("left", "turn_left", "rotate_left", "ccw")),
+    (_RANGES[1].more, ("right", "turn_right", "rotate_right", "cw")),
+)
+"""The keys of options with such names."""
+_IDLE = ("stop", "none", "idle", "coast", "stay", "wait", "keep", "hold", "nothing")
+_DIGITS = tuple(f"Digit{number}" for number in range(1, 10))
+KEYS = sorted({*_DIGITS, *(key for binding in _RANGES for key in (*binding.more, *binding.less))})
 
 
 class ManualInput:
     """What a person commands: sliders and buttons as a base, over which keys and gamepads have precedence while they are held."""
 
     def __init__(self, fields: Sequence[Field]) -> None:
+        ranges = [field for field in fields if not field.options]
+        self.ranges = {field.name: _RANGES[:2] if len(ranges) == 1 else _RANGES[place : place + 1] for place, field in enumerate(ranges)}
         self._choices = [field for field in fields if field.options]
-        self._ranges = [field for field in fields if not field.options]
-        self.base = {field.name: 0.0 for field in fields}
-        for field in self._choices:
-            self.base[field.name] = float(_option(field, "") or 0)
         self._held: tuple[Keys, Axes, float] = (frozenset(), (), 0.0)
+        self.base = {field.name: float(_option(field, _IDLE) or 0) for field in fields}
 
     def hold(self, keys: Keys, axes: Axes) -> None:
         """Take what is held now; nothing is once no message came for `RELEASED_AFTER`."""
@@ -49,42 +66,35 @@ class ManualInput:
         if not self.is_held:
             return values
         keys, axes, _ = self._held
-        for number, field in enumerate(self._ranges):
-            pairs = [*_PAIRS[number : number + 1], *(_ARROWS if len(self._ranges) == 1 else _ARROWS[number : number + 1])]
-            pushed: float = sum((more in keys) - (less in keys) for more, less in pairs)
-            axis, sign = _GAMEPAD[number] if number < len(_GAMEPAD) else (len(axes), 1.0)
-            pushed += sign * axes[axis] if axis < len(axes) else 0.0
+        for name, bindings in self.ranges.items():
+            pushed = 0.0
+            for more, less, axis, sign in bindings:
+                pushed += bool(keys & {*more}) - bool(keys & {*less}) + (sign * axes[axis] if axis < len(axes) else 0.0)
             if pushed:
-                values[field.name] = min(1.0, max(-1.0, pushed))
+                values[name] = min(1.0, max(-1.0, pushed))
         for field in self._choices:
-            wanted = next(
-                (found for way, codes in _KEYS_OF.items() if keys & {*codes} and (found := _option(field, way)) is not None), None
-            )
-            if field is self._choices[0]:
-                digits = [n for n in range(len(field.options)) if f"Digit{n + 1}" in keys]
-                wanted = digits[0] if digits else wanted
+            wanted = next((option for codes, option in self._keys_of(field) if keys & {*codes}), None)
             if wanted is not None:
-                values[field.name] = self.base[field.name] = float(wanted)
-                if _option(field, "") is not None:  # released, it goes back to doing nothing
-                    self.base[field.name] = float(_option(field, "") or 0)
+                idle = _option(field, _IDLE)  # released, it goes back to doing nothing
+                values[field.name], self.base[field.name] = float(wanted), float(wanted if idle is None else idle)
         return values
+
+    def _keys_of(self, field: Field) -> list[tuple[tuple[str, ...], int]]:
+        """Keys and the option that they choose: digits for the first choice, directions for options that are called so."""
+        digits = [((digit,), number) for number, digit in enumerate(_DIGITS[: len(field.options)]) if field is self._choices[0]]
+        return digits + [(codes, found) for codes, words in _OPTIONS if (found := _option(field, words)) is not None]
 
     def help(self) -> str:
         """Which keys drive what, in a line."""
-        parts = [
-            f"{more[-1]}/{less[-1]}{' or arrows' if number < 2 else ''}: {field.name}"
-            for number, (field, (more, less)) in enumerate(zip(self._ranges, _PAIRS, strict=False))
-        ]
+        parts = []
+        for name, bindings in self.ranges.items():
+            pairs = ", ".join(f"{more[0][-1]}/{less[0][-1]}" for more, less, *_ in bindings)
+            parts += [f"{pairs}{' or arrows' if bindings[0] in _RANGES[:2] else ''}: {name}"] if bindings else []
         for field in self._choices:
-            named = [
-                f"{codes[0][-1]}: {field.options[found]}" for way, codes in _KEYS_OF.items() if (found := _option(field, way)) is not None
-            ]
-            parts += named
-        if self._choices:
-            parts.append(", ".join(f"{n + 1}: {name}" for n, name in enumerate(self._choices[0].options[:9])))
+            parts += [f"{codes[0][-1]}: {field.options[option]}" for codes, option in self._keys_of(field)]
         return "; ".join(parts)
 
 
-def _option(field: Field, way: str) -> int | None:
-    """The option of a choice that goes a way by its name, or does nothing for no way."""
-    return next((field.options.index(word) for word in _WORDS[way] if word in field.options), None)
+def _option(field: Field, words: Sequence[str]) -> int | None:
+    """The option of a choice that has one of these names."""
+    return next((field.options.index(word) for word in words if word in field.options), None)

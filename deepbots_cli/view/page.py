@@ -20,16 +20,15 @@ from typing import Any
 
 import numpy as np
 
-from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.render import render
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.frames import Triple, add, scaled
 from deepbots_cli.port import STILL
-from deepbots_cli.runtime.overview import around, beside, extent, strays
+from deepbots_cli.runtime.overview import extent, follows_robot, shift_beside, view_around
 from deepbots_cli.view import panel, server
 from deepbots_cli.view.batch import BatchPlayer
-from deepbots_cli.view.episodes import HAND, RANDOM, ZERO, Opened, Player, Repeated, Source, stamps
-from deepbots_cli.view.frames import Field, Image, WorldFrame
+from deepbots_cli.view.episodes import HAND, RANDOM, ZERO, Driver, Opened, Player, Source, stamps
+from deepbots_cli.view.frames import AgentFrame, Field, Image, WorldFrame
 from deepbots_cli.view.manual_input import ManualInput
 from deepbots_cli.view.recordings import SUFFIX, record
 from deepbots_cli.view.replay import Replayed
@@ -49,6 +48,10 @@ COLOURS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#8
 """Of Okabe and Ito, which colour-blind people can tell apart; grey for black."""
 _PLAIN = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?:\s+(.*)|(%|[a-zA-Z].*)?)\s*")
 """A number with its unit."""
+
+
+Value = Callable[[AgentFrame], float]
+"""A number that is plotted."""
 
 
 @dataclasses.dataclass(eq=False)
@@ -142,11 +145,13 @@ class Page:
     def world(self) -> WorldScene:
         return self.shown[0].world
 
+    @property
+    def _players(self) -> list[Player]:
+        return [*(shown.player for shown in self.shown), *([self._rival] if self._rival else [])]
+
     def _close_players(self) -> None:
-        for shown in self.shown:
-            shown.player.close()
-        if self._rival is not None:
-            self._rival.close()
+        for player in self._players:
+            player.close()
         self.shown, self._rival = [], None
 
     # What is shown
@@ -154,7 +159,9 @@ class Page:
     def _show(self, opened: Opened) -> None:
         """Show a source as it is now: its world from the beginning of the present episode, or else its findings over the world before."""
         if opened.program is None:
-            self._show_findings(opened.findings)
+            findings = html.escape(render(opened.findings, "full", width=46))
+            style = "white-space:pre-wrap;font-size:0.75em;line-height:1.35"
+            self._stop("the scenario has errors", f"<pre style='{style}'>{findings}</pre>")
             return
         wanted = self._wanted if self.player is None or self._wanted in opened.drivers else None  # a script may go while it acts
         name = wanted or (HAND if self._playing else None)
@@ -177,37 +184,31 @@ class Page:
         self._build(made)
         self._present()
 
-    def _show_findings(self, findings: Sequence[Finding]) -> None:
-        self.paused = True
-        self._trouble = "the scenario has errors"
-        self._message = (
-            f"<pre style='white-space:pre-wrap;font-size:0.75em;line-height:1.35'>{html.escape(render(findings, 'full', width=46))}</pre>"
-        )
-        if self.player is None:
-            self._clear()
-            self._banner = self.server.gui.add_html(panel.framed(self._trouble, self._message, "#D55E00"))
-        else:
-            self._tell()
-
     def _reload(self) -> None:
         """Read the files again; a world without errors begins at the same seed and episode."""
-        try:
-            sets = [f"parameters.{name}={text}" for name, text in self._changed.items()]
-            opened = dataclasses.replace(self._source, sets=(*self._source.sets, *sets)).open()
-            self._files = opened.files | self._files if opened.program is None else opened.files
-            paused, self._message = self.paused and not self._message, ""
-            self._show(opened)
-            if opened.program is not None:
-                self.paused = paused
-                self._tell()
-        except DeepbotsError as error:
-            self._fail(error)
+        sets = [f"parameters.{name}={text}" for name, text in self._changed.items()]
+        opened = dataclasses.replace(self._source, sets=(*self._source.sets, *sets)).open()
+        self._files = opened.files | self._files if opened.program is None else opened.files
+        paused, self._message = self.paused and not self._message, ""
+        self._show(opened)
+        if opened.program is not None:
+            self.paused = paused
+            self._tell()
 
-    def _fail(self, error: Exception) -> None:
-        """Show an error that ends the episode."""
-        self.paused = True
-        self._trouble, self._message = "stopped", f"<p>{html.escape(str(error))}</p>"
-        if self.player is not None:
+    def _attempt(self, act: Callable[[], None]) -> None:
+        """Do something, whose error ends the episode and is shown."""
+        try:
+            act()
+        except (DeepbotsError, OSError) as error:
+            self._stop("stopped", f"<p>{html.escape(str(error))}</p>")
+
+    def _stop(self, trouble: str, message: str) -> None:
+        """Pause, and say why in place of the state, until an episode begins."""
+        self.paused, self._trouble, self._message = True, trouble, message
+        if self.player is None:
+            self._clear()
+            self._banner = self.server.gui.add_html(panel.framed(trouble, message, "#D55E00"))
+        else:
             self._tell()
 
     # The panel
@@ -235,10 +236,10 @@ class Page:
             self._clear()
         boxes, right = extent(player.program), STILL
         for other in players[1:]:
-            right = beside(boxes, extent(other.program))
+            right = shift_beside(boxes, extent(other.program))
             boxes += [(add(low, right), add(high, right)) for low, high in extent(other.program)]
         self._boxes = boxes
-        view = around(boxes, 480, 400)  # a usual window beside the panel
+        view = view_around(boxes, 480, 400)  # a usual window beside the panel
         size = look(self.server, view)
         self.shown = []
         for number, each in enumerate(players):
@@ -283,7 +284,7 @@ class Page:
         moved = framed and not any(np.allclose(camera.position, eye, rtol=0.01) for eye in framed.values())
         if not self.shown or min(size) < 1 or moved or (framed and next(reversed(framed)) == size):
             return
-        view = around(self._boxes, *size)
+        view = view_around(self._boxes, *size)
         camera.position, camera.look_at = view.eye, view.target
         framed.pop(size, None)
         framed[size] = view.eye
@@ -343,34 +344,40 @@ class Page:
 
     def _add_plots(self) -> None:
         gui, layout = self.server.gui, self._lane.player.reader.layout
-        self._groups: dict[str, list[tuple[int, Field]]] = {}
-        for number, field in enumerate(layout.observation):
-            self._groups.setdefault(field.group, []).append((number, field))
-        options = (*self._groups, *(f"action: {field.name}" for field in layout.action))
+        fields: dict[str, list[tuple[Field, Value]]] = {}
+        for number, each in enumerate(layout.observation):
+            fields.setdefault(each.group, []).append((each, partial(_observed, number)))
+        fields |= {f"action: {each.name}": [(each, partial(_acted, number))] for number, each in enumerate(layout.action)}
+        names = [self._title(number) for number in range(len(self.shown))] if self._compare else ["return"]
         gui.add_html(panel.heading("return"))
-        self._return_plot = self._add_plot([self._title(n) for n in range(2)] if self._compare else ["return"], 150)
+        self._plots = {"return": self._add_plot(names, 150, [lambda agent: agent.episode_return], range(len(self.shown)))}
         gui.add_html(panel.heading("reward terms"))
         terms = layout.terms[:_MAX_SERIES]
-        self._terms_plot = self._add_plot(terms, 200)
-        plotted = gui.add_dropdown("field", options)
-        self._field_folder = gui.add_folder(None)
-        self._field_plot: Any = None
-        plotted.on_update(lambda _: self._todo.put(lambda: self._plot(plotted.value)))
-        self._plot(options[0])
+        self._plots["terms"] = self._add_plot(terms, 200, [partial(_earned, term) for term in terms])
+        chosen = gui.add_dropdown("field", tuple(fields))
+        folder = gui.add_folder(None)
 
-    def _plot(self, name: str) -> None:
-        """Plot the numbers of one entry of the observation, or one of the action, over its range."""
-        layout = self._lane.player.reader.layout
-        fields = self._groups.get(name) or [(n, field) for n, field in enumerate(layout.action) if f"action: {field.name}" == name]
-        self._plotted = (name in self._groups, [number for number, _ in fields[:_MAX_SERIES]])
-        low, high = min(field.low for _, field in fields), max(field.high for _, field in fields)
-        if self._field_plot is not None:
-            self._field_plot.remove()
-        with self._field_folder:
-            self._field_plot = self._add_plot([field.name for _, field in fields[:_MAX_SERIES]], 220, (low, high))
+        def plot() -> None:
+            """Plot the numbers of one entry of the observation, or one of the action, over its range."""
+            if "field" in self._plots:
+                self._plots["field"][0].remove()
+            shown = fields[chosen.value][:_MAX_SERIES]
+            limits = min(field.low for field, _ in fields[chosen.value]), max(field.high for field, _ in fields[chosen.value])
+            with folder:
+                self._plots["field"] = self._add_plot([f.name for f, _ in shown], 220, [value for _, value in shown], limits=limits)
 
-    def _add_plot(self, names: Sequence[str], height: int, limits: tuple[float, float] | None = None) -> Any:
-        """An empty plot of named lines over the step."""
+        chosen.on_update(lambda _: self._todo.put(plot))
+        plot()
+
+    def _add_plot(
+        self,
+        names: Sequence[str],
+        height: int,
+        values: Sequence[Value],
+        worlds: Sequence[int] | None = None,
+        limits: tuple[float, float] | None = None,
+    ) -> tuple[Any, Sequence[Value], Sequence[int] | None]:
+        """An empty plot over the step: a named line for each value of each world, by default of the chosen world."""
         lines = [{"label": name, "stroke": colour, "width": 1.5} for name, colour in zip(names, COLOURS, strict=False)]
         scales: dict[str, Any] = {"x": {"time": False}}  # steps would be shown as dates
         if limits is not None:
@@ -378,7 +385,8 @@ class Page:
             scales["y"] = {"range": (limits[0] - margin, limits[1] + margin)}
         series: Any = ({"label": "step"}, *lines)
         room = (12, 8, 0, 0)  # px, above for the uppermost number
-        return self.server.gui.add_uplot((np.zeros(1),) * len(series), series, scales=scales, height=height, padding=room)
+        plot = self.server.gui.add_uplot((np.zeros(1),) * len(series), series, scales=scales, height=height, padding=room)
+        return plot, values, worlds
 
     def _add_drive(self) -> None:
         gui, layout, hand = self.server.gui, self.shown[0].player.reader.layout, self._hand
@@ -391,15 +399,13 @@ class Page:
                 group = gui.add_button_group(field.name, field.options)
                 group.on_click(lambda event, f=field: self._command(f.name, f.options.index(event.target.value)))
             else:
-                slider = gui.add_slider(
-                    field.name, min=-1.0, max=1.0, step=0.01, initial_value=0.0, hint=f"{field.text(field.low)} .. {field.text(field.high)}"
-                )
+                ends = f"{field.text(field.low)} .. {field.text(field.high)}"
+                slider = gui.add_slider(field.name, min=-1.0, max=1.0, step=0.01, initial_value=0.0, hint=ends)
                 slider.on_update(lambda event, f=field: self._command(f.name, event.target.value))
-        ranges = [field for field in layout.action if not field.options][:2]
-        for field, (more, less) in zip(ranges, (("ArrowUp", "ArrowDown"), ("ArrowRight", "ArrowLeft")), strict=False):
-            for key, sign in ((more, "+"), (less, "−")):
-                gui.add_button(f"hold: {field.name} {sign}").on_hold(
-                    lambda _, key=key: self._hand.hold(frozenset([key]), ()), callback_hz=10
+        for name, bindings in list(hand.ranges.items())[:2]:
+            for keys, sign in ((bindings[0].more, "+"), (bindings[0].less, "−")):
+                gui.add_button(f"hold: {name} {sign}").on_hold(
+                    lambda _, keys=keys: self._hand.hold(frozenset(keys[:1]), ()), callback_hz=10
                 )
 
     def _command(self, name: str, value: float) -> None:
@@ -410,7 +416,7 @@ class Page:
         self._switches = {what: gui.add_checkbox(what, on) for what, on in self.world.shows.items() if what not in useless}
         for what, box in self._switches.items():
             box.on_update(lambda event, what=what: self._todo.put(lambda: self._switch(what, event.target.value)))
-        self._follows = gui.add_checkbox("camera follows the robot", strays(self.shown[0].player.env.world))
+        self._follows = gui.add_checkbox("camera follows the robot", follows_robot(self.shown[0].player.env.world))
         self._goes_on = gui.add_checkbox("next episode after the end", True)
         dark = gui.add_checkbox("dark", False)
         dark.on_update(lambda _: self._theme(dark=dark.value))
@@ -471,12 +477,8 @@ class Page:
         self.paused, self._ended_at = True, 0.0
         for shown in self.shown:
             if isinstance(shown.player, Replayed):
-                try:
-                    shown.player.seek(place)
-                    frames = shown.player.past(KEPT)
-                except DeepbotsError as error:
-                    self._fail(error)
-                    return
+                shown.player.seek(place)
+                frames = shown.player.past(KEPT)
                 shown.world.take(frames[0], anew=True)
                 for frame in frames[1:]:
                     shown.world.take(frame)
@@ -486,27 +488,20 @@ class Page:
     def _record(self, client: Any) -> None:
         """Write the episode so far as a recording: the same actions from the same seed are the same episode."""
         assert self.player is not None
-        try:
-            with closing(self.player.opened.player(ZERO)) as again:
-                again.driver, again.driver_name = Repeated(self.player.actions), HAND
-                name = f"{Path(self._source.reference).stem}-{self.seed}-{self.episode}-played"
-                numbered = (Path(f"{name}{number or ''}{SUFFIX}") for number in count())
-                path = next(path for path in numbered if not path.exists())
-                record(again, path, self.seed, [self.episode], steps=len(self.player.actions))
-        except (DeepbotsError, OSError) as error:
-            self._fail(error)
-            return
+        with closing(self.player.opened.player(ZERO)) as again:
+            again.driver, again.driver_name = Driver(iter(self.player.actions).__next__), HAND
+            name = f"{Path(self._source.reference).stem}-{self.seed}-{self.episode}-played"
+            numbered = (Path(f"{name}{number or ''}{SUFFIX}") for number in count())
+            path = next(path for path in numbered if not path.exists())
+            record(again, path, self.seed, [self.episode], steps=len(self.player.actions))
         if client is not None:
             client.add_notification(f"{path} written", f"deepbots view {path}", loading=False)
 
     def _drive(self, name: str) -> None:
         assert self.player is not None
         self._wanted = name
-        try:
-            self.player.drive(name)
-            self._begin()
-        except DeepbotsError as error:
-            self._fail(error)
+        self.player.drive(name)
+        self._begin()
 
     # Time
 
@@ -516,14 +511,8 @@ class Page:
             return
         if further:
             self.episode = self.player.following(self.episode)
-        try:
-            for shown in self.shown:
-                shown.player.begin(self.seed, self.episode)
-            if self._rival is not None:
-                self._rival.begin(self.seed, self.episode)
-        except DeepbotsError as error:
-            self._fail(error)
-            return
+        for player in self._players:
+            player.begin(self.seed, self.episode)
         self._present()
 
     def _present(self) -> None:
@@ -541,14 +530,10 @@ class Page:
         player = shown.player
         if shown.ended or self._message:
             return
-        try:
-            player.hand.values = self._hand.values()
-            player.step(by_hand=shown is self.shown[0] and self._hand.is_held)
-            if self._rival is not None and self._rival.frame.ended_by is None:
-                self._rival.step()
-        except DeepbotsError as error:
-            self._fail(error)
-            return
+        player.hand = self._hand.values()
+        player.step(by_hand=shown is self.shown[0] and self._hand.is_held)
+        if self._rival is not None and self._rival.frame.ended_by is None:
+            self._rival.step()
         shown.take()
         if shown.ended and all(each.ended for each in self.shown):
             frame = self.shown[0].player.frame
@@ -562,17 +547,17 @@ class Page:
         period, drawn, due, checked = 1 / RATE, 0, time.perf_counter(), time.monotonic()
         while not until():
             while not self._todo.empty():
-                self._todo.get()()
+                self._attempt(self._todo.get())
             if self._watch and time.monotonic() - checked > _WATCHED_EVERY:
                 checked = time.monotonic()
                 if (now := stamps(self._files)) != self._seen:
-                    self._reload()
+                    self._attempt(self._reload)
                     self._seen = stamps(self._files) | {file: now[file] for file in self._files if file in now}  # not what came meanwhile
             if self._changed_at and time.monotonic() - self._changed_at > _SETTLED:
                 self._changed_at = 0.0
-                self._reload()
+                self._attempt(self._reload)
             if self.player is not None and self.server.get_clients():  # while nobody looks, the world stands still
-                self._advance(period)
+                self._attempt(lambda: self._advance(period))
                 self._draw(texts=drawn % SLOW == 0)
             drawn, due = drawn + 1, max(due + period, time.perf_counter() - _BUSY)
             time.sleep(max(0.0, due - time.perf_counter()))
@@ -619,23 +604,21 @@ class Page:
 
     def _tell(self) -> None:
         """The banner and the values."""
-        if self._message:
-            self._put(self._banner, panel.framed(self._trouble, self._message, "#D55E00"))
-        else:
-            self._put(self._banner, "".join(self._state(number) for number in range(len(self.shown))))
+        states = "".join(self._state(number) for number in range(len(self.shown)))
+        self._banner.content = panel.framed(self._trouble, self._message, "#D55E00") if self._message else states
         number, name = self._agent
         player = self.shown[number].player
         layout, frame = player.reader.layout, player.frame
         others = frame.agents.keys() - {name}
-        self._put(self._values, panel.table([*panel.of_agent(layout, frame.agents[name]), *panel.of_messages(layout, frame, others)]))
-        if self._slider is not None and self._slider.value != min(player.frame.step, self._slider.max):
+        self._values.content = panel.table([*panel.of_agent(layout, frame.agents[name]), *panel.of_messages(layout, frame, others)])
+        if self._slider is not None:
             self._slider.value = min(player.frame.step, self._slider.max)
 
     def _state(self, number: int) -> str:
         """How a world stands."""
-        player, name = self.shown[number].player, self._agent[1]
+        player = self.shown[number].player
         frame = player.frame
-        agent = frame.agents.get(name) or next(iter(frame.agents.values()))
+        agent = self._agent_in(frame)
         state = (frame.ending or ("press a key to begin" if self._waiting else "running")) + (" (paused)" if self.paused else "")
         state = f"{self._title(number)}: {state}" if self._compare else state
         colour = ("#009E73" if frame.is_success else "#E69F00" if frame.truncated else "#D55E00") if frame.ended_by else "#0072B2"
@@ -653,27 +636,29 @@ class Page:
             lines.append(f"{self._rival.driver_name}: {rival.agents[self._agent[1]].episode_return:.2f}{state}")
         return "".join(f"<br>{html.escape(line)}" for line in lines)
 
-    @staticmethod
-    def _put(handle: Any, content: str) -> None:
-        if handle.content != content:
-            handle.content = content
-
     def _draw_plots(self) -> None:
-        number, name = self._agent
-        if self._compare:  # the steps of both, as far as both went
-            count = min(len(shown.past) for shown in self.shown)
-            frames = [shown.past[:count] for shown in self.shown]
-            returns = [np.array([next(iter(f.agents.values())).episode_return for f in each]) for each in frames]
-            self._return_plot.data = (np.array([f.step for f in frames[0]], float), *returns)
-        past = self.shown[number].past
-        steps, agents = np.array([frame.step for frame in past], float), [frame.agents[name] for frame in past]
-        if not self._compare:
-            self._return_plot.data = (steps, np.array([agent.episode_return for agent in agents]))
-        terms = self.shown[0].player.reader.layout.terms[:_MAX_SERIES]
-        self._terms_plot.data = (steps, *(np.array([agent.terms.get(term, math.nan) for agent in agents]) for term in terms))
-        seen, numbers = self._plotted
-        rows = [agent.observation if seen else agent.action or (math.nan,) * (1 + max(numbers)) for agent in agents]
-        self._field_plot.data = (steps, *(np.array([row[n] if n < len(row) else math.nan for row in rows]) for n in numbers))
+        pasts = [{frame.step: self._agent_in(frame) for frame in shown.past} for shown in self.shown]
+        for plot, values, worlds in self._plots.values():
+            lanes = [pasts[number] for number in worlds or [self._agent[0]]]
+            steps = sorted(set[int]().union(*lanes))
+            rows = [[value(lane[step]) if step in lane else math.nan for step in steps] for lane in lanes for value in values]
+            plot.data = (np.array(steps, float), *map(np.array, rows))
+
+    def _agent_in(self, frame: WorldFrame) -> AgentFrame:
+        """The chosen agent, or the first of a world without it."""
+        return frame.agents.get(self._agent[1]) or next(iter(frame.agents.values()))
+
+
+def _observed(number: int, agent: AgentFrame) -> float:
+    return agent.observation[number]
+
+
+def _acted(number: int, agent: AgentFrame) -> float:
+    return agent.action[number] if agent.action else math.nan
+
+
+def _earned(term: str, agent: AgentFrame) -> float:
+    return agent.terms.get(term, math.nan)
 
 
 def _enlarged(image: Image) -> Image:

@@ -63,7 +63,8 @@ def _head(text: str) -> str:
 
 
 def _row(name: str, value: str, bar: str = "") -> str:
-    cells = f"<td style='overflow-wrap:break-word'>{html.escape(name)}</td><td style='{_NUMBER}'>{html.escape(value)}</td>"
+    parts = html.escape(name).replace(".", ".<wbr>").replace("_", "_<wbr>")  # a long name breaks, and leaves room for the bar
+    cells = f"<td style='overflow-wrap:anywhere'>{parts}</td><td style='{_NUMBER}'>{html.escape(value)}</td>"
     return f"<tr>{cells}<td style='width:35%'>{bar}</td></tr>"
 
 

@@ -15,11 +15,11 @@ import numpy as np
 
 from deepbots_cli import frames
 from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.files import atomic, check_writable
-from deepbots_cli.footprint import bounds
+from deepbots_cli.files import atomic_write, check_writable
+from deepbots_cli.footprint import robot_bounds
 from deepbots_cli.frames import Triple
 from deepbots_cli.port import View
-from deepbots_cli.runtime.overview import around, overview
+from deepbots_cli.runtime.overview import overview, view_around
 from deepbots_cli.view.episodes import Player
 from deepbots_cli.view.frames import WorldFrame
 from deepbots_cli.view.page import COLOURS
@@ -66,7 +66,7 @@ def check_target(path: Path, suffixes: Sequence[str]) -> None:
     """
     kind = path.suffix.lower()
     if kind not in suffixes:
-        raise UsageError(f"{path} must end in {' or '.join(suffixes)}")
+        raise UsageError(f"{path} must end in {', '.join(suffixes[:-1])}{' or ' if suffixes[1:] else ''}{suffixes[-1]}")
     if kind == ".mp4" and (find_spec("imageio") is None or find_spec("imageio_ffmpeg") is None):
         raise MissingExtraError("train", "writing a video")
     if kind == ".html" and find_spec("viser") is None:
@@ -130,9 +130,9 @@ def _on_robots(player: Player, shot: Shot) -> View:
     boxes = []
     for robot in player.env.world.robots[:1]:
         origin, _ = player.frame.links[robot.name, robot.model.root]
-        low, high = bounds(robot.model)
+        low, high = robot_bounds(robot.model)
         boxes.append((frames.add(origin, low), frames.add(origin, high)))
-    view = around(boxes, shot.width, shot.height)
+    view = view_around(boxes, shot.width, shot.height)
     # Room for labels on both sides.
     return replace(view, eye=frames.add(view.target, frames.scaled(frames.subtract(view.eye, view.target), 1.5)))
 
@@ -247,7 +247,7 @@ def clip(
     """
     steps = None if seconds is None else max(1, round(seconds / player.program.period))
     shown = player.episode(seed, episode, steps)
-    with atomic(path) as draft:
+    with atomic_write(path) as draft:
         if path.suffix.lower() == ".html":
             _write_page(player, draft, shown, speed)
         elif path.suffix.lower() == ".gif":

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli.errors import MissingExtraError, RunError, UsageError
+from deepbots_cli.files import read_at_most
 from deepbots_cli.learning.episodes import read_log
 from deepbots_cli.learning.group import is_group
 from deepbots_cli.learning.run import NAME, Record, changed_settings, run_folders, short
@@ -138,12 +139,10 @@ def logs_of(run: Path) -> tuple[Any, list[dict[str, Any]]]:
 def _text(path: Path) -> str:
     if path.is_symlink() or (path.exists() and not path.is_file()):  # opening a pipe waits for ever
         raise RunError(f"{path} is not a regular file")
-    try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise RunError(f"{path} is larger than {_MAX_BYTES >> 20} MiB")
-        return path.read_text("utf-8", errors="replace")
-    except FileNotFoundError:
-        return ""
+    text = read_at_most(path, _MAX_BYTES + 1).decode(errors="replace") if path.exists() else ""
+    if len(text) > _MAX_BYTES:
+        raise RunError(f"{path} is larger than {_MAX_BYTES >> 20} MiB")
+    return text
 
 
 def scalars_of(path: Path) -> dict[str, Curve]:
@@ -199,6 +198,8 @@ def plot(logs: Sequence[Log], *, theme: str = "light") -> Figure:
     figure = Figure(figsize=(10.0, 3.4 + 2.7 * len(detailed)), layout="constrained", facecolor=THEMES[theme][0])
     axes = figure.subplots(1 + len(detailed), 2, squeeze=False)
     returns, successes = axes[0]
+    for left in axes[2:, 0]:
+        left.sharey(axes[1, 0])  # reward terms of two scenarios are compared by eye
     for number, members in enumerate(groups.values()):
         name = members[0].name
         label = name if len(members) == 1 else f"{name} ({len(members)} seeds)"
@@ -222,15 +223,7 @@ def plot(logs: Sequence[Log], *, theme: str = "light") -> Figure:
         finish(left, f"{name}reward terms of an episode", theme)
         endings_over_time(right, [ending for log in members for ending in log.endings])
         finish(right, f"{name}endings, share of episodes", theme)
-    _same_scale([left for left, _ in axes[1:]])
     return figure
-
-
-def _same_scale(panels: Sequence[Axes]) -> None:
-    """Reward terms of two scenarios are compared by eye."""
-    ends = [panel.get_ylim() for panel in panels]
-    for panel in panels:
-        panel.set_ylim(min(low for low, _ in ends), max(high for _, high in ends))
 
 
 def band(panel: Axes, curves: Sequence[Curve], style: Mapping[str, Any]) -> None:

@@ -22,14 +22,14 @@ import json
 import math
 import platform
 import struct
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from itertools import groupby
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, cast
 
 import msgspec
 import numpy as np
@@ -37,10 +37,10 @@ import numpy as np
 import deepbots_cli
 from deepbots_cli import frames
 from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.files import atomic, read_at_most
+from deepbots_cli.files import atomic_write, read_at_most
 from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.view.episodes import Player
-from deepbots_cli.view.frames import AgentFrame, Beams, Image, Layout, Message, WorldFrame
+from deepbots_cli.view.frames import AgentFrame, Beams, Field, Image, Layout, LinkName, Message, WorldFrame
 
 FORMAT = 1
 SUFFIX = ".mcap"
@@ -62,12 +62,12 @@ class RecordingError(UsageError):
 # What is written
 
 
-def _vector(triple: Sequence[float]) -> dict[str, float]:
-    return dict(zip("xyz", map(float, triple), strict=True))
+def _named(names: Iterable[str], values: Iterable[float | None]) -> dict[str, float | None]:
+    return {name: None if value is None else float(value) for name, value in zip(names, values, strict=True)}
 
 
 def _pose(pose: Frame) -> dict[str, Any]:
-    return {"position": _vector(pose[0]), "orientation": dict(zip("xyzw", map(float, pose[1]), strict=True))}
+    return {"position": _named("xyz", pose[0]), "orientation": _named("xyzw", pose[1])}
 
 
 def _stamp(time: int) -> dict[str, int]:
@@ -121,24 +121,23 @@ class Describer:
         topics: dict[str, Any] = {} if frame.step else {"/episode": {"episode": number, "seed": seed}}
         topics["/tf"] = {
             "transforms": [
-                {"timestamp": stamp, "parent_frame_id": "world", "child_frame_id": f"{body}/{link}", "translation": _vector(place),
-                 "rotation": dict(zip("xyzw", map(float, turn), strict=True))}
+                {"timestamp": stamp, "parent_frame_id": "world", "child_frame_id": f"{body}/{link}",
+                 "translation": _named("xyz", place), "rotation": _named("xyzw", turn)}
                 for (body, link), (place, turn) in frame.links.items()
             ]
         }  # fmt: skip
         for key, message in frame.messages.items():
-            fields = layout.messages[key]
-            values = dict(zip([f.name for f in fields], message.values, strict=True))
+            values = _named(_names(layout.messages[key]), message.values)
             topics[f"/message/{key}"] = {"age": message.age, "received": message.received, "values": values}
         topics["/world"] = {
             "step": frame.step,
             "time": frame.time,
             "drawn": dict(frame.drawn),
-            "joints": {name: dict(zip(_joints(layout, name), values, strict=True)) for name, values in frame.joints.items()},
-            "rays": {key: _numbered(values) for key, values in frame.rays.items()},
-            "readings": {key: _numbered(values) for key, values in frame.readings.items()},
+            "joints": {name: _named(_joints(layout, name), values) for name, values in frame.joints.items()},
+            "rays": _numbered(frame.rays),
+            "readings": _numbered(frame.readings),
             "forces": {f"{body}/{link}": force for (body, link), force in frame.forces.items()},
-            "pushes": {f"{body}/{link}": _vector(force) for (body, link), force in frame.pushes},
+            "pushes": {f"{body}/{link}": _named("xyz", force) for (body, link), force in frame.pushes},
             "variants": dict(frame.variants),
             "ended_by": frame.ended_by or "",
             "is_success": frame.is_success,
@@ -147,10 +146,9 @@ class Describer:
         for key, beams in layout.beams.items():
             topics[f"/scan/{key}"] = _scan(beams, self._scans[key], frame.rays[key], stamp)
         for name, agent in frame.agents.items():
-            action = agent.action or (None,) * len(layout.action)
             topics[f"/agent/{name}"] = {
-                "observation": dict(zip([f.name for f in layout.observation], agent.observation, strict=True)),
-                "action": dict(zip([f.name for f in layout.action], action, strict=True)),
+                "observation": _named(_names(layout.observation), agent.observation),
+                "action": _named(_names(layout.action), agent.action or (None,) * len(layout.action)),
                 "reward": agent.reward,
                 "episode_return": agent.episode_return,
                 "terms": dict(agent.terms),
@@ -179,12 +177,16 @@ class Describer:
         return {"step": player.frame.step, "action": action, **hidden, "hash": _hash(*encoded.values(), *map(str.encode, hidden.values()))}
 
 
+def _names(fields: Iterable[Field]) -> list[str]:
+    return [field.name for field in fields]
+
+
 def _joints(layout: Layout, robot: str) -> list[str]:
     return [joint.name for joint in layout.robots[robot].moving_joints]
 
 
-def _numbered(values: Sequence[float]) -> dict[str, float]:
-    return {str(number): value for number, value in enumerate(values)}
+def _numbered(groups: Mapping[str, Sequence[float]]) -> dict[str, dict[str, float | None]]:
+    return {key: _named(map(str, range(len(values))), values) for key, values in groups.items()}
 
 
 def _fan(beams: Beams) -> tuple[Frame, float] | None:
@@ -225,30 +227,20 @@ def _png(image: Image) -> bytes:
 
 
 def _type_of(topic: str, content: Mapping[str, Any]) -> str:
-    match topic.split("/")[1]:
-        case "tf":
-            return "foxglove.FrameTransforms"
-        case "scan":
-            return "foxglove.LaserScan" if "ranges" in content else "foxglove.PointCloud"
-        case "image":
-            return "foxglove.CompressedImage"
-        case kind:
-            return f"deepbots.{kind.capitalize()}"
+    kind = topic.split("/")[1]
+    types = {"tf": "FrameTransforms", "scan": "LaserScan" if "ranges" in content else "PointCloud", "image": "CompressedImage"}
+    return f"foxglove.{types[kind]}" if kind in types else f"deepbots.{kind.capitalize()}"
 
 
 def _schema_of(value: Any, key: str = "") -> dict[str, Any]:
     """The JSON Schema of what such a value is."""
-    match value:
-        case dict():
-            return {"type": "object", "properties": {name: _schema_of(part, name) for name, part in value.items()}}
-        case list():
-            return {"type": "array", "items": _schema_of(value[0]) if value else {"type": "number"}}
-        case bool():
-            return {"type": "boolean"}
-        case str():
-            return {"type": "string", "contentEncoding": "base64"} if key == "data" else {"type": "string"}
-        case _:
-            return {"type": "integer" if isinstance(value, int) else "number"}
+    if isinstance(value, dict):
+        return {"type": "object", "properties": {name: _schema_of(part, name) for name, part in value.items()}}
+    if isinstance(value, list):
+        return {"type": "array", "items": _schema_of(value[0]) if value else {"type": "number"}}
+    if key == "data":
+        return {"type": "string", "contentEncoding": "base64"}
+    return {"type": {bool: "boolean", str: "string", int: "integer"}.get(type(value), "number")}
 
 
 def record(
@@ -274,14 +266,14 @@ def record(
         from mcap.writer import Writer
     except ModuleNotFoundError as error:
         raise MissingExtraError("view", "a recording") from error
-    opened = player.opened
-    text, inputs, digest = opened.texts()
+    compiled = player.opened.checked()
     describer, time, channels, last = Describer(player), 0, dict[str, int](), list[WorldFrame]()
-    with atomic(path) as draft, draft.open("wb") as stream:
+    with atomic_write(path) as draft, draft.open("wb") as stream:
         writer = Writer(stream)
         writer.start("", f"deepbots {deepbots_cli.__version__}")
-        writer.add_metadata("deepbots", _metadata(player, seed, digest))
-        for name, content in {"resolved.yaml": text.encode(), **{f"inputs/{name}": data for name, data in inputs.items()}}.items():
+        writer.add_metadata("deepbots", _metadata(player, seed, compiled.digest))
+        inputs = {f"inputs/{name}": data for name, data in compiled.inputs.items()}
+        for name, content in {"resolved.yaml": compiled.resolved.encode(), **inputs}.items():
             writer.add_attachment(0, 0, name, "application/octet-stream", content)
         for number in episodes:
             begun = time
@@ -488,11 +480,9 @@ def read_frame(topics: Payloads, layout: Layout) -> WorldFrame:
             `Describer` describes one.
     """
     decode = msgspec.json.decode
-    world, links, messages, agents, cameras = decode(topics["/world"]), {}, {}, {}, {}
+    world, links, messages, agents, cameras = decode(topics["/world"]), dict[LinkName, Frame](), {}, {}, {}
     for each in decode(topics["/tf"])["transforms"]:
-        body, _, link = each["child_frame_id"].partition("/")
-        place, turn = _floats(each["translation"], "xyz"), _floats(each["rotation"], "xyzw")
-        links[body, link] = ((place[0], place[1], place[2]), (turn[0], turn[1], turn[2], turn[3]))
+        links[_link(each["child_frame_id"])] = cast("Frame", (_floats(each["translation"], "xyz"), _floats(each["rotation"], "xyzw")))
     for name, model in layout.robots.items():
         for link in model.links:
             place, turn = links[name, link.name]
@@ -507,9 +497,9 @@ def read_frame(topics: Payloads, layout: Layout) -> WorldFrame:
     for topic, payload in topics.items():
         if topic.startswith("/agent/"):
             found = decode(payload)
-            action = _floats(found["action"], [field.name for field in layout.action])
+            action = _floats(found["action"], _names(layout.action))
             agents[topic.removeprefix("/agent/")] = AgentFrame(
-                _floats(found["observation"], [field.name for field in layout.observation]),
+                _floats(found["observation"], _names(layout.observation)),
                 None if any(map(math.isnan, action)) else action,
                 float(found["reward"]),
                 float(found["episode_return"]),
@@ -531,7 +521,7 @@ def read_frame(topics: Payloads, layout: Layout) -> WorldFrame:
         rays=rays,
         readings={key: _floats(values) for key, values in world["readings"].items()},
         forces={_link(key): float(force) for key, force in world["forces"].items() if _link(key) in links},
-        pushes=tuple((_link(key), _triple(force)) for key, force in world["pushes"].items()),
+        pushes=tuple((_link(key), cast("Triple", _floats(force, "xyz"))) for key, force in world["pushes"].items()),
         variants=msgspec.convert(world["variants"], dict[str, str]),
         messages=messages,
         cameras=cameras,
@@ -543,14 +533,9 @@ def read_frame(topics: Payloads, layout: Layout) -> WorldFrame:
     )
 
 
-def _link(key: str) -> tuple[str, str]:
+def _link(key: str) -> LinkName:
     body, _, link = key.partition("/")
     return body, link
-
-
-def _triple(values: Mapping[str, Any]) -> Triple:
-    x, y, z = _floats(values, "xyz")
-    return x, y, z
 
 
 def _picture(data: str) -> Image:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -12,7 +12,7 @@ from gymnasium import spaces
 
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.port import View
-from deepbots_cli.view.episodes import RECORDED, Opened, Player
+from deepbots_cli.view.episodes import RECORDED, Driver, Opened, Player
 from deepbots_cli.view.frames import WorldFrame
 from deepbots_cli.view.recordings import SECOND, Describer, Recorded, Recording, RecordingError, damaged, read_frame, unpacked, versions
 
@@ -106,28 +106,26 @@ class Divergence(NamedTuple):
     now: str
 
 
-class Actions:
-    """The driver that repeats an episode."""
+def actions(recording: Recording, recorded: Recorded, space: Any) -> Iterator[Any]:
+    """The actions of an episode, in the action space.
 
-    note = ""
+    Raises:
+        RecordingError: One cannot be read.
+    """
+    for step in recorded.steps[1:]:
+        with damaged(recording.path):
+            action = msgspec.json.decode(step["/step"])["action"]
+            if isinstance(space, spaces.Dict):
+                found: Any = {name: unpacked(action[name], part) for name, part in space.spaces.items()}
+            else:
+                found = unpacked(action["action"], space)
+        yield found
 
-    def __init__(self, recording: Recording, recorded: Recorded, space: Any) -> None:
-        self._path, self._recorded, self._steps, self._space = recording.path, recorded, iter(recorded.steps[1:]), space
 
-    def begin(self, seed: int) -> None:
-        """Nothing."""
-
-    def act(self, observation: Any) -> Any:
-        with damaged(self._path):
-            action = msgspec.json.decode(next(self._steps)["/step"])["action"]
-            if isinstance(self._space, spaces.Dict):
-                return {name: unpacked(action[name], part) for name, part in self._space.spaces.items()}
-            return unpacked(action["action"], self._space)
-
-    def hash_at(self, place: int) -> str:
-        """The hash of the observation after so many steps."""
-        with damaged(self._path):
-            return msgspec.convert(msgspec.json.decode(self._recorded.steps[place]["/step"])["observation"], str)
+def observation_hash_at(recording: Recording, recorded: Recorded, place: int) -> str:
+    """The hash of the observation after so many steps."""
+    with damaged(recording.path):
+        return msgspec.convert(msgspec.json.decode(recorded.steps[place]["/step"])["observation"], str)
 
 
 def verify(
@@ -145,7 +143,7 @@ def verify(
     """
     describer, time = Describer(player), 0
     for done, recorded in enumerate(recording.episodes, start=1):
-        player.driver = Actions(recording, recorded, player.env.action_space)
+        player.driver = Driver(actions(recording, recorded, player.env.action_space).__next__)
         begun = time
         for place, old in enumerate(recorded.steps):
             if place and player.frame.ended_by is not None:
@@ -165,8 +163,9 @@ def verify(
                     before, after = msgspec.json.decode(old.get(topic, b"{}")), msgspec.json.decode(new[topic])
                     if tolerance:
                         before, after = ({k: v for k, v in side.items() if k not in _UNLIKE.get(topic, ())} for side in (before, after))
-                    if not _alike(before, after, tolerance):  # other programs write the same numbers in another way
-                        return Divergence(recorded.number, place, *_first(topic.removeprefix("/"), before, after, tolerance))
+                    # Other programs write the same numbers in another way.
+                    if difference := _difference(topic.removeprefix("/"), before, after, tolerance):
+                        return Divergence(recorded.number, place, *difference)
         time += SECOND
         on_episode(done)
     return None
@@ -191,26 +190,18 @@ _UNLIKE = {"/step": ("hash", "velocities", "observation", "images", "random"), "
 """Parts of topics that are compared to the bit or not at all."""
 
 
-def _alike(recorded: Any, now: Any, tolerance: float) -> bool:
+def _difference(where: str, recorded: Any, now: Any, tolerance: float) -> tuple[str, str, str] | None:
+    """The first part of a topic that differs, by its path, with its values; None where all are the same."""
     if isinstance(recorded, dict) and isinstance(now, dict):
-        return recorded.keys() == now.keys() and all(_alike(part, now[key], tolerance) for key, part in recorded.items())
-    if isinstance(recorded, list) and isinstance(now, list):
-        return len(recorded) == len(now) and all(_alike(*pair, tolerance) for pair in zip(recorded, now, strict=True))
-    if tolerance and type(recorded) in (int, float) and type(now) in (int, float):
-        return bool(abs(recorded - now) <= tolerance * max(1.0, abs(recorded), abs(now)))
-    return bool(recorded == now)
-
-
-def _first(where: str, recorded: Any, now: Any, tolerance: float) -> tuple[str, str, str]:
-    """The first part of a topic that differs, by its path."""
-    if isinstance(recorded, dict) and isinstance(now, dict):
-        for key in {**recorded, **now}:
-            if not _alike(recorded.get(key), now.get(key), tolerance):
-                inner = f"{where}.{key}" if "." in where or key != "transforms" else where
-                return _first(inner, recorded.get(key), now.get(key), tolerance)
-    if isinstance(recorded, list) and isinstance(now, list) and len(recorded) == len(now):
-        for place, (before, after) in enumerate(zip(recorded, now, strict=True)):
-            if not _alike(before, after, tolerance):
-                name = after.get("child_frame_id", place) if isinstance(after, dict) else place
-                return _first(f"{where} {name}", before, after, tolerance)
-    return where, str(recorded)[:80], str(now)[:80]
+        parts = [
+            (f"{where}.{key}" if "." in where or key != "transforms" else where, recorded.get(key, ""), now.get(key, ""))
+            for key in {**recorded, **now}
+        ]
+    elif isinstance(recorded, list) and isinstance(now, list) and len(recorded) == len(now):
+        names = [after.get("child_frame_id", place) if isinstance(after, dict) else place for place, after in enumerate(now)]
+        parts = [(f"{where} {name}", before, after) for name, before, after in zip(names, recorded, now, strict=True)]
+    else:
+        numbers = type(recorded) in (int, float) and type(now) in (int, float)
+        alike = recorded == now or (tolerance and numbers and abs(recorded - now) <= tolerance * max(1.0, abs(recorded), abs(now)))
+        return None if alike else (where, str(recorded)[:80], str(now)[:80])
+    return next(filter(None, (_difference(*part, tolerance) for part in parts)), None)

@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from deepbots_cli import frames, geometry
 from deepbots_cli.engines import objects
 from deepbots_cli.errors import EngineError
-from deepbots_cli.footprint import bounds
+from deepbots_cli.footprint import robot_bounds
 from deepbots_cli.frames import Triple
 from deepbots_cli.port import STILL, View
 from deepbots_cli.program.world import Colour, Line, WorldModel
-from deepbots_cli.robots.meshes import checked_bytes
+from deepbots_cli.robots.meshes import read_verified
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Geometry, Mesh, Pose, RobotModel, Sphere
 from deepbots_cli.view.frames import Beams, Layout, LinkName, WorldFrame
 
@@ -54,7 +54,7 @@ def triangles(mesh: Mesh) -> Any:
     """
     import trimesh
 
-    data, kind = checked_bytes(mesh), Path(mesh.path).suffix[1:].lower()
+    data, kind = read_verified(mesh), Path(mesh.path).suffix[1:].lower()
     try:
         loaded = trimesh.load_scene(BytesIO(data), file_type=kind, skip_materials=True).to_mesh()
     except Exception as error:  # the readers of trimesh raise many kinds
@@ -126,7 +126,8 @@ def look(server: viser.ViserServer, view: View) -> float:
     camera.position, camera.look_at, camera.fov = view.eye, view.target, view.fov
     camera.near, camera.far = max(0.002, size / 200), 60 * size
     server.scene.set_up_direction("+z")
-    server.scene.configure_default_lights(cast_shadow=False)
+    server.scene.configure_default_lights(enabled=False)  # they are so bright that grey obstacles are as light as the ground
+    server.scene.add_light_directional("/light", intensity=1.2, position=(-0.4, -0.7, 1.0))
     return size
 
 
@@ -144,7 +145,7 @@ class WorldScene:
         self._nodes: dict[LinkName, Any] = {}
         self._variants: dict[tuple[str, str], Any] = {}
         self._labels: list[Any] = []
-        self._beams: dict[str, tuple[Beams, Any, Any]] = {}
+        self._beams: dict[str, tuple[Beams, Any]] = {}
         self._dots: dict[LinkName, Any] = {}
         self._goals: dict[tuple[str, str], Any] = {}
         self.shows = {"rays": True, "contacts": True, "goal": True, "shortest path": True, "path": False, "names": False, "axes": False}
@@ -161,12 +162,8 @@ class WorldScene:
             f"{root}/pushes", line, np.array([[230, 120, 0]], np.uint8), shaft_radius=0.006 * size, head_radius=0.016 * size,
             head_length=0.03 * size, visible=False,
         )  # fmt: skip
-        self._path = scene.add_line_segments(
-            f"{root}/path", line, np.full((1, 2, 3), (70, 90, 200), np.uint8), thickness=3.0, thickness_units="screen", visible=False
-        )
-        self._ways = scene.add_line_segments(
-            f"{root}/ways", line, np.full((1, 2, 3), (0, 158, 115), np.uint8), thickness=2.0, thickness_units="screen", visible=False
-        )
+        self._path = self._add_lines(f"{root}/path", line, thickness=3.0, visible=False)
+        self._ways = self._add_lines(f"{root}/ways", line, visible=False)
         self._followed = next((r.name for r in world.robots if not r.fixed_base), world.robots[0].name if world.robots else None)
         self._trail: list[tuple[float, float, float]] = []
         self._parts = list(self._nodes)
@@ -178,12 +175,11 @@ class WorldScene:
     def _build_surroundings(self, world: WorldModel) -> None:
         scene, root, light = self._scene, self._root, min(1.0, world.light)
         if world.terrain is not None:
-            relief = geometry.grid(world.terrain.shape)
+            relief = geometry.height_grid(world.terrain.shape)
             if relief is not None:
-                surface = relief.coarser(_MAX_CELLS).triangles()
-                contour = _contour(relief.coarser(_MAX_CELLS), 0.001 * self._size)
-                colours = np.full(contour.shape, 110, np.uint8)  # a smooth relief of one colour is hard to see
-                scene.add_line_segments(f"{root}/contour", contour, colours, thickness=1.0, thickness_units="screen")
+                surface = relief.with_at_most(_MAX_CELLS).triangles()
+                contour = _contour(relief.with_at_most(_MAX_CELLS), 0.001 * self._size)
+                self._add_lines(f"{root}/contour", contour, 110, thickness=1.0)  # a smooth relief of one colour is hard to see
             else:
                 assert isinstance(world.terrain.shape, Mesh)  # all others are grids
                 solid = triangles(world.terrain.shape)
@@ -228,12 +224,14 @@ class WorldScene:
         body, link = beams.part
         head, pose = rigid_groups(self._layout.robots[body])[link]
         points = np.stack([beams.starts, beams.starts + beams.reach * beams.directions], 1).astype(np.float32)
-        # One colour for all lines, later replaced by an array, would hide them.
-        lines = self._scene.add_line_segments(
-            f"{self._path_of((body, head))}/rays_{key.rpartition('.')[2]}", points, np.zeros(points.shape, np.uint8), thickness=2.0,
-            thickness_units="screen", position=pose[0], wxyz=wxyz(pose[1]),
-        )  # fmt: skip
-        self._beams[key] = (beams, lines, np.full(len(points), np.nan))
+        name = f"{self._path_of((body, head))}/rays_{key.rpartition('.')[2]}"
+        lines = self._add_lines(name, points, position=pose[0], wxyz=wxyz(pose[1]))
+        self._beams[key] = (beams, lines)
+
+    def _add_lines(self, name: str, points: Points, colour: int = 0, *, thickness: float = 2.0, **options: Any) -> Any:
+        """Line segments (n, 2, 3), `thickness` in pixels."""
+        colours = np.full(points.shape, colour, np.uint8)  # one colour for all lines, later replaced by an array, would hide them
+        return self._scene.add_line_segments(name, points, colours, thickness=thickness, thickness_units="screen", **options)
 
     def _path_of(self, part: LinkName) -> str:
         return f"{self._root}/{'robots' if part[0] in self._layout.robots else 'objects'}/{part[0].replace('#', '_')}/{part[1]}"
@@ -275,17 +273,12 @@ class WorldScene:
     def show(self, what: str, visible: bool) -> None:
         """Show or hide one of `shows`."""
         self.shows[what] = visible
-        if what == "names":
-            for label in self._labels:
-                label.visible = visible
-        elif what == "axes":
-            for part, node in self._nodes.items():
-                node.show_axes = visible and part[0] in self._layout.robots
-        elif what == "path":
-            self._path.visible = visible and len(self._trail) > 1
-        elif what == "rays":
-            for _, lines, _ in self._beams.values():
-                lines.visible = visible
+        for label in self._labels:
+            label.visible = self.shows["names"]
+        for (body, _), node in self._nodes.items():
+            node.show_axes = self.shows["axes"] and body in self._layout.robots
+        for _, lines in self._beams.values():
+            lines.visible = self.shows["rays"]
         if self._frame is not None:
             self._mark(self._frame)
 
@@ -306,9 +299,7 @@ class WorldScene:
             self._before[opposite, 3:] *= -1.0
         self._now, self._frame = rows, frame
         for (body, form), node in self._variants.items():
-            wanted = (body, body) in frame.links and frame.variants.get(body, form) == form
-            if node.visible != wanted:
-                node.visible = wanted
+            node.visible = (body, body) in frame.links and frame.variants.get(body, form) == form
         if self._followed is not None:
             root = self._layout.robots[self._followed].root
             self._trail.append(frame.links[self._followed, root][0])
@@ -327,31 +318,29 @@ class WorldScene:
         if self._followed is not None:
             x, y, _ = rows[self._parts.index((self._followed, self._layout.robots[self._followed].root)), :3] - self._trail[0]
             shift = frames.add(self._place, (-x, -y, 0.0)) if self.follows else self._place
-            if not np.array_equal(self._anchor.position, shift):
-                self._anchor.position = shift
+            self._anchor.position = shift
 
     def draw_ways(self, ways: Sequence[Sequence[tuple[float, float]]]) -> None:
         """Show shortest paths (points in m) on the ground."""
-        if not self.shows["shortest path"]:
-            ways = []
-        pieces = [((*one, height), (*other, height)) for way in ways for one, other in pairwise(way) for height in [0.004 * self._size]]
+        height = 0.004 * self._size
+        pieces = [((*one, height), (*other, height)) for way in ways for one, other in pairwise(way)]
+        self._show_lines(self._ways, pieces if self.shows["shortest path"] else [], (0, 158, 115))
+
+    def _show_lines(self, lines: Any, pieces: Sequence[Any], colour: tuple[int, int, int]) -> None:
         if pieces:
-            self._ways.points = np.array(pieces, np.float32)
-            self._ways.colors = np.full((len(pieces), 2, 3), (0, 158, 115), np.uint8)
-        if self._ways.visible != bool(pieces):
-            self._ways.visible = bool(pieces)
+            lines.points = np.array(pieces, np.float32)
+            lines.colors = np.full((len(pieces), 2, 3), colour, np.uint8)
+        lines.visible = bool(pieces)
 
     def _mark(self, frame: WorldFrame) -> None:
         """Rays, contacts, pushes and the path."""
         if self.shows["rays"]:
-            for key, (beams, lines, shown) in self._beams.items():
-                free = np.array(frame.rays[key])
-                if not np.array_equal(free, shown):
-                    shown[:] = free
-                    lines.points = np.stack([beams.starts, beams.starts + free[:, None] * beams.directions], 1).astype(np.float32)
-                    near = np.clip(1 - free / beams.reach, 0.0, 1.0)[:, None]  # green where nothing is near, red where something is
-                    colours = np.concatenate([20 + 200 * near, 150 - 110 * near, 60 - 20 * near], 1).astype(np.uint8)
-                    lines.colors = np.repeat(colours[:, None], 2, axis=1)
+            for key, (beams, lines) in self._beams.items():
+                free = np.array(frame.rays[key])[:, None]
+                lines.points = np.stack([beams.starts, beams.starts + free * beams.directions], 1).astype(np.float32)
+                near = np.clip(1 - free / beams.reach, 0.0, 1.0)  # green where nothing is near, red where something is
+                colours = np.concatenate([20 + 200 * near, 150 - 110 * near, 60 - 20 * near], 1).astype(np.uint8)
+                lines.colors = np.repeat(colours[:, None], 2, axis=1)
         self._mark_contacts(frame)
         self._mark_goal(frame)
         force = next(iter(frame.pushes), None)
@@ -359,41 +348,30 @@ class WorldScene:
             (part, push), strength = force, max(1e-9, float(np.linalg.norm(force[1])))
             at = np.array(frame.links.get(part, (STILL,))[0])
             self._arrows.points = np.array([[at - np.array(push) / strength * 0.3 * self._size, at]], np.float32)
-        if self._arrows.visible != (force is not None):
-            self._arrows.visible = force is not None
-        if self.shows["path"] and len(self._trail) > 1:
-            points = np.array(self._trail, np.float32)
-            self._path.points = np.stack([points[:-1], points[1:]], 1)
-            self._path.colors = np.full((len(points) - 1, 2, 3), (70, 90, 200), np.uint8)
-            self._path.visible = True
+        self._arrows.visible = force is not None
+        self._show_lines(self._path, list(pairwise(self._trail)) if self.shows["path"] else [], (70, 90, 200))
 
     def _mark_goal(self, frame: WorldFrame) -> None:
         """A point that is to be reached, and the one that is."""
-        for number, field in enumerate(self._layout.observation):
-            word, _, axis = field.name.partition(".")
-            if field.unit != "m" or word not in ("desired", "achieved") or axis != "x" or field.group != word:
-                continue
-            group = [f for f in self._layout.observation if f.group == word]
-            if [f.name.partition(".")[2] for f in group] not in (["x", "y"], ["x", "y", "z"]):
+        for word, colour, radius in (("desired", (0, 158, 115), 0.02), ("achieved", (0, 114, 178), 0.01)):
+            places = [place for place, field in enumerate(self._layout.observation) if field.group == word]
+            axes = [self._layout.observation[place].name for place in places if self._layout.observation[place].unit == "m"]
+            if axes not in ([f"{word}.x", f"{word}.y"], [f"{word}.x", f"{word}.y", f"{word}.z"]):
                 continue
             for name, agent in frame.agents.items():
-                place = (*agent.observation[number : number + len(group)], 0.0)[:3]
                 dot = self._goals.get((name, word))
                 if dot is None:
-                    colour, radius = ((0, 158, 115), 0.02) if word == "desired" else ((0, 114, 178), 0.01)
                     path = f"{self._root}/{word}_{name.replace('#', '_')}"
                     dot = self._goals[name, word] = self._scene.add_icosphere(path, radius * self._size, colour, opacity=0.6)
-                dot.position = place
-                if dot.visible != self.shows["goal"]:
-                    dot.visible = self.shows["goal"]
+                dot.position = (*(agent.observation[place] for place in places), 0.0)[:3]
+                dot.visible = self.shows["goal"]
 
     def _mark_contacts(self, frame: WorldFrame) -> None:
         touching = set(frame.forces) if self.shows["contacts"] else set()
         for part in touching - self._dots.keys():
             model = self._layout.robots[part[0]]
             head, pose = rigid_groups(model)[part[1]]
-            name, radius = f"{self._path_of((part[0], head))}/touch_{part[1]}", 0.035 * math.dist(*bounds(model))
+            name, radius = f"{self._path_of((part[0], head))}/touch_{part[1]}", 0.035 * math.dist(*robot_bounds(model))
             self._dots[part] = self._scene.add_icosphere(name, radius, (225, 60, 40), opacity=0.5, position=pose[0], visible=False)
         for part, dot in self._dots.items():
-            if dot.visible != (part in touching):
-                dot.visible = part in touching
+            dot.visible = part in touching

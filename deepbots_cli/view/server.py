@@ -16,6 +16,7 @@ import contextlib
 import errno
 import io
 import ipaddress
+import json
 import logging
 import math
 import secrets
@@ -26,6 +27,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deepbots_cli.errors import MissingExtraError, UsageError
+from deepbots_cli.view.manual_input import KEYS, Axes, Keys
 
 if TYPE_CHECKING:
     import viser
@@ -43,8 +45,7 @@ _POLICY = (
 )
 # Goes into viser's page: keys that are held, and gamepads, which viser lacks. It takes keys before viser does, whose camera would move.
 _KEYS = """<script>{
-const codes = new Set(["KeyW","KeyA","KeyS","KeyD","KeyR","KeyF","KeyT","KeyG","KeyY","KeyH","ArrowUp","ArrowDown","ArrowLeft","ArrowRight",
-  ...[..."123456789"].map(n => "Digit" + n)]), held = new Set();
+const codes = new Set(CODES), held = new Set();
 let wire = null, last = "";
 const key = e => {
   if (!codes.has(e.code) || e.ctrlKey || e.metaKey || e.altKey || e.target.closest?.("input, textarea, select")) return;
@@ -57,7 +58,7 @@ setInterval(() => {
   const now = [...held].join("+") + "|" + (axes.some(x => x) ? axes.map(x => x.toFixed(3)).join() : "");
   if (now == "|" && last == "|") return;
   if (!wire || wire.readyState > 1) wire = new WebSocket("/drive");
-  else if (wire.readyState == 1) { wire.send(now); last = now; } }, 50); }</script></head>"""
+  else if (wire.readyState == 1) { wire.send(now); last = now; } }, 50); }</script></head>""".replace("CODES", json.dumps(KEYS))
 
 # All tabs fit in a row. In a window that is narrower than viser's limit (36em), its panel lies over the world; here it stands below.
 _STYLE = """<style>[role=tab] { padding-inline: 0.5em !important; } @media (max-width: 36em) {
@@ -67,8 +68,6 @@ _STYLE = """<style>[role=tab] { padding-inline: 0.5em !important; } @media (max-
   .mantine-Notifications-root { top: auto !important; bottom: 0.5em !important; }
   .mantine-Notification-description { display: none; } }</style>"""
 
-Keys = frozenset[str]
-Axes = tuple[float, ...]
 OnDrive = Callable[[Keys, Axes], None]
 
 
@@ -120,8 +119,6 @@ def _free_port(host: str, port: int | None) -> int:
                 return int(probe.getsockname()[1])
         except socket.gaierror:
             raise UsageError(f"there is no host '{host}'; 127.0.0.1 is this machine alone, 0.0.0.0 all of its networks") from None
-        except OverflowError:
-            raise UsageError(f"{number} is not a port; ports are 1 to 65535") from None
         except OSError as error:
             if port is not None or error.errno != errno.EADDRINUSE:
                 reason = "is in use" if error.errno == errno.EADDRINUSE else f"cannot be used ({(error.strerror or '').lower()})"

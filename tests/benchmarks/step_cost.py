@@ -19,7 +19,7 @@ from statistics import median
 from typing import Any
 
 from deepbots_cli import api
-from deepbots_cli.cli.commands.bench import UNTIMED, Held, plan, timed
+from deepbots_cli.cli.commands.bench import WARM_UP_STEPS, ConstantActionEpisode, plan, timed
 from deepbots_cli.document import shipped
 from deepbots_cli.engines.pybullet import capture_native_output
 from deepbots_cli.runtime import Supervisor
@@ -63,12 +63,14 @@ def rays_bound() -> Iterator[list[Callable[[], object]]]:
         PyBulletEngine.rays = bind  # type: ignore[method-assign]
 
 
-def whole(environment: Any, episodes: list[Held]) -> Callable[[], float]:
+def whole(environment: Any, episodes: list[ConstantActionEpisode]) -> Callable[[], float]:
     """Measures the CPU time of a step in us."""
     return lambda: _per_step(environment, episodes, environment.step, lambda episode: episode.action)
 
 
-def bare(environment: Supervisor, episodes: list[Held], reads: tuple[Callable[[], object], ...] = ()) -> Callable[[], float]:
+def bare(
+    environment: Supervisor, episodes: list[ConstantActionEpisode], reads: tuple[Callable[[], object], ...] = ()
+) -> Callable[[], float]:
     """Measures physics alone, and what of the world has to be read in every step whoever does it."""
     advance = environment.engine.step
 
@@ -81,7 +83,9 @@ def bare(environment: Supervisor, episodes: list[Held], reads: tuple[Callable[[]
     return lambda: _per_step(environment, episodes, advance_and_read if reads else advance, lambda _: count)
 
 
-def _per_step(environment: Any, episodes: list[Held], call: Callable[[Any], object], argument: Callable[[Held], Any]) -> float:
+def _per_step(
+    environment: Any, episodes: list[ConstantActionEpisode], call: Callable[[Any], object], argument: Callable[[ConstantActionEpisode], Any]
+) -> float:
     return 1e6 * timed(environment, episodes, call, argument) / sum(episode.steps for episode in episodes)
 
 
@@ -98,11 +102,11 @@ def blind(environment: Supervisor) -> None:
     hooks._arrange()
 
 
-def require_same_motion(one: Supervisor, other: Supervisor, episode: Held) -> None:
+def require_same_motion(one: Supervisor, other: Supervisor, episode: ConstantActionEpisode) -> None:
     """Holding an action, a world that is stepped bare goes where one goes whose motors are set anew in every step."""
     for environment in (one, other):
         environment.reset(seed=episode.seed)
-        for _ in range(UNTIMED):
+        for _ in range(WARM_UP_STEPS):
             environment.step(episode.action)
     for _ in range(episode.steps):
         one.step(episode.action)

@@ -40,12 +40,12 @@ def dijkstra(blocked: NDArray[np.bool_], starts: NDArray[np.float64], cell: floa
         ends = index[~barred]
         length = cell * paths.SCALE * math.hypot(rows, columns)
         edges.append((ends - (rows * blocked.shape[1] + columns), ends, np.full(len(ends), length)))
-    first = np.nonzero((starts.ravel() < paths.FAR) & ~blocked.ravel())[0]
+    first = np.nonzero((starts.ravel() < paths.UNREACHABLE_LENGTH) & ~blocked.ravel())[0]
     edges.append((np.full(len(first), blocked.size), first, np.maximum(starts.ravel()[first], 1e-12)))  # 0 is no edge
     here, there, length = (np.concatenate(parts) for parts in zip(*edges, strict=True))
     graph = csr_matrix((length, (here, there)), shape=(blocked.size + 1, blocked.size + 1))
     found = dijkstra(graph, directed=False, indices=blocked.size)[:-1]
-    return np.minimum(found, paths.FAR).reshape(blocked.shape)
+    return np.minimum(found, paths.UNREACHABLE_LENGTH).reshape(blocked.shape)
 
 
 def layouts(count: int, generator: np.random.Generator) -> Iterator[tuple[list[Patch], tuple[float, float]]]:

@@ -16,7 +16,7 @@ from deepbots_cli import api
 from deepbots_cli.cli.command import Commands
 from deepbots_cli.cli.commands import COMMANDS, installation
 from deepbots_cli.engine_kinds import ENGINES
-from deepbots_cli.errors import installing
+from deepbots_cli.errors import install_hint
 from tests.few import few
 
 EXTRA = ("numpy", "pybullet", "torch", "gymnasium", "stable_baselines3")
@@ -144,7 +144,7 @@ def test_a_wrong_option_is_shown_as_it_was_typed(deepbots, words, said):
 def test_a_fault_of_ours_is_told_apart_and_its_traceback_kept(deepbots, monkeypatch, tmp_path):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
-    monkeypatch.setattr(api, "review", lambda *_, **__: 1 // 0)
+    monkeypatch.setattr(api, "all_findings", lambda *_, **__: 1 // 0)
     ran = deepbots("compile", "cartpole")
     assert ran.code == 3
     assert "ZeroDivisionError" in ran.err
@@ -157,7 +157,7 @@ def test_a_fault_of_ours_is_told_apart_and_its_traceback_kept(deepbots, monkeypa
 
 def test_a_fault_of_ours_is_raised_for_those_who_debug(deepbots, monkeypatch):
     monkeypatch.setenv("DEEPBOTS_DEBUG", "1")
-    monkeypatch.setattr(api, "review", lambda *_, **__: 1 // 0)
+    monkeypatch.setattr(api, "all_findings", lambda *_, **__: 1 // 0)
     with pytest.raises(ZeroDivisionError):
         deepbots("compile", "cartpole")
 
@@ -204,7 +204,7 @@ def test_a_missing_extra_is_one_line_with_the_command_that_installs_it(words, ab
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert done.stderr.startswith("error: ")
-    assert done.stderr.endswith(f"{installing(extra)}\n")
+    assert done.stderr.endswith(f"{install_hint(extra)}\n")
     assert done.stderr.count("\n") == 1
 
 

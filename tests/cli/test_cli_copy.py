@@ -84,7 +84,7 @@ def test_what_a_scenario_extends_and_includes_comes_along(tmp_path, monkeypatch)
     (data / "robots" / "urdf" / "arm.urdf").write_text("<robot name='arm'><link name='base'/></robot>")
     (data / "robots" / "meshes" / "a b.stl").write_text("solid a\nendsolid a\n")
     monkeypatch.setattr(shipped, "data_dir", lambda: data)
-    files = {str(path): content.decode() for path, content in new.collect("top").items()}
+    files = {str(path): content.decode() for path, content in new.shipped_files("top").items()}
     assert next(iter(files)) == "top.yaml"
     assert set(files) == {"top.yaml", "more/base.yaml", "robots/arm.yaml", "robots/urdf/arm.urdf", "robots/meshes/a b.stl"}
     assert files["top.yaml"] == text.replace("../robots", "robots")

@@ -14,7 +14,7 @@ from deepbots_cli.cli.commands.explain import Topic, topics
 from deepbots_cli.compiler import check
 from deepbots_cli.diagnostics import RULES
 from deepbots_cli.document import loads
-from deepbots_cli.lint import every_page, review
+from deepbots_cli.lint import all_findings, every_page
 
 ROOT = Path(__file__).parents[2]
 
@@ -227,7 +227,7 @@ def test_words_of_a_concept_lead_to_it(deepbots):
 @pytest.mark.parametrize("topic", topics(), ids=lambda topic: topic.name)
 def test_the_example_of_a_concept_lints_clean_and_its_page_has_the_section(topic: Topic):
     text = f"deepbots: 1\nextends: cartpole.yaml\n{topic.example}\n"
-    assert [finding.headline for finding in review(check(loads(text, base=ROOT / "scenarios")))] == []
+    assert [finding.headline for finding in all_findings(check(loads(text, base=ROOT / "scenarios")))] == []
     page, _, section = topic.read.partition("#")
     heads = re.findall(r"^#+ (.*)$", (ROOT / page).read_text(encoding="utf-8"), re.MULTILINE)
     assert section in {"", *(re.sub(r"[^a-z0-9 _-]", "", head.lower()).replace(" ", "-") for head in heads)}

@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli.errors import UsageError
-from deepbots_cli.files import atomic
+from deepbots_cli.files import atomic_write
 
 
 def put(path: Path, text: str) -> None:
-    with atomic(path) as draft:
+    with atomic_write(path) as draft:
         draft.write_text(text)
 
 

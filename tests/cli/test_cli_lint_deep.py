@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from deepbots_cli.document import shipped
-from deepbots_cli.errors import installing
+from deepbots_cli.errors import install_hint
 
 CARTPOLE = shipped.scenario_path("cartpole").read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole")
 SUNK = CARTPOLE.replace("z: 0.04 m", "z: 0.02 m")
@@ -64,4 +64,4 @@ def test_without_the_simulator_it_is_wrong_usage_that_says_what_to_install(deepb
         monkeypatch.setitem(sys.modules, engine, None)  # as if it were not installed
     ran = deepbots("lint", "sunk.yaml", "--deep")
     assert (ran.code, ran.out) == (2, "")
-    assert installing("sim") in ran.err
+    assert install_hint("sim") in ran.err

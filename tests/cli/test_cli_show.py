@@ -55,6 +55,12 @@ def test_inspect_shows_the_noise_of_a_measurement_and_of_the_goal(deepbots):
     assert (x["is"], x["noise"], tables["goal"]["noise"]) == ("position(cart).x", "2 mm", "1 %")
 
 
+def test_inspect_tells_the_signals_of_the_policy_from_those_of_reward_and_endings(deepbots):
+    rows = json.loads(deepbots("inspect", "find_ball", "--json").out)["signals"]
+    seen = {row["signal"]: row["policy_may_see_it"] for row in rows}
+    assert (seen["apart"], seen["angle"], seen["path"], seen["here"]) == (True, True, False, False)
+
+
 @pytest.mark.parametrize(("format", "size"), [("struct", 12), ("msgpack", 15), ("csv", "varies"), ("json", "varies")])
 def test_messages_have_a_size_where_it_is_fixed(deepbots, format, size):
     tables = inspected(deepbots, "--set", f"messages.format={format}")

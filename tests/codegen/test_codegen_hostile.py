@@ -18,9 +18,9 @@ import pytest
 import yaml
 
 from deepbots_cli import api
-from deepbots_cli.codegen import emit
+from deepbots_cli.codegen import generate_module
 from deepbots_cli.compiler import check
-from deepbots_cli.compiler.inputs import RESOLVED
+from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.document.load import loads
 from deepbots_cli.errors import DeepbotsError
 from tests.few import every
@@ -74,7 +74,7 @@ def opened(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
     """A scenario as data, and the folder that its files lie in."""
     checked, folder = api.load(request.param), tmp_path_factory.mktemp("copies")
     checked.inputs.write(folder)
-    return yaml.load((folder / RESOLVED).read_text(), Words), folder
+    return yaml.load((folder / RESOLVED_NAME).read_text(), Words), folder
 
 
 class Words(yaml.SafeLoader):
@@ -151,4 +151,4 @@ def test_a_name_that_is_no_identifier_is_never_printed(name: str) -> None:
     """The compiler lets none through; should it do so by mistake, nothing is printed."""
     program = api.compile("cartpole").program
     with pytest.raises(ValueError, match="name"):
-        emit(program.with_policies(reward=(replace(program.policy.reward[0], name=name),)))
+        generate_module(program.with_policies(reward=(replace(program.policy.reward[0], name=name),)))

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.codegen.text import WIDTH, docstring, wrapped
+from deepbots_cli.codegen.text import WIDTH, docstring, wrap_line
 
 ROOT = Path(__file__).parents[2]
 SCENARIOS = ["cartpole", *map(str, sorted((ROOT / "tests/data/scenarios").glob("*.yaml")))]
@@ -37,7 +37,7 @@ LINES = {
 
 @pytest.mark.parametrize("line", LINES.values(), ids=LINES)
 def test_a_long_line_is_broken_and_means_the_same(line: str) -> None:
-    lines = wrapped(f"        {line}")
+    lines = wrap_line(f"        {line}")
     body = "\n            pass" if line.endswith(":") else ""
     whole, broken = (ast.dump(ast.parse("if True:\n" + text + body)) for text in (f"        {line}", "\n".join(lines)))
     assert broken == whole

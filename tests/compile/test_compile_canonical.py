@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.codegen import emit
+from deepbots_cli.codegen import generate_module
 from deepbots_cli.program.identity import digest, to_json
 from tests.named import constant
 
@@ -27,8 +27,8 @@ def test_the_text_is_json_with_sorted_keys() -> None:
 @pytest.mark.parametrize("text", ['"""\nimport os\n"""', "'''", "\\", "\\u0022", "a\r\nb", "{x}", "\x00", 'Ends with a quote"'])
 def test_the_summary_stays_text_in_the_code(text: str) -> None:
     cartpole = api.compile("cartpole").program
-    code = emit(replace(cartpole, summary=text))
-    plain = emit(cartpole)
+    code = generate_module(replace(cartpole, summary=text))
+    plain = generate_module(cartpole)
     assert len(code.splitlines()) == len(plain.splitlines())
     names = compile(code, "generated", "exec").co_names
     assert names == compile(plain, "generated", "exec").co_names

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from deepbots_cli.scenario.actuators import ACTUATORS
-from deepbots_cli.scenario.fields import _OTHER_NAMES, other_name
+from deepbots_cli.scenario.fields import _OTHER_NAMES, word_for_foreign_name
 from deepbots_cli.scenario.sensors import SENSORS
 from deepbots_cli.scenario.world import OBJECTS
 from tests.compile.conftest import shipped_text
@@ -60,7 +60,7 @@ def test_other_names_stand_for_words_of_the_language_and_are_none():
     known = {*ACTUATORS, *SENSORS, *OBJECTS, "any"}
     assert known.issuperset(_OTHER_NAMES)
     for kinds in (tuple(ACTUATORS), tuple(SENSORS), tuple(OBJECTS)):
-        assert not [word for word in kinds if other_name(word, kinds)]
+        assert not [word for word in kinds if word_for_foreign_name(word, kinds)]
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.compiler.inventory import definition, names
+from deepbots_cli.compiler.inventory import definition, names_at
 
 
 @pytest.fixture(scope="module")
@@ -19,10 +19,10 @@ def searching():
 
 
 def test_the_parts_of_a_robot_go_by_short_names_inside_of_it_and_by_full_ones_elsewhere(rocking):
-    inside = names(rocking, "joint", ("robots", "roller", "actuators", "pitch_motor", "joint"))
+    inside = names_at(rocking, "joint", ("robots", "roller", "actuators", "pitch_motor", "joint"))
     assert [found.name for found in inside] == ["pitch", "yaw"]
-    assert {found.what for found in inside} == {"a continuous joint"}
-    assert [found.name for found in names(rocking, "joints", ("reset", "set"))] == ["roller.pitch", "roller.yaw"]
+    assert {found.description for found in inside} == {"a continuous joint"}
+    assert [found.name for found in names_at(rocking, "joints", ("reset", "set"))] == ["roller.pitch", "roller.yaw"]
 
 
 @pytest.mark.parametrize(
@@ -40,12 +40,12 @@ def test_the_parts_of_a_robot_go_by_short_names_inside_of_it_and_by_full_ones_el
     ],
 )
 def test_what_a_reference_may_name(rocking, kind, path, expected):
-    assert [found.name for found in names(rocking, kind, path)] == expected
+    assert [found.name for found in names_at(rocking, kind, path)] == expected
 
 
 def test_a_disturbance_may_push_links_and_a_touch_sensor_feels_bodies_and_the_ground(searching):
-    assert "epuck.base_link" in [found.name for found in names(searching, "body or link", ("disturbances", "gust", "body"))]
-    against = [found.name for found in names(searching, "bodies or links", ("robots", "epuck", "sensors", "bumper", "against"))]
+    assert "epuck.base_link" in [found.name for found in names_at(searching, "body or link", ("disturbances", "gust", "body"))]
+    against = [found.name for found in names_at(searching, "bodies or links", ("robots", "epuck", "sensors", "bumper", "against"))]
     assert {"ball", "obstacle", "ground", "epuck.base_link"} <= set(against)
 
 
@@ -62,11 +62,11 @@ def test_a_disturbance_may_push_links_and_a_touch_sensor_feels_bodies_and_the_gr
 def test_a_name_leads_to_its_definition(rocking, name, text, place):
     found = definition(rocking, name)
     assert found.span.text == text
-    assert found.span.where.rpartition(":")[0].endswith(place)
+    assert found.span.location.rpartition(":")[0].endswith(place)
 
 
 def test_on_board_the_names_of_the_robot_come_first(searching):
-    assert definition(searching, "proximity", "epuck").span.where.endswith("epuck.yaml:4:3")
+    assert definition(searching, "proximity", "epuck").span.location.endswith("epuck.yaml:4:3")
     assert definition(searching, "proximity") is None
     assert definition(searching, "nothing.at.all") is None
 
@@ -74,5 +74,5 @@ def test_on_board_the_names_of_the_robot_come_first(searching):
 def test_a_scenario_that_cannot_be_read_has_no_names(tmp_path):
     broken = tmp_path / "broken.yaml"
     broken.write_text("deepbots: 1\nname: {")
-    assert names(api.load(broken), "joint") == []
+    assert names_at(api.load(broken), "joint") == []
     assert definition(api.load(broken), "joint") is None

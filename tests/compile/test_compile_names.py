@@ -6,6 +6,8 @@ import time
 
 import pytest
 
+from deepbots_cli import api
+from deepbots_cli.errors import ScenarioError
 from deepbots_cli.expressions.scalar import World, walk
 
 REWARD = "  alive: 1"
@@ -141,3 +143,9 @@ def test_a_star_without_quotes_is_one_finding(workshop, cartpole, joints):
     )
     (finding,) = workshop.lint(text)
     assert (finding.code, finding.span.text) == ("DB001", "*wheel")
+
+
+def test_a_pose_with_a_wrong_value_is_one_finding_and_not_an_unknown_name_wherever_it_is_used() -> None:
+    with pytest.raises(ScenarioError) as refused:
+        api.compile("quadruped", sets=['robots.dog.poses.stand={"*_joint": 45 cm}'])
+    assert [finding.headline for finding in refused.value.findings] == ["`*_joint` must be an angle (rad); this is a length (m)"]

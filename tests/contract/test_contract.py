@@ -22,7 +22,7 @@ from rollout import actions, as_bytes, digest, episode, record
 from stable_baselines3.common.env_checker import check_env as sb3_check
 
 from deepbots_cli import api
-from deepbots_cli.codegen import emit, not_batched
+from deepbots_cli.codegen import batch_obstacles, generate_module
 from deepbots_cli.document import shipped
 from deepbots_cli.errors import BatchError, UsageError
 from deepbots_cli.expressions.scalar import Draw
@@ -64,11 +64,11 @@ def flat_bytes(observation: Any) -> bytes:
 
 
 def test_a_batch_is_printed_or_refused_with_reasons(case: Case) -> None:
-    if not_batched(case.program):
+    if batch_obstacles(case.program):
         with pytest.raises(BatchError, match=f"{case.program.name} does not fit a batch: it "):
-            emit(case.program, "batch")
+            generate_module(case.program, "batch")
     else:
-        compile(emit(case.program, "batch"), "<batch>", "exec")
+        compile(generate_module(case.program, "batch"), "<batch>", "exec")
 
 
 # The same seed gives the same bytes
@@ -147,7 +147,7 @@ def constant(scenario: Program, rollouts: list[list[Any]]) -> set[str]:
     seen = np.array([numbers(observation) for one in rollouts for observation, *_ in one])
     entries = [scenario.policy.numbers[index] for index, _ in policy_inputs(scenario.policy.numbers, scenario.policy.frame_stack)]
     spreads = np.ptp(seen, axis=0).reshape(-1, len(entries)).max(axis=0)
-    return {entry.full_name for entry, spread in zip(entries, spreads, strict=True) if spread == 0.0 and not entry.truth}
+    return {entry.full_name for entry, spread in zip(entries, spreads, strict=True) if spread == 0.0 and not entry.is_truth}
 
 
 def test_no_observation_is_constant(environment: Supervisor, rollouts: list[list[Any]]) -> None:

@@ -33,7 +33,7 @@ def test_an_extra_is_installed_from_the_clone_that_deepbots_came_from_and_from_n
     known.mkdir(parents=True)
     (known / "METADATA").write_text("Metadata-Version: 2.1\nName: deepbots-cli\nVersion: 0.1.0\n")
     (known / "direct_url.json").write_text(json.dumps({"url": clone.as_uri(), "dir_info": {}}))
-    command = [sys.executable, "-c", "from deepbots_cli.errors import installing; print(installing('sim'))"]
+    command = [sys.executable, "-c", "from deepbots_cli.errors import install_hint; print(install_hint('sim'))"]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join((str(packages), str(Path(errors.__file__).parents[1])))}
     for there, origin in ((False, "deepbots-cli"), (True, str(clone))):
         if there:

@@ -219,7 +219,7 @@ def test_sarif_holds_the_fix_of_a_finding_as_replacements() -> None:
 def test_sarif_names_further_places_and_the_files_that_included_this_one() -> None:
     main = Source("main.yaml", "include: b.yaml")
     part = Source("b.yaml", "a: 1\na: 2\n", Span(main, 9, 15))
-    found = Finding("DB002", Span(part, 5, 6), "given twice", also=(Label(Span(part, 0, 1), "first defined here"),))
+    found = Finding("DB002", Span(part, 5, 6), "given twice", labels=(Label(Span(part, 0, 1), "first defined here"),))
     (result,) = sarif_of([found])["results"]  # type: ignore[attr-defined]
     told = [(place["message"]["text"], place["physicalLocation"]["artifactLocation"]["uri"]) for place in result["relatedLocations"]]
     assert told == [("first defined here", "b.yaml"), ("included from here", "main.yaml")]

@@ -40,7 +40,7 @@ def test_the_full_form_shows_the_line_and_underlines_the_place() -> None:
 def test_further_places_are_shown_in_the_order_of_the_file() -> None:
     source = Source("a.yaml", "name: x\nb: 1\nc: 1\nname: y\n")
     label = Label(Span(source, 0, 4), "first defined here")
-    lines = render([Finding("DB002", Span(source, 18, 22), "the key `name` is given twice", also=(label,))]).splitlines()
+    lines = render([Finding("DB002", Span(source, 18, 22), "the key `name` is given twice", labels=(label,))]).splitlines()
     assert lines[1:] == [
         " --> a.yaml:4:1",
         "  |",
@@ -56,7 +56,7 @@ def test_further_places_are_shown_in_the_order_of_the_file() -> None:
 
 def test_a_place_in_another_file_is_shown_apart() -> None:
     other = Source("b.yaml", "x: 1")
-    shown = render([finding("y: 1", "y", also=(Label(Span(other, 0, 1), "defined here"),))])
+    shown = render([finding("y: 1", "y", labels=(Label(Span(other, 0, 1), "defined here"),))])
     assert " --> a.yaml:1:1\n" in shown
     assert " --> b.yaml:1:1\n" in shown
     assert "| - defined here" in shown

@@ -12,7 +12,7 @@ from deepbots_cli.compiler import check
 from deepbots_cli.diagnostics import RULES, Findings
 from deepbots_cli.diagnostics.findings import Source, suppress
 from deepbots_cli.document import loads
-from deepbots_cli.lint import SIMULATED_RULES, STATIC_RULES, Page, code_of, every_page, run, simulate
+from deepbots_cli.lint import SIMULATED_RULES, STATIC_RULES, Page, code_of, every_page, simulate, static_findings
 from deepbots_cli.lint.analysis import StaticRule
 from deepbots_cli.robots.reader import read
 from tests.few import few
@@ -29,7 +29,7 @@ def codes(text: str, page: Page, folder: Path) -> set[str]:
         read(file, file.name, findings)
         return {finding.code for finding in findings}
     checked = check(loads(f"deepbots: 1\nextends: cartpole.yaml\n{text}\n", base=SCENARIOS))
-    found = [*checked.findings, *run(checked, preview=True)]
+    found = [*checked.findings, *static_findings(checked, preview=True)]
     if page.deep:
         assert page.code not in {finding.code for finding in found}, "the text alone tells it"
         found += simulate(checked, preview=True).findings

@@ -20,13 +20,13 @@ def shown(selection: Selection, *codes: str) -> list[str]:
 
 def test_without_a_word_everything_is_shown() -> None:
     assert shown(Selection(), "DB003", "DB504", "DB603") == ["DB003", "DB504", "DB603"]
-    assert Selection().is_everything
+    assert Selection().selects_all
 
 
 def test_the_beginning_of_codes_a_code_and_a_name_select() -> None:
     selection = Selection(words("DB5", "DB603", "never-true"))
     assert shown(selection, "DB003", "DB504", "DB505", "DB603", "DB611", "DB801", "DB804") == ["DB504", "DB505", "DB603", "DB801"]
-    assert not selection.is_everything
+    assert not selection.selects_all
 
 
 def test_what_is_ignored_is_not_shown() -> None:
@@ -72,7 +72,7 @@ def test_a_selection_of_nothing_is_refused() -> None:
 
 def test_a_rule_in_preview_that_is_selected_by_itself_is_told_of() -> None:
     (doubt,) = Selection(words("DB5", "hidden-state-reward")).inactive_rules()
-    assert (doubt.code, doubt.span.where, doubt.span.text) == ("DB902", "--select:1:5", "hidden-state-reward")
+    assert (doubt.code, doubt.span.location, doubt.span.text) == ("DB902", "--select:1:5", "hidden-state-reward")
     assert "--preview" in (doubt.help or "")
 
 

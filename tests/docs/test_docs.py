@@ -22,7 +22,7 @@ from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.findings import suppress
 from deepbots_cli.document import loads
 from deepbots_cli.lint import pages_of
-from deepbots_cli.lint import run as run_rules
+from deepbots_cli.lint import static_findings as run_rules
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = sorted(path.parent for path in (ROOT / "deepbots_cli").rglob("__init__.py"))

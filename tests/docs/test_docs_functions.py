@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.compiler import Checked, check
+from deepbots_cli.compiler import CheckedScenario, check
 from deepbots_cli.document import loads
 from deepbots_cli.expressions.dimensions import NUMBER
 from deepbots_cli.expressions.functions import FUNCTIONS, Family
@@ -17,7 +17,7 @@ from deepbots_cli.expressions.types import Symbol
 SCENARIOS = Path(__file__).parents[1] / "data" / "scenarios"
 
 
-def scenario_with_examples(observation: dict[str, str]) -> Checked:
+def scenario_with_examples(observation: dict[str, str]) -> CheckedScenario:
     """The model scenario with each example as a value that the policy may see: a draw as a parameter, all else as an augmentation."""
     drawn = [name for name, function in FUNCTIONS.items() if function.family is Family.DRAW]
     lines = ["deepbots: 1", "extends: reference.yaml", "parameters:"]
@@ -27,7 +27,7 @@ def scenario_with_examples(observation: dict[str, str]) -> Checked:
     return check(loads("\n".join(lines), base=SCENARIOS))
 
 
-def symbol(checked: Checked, name: str) -> Symbol:
+def symbol(checked: CheckedScenario, name: str) -> Symbol:
     assert checked.namespace is not None
     symbol = checked.namespace.resolve(name)
     assert symbol is not None
@@ -41,7 +41,7 @@ def as_observed(symbol: Symbol) -> str:
 
 
 @pytest.fixture(scope="module")
-def checked() -> Checked:
+def checked() -> CheckedScenario:
     first = scenario_with_examples({"rover.near": "0 .. 50 cm"})
     return scenario_with_examples({f"by_{name}": as_observed(symbol(first, f"by_{name}")) for name in FUNCTIONS})
 
@@ -51,11 +51,11 @@ def test_an_example_is_about_its_function(name: str):
     assert FUNCTIONS[name].example.count(f"{name}(") == 1
 
 
-def test_the_examples_have_no_findings(checked: Checked):
+def test_the_examples_have_no_findings(checked: CheckedScenario):
     assert [f"{finding.code} {finding.headline}" for finding in checked.findings if finding.severity == "error"] == []
 
 
-def test_the_examples_give_finite_values_in_every_step(checked: Checked):
+def test_the_examples_give_finite_values_in_every_step(checked: CheckedScenario):
     compiled = api.compile(checked)
     fields = [entry.name for entry in compiled.program.policy.numbers]
     env = api.build(compiled.program)

@@ -12,14 +12,14 @@ from typing import NamedTuple
 import pytest
 
 from deepbots_cli import api, lint
-from deepbots_cli.compiler import Checked, check
+from deepbots_cli.compiler import CheckedScenario, check
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.document import Document, load, loads
 from deepbots_cli.document.load import merge
-from deepbots_cli.document.nodes import Entry, Mapping, Node, Path, descend, to_data, walk, without
-from deepbots_cli.document.nodes import replace as replaced
+from deepbots_cli.document.nodes import Entry, MappingNode, Node, NodePath, descend, to_data, walk, without_paths
+from deepbots_cli.document.nodes import with_entry as replaced
 from deepbots_cli.scenario import Scenario
-from deepbots_cli.scenario.base import Section, example_of, examples, fields, sections, shape_at
+from deepbots_cli.scenario.base import Section, example_of, examples, section_fields, shape_at, walk_sections
 from deepbots_cli.scenario.training import ALGORITHMS, Training
 
 ROOT = FilePath(__file__).parents[2]
@@ -45,7 +45,7 @@ class Place(NamedTuple):
     """A part in a scenario that stands there with these keys."""
 
     document: Document
-    path: Path
+    path: NodePath
     part: type[Section]
     keys: frozenset[str]
 
@@ -54,8 +54,8 @@ def declared(part: type[Section], name: str) -> type[Section]:
     return [base for base in part.__mro__ if issubclass(base, Section) and name in base.model_fields][-1]
 
 
-PARTS = list(dict.fromkeys((section, kind) for _, section, kind in sections(Scenario) if isinstance(section, type)))
-KEYS = sorted({Key(declared(part, name), name) for part, kind in PARTS for name in fields(part) if name != kind}, key=str)
+PARTS = list(dict.fromkeys((section, kind) for _, section, kind in walk_sections(Scenario) if isinstance(section, type)))
+KEYS = sorted({Key(declared(part, name), name) for part, kind in PARTS for name in section_fields(part) if name != kind}, key=str)
 KEYS = [key for key in KEYS if not issubclass(key.owner, Training) or key.owner is Training]
 
 
@@ -67,14 +67,14 @@ def places() -> tuple[Place, ...]:
         assert document.root is not None
         data = to_data(document.root)
         for path, node in walk(document.root):
-            if isinstance(node, Mapping) and isinstance(part := shape_at(Scenario, data, path), type):
+            if isinstance(node, MappingNode) and isinstance(part := shape_at(Scenario, data, path), type):
                 found.append(Place(document, path, part, frozenset(node.entries)))
     return tuple(found)
 
 
 def fitting(key: Key) -> list[Place]:
     """Where an example may be tried, cheap hosts first: where the key stands already, where nothing excludes it, then anywhere."""
-    found = [place for place in places() if issubclass(place.part, key.owner) and key.name in fields(place.part)]
+    found = [place for place in places() if issubclass(place.part, key.owner) and key.name in section_fields(place.part)]
 
     def order(place: Place) -> tuple[bool, ...]:
         costly = place.document.path.stem in COSTLY
@@ -89,25 +89,25 @@ def excluded(place: Place, key: Key) -> set[str]:
     return set().union(*groups) & place.keys - {key.name}
 
 
-def with_example(place: Place, key: Key) -> Checked:
+def with_example(place: Place, key: Key) -> CheckedScenario:
     """The scenario with the example in this place, merged as a file that extends it would."""
     assert place.document.root is not None
-    root: Node = without(place.document.root, [(*place.path, other) for other in excluded(place, key)])
+    root: Node = without_paths(place.document.root, [(*place.path, other) for other in excluded(place, key)])
     here, _, _ = descend(root, place.path)
-    assert isinstance(here, Mapping)
+    assert isinstance(here, MappingNode)
     example = example_of(place.part, key.name)
     assert example is not None
     entry = example.entry
     old = here.get(key.name)
-    value = merge(old, entry.value, key.name) if isinstance(old, Mapping) and isinstance(entry.value, Mapping) else entry.value
+    value = merge(old, entry.value, key.name) if isinstance(old, MappingNode) and isinstance(entry.value, MappingNode) else entry.value
     changed = replaced(root, (*place.path, key.name), Entry(entry.key, value))
-    assert isinstance(changed, Mapping)
+    assert isinstance(changed, MappingNode)
     return check(replace(place.document, root=changed, findings=Findings(), base=place.document.path.parent))
 
 
-def findings_of(checked: Checked) -> list[str]:
+def findings_of(checked: CheckedScenario) -> list[str]:
     """What lint says; that nothing uses a definition is said of examples that define something, and is no fault of theirs."""
-    found = [f"{finding.code} {finding.headline}" for finding in [*checked.findings, *lint.run(checked)]]
+    found = [f"{finding.code} {finding.headline}" for finding in [*checked.findings, *lint.static_findings(checked)]]
     return [finding for finding in found if not finding.startswith("DB205")]
 
 
@@ -118,7 +118,7 @@ def known_findings(host: FilePath) -> frozenset[str]:
 
 
 @cache
-def tried(key: Key) -> tuple[Checked | None, str]:
+def tried(key: Key) -> tuple[CheckedScenario | None, str]:
     """The first scenario in which the example lints clean; None, with what is said of it elsewhere."""
     said = []
     for place in fitting(key)[:50]:
@@ -133,12 +133,12 @@ def tried(key: Key) -> tuple[Checked | None, str]:
 @pytest.mark.parametrize("part", dict.fromkeys(part for part, _ in PARTS), ids=lambda part: part.__name__)
 def test_every_key_has_an_example(part: type[Section]):
     kinds = {kind for model, kind in PARTS if model is part}
-    assert [name for name in fields(part) if example_of(part, name) is None and name not in kinds] == []
+    assert [name for name in section_fields(part) if example_of(part, name) is None and name not in kinds] == []
 
 
 def test_every_example_is_of_a_key():
     known = {base.__name__: set(base.model_fields) for part, _ in PARTS for base in part.__mro__ if issubclass(base, Section)}
-    known["Training"] |= {name for part, _ in PARTS if issubclass(part, Training) for name in fields(part)}
+    known["Training"] |= {name for part, _ in PARTS if issubclass(part, Training) for name in section_fields(part)}
     assert [f"{part}.{key}" for part, keys in examples().items() for key in keys if key not in known.get(part, set())] == []
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.diagnostics.render import render
-from deepbots_cli.document import Document, Mapping, Node, Scalar, Sequence, load, loads, to_data, walk
+from deepbots_cli.document import Document, MappingNode, Node, ScalarNode, SequenceNode, load, loads, to_data, walk
 
 # Pieces that YAML gives a meaning, and words; strings of them reach far into the parser.
 SIGNS = list("ab1:\n\t[]{},'\"\\|>#*%@`~()é日😀\u2028\ufeff\x00\x85")
@@ -30,12 +30,12 @@ DATA = st.recursive(
 
 
 def spans(document: Document) -> list[Span]:
-    found = [span for finding in document.findings for span in (finding.span, *(label.span for label in finding.also))]
+    found = [span for finding in document.findings for span in (finding.span, *(label.span for label in finding.labels))]
     for _, node in walk(document.root) if document.root else ():
         found.append(node.span)
-        if isinstance(node, Mapping):
+        if isinstance(node, MappingNode):
             found.extend(entry.key.span for entry in node.entries.values())
-        if isinstance(node, Scalar):
+        if isinstance(node, ScalarNode):
             found.extend(node.part(i, i + 1) for i in range(len(node.text)))
     return found
 
@@ -43,11 +43,11 @@ def spans(document: Document) -> list[Span]:
 def texts(node: Node) -> object:
     """The tree as PyYAML's base loader gives it: every scalar as text."""
     match node:
-        case Scalar():
+        case ScalarNode():
             return node.text
-        case Sequence():
+        case SequenceNode():
             return [texts(item) for item in node.items]
-        case Mapping():
+        case MappingNode():
             return {key: texts(entry.value) for key, entry in node.entries.items()}
 
 
@@ -104,7 +104,7 @@ def test_json_is_read_as_the_data_that_it_holds(data: dict[str, object], indent:
 def test_the_span_of_a_scalar_reads_as_that_scalar(data: dict[str, object]) -> None:
     document = loads(json.dumps(data, ensure_ascii=False))
     for _, node in walk(document.root) if document.root else ():
-        if isinstance(node, Scalar):
+        if isinstance(node, ScalarNode):
             again = loads(f"a: {node.span.text}").root
             assert again is not None
             assert to_data(again) == {"a": node.value}

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from deepbots_cli.document import Document, Mapping, load, loads, shipped, to_data
-from deepbots_cli.document.files import UnusableFile, project_root, resolve
+from deepbots_cli.document import Document, MappingNode, load, loads, shipped, to_data
+from deepbots_cli.document.files import UnusableFile, project_root, resolve_reference
 from deepbots_cli.errors import UsageError
 
 
@@ -64,7 +64,7 @@ def test_a_file_that_is_no_scenario_gets_one_finding_at_the_place(
     path.write_bytes(content)
     document = load(path, display="a.yaml")
     assert document.root is None
-    assert [(f.code, f.span.begin, f.span.source.name) for f in document.findings] == [(code, where, "a.yaml")]
+    assert [(f.code, f.span.start_position, f.span.source.name) for f in document.findings] == [(code, where, "a.yaml")]
 
 
 def test_a_byte_order_mark_and_windows_line_ends_are_read(tmp_path: Path) -> None:
@@ -73,7 +73,7 @@ def test_a_byte_order_mark_and_windows_line_ends_are_read(tmp_path: Path) -> Non
     document = load(path)
     assert data(document) == {"a": 1, "b": {"c": 2}}
     assert document.root is not None
-    assert document.root.entries["b"].value.span.begin == (3, 3)
+    assert document.root.entries["b"].value.span.start_position == (3, 3)
 
 
 # extends, include, remove
@@ -89,7 +89,7 @@ def test_an_extending_file_merges_by_key_and_keeps_the_order_of_the_base(tmp_pat
     assert data(document) == {"observation": {"x": 1, "speed": 2, "y": 1, "new": 3}, "list": ["c"], "kept": True}
     assert document.root is not None
     observation = document.root.get("observation")
-    assert isinstance(observation, Mapping)
+    assert isinstance(observation, MappingNode)
     assert list(observation.entries) == ["x", "speed", "y", "new"]
     assert observation.entries["speed"].value.span.source is document.source
     assert observation.entries["x"].value.span.source.name.endswith("base.yaml")
@@ -128,7 +128,7 @@ def test_paths_are_relative_to_the_file_that_wrote_them(tmp_path: Path) -> None:
     path = write(tmp_path, main="r: {include: robots/epuck.yaml}\n")
     document = load(path, ["r.extra=mine.urdf"])
     robot = document.root.get("r") if document.root else None
-    assert isinstance(robot, Mapping)
+    assert isinstance(robot, MappingNode)
     assert document.directory_of(robot.entries["urdf"].value.span) == tmp_path / "robots"
     assert document.directory_of(robot.span) == tmp_path
     assert document.directory_of(robot.entries["extra"].value.span) == Path.cwd()
@@ -140,7 +140,7 @@ def test_a_finding_in_an_included_file_knows_what_included_it(tmp_path: Path) ->
     included_from = finding.span.source.included_from
     assert finding.span.source.name.endswith("part.yaml")
     assert included_from is not None
-    assert included_from.begin == (2, 12)
+    assert included_from.start_position == (2, 12)
 
 
 @pytest.mark.parametrize("word", ["extends: ", "r:\n  include: "])
@@ -199,8 +199,8 @@ def test_the_project_is_the_nearest_folder_with_a_marker(tmp_path: Path) -> None
 def test_shipped_files_may_be_read_from_anywhere(tmp_path: Path) -> None:
     for root in shipped.data_roots():
         for path in root.rglob("*.*"):
-            assert resolve(str(path), tmp_path, shipped.data_roots()) == path
-    assert isinstance(resolve(str(shipped.data_dir() / "pyproject.toml"), tmp_path, shipped.data_roots()), UnusableFile)
+            assert resolve_reference(str(path), tmp_path, shipped.data_roots()) == path
+    assert isinstance(resolve_reference(str(shipped.data_dir() / "pyproject.toml"), tmp_path, shipped.data_roots()), UnusableFile)
 
 
 @pytest.mark.parametrize("name", ["../x", "", "a/b", "x" * 10_000, "a\0", "nothing-like-it"])
@@ -233,7 +233,7 @@ def test_what_a_file_writes_and_removes_itself_is_reported(tmp_path: Path) -> No
     file = write(tmp_path, one="extends: base.yaml\na: {b: 2, c: 3}\nremove: [a.b]\n", base="a: {b: 1}\n")
     document = load(file)
     (finding,) = document.findings
-    assert (finding.code, finding.span.where, finding.also[0].span.text) == ("DB205", f"{file}:2:5", "a.b")
+    assert (finding.code, finding.span.location, finding.labels[0].span.text) == ("DB205", f"{file}:2:5", "a.b")
     assert document.root is not None
     assert to_data(document.root) == {"a": {"c": 3}}
 
@@ -278,9 +278,9 @@ def test_an_assignment_replaces_the_value_at_its_path(assignment: str, path: tup
 def test_an_assigned_value_has_its_place_in_the_assignment() -> None:
     document = loads(BASE, sets=["world.timestep=8 ms"])
     world = document.root.get("world") if document.root else None
-    assert isinstance(world, Mapping)
+    assert isinstance(world, MappingNode)
     span = world.entries["timestep"].value.span
-    assert (span.text, span.where) == ("8 ms", "--set world.timestep:1:16")
+    assert (span.text, span.location) == ("8 ms", "--set world.timestep:1:16")
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from deepbots_cli.diagnostics import Finding, Findings, Source
-from deepbots_cli.document import Mapping, Node, Scalar, Sequence, descend, to_data
+from deepbots_cli.document import MappingNode, Node, ScalarNode, SequenceNode, descend, to_data
 from deepbots_cli.document.parse import parse
 
 
@@ -18,7 +18,7 @@ def read(text: str) -> tuple[Node | None, list[Finding]]:
 
 def value(text: str) -> object:
     node, _ = read(f"key: {text}\n")
-    assert isinstance(node, Mapping)
+    assert isinstance(node, MappingNode)
     return to_data(node).get("key")  # type: ignore[attr-defined]
 
 
@@ -28,11 +28,11 @@ def only(text: str) -> Finding:
     return findings[0]
 
 
-def scalar(text: str, *path: str | int) -> Scalar:
+def scalar(text: str, *path: str | int) -> ScalarNode:
     node, _ = read(text)
     assert node is not None
     found, _, _ = descend(node, path)
-    assert isinstance(found, Scalar)
+    assert isinstance(found, ScalarNode)
     return found
 
 
@@ -71,12 +71,12 @@ def test_keys_and_values_know_where_they_begin_and_end() -> None:
     text = "größe: 1\nlist: [a, {b: 'c d'}]\nend:\n  deep: x  # why\n"
     node, findings = read(text)
     assert not findings
-    assert isinstance(node, Mapping)
+    assert isinstance(node, MappingNode)
     assert node.entries["größe"].key.span.text == "größe"
     assert node.entries["list"].value.span.text == "[a, {b: 'c d'}]"
     assert node.entries["end"].value.span.text == "deep: x"
     assert scalar(text, "list", 1, "b").span.text == "'c d'"
-    assert scalar(text, "end", "deep").span.begin == (4, 9)
+    assert scalar(text, "end", "deep").span.start_position == (4, 9)
     assert node.span.text == text[: text.index("  #")]
 
 
@@ -84,7 +84,7 @@ def test_the_span_of_a_value_leaves_out_its_anchor() -> None:
     text = "a: &one\n  b: &two 1\nc: &three [x]\nd: *one\n"
     node, findings = read(text)
     assert not findings
-    assert isinstance(node, Mapping)
+    assert isinstance(node, MappingNode)
     assert node.entries["a"].value.span.text == "b: &two 1"
     assert scalar(text, "a", "b").span.text == "1"
     assert node.entries["c"].value.span.text == "[x]"
@@ -121,8 +121,8 @@ def test_a_block_of_text_begins_below_its_sign_and_ends_before_the_blank_lines_b
 
 def test_a_duplicate_key_is_reported_with_the_first_one_which_is_kept() -> None:
     finding = only("a: 1\nb: 2\na: 3\n")
-    assert (finding.code, finding.span.begin) == ("DB002", (3, 1))
-    assert finding.also[0].span.begin == (1, 1)
+    assert (finding.code, finding.span.start_position) == ("DB002", (3, 1))
+    assert finding.labels[0].span.start_position == (1, 1)
     node, _ = read("a: 1\na: 3\n")
     assert node is not None
     assert to_data(node) == {"a": 1}
@@ -218,9 +218,9 @@ def test_values_that_mean_what_they_seem_to_are_not_reported(text: str) -> None:
 
 def test_a_key_that_had_to_be_left_out_marks_its_mapping_as_partial() -> None:
     node, _ = read("a: {b: , c: 1}\nd: 1\n")
-    assert isinstance(node, Mapping)
+    assert isinstance(node, MappingNode)
     inner = node.get("a")
-    assert isinstance(inner, Mapping)
+    assert isinstance(inner, MappingNode)
     assert inner.partial
     assert not node.partial
 
@@ -258,7 +258,7 @@ def test_64_levels_are_allowed_and_65_are_not() -> None:
 
 
 def test_more_than_8_000_values_are_refused() -> None:
-    assert isinstance(read("[" + "1," * 7_900 + "]")[0], Sequence)
+    assert isinstance(read("[" + "1," * 7_900 + "]")[0], SequenceNode)
     assert only("[" + "1," * 8_001 + "]").code == "DB005"
 
 
@@ -301,11 +301,11 @@ def told(node: Node) -> object:
     """All that a tree says, with the place of every character."""
     place = node.span.start, node.span.end
     match node:
-        case Scalar(_, text, value, style, offsets):
+        case ScalarNode(_, text, value, style, offsets):
             return place, text, value, style, None if offsets is None else [*offsets]
-        case Sequence(_, items):
+        case SequenceNode(_, items):
             return place, [told(item) for item in items]
-        case Mapping(_, entries):
+        case MappingNode(_, entries):
             return place, [(told(key), told(value)) for key, value in entries.values()]
 
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.compiler.inventory import known
-from deepbots_cli.scenario.json_schema import FILE_NAME, to_text
+from deepbots_cli.compiler.inventory import scenario_names
+from deepbots_cli.scenario.json_schema import FILE_NAME, schema_text
 from tests.lsp.client import Client, Message, position
 
 ROOT = Path(__file__).parents[2]
@@ -60,8 +60,8 @@ def _underlined(lines: list[str], span: Message) -> str:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the schemas; below `general` and `own` a comment leads to them."""
     root = tmp_path_factory.mktemp("scenarios")
-    (root / FILE_NAME).write_text(to_text(), encoding="utf-8")
-    (root / "cartpole.schema.json").write_text(to_text(known(api.load("cartpole"))), encoding="utf-8")
+    (root / FILE_NAME).write_text(schema_text(), encoding="utf-8")
+    (root / "cartpole.schema.json").write_text(schema_text(scenario_names(api.load("cartpole"))), encoding="utf-8")
     return root
 
 

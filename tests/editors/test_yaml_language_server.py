@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.compiler.inventory import known
-from deepbots_cli.scenario.json_schema import FILE_NAME, to_text
+from deepbots_cli.compiler.inventory import scenario_names
+from deepbots_cli.scenario.json_schema import FILE_NAME, schema_text
 from deepbots_cli.scenario.sensors import SENSORS
 from tests.editors.conftest import ROOT, Type
 from tests.lsp.client import Client
@@ -206,7 +206,7 @@ def test_without_the_names_of_the_scenario_any_joint_will_do(typed: Type) -> Non
 
 @pytest.mark.parametrize("path", SAMPLES, ids=lambda path: path.stem)
 def test_in_a_shipped_scenario_nothing_is_marked(client: Client, folder: Path, path: Path) -> None:
-    (folder / f"{path.stem}.own.json").write_text(to_text(known(api.load(path))), encoding="utf-8")
+    (folder / f"{path.stem}.own.json").write_text(schema_text(scenario_names(api.load(path))), encoding="utf-8")
     text = path.read_text(encoding="utf-8")
     for schema in (FILE_NAME, f"{path.stem}.own.json"):
         comment = f"# yaml-language-server: $schema={schema}\n"

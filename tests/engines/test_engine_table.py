@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from deepbots_cli.engines import ENGINES, create, names
-from deepbots_cli.errors import UsageError, installing
+from deepbots_cli.errors import UsageError, install_hint
 
 
 def test_an_unknown_engine_lists_those_there_are_and_the_nearest(worlds):
@@ -46,7 +46,7 @@ except MissingExtraError as error:
     print(error)
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    assert done.stdout == f"running a scenario needs the 'sim' extra; {installing('sim')}\n"
+    assert done.stdout == f"running a scenario needs the 'sim' extra; {install_hint('sim')}\n"
 
 
 def without_pybullet(script: str) -> subprocess.CompletedProcess[str]:

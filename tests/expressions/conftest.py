@@ -12,7 +12,7 @@ import pytest
 from deepbots_cli.expressions.check import check
 from deepbots_cli.expressions.dimensions import ACCELERATION, ANGLE, ANGULAR_VELOCITY, LENGTH, NUMBER, SPEED, TIME
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
-from deepbots_cli.expressions.lower import lower, python
+from deepbots_cli.expressions.lower import lower, to_python
 from deepbots_cli.expressions.parser import parse
 from deepbots_cli.expressions.scalar import Draw, Name, State, World
 from deepbots_cli.expressions.types import SPACE, Context, Kind, Stage, Subject, Symbol, Type, Typed
@@ -128,7 +128,7 @@ class Bench:
 
     def code_of(self, text: str, context: Context = Context.SIGNAL) -> list[str]:
         """The Python of every component."""
-        return [python(scalar, leaf) for scalar in lower(self.clean(text, context), "item")]
+        return [to_python(scalar, leaf) for scalar in lower(self.clean(text, context), "item")]
 
     def values(self, text: str, **read: float) -> list[float]:
         """What the printed Python computes, given the values that it reads."""
@@ -140,7 +140,7 @@ class Bench:
 
 def evaluate(value: Typed, read: dict[str, object]) -> list[float]:
     scalars = lower(value, "item")
-    return [eval(python(scalar, leaf), {**vars(math), **vars(formulas), **read}) for scalar in scalars]
+    return [eval(to_python(scalar, leaf), {**vars(math), **vars(formulas), **read}) for scalar in scalars]
 
 
 def leaf(read: Name | World | State | Draw) -> str:

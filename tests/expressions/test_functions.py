@@ -25,7 +25,7 @@ ROOT = Path(__file__).parents[2]
 @given(st.data())
 def test_floats_and_arrays_agree_to_the_last_place(function, data):
     arguments = [name.removeprefix("*") for name in function.arguments]
-    names = [*arguments, *([f"{arguments[-1]}{n}" for n in range(data.draw(st.integers(1, 2)))] if function.params[-1].many else [])]
+    names = [*arguments, *([f"{arguments[-1]}{n}" for n in range(data.draw(st.integers(1, 2)))] if function.params[-1].variadic else [])]
     kinds = {name: st.booleans() if function.name in LOGIC or name == "condition" else st.floats(-50, 50) for name in names}
     rows = [{name: data.draw(kind, label=name) for name, kind in kinds.items()} for _ in range(3)]
     tree = Op(function.name, tuple(map(Name, names)))

@@ -6,10 +6,10 @@ from hypothesis import strategies as st
 from deepbots_cli.expressions.check import check_drawn, check_range
 from deepbots_cli.expressions.dimensions import UNITS
 from deepbots_cli.expressions.functions import FUNCTIONS
-from deepbots_cli.expressions.lower import constant, lower, python
+from deepbots_cli.expressions.lower import constant_values, lower, to_python
 from deepbots_cli.expressions.parser import parse
 from deepbots_cli.expressions.types import Context
-from deepbots_cli.expressions.unification import expect
+from deepbots_cli.expressions.unification import expect_value
 
 NAMES = "x speed gas flag home stride cart cart.tip cart.legs cart.pole_angle ball broken radio nonsense"
 OTHERS = "0 1 2.5 1e308 1e-308 100_000 and or not when every each step true if"
@@ -30,10 +30,10 @@ def take(bench, text):
     drawn = check_drawn(tree, scope, bench.report)
     if drawn is None:
         return
-    expect(drawn.value, bench.report, "the field", boolean=drawn.value.type.boolean)
-    constant(drawn.value)
+    expect_value(drawn.value, bench.report, "the field", boolean=drawn.value.type.boolean)
+    constant_values(drawn.value)
     for scalar in lower(drawn.value, "item"):
-        compile(python(scalar, lambda read: "v"), "item", "eval")
+        compile(to_python(scalar, lambda read: "v"), "item", "eval")
 
 
 @settings(max_examples=150, deadline=2000)

@@ -17,7 +17,7 @@ from deepbots_cli.expressions.dimensions import (
     TORQUE,
     UNITS,
     Dimension,
-    multiple,
+    prefixed_unit,
     suggest_unit,
 )
 
@@ -44,10 +44,10 @@ def test_dimensions_read_as_a_person_would_write_them():
     assert str(SPEED / TIME) == "m/s^2"
     assert str(TORQUE / ANGLE) == "N*m/rad"
     assert str(LENGTH ** Fraction(1, 2)) == "m^(1/2)"
-    assert NUMBER.words == "a plain number"
-    assert ANGLE.words == "an angle (rad)"
-    assert SPEED.words == "a speed (m/s)"
-    assert (LENGTH * ANGLE).words == "a quantity in m*rad"
+    assert NUMBER.description == "a plain number"
+    assert ANGLE.description == "an angle (rad)"
+    assert SPEED.description == "a speed (m/s)"
+    assert (LENGTH * ANGLE).description == "a quantity in m*rad"
 
 
 @pytest.mark.parametrize(
@@ -118,7 +118,7 @@ def test_a_force_is_a_mass_times_an_acceleration(bench):
 @pytest.mark.parametrize(("typed", "unit"), [("mrad", "rad"), ("um", "m"), ("uN", "N")])
 def test_a_multiple_of_a_unit_is_never_taken_for_the_unit(typed, unit):
     assert suggest_unit(typed) is None
-    found = multiple(typed)
+    found = prefixed_unit(typed)
     assert found is not None
     assert found[1] == unit
 

@@ -3,7 +3,7 @@
 import pytest
 
 from deepbots_cli.expressions.functions import FUNCTIONS, Family
-from deepbots_cli.expressions.lower import lower, python
+from deepbots_cli.expressions.lower import lower, to_python
 from deepbots_cli.expressions.scalar import State, walk
 from deepbots_cli.runtime import formulas
 
@@ -19,8 +19,8 @@ def run(bench, text, rows):
     def leaf(read):
         return f"now_{states.index(read)}" if isinstance(read, State) else read.name
 
-    calls = [(f"now_{index}", memories[state], [python(arg, leaf) for arg in state.args]) for index, state in enumerate(states)]
-    result = python(scalar, leaf)
+    calls = [(f"now_{index}", memories[state], [to_python(arg, leaf) for arg in state.args]) for index, state in enumerate(states)]
+    result = to_python(scalar, leaf)
     seen = []
     for row in rows:
         kept = dict(row)

@@ -6,9 +6,9 @@ from deepbots_cli.expressions.check import check, check_drawn, check_range
 from deepbots_cli.expressions.dimensions import ANGLE, ANGULAR_VELOCITY, FORCE, LENGTH, MASS, NUMBER, SPEED, TIME, TORQUE
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.expressions.intervals import Interval
-from deepbots_cli.expressions.lower import constant
+from deepbots_cli.expressions.lower import constant_values
 from deepbots_cli.expressions.types import SPACE, Context, Stage
-from deepbots_cli.expressions.unification import ANY_SHAPE, expect, expect_range
+from deepbots_cli.expressions.unification import ANY_SHAPE, expect_range, expect_value
 
 
 @pytest.mark.parametrize(
@@ -160,7 +160,7 @@ def test_a_draw_is_settled_once_per_episode_unless_it_is_repeated(bench):
     assert bench.clean("uniform(0 .. 1)", Context.PARAMETER).type.stage == Stage.EPISODE
     drawn = check_drawn(bench.read("uniform(0 .. 1 m/s) every 5 s"), bench.scope.__class__(Context.PARAMETER), bench.report)
     assert drawn.value.type.stage == Stage.STEP
-    assert constant(drawn.redraw.period) == (5.0,)
+    assert constant_values(drawn.redraw.period) == (5.0,)
     stepped = check_drawn(bench.read("normal(0 +- 0.1 m) each step"), bench.scope.__class__(Context.PARAMETER), bench.report)
     assert stepped.redraw.period is None
     assert bench.said == []
@@ -205,28 +205,28 @@ def test_a_range_has_two_ends_that_fit(bench):
 )
 def test_a_field_takes_what_it_declares(bench, text, dimension, code):
     value = check(bench.read(text), bench.scope, bench.report)
-    taken = expect(value, bench.report, "the field", dimension=dimension)
+    taken = expect_value(value, bench.report, "the field", dimension=dimension)
     assert [said.code for said in bench.said] == ([code] if code else [])
     if code is None:
         assert taken.type.dimension == dimension
 
 
 def test_a_field_says_its_name_and_what_it_needs(bench):
-    expect(bench.clean("3 m"), bench.report, "the timestep", dimension=TIME)
+    expect_value(bench.clean("3 m"), bench.report, "the timestep", dimension=TIME)
     assert bench.said[0].headline == "the timestep must be a duration (s); this is a length (m)"
 
 
 def test_a_value_out_of_range_is_shown_with_its_sign(bench):
-    expect(bench.clean("-5000 km"), bench.report, "the field", dimension=LENGTH)
+    expect_value(bench.clean("-5000 km"), bench.report, "the field", dimension=LENGTH)
     assert bench.said[0].headline == "the field is -5e+06 m"
 
 
 def test_a_field_takes_the_shape_and_stage_that_it_declares(bench):
-    expect(bench.clean("1 2 3 m"), bench.report, "the size", dimension=LENGTH, components=("x", "y"))
+    expect_value(bench.clean("1 2 3 m"), bench.report, "the size", dimension=LENGTH, components=("x", "y"))
     assert [said.code for said in bench.said] == ["DB106"]
-    assert expect(bench.clean("1 2 3 m"), bench.report, "the field", components=ANY_SHAPE) is not None
-    assert expect(bench.clean("gas"), bench.report, "the motors", components=("hip", "knee")) is not None
-    assert expect(bench.clean("wind"), bench.report, "the gravity", stage=Stage.FIXED) is None
+    assert expect_value(bench.clean("1 2 3 m"), bench.report, "the field", components=ANY_SHAPE) is not None
+    assert expect_value(bench.clean("gas"), bench.report, "the motors", components=("hip", "knee")) is not None
+    assert expect_value(bench.clean("wind"), bench.report, "the gravity", stage=Stage.FIXED) is None
     assert [said.code for said in bench.said] == ["DB407"]
 
 

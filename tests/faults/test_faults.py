@@ -57,7 +57,7 @@ def test_what_follows_from_a_mistake_is_not_told(project: Project, symptom: str)
     faulty = text.replace(right, wrong, 1)
     (found,) = project.errors(Injected(f"{name}.yaml", symptom, "plain", (code,), {f"{name}.yaml": faulty}, f"{name}.yaml", 0, 0))
     assert found.code == code
-    assert found.span.begin.line == text.count("\n", 0, text.index(right)) + 1
+    assert found.span.start_position.line == text.count("\n", 0, text.index(right)) + 1
 
 
 def test_a_value_in_a_block_of_text_begins_below_the_sign_of_the_block(project: Project) -> None:

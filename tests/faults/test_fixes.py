@@ -77,7 +77,7 @@ def test_a_second_run_finds_nothing_to_do_and_comments_stay(offers: dict[Path, l
         mended += bool(rewrites)
         again = Fixer([str(path)], api.load, unsafe=True)
         assert again.fix() == [], path.name
-        assert len(errors(again.left)) <= len(errors(before)), path.name
+        assert len(errors(again.remaining_findings)) <= len(errors(before)), path.name
         left = path.read_text(encoding="utf-8")
         assert re.findall("# remark.*", left) == re.findall("# remark.*", text), path.name
         for rewrite in rewrites:
@@ -92,7 +92,7 @@ def test_a_fix_that_is_offered_is_made_alone_and_with_the_others(offers: dict[Pa
         together = Fixer([str(path)], api.load, unsafe=True, preview=True)
         together.fix()
         assert found <= set(map(said, together.fixed)), path.name
-        assert not [finding for finding in together.left if finding.fix], path.name
+        assert not [finding for finding in together.remaining_findings if finding.fix], path.name
         for one in found if len(found) > 1 else ():
             alone = Fixer([str(path)], api.load, unsafe=True, preview=True, wanted=lambda finding, one=one: said(finding) == one)
             alone.fix()

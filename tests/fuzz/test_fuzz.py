@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from deepbots_cli import api
 from deepbots_cli.diagnostics import Finding
-from deepbots_cli.lint import review
+from deepbots_cli.lint import all_findings
 from deepbots_cli.lint.fixes import Fixer
 from tests.fuzz.mutations import CORPUS, PIECES, READS, SEEDS, Case, case
 from tests.fuzz.mutations import ROOT as REPOSITORY
@@ -46,14 +46,14 @@ def test_fixing_a_damaged_file_does_no_harm_and_leaves_nothing_to_do(bench: Work
         damaged = case(number)
         with bench.laid_out(damaged):
             checked = api.load(damaged.main)
-            before = errors(review(checked, preview=True))
+            before = errors(all_findings(checked, preview=True))
             rewrites = Fixer([str(damaged.main)], api.load, unsafe=True, preview=True).fix()
             for rewrite in rewrites:
                 rewrite.path.write_bytes(rewrite.after)
             again = Fixer([str(damaged.main)], api.load, unsafe=True, preview=True)
             assert again.fix() == [], number
             # Of a file that could not be read, nothing was known but that.
-            assert errors(again.left) <= before or checked.document.root is None, number
+            assert errors(again.remaining_findings) <= before or checked.document.root is None, number
             for rewrite in rewrites:
                 rewrite.path.write_bytes(rewrite.before)
         fixed += bool(rewrites)

@@ -151,7 +151,7 @@ def _has_error(findings: Sequence[Finding]) -> bool:
 
 def _check_places(findings: Sequence[Finding]) -> None:
     for finding in findings:
-        for span in (finding.span, *(label.span for label in finding.also)):
+        for span in (finding.span, *(label.span for label in finding.labels)):
             if not 0 <= span.start <= span.end <= len(span.source.text):
                 raise FailedError(f"{finding.code} lies outside of its text: {span.start}..{span.end} of {len(span.source.text)}")
 
@@ -165,7 +165,8 @@ def check_rules(faults: Sequence[str]) -> None:
 def digest(findings: Sequence[Finding]) -> str:
     """All that findings say, as a SHA-256 in hexadecimal."""
     said = [
-        (f.code, f.span.where, f.span.end, f.headline, f.help, f.notes, [(also.span.where, also.text) for also in f.also]) for f in findings
+        (f.code, f.span.location, f.span.end, f.headline, f.help, f.notes, [(also.span.location, also.text) for also in f.labels])
+        for f in findings
     ]
     text = json.dumps(said).replace(os.getcwd(), "<here>")  # a file that is missing is told with where it was looked for
     return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()

@@ -12,7 +12,7 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.diagnostics import RULES, Finding
 from deepbots_cli.diagnostics.render import render
-from deepbots_cli.lint import review, simulate
+from deepbots_cli.lint import all_findings, simulate
 from tests.few import every, few
 from tests.golden.cases import HERE, Case, cases
 
@@ -31,8 +31,8 @@ def _stand_in_the_folder(golden: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def found_in(path: str) -> list[Finding]:
     """What only the simulation tells."""
     checked = api.load(path)
-    told = {finding.sort_key for finding in review(checked, preview=True)}
-    found = review(checked, preview=True, measured=simulate(checked, preview=True).findings)
+    told = {finding.sort_key for finding in all_findings(checked, preview=True)}
+    found = all_findings(checked, preview=True, measured=simulate(checked, preview=True).findings)
     return [finding for finding in found if finding.sort_key not in told]
 
 
@@ -57,7 +57,7 @@ def test_an_unusual_scenario_without_mistake_is_silent(case: str) -> None:
 def test_what_lint_has_nothing_to_say_of_can_be_simulated_and_is_silent(case: str) -> None:
     """About 1.2 s of CPU each. Without preview: some goldens clip or repeat on purpose."""
     probed = simulate(api.load(f"lint/ok/{case}.yaml"))
-    assert probed.left is None
+    assert probed.incomplete is None
     assert probed.findings == []
 
 

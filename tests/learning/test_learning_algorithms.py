@@ -13,9 +13,11 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+import stable_baselines3
 import stand_in
+import torch
 
-from deepbots_cli.errors import MissingExtraError, UsageError, installing
+from deepbots_cli.errors import MissingExtraError, UsageError, install_hint
 from deepbots_cli.learning import TrainingResult, algorithms, defaults, evaluate, models, resume, train, training
 from deepbots_cli.learning.algorithms import DecayingNoise
 from deepbots_cli.learning.checkpoints import Resumable
@@ -34,6 +36,34 @@ def learned(world: Any, tmp_path: Path, training: Training, **settings: Any) -> 
 
 def hyper(**figures: Any) -> tuple[Hyperparameter, ...]:
     return tuple(Hyperparameter(name, value) for name, value in figures.items())
+
+
+# Optimizers
+
+
+def test_an_optimizer_takes_the_steps_of_torch_to_the_bit() -> None:
+    generator = torch.Generator().manual_seed(0)
+    start, gradients = torch.randn(20, 3, generator=generator), torch.randn(5, 20, 3, generator=generator)
+    learned = []
+    for kind in (torch.optim.Adam, algorithms.Adam):
+        weights = torch.nn.Parameter(start.clone())
+        optimizer = kind([weights], lr=0.01)
+        for gradient in gradients:
+            optimizer.zero_grad()
+            weights.backward(gradient)
+            optimizer.step()
+        learned.append((weights.detach(), optimizer.state_dict()["state"][0]["exp_avg_sq"]))
+    assert all(torch.equal(mine, other) for mine, other in zip(*learned, strict=True))
+
+
+@pytest.mark.parametrize("algorithm", ["PPO", "DQN"])
+def test_an_algorithm_keeps_the_optimizer_settings_of_stable_baselines(algorithm: str) -> None:
+    env = gym.make("CartPole-v1")
+    plain: Any = getattr(stable_baselines3, algorithm)("MlpPolicy", env)
+    ours: Any = algorithms.create(Training(algorithm, 100), plain.get_env(), seed=0, total_timesteps=100)
+    for name in ("eps", "betas", "weight_decay", "amsgrad"):
+        assert ours.policy.optimizer.defaults[name] == plain.policy.optimizer.defaults[name]
+    assert "optimizer_class" not in ours.policy_kwargs
 
 
 # Noise
@@ -190,7 +220,7 @@ def test_masks_are_not_asked_for_where_nothing_is_forbidden(tmp_path: Path) -> N
 
 def test_what_is_not_installed_is_told_with_how_to_install_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(algorithms.ALGORITHMS["TQC"], "import_path", "not_there:TQC")
-    with pytest.raises(MissingExtraError, match=re.escape(f"training with TQC needs the 'contrib' extra; {installing('contrib')}")):
+    with pytest.raises(MissingExtraError, match=re.escape(f"training with TQC needs the 'contrib' extra; {install_hint('contrib')}")):
         learned(stand_in.build, tmp_path, Training("TQC", 300), continuous=True)
     assert not (tmp_path / "run").exists()
 

@@ -96,8 +96,8 @@ def test_one_that_fails_is_named_and_the_training_can_go_on(tmp_path: Path, name
     with pytest.raises(PluginError, match=f"^{sentence}(?m:$)") as caught:
         short(tmp_path / "run", **names)
     if "odd" not in sentence:
-        assert "the last checkpoint" in caught.value.full
-        assert f"deepbots train --resume {tmp_path / 'run'}" in caught.value.full
+        assert "the last checkpoint" in caught.value.full_message
+        assert f"deepbots train --resume {tmp_path / 'run'}" in caught.value.full_message
     assert Record.read(tmp_path / "run").status == "failed"
 
 
@@ -117,7 +117,7 @@ def test_a_resumed_run_and_the_seeds_of_a_group_keep_them(tmp_path: Path) -> Non
     (run / "run.json").write_text(json.dumps(content | {"callbacks": ["gone"]}))
     with pytest.raises(UsageError, match="there is no callback 'gone'") as caught:
         resume(run, build=stand_in.build)
-    assert "--callback none" in caught.value.full
+    assert "--callback none" in caught.value.full_message
     rest = resume(run, build=stand_in.build, total_timesteps=200, callbacks=(), loggers=())
     assert (rest.steps >= 200, rest.stopped_by) == (True, None)
     assert rest.inexact == ("the callbacks were gone before 0 steps and are none since",)

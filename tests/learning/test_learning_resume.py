@@ -34,7 +34,7 @@ from deepbots_cli.learning.report import TrainingProgress
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionNoise, Hindsight, Hyperparameter, Network, Schedule, Solved, Training
-from deepbots_cli.runtime.batch import Running
+from deepbots_cli.runtime.batch import EpisodeHistory
 from deepbots_cli.scenario import Scenario
 from tests.few import few
 
@@ -316,7 +316,7 @@ def test_a_shipped_world_is_brought_back_in_the_middle_of_an_episode(name: str) 
             ended, steps = ended + bool(dones[0]), 0 if dones[0] else steps + 1
         (history,) = env.histories()
         seen = fingerprint(env.last_observations)
-    kept = Running(json.loads(json.dumps(history.start)), list(np.array(history.actions)))
+    kept = EpisodeHistory(json.loads(json.dumps(history.start)), list(np.array(history.actions)))
     with closing(VectorEnvironment([api.build(compiled.program, allow_code=True)], [8])) as env:
         env.reset()
         assert fingerprint(env.repeat([kept])) == seen
@@ -374,7 +374,7 @@ def test_a_folder_that_cannot_be_written_leaves_the_last_good_state(tmp_path: Pa
     (run / "models" / "policy" / "last.zip").mkdir()
     with pytest.raises(RunError, match=r"cannot be written.*") as caught:
         resume(run, total_timesteps=1_000, build=stand_in.build)
-    assert f"is kept; go on from there with: deepbots train --resume {run}" in caught.value.full
+    assert f"is kept; go on from there with: deepbots train --resume {run}" in caught.value.full_message
     assert checkpoints.latest(Run.open(run)) == before
     assert evaluate(run, episodes=1, build=stand_in.build).episodes == 1
 
@@ -407,7 +407,7 @@ def test_a_training_without_room_for_a_checkpoint_keeps_the_last_one_and_becomes
     cut = shutil.copytree(whole, tmp_path / "cut")
     with files_of_at_most(8_000), pytest.raises(UsageError, match=r"cannot be written: file too large") as caught:
         resume(cut, total_timesteps=1_000, build=stand_in.build)
-    assert f"is kept; go on from there with: deepbots train --resume {cut}" in caught.value.full
+    assert f"is kept; go on from there with: deepbots train --resume {cut}" in caught.value.full_message
     for run in (whole, cut):
         resume(run, total_timesteps=1_000, build=stand_in.build)
     for part in ("models", "monitor", "scalars"):

@@ -57,6 +57,7 @@ def test_new_runs_are_numbered_past_all_that_exist(tmp_path: Path) -> None:
     (tmp_path / "cart_pole-0-x").mkdir()
     assert [new_directory(None, tmp_path, "Cart Pole", 0).name for _ in range(2)] == ["cart_pole-0-8", "cart_pole-0-9"]
     assert new_directory(None, tmp_path, "../..", 0).parent == tmp_path
+    assert new_directory(None, tmp_path / "new" / "runs", "Cart Pole", 0).is_dir()
 
 
 def test_what_is_no_run_is_named_in_one_sentence(tmp_path: Path) -> None:

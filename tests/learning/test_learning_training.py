@@ -21,7 +21,7 @@ import stand_in
 from stable_baselines3.common.env_checker import check_env
 
 from deepbots_cli.cli.results import training_text
-from deepbots_cli.errors import DeepbotsError, EngineError, RunError, UsageError, installing
+from deepbots_cli.errors import DeepbotsError, EngineError, RunError, UsageError, install_hint
 from deepbots_cli.learning import TrainingResult, algorithms, checkpoints, evaluate, resume, train
 from deepbots_cli.learning.report import ProgressReporter, TrainingProgress, to_json
 from deepbots_cli.learning.run import Run, run_lock
@@ -355,7 +355,7 @@ except deepbots_cli.learning.MissingExtraError as error:
 @pytest.mark.parametrize("module", few(["torch", "stable_baselines3", "tensorboard"], ["torch"]))
 def test_a_missing_extra_is_one_sentence_with_the_command(module: str, tmp_path: Path) -> None:
     said = python(NEEDS_EXTRA, module, folder=tmp_path)
-    assert said == f"training needs the 'train' extra; {installing('train')}\n"
+    assert said == f"training needs the 'train' extra; {install_hint('train')}\n"
     assert not list(tmp_path.iterdir())
 
 

@@ -11,7 +11,7 @@ from deepbots_cli import api
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.document import shipped
 from deepbots_cli.lint import simulate
-from deepbots_cli.lint.simulation import idle, planned
+from deepbots_cli.lint.simulation import idle_action, simulation_plan
 
 CARTPOLE = shipped.scenario_path("cartpole").read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole")
 ARM = Path(__file__).parents[1] / "data" / "scenarios" / "arm.yaml"
@@ -95,12 +95,12 @@ def test_a_robot_that_the_engine_cannot_hold_is_a_finding_at_its_name(probed: Pr
 
 
 def test_doing_nothing_is_the_option_of_zeros_or_the_value_that_is_nearest_to_zero() -> None:
-    assert idle(api.load("cartpole").program) is None
-    assert idle(api.load("find_and_avoid").program) == ((4,), ())
-    assert idle(api.load("cartpole_continuous").program) == ((), (0.0,))
+    assert idle_action(api.load("cartpole").program) is None
+    assert idle_action(api.load("find_and_avoid").program) == ((4,), ())
+    assert idle_action(api.load("cartpole_continuous").program) == ((), (0.0,))
 
 
 def test_costly_scenarios_are_given_fewer_steps() -> None:
-    usual, costly = (planned(api.load("pit_escape", sets=sets).program) for sets in ([], ["world.substeps=100"]))
+    usual, costly = (simulation_plan(api.load("pit_escape", sets=sets).program) for sets in ([], ["world.substeps=100"]))
     assert costly.enough < usual.enough
     assert max(rollout.steps for rollout in costly.rollouts) < max(rollout.steps for rollout in usual.rollouts)

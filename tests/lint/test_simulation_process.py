@@ -15,10 +15,10 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.compiler import Checked
+from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.document import shipped
-from deepbots_cli.lint import Limits, Simulated, simulate
+from deepbots_cli.lint import Limits, SimulationFindings, simulate
 from deepbots_cli.lint.simulation import measure
 
 CARTPOLE = shipped.scenario_path("cartpole").read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole")
@@ -50,7 +50,7 @@ def checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
 
-    def make(function: str = "") -> Checked:
+    def make(function: str = "") -> CheckedScenario:
         text = CARTPOLE.replace("  alive: 1\n", f"  alive: 1\n  odd: {{python: 'hostile:{function}'}}\n" if function else "  alive: 1\n")
         (tmp_path / "cartpole.yaml").write_text(text)
         return api.load(tmp_path / "cartpole.yaml", allow_code=True)
@@ -58,7 +58,7 @@ def checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     return make
 
 
-def only(probed: Simulated) -> Finding:
+def only(probed: SimulationFindings) -> Finding:
     (found,) = probed.findings
     return found
 
@@ -90,10 +90,10 @@ def test_a_scenario_that_is_merely_slow_is_left_alone_with_a_word(checked) -> No
     """The system ends a process after whole seconds of CPU."""
     probed = simulate(checked("hang"), limits=Limits(cpu=1, step=60.0))
     assert probed.findings == []
-    assert probed.left is not None
-    assert "after 1 s of CPU time" in probed.left
+    assert probed.incomplete is not None
+    assert "after 1 s of CPU time" in probed.incomplete
     probed = simulate(checked(), limits=Limits(wall=0.01))
-    assert (probed.findings, probed.left) == ([], "while the world was built, after 0.01 s")
+    assert (probed.findings, probed.incomplete) == ([], "while the world was built, after 0.01 s")
 
 
 def test_a_function_that_fails_is_a_finding_at_its_term(checked) -> None:

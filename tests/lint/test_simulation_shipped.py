@@ -9,7 +9,7 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.cli.commands.new import Template, from_template
 from deepbots_cli.document import shipped
-from deepbots_cli.lint import review, simulate
+from deepbots_cli.lint import all_findings, simulate
 
 CHEAP = ("balancer", "quadrotor")
 """Wheels and thrusters; the others are marked as slow (1 to 7 s of CPU each)."""
@@ -19,8 +19,8 @@ CHEAP = ("balancer", "quadrotor")
 def test_a_shipped_scenario_is_silent_when_it_is_simulated(name: str) -> None:
     checked = api.load(name)
     probed = simulate(checked, preview=True)
-    assert probed.left is None
-    assert review(checked, preview=True, measured=probed.findings) == []
+    assert probed.incomplete is None
+    assert all_findings(checked, preview=True, measured=probed.findings) == []
 
 
 @pytest.mark.parametrize("template", [pytest.param(name, marks=() if name == "wheeled" else pytest.mark.slow) for name in Template])
@@ -28,4 +28,4 @@ def test_a_template_is_silent_when_it_is_simulated(template: str, tmp_path: Path
     for name, data in from_template(template, "mine").items():
         (tmp_path / name).write_bytes(data)
     checked = api.load(tmp_path / "mine.yaml")
-    assert review(checked, preview=True, measured=simulate(checked, preview=True).findings) == []
+    assert all_findings(checked, preview=True, measured=simulate(checked, preview=True).findings) == []

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from lsprotocol.types import Position, Range
 
-from deepbots_cli.errors import installing
+from deepbots_cli.errors import install_hint
 from deepbots_cli.lsp.completion import completion
 from deepbots_cli.lsp.lookup import definitions, document_symbols, hover
 from deepbots_cli.lsp.server import CodeActions, diagnostics, formatting
@@ -204,5 +204,5 @@ def test_without_the_extra_one_line_says_what_to_install():
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     ran = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=False)
     assert (ran.returncode, ran.stdout) == (2, "")
-    assert f"the language server needs the 'editor' extra; {installing('editor')}" in ran.stderr
+    assert f"the language server needs the 'editor' extra; {install_hint('editor')}" in ran.stderr
     assert "Traceback" not in ran.stderr

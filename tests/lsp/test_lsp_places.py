@@ -11,9 +11,9 @@ from lsprotocol.types import Position
 from pygls.workspace import PositionCodec
 
 from deepbots_cli.diagnostics import Findings, Source
-from deepbots_cli.document import Mapping, Scalar, walk
+from deepbots_cli.document import MappingNode, ScalarNode, walk
 from deepbots_cli.document.parse import parse
-from deepbots_cli.lsp.cursor import place
+from deepbots_cli.lsp.cursor import place_at
 from deepbots_cli.lsp.workspace import Lines
 from tests.few import every
 
@@ -57,15 +57,15 @@ def test_the_reader_of_broken_text_finds_the_paths_that_the_parser_finds(file):
     root = parse(Source(file.name, text), Findings())
     seen = set()
     for path, node in walk(root):
-        if isinstance(node, Scalar) and node.span not in seen:  # what an alias repeats stands in one place
+        if isinstance(node, ScalarNode) and node.span not in seen:  # what an alias repeats stands in one place
             seen.add(node.span)
-            found = place(text, node.span.end)
+            found = place_at(text, node.span.end)
             assert found.path == path
             assert found.role == "value" or isinstance(path[-1], int)
-        for entry in node.entries.values() if isinstance(node, Mapping) else ():
+        for entry in node.entries.values() if isinstance(node, MappingNode) else ():
             if entry.key.span not in seen:
                 seen.add(entry.key.span)
-                found = place(text, entry.key.span.end)
+                found = place_at(text, entry.key.span.end)
                 assert (found.path, found.role) == (path, "key")
 
 
@@ -90,18 +90,18 @@ def test_the_reader_of_broken_text_finds_the_paths_that_the_parser_finds(file):
     ],
 )
 def test_a_text_that_is_being_written_has_a_path_all_the_same(text, path, role):
-    found = place(text, len(text))
+    found = place_at(text, len(text))
     assert (found.path, found.role) == (path, role)
 
 
 @given(st.text(st.sampled_from("ab:-[]{},\"'#|>&*!% \n\t😀")), st.integers(0, 200))
 @settings(max_examples=300, deadline=None)
 def test_any_text_whatever_has_a_path(text, offset):
-    found = place(text, min(offset, len(text)))
+    found = place_at(text, min(offset, len(text)))
     assert found.start <= max(len(text), 0)
 
 
 @pytest.mark.parametrize("piece", ["[", "{a: ", "- ", "a:\n", "\n", '"', " ", ":", "# ", "[x ", "'", "a: |\n"])
 def test_a_hostile_text_is_read_to_its_end(piece):
     text = piece * 50_000
-    assert len(place(text, len(text)).path) <= 100
+    assert len(place_at(text, len(text)).path) <= 100

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.geometry import pixels
+from deepbots_cli.geometry import picture_pixels
 from tests.pits import relief
 
 HERE = Path(__file__).parent
@@ -14,7 +14,7 @@ PITS = ("pit_escape", *(HERE / f"pit_escape_{variant}.yaml" for variant in ("hei
 
 
 def test_the_files_are_what_the_generator_writes() -> None:
-    assert pixels((HERE / "pit.png").read_bytes()).tolist() == pixels(relief.picture()).tolist()
+    assert picture_pixels((HERE / "pit.png").read_bytes()).tolist() == picture_pixels(relief.picture()).tolist()
     assert (HERE / "pit.obj").read_text(encoding="utf-8") == relief.mesh()
 
 

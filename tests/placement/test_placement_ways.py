@@ -60,12 +60,12 @@ def test_around_a_disc_it_is_a_taut_string() -> None:
 def test_the_points_of_a_path_go_around_a_disc_and_are_as_long_as_it_is_said_to_be() -> None:
     disc = Footprint((0.0, 0.0), 0.15).at(0.0, 0.0, 0.0)
     field = DistanceField(ARENA, RADIUS, [disc], (0.4, 0.0), 0.0)
-    points = field.points(-0.4, 0.0)
+    points = field.path(-0.4, 0.0)
     assert math.dist(points[-1], (0.4, 0.0)) < RADIUS + 0.01
     assert min(math.hypot(x, y) for x, y in points) > 0.15 + RADIUS - 0.01
     length = sum(math.dist(one, other) for one, other in pairwise(points)) + math.dist(points[-1], (0.4, 0.0))
     assert length == pytest.approx(field.length(-0.4, 0.0), rel=0.03)
-    assert field.points(0.0, 0.0) == [(0.0, 0.0)]
+    assert field.path(0.0, 0.0) == [(0.0, 0.0)]
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.5, math.pi / 2])

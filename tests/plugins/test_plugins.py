@@ -133,7 +133,7 @@ def test_a_finding_of_a_plugin_is_explained_and_can_be_ignored(answers):
 
 
 def test_the_schema_knows_the_kinds_and_their_parameters(site):
-    schema = json.loads(python(site, "-c", "from deepbots_cli.scenario.json_schema import to_text; print(to_text())").stdout)
+    schema = json.loads(python(site, "-c", "from deepbots_cli.scenario.json_schema import schema_text; print(schema_text())").stdout)
     tachometer = schema["$defs"]["acme.sensors.Tachometer"]
     assert "The way between two pulses." in tachometer["properties"]["spacing"]["description"]
     assert tachometer["properties"]["direction"]["enum"] == ["both", "forward"]
@@ -164,15 +164,15 @@ def test_explain_knows_the_words(answers, word, told):
 
 def test_editors_are_offered_kinds_and_parameters(site):
     script = """
-from deepbots_cli.scenario.base import fields, shape_at
-from deepbots_cli.scenario.base import about, hover
+from deepbots_cli.scenario.base import section_fields, shape_at
+from deepbots_cli.scenario.base import section_description, hover_text
 from deepbots_cli.scenario.scenario import Scenario
 data = {"robots": {"r": {"sensors": {"s": {"type": "tachometer"}}, "actuators": {"a": {"type": "throttle"}}}}}
 for section, name, kind, key in (("sensors", "s", "tachometer", "spacing"), ("actuators", "a", "throttle", "stall_torque")):
     path = ("robots", "r", section, name)
     kinds = shape_at(Scenario, data, path, choose=False)
-    print(kind in kinds.names, about(kinds.models[kind]))
-    print(hover(shape_at(Scenario, data, path), key))
+    print(kind in kinds.names, section_description(kinds.models[kind]))
+    print(hover_text(shape_at(Scenario, data, path), key))
 """
     told = python(site, "-c", script).stdout
     assert told.startswith("True Counts the pulses")

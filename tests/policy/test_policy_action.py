@@ -81,5 +81,5 @@ def test_what_does_not_fit_is_refused_and_changes_nothing(small: Small, action: 
 def test_an_action_of_both_can_be_scripted_and_left_alone(small: Small) -> None:
     environment = small(REWARD, MIXED)
     environment.reset(seed=0)
-    assert environment.step(run.repeated(environment, "0.5:high:-1")())[1] == 0.5 + 30 + 0
+    assert environment.step(run.repeated_actions(environment, "0.5:high:-1")())[1] == 0.5 + 30 + 0
     assert environment.step(run.zero(environment)())[1] == 0 + 10 + 200

@@ -17,7 +17,7 @@ import shutil
 import sys
 import time
 
-from deepbots_cli.cli.exits import INTERRUPTED, WRONG
+from deepbots_cli.cli.exits import INTERRUPTED, WRONG_USAGE
 from deepbots_cli.learning.report import duration
 from tests.results import page
 from tests.results.experiment import Experiment, experiments
@@ -39,7 +39,7 @@ def main(arguments: list[str] | None = None, places: Places | None = None) -> in
     unknown = [name for name in given.names if name not in known]
     if unknown:
         print(f"there is no {' and no '.join(unknown)}; there are: {', '.join(known)}", file=sys.stderr)
-        return WRONG
+        return WRONG_USAGE
     chosen = given.names or list(known)
     if given.list:
         for name in chosen:

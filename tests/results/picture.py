@@ -98,16 +98,16 @@ def _draw(axes: Any, experiment: Experiment, entries: list[tuple[str, int, Entry
         axes.plot(hours, values, STYLES[names.index(name) % len(STYLES)], color=colour, linewidth=1.3, label=label)
         for end in entry["stages"]:
             axes.axvline(end["simulated_hours"], color=colour, linewidth=0.9, linestyle=(0, (1, 2)))
-    if len(entries) == 1:
-        _name_stages(axes, entries[0][2])
     end = max(entry["simulated_hours"] for _, _, entry in entries)
     known = marks(experiment)
     axes.set_xlim(0, max([end, *(mark.hours for mark in known if mark.hours and mark.hours < FAR * end)]) * 1.05)
     if experiment.curve == "success":
         axes.set_ylim(0, 103)
+    stages = entries[0][2]["stages"] if len(entries) == 1 else []
+    _name_stages(axes, stages)
     for mark in known:
         if mark.value is not None:
-            _level(axes, mark.words, scale * mark.value)
+            _level(axes, mark.words, scale * mark.value, outside=bool(stages))
     for place, mark in enumerate(mark for mark in known if mark.hours is not None):
         _upright(axes, mark, end, height=0.04 + 0.08 * place)
     axes.set_xlabel("simulated hours")
@@ -117,17 +117,22 @@ def _draw(axes: Any, experiment: Experiment, entries: list[tuple[str, int, Entry
     axes.legend(title="seed", frameon=False, fontsize=8, title_fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
 
 
-def _name_stages(axes: Any, entry: Entry) -> None:
-    """Each above the line of its end, aslant, since short stages stand close together; the last one has none."""
-    for end in entry["stages"]:
-        where = (end["simulated_hours"], 1.01)
-        axes.text(*where, end["name"], transform=axes.get_xaxis_transform(), rotation=75, rotation_mode="anchor", fontsize=7)
+def _name_stages(axes: Any, stages: list[Entry]) -> None:
+    """Each above the line of its end, aslant and no closer than names are high, since stages may be short; the last one has none."""
+    place, width = 0.0, axes.get_xlim()[1]
+    for end in stages:
+        place = max(end["simulated_hours"], place + 0.024 * width)
+        axes.annotate(
+            end["name"], (end["simulated_hours"], 1.0), (place, 1.06), axes.get_xaxis_transform(), axes.get_xaxis_transform(),
+            arrowprops={"arrowstyle": "-", "color": INK, "linewidth": 0.5}, rotation=75, rotation_mode="anchor", fontsize=7,
+        )  # fmt: skip
 
 
-def _level(axes: Any, words: str, value: float) -> None:
+def _level(axes: Any, words: str, value: float, *, outside: bool) -> None:
+    """A horizontal line with its words at its beginning, or beyond its end where stages cross its beginning."""
     axes.axhline(value, color=INK, linewidth=0.9, linestyle="--")
-    place = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points"}
-    axes.annotate(words, (0, value), (3, 2), fontsize=8, **place)
+    place = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points", "va": "center" if outside else "baseline"}
+    axes.annotate(words, (float(outside), value), (3, 0 if outside else 2), fontsize=8, **place)
 
 
 def _upright(axes: Any, mark: Mark, end: float, *, height: float) -> None:

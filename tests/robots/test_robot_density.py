@@ -23,7 +23,7 @@ from deepbots_cli.robots.model import (
     RobotModel,
     Shape,
     Sphere,
-    homogeneous,
+    homogeneous_inertial,
     with_density,
     with_scale,
 )
@@ -58,21 +58,21 @@ def moments(inertial: Inertial) -> list[float]:
 def test_a_block_of_triangles_weighs_what_a_box_does(tmp_path: Path, name: str, scale: tuple[float, float, float]) -> None:
     found = weighed(robot(mesh(tmp_path, name, block(name, (0.1, 0.2, 0.3)), scale), Pose((1.0, 2.0, 3.0))))
     size = (0.1 * scale[0], 0.2 * scale[1], 0.3 * abs(scale[2]))
-    expected = homogeneous(Box(size), DENSITY * math.prod(size))
+    expected = homogeneous_inertial(Box(size), DENSITY * math.prod(size))
     assert moments(found) == pytest.approx(moments(expected), rel=1e-6, abs=1e-9)  # an STL file has 32-bit floats
     assert found.origin.xyz == pytest.approx((1.0, 2.0, 3.0))
 
 
 def test_a_ball_of_triangles_weighs_nearly_what_a_sphere_does(tmp_path: Path) -> None:
     found = weighed(robot(mesh(tmp_path, "ball.obj", ball(0.5, 120))))
-    expected = homogeneous(Sphere(0.5), DENSITY * 4 / 3 * math.pi * 0.5**3)
+    expected = homogeneous_inertial(Sphere(0.5), DENSITY * 4 / 3 * math.pi * 0.5**3)
     assert moments(found) == pytest.approx(moments(expected), rel=2e-3, abs=1e-9)
     assert found.origin.xyz == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
 
 
 def test_a_turned_block_has_the_inertia_of_a_turned_box(tmp_path: Path) -> None:
     found = weighed(robot(mesh(tmp_path, "block.obj", block("block.obj", (0.1, 0.2, 0.3))), Pose((0.0, 0.0, 0.0), (0.0, 0.0, math.pi / 2))))
-    expected = homogeneous(Box((0.2, 0.1, 0.3)), DENSITY * 0.006)
+    expected = homogeneous_inertial(Box((0.2, 0.1, 0.3)), DENSITY * 0.006)
     assert moments(found) == pytest.approx(moments(expected), abs=1e-12)
 
 
@@ -91,7 +91,7 @@ def test_shapes_in_closed_form_are_weighed_at_once() -> None:
     dense = with_density(robot(Cylinder(0.1, 0.5), Pose((0.0, 0.0, 0.2))), "a", DENSITY)
     assert isinstance(dense, RobotModel)
     volume = math.pi * 0.1**2 * 0.5
-    assert dense.link("a").inertial == homogeneous(Cylinder(0.1, 0.5), DENSITY * volume, Pose((0.0, 0.0, 0.2)))
+    assert dense.link("a").inertial == homogeneous_inertial(Cylinder(0.1, 0.5), DENSITY * volume, Pose((0.0, 0.0, 0.2)))
     assert dense.link("a").density is None
 
 
@@ -115,7 +115,7 @@ SCENARIO = (ROOT / "scenarios/cartpole.yaml").read_text(encoding="utf-8")
 def cartpole(folder: Path, pole: str) -> str:
     """A CartPole whose pole is a mesh with an inertial or without, and what the scenario says of it; the codes of the findings."""
     (folder / "pole.obj").write_bytes(block("pole.obj", (0.02, 0.02, 1.0)))
-    box = homogeneous(Box((0.02, 0.02, 1.0)), DENSITY * 0.0004, Pose((0.0, 0.0, 0.5)))
+    box = homogeneous_inertial(Box((0.02, 0.02, 1.0)), DENSITY * 0.0004, Pose((0.0, 0.0, 0.5)))
     assert box is not None
     moments = f'<inertia ixx="{box.ixx!r}" iyy="{box.iyy!r}" izz="{box.izz!r}"/>'
     written = f'<inertial><origin xyz="0 0 0.5"/><mass value="{box.mass!r}"/>{moments}</inertial>'

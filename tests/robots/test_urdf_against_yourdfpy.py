@@ -10,7 +10,7 @@ import pytest
 
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.document import shipped
-from deepbots_cli.robots.model import RobotModel, write
+from deepbots_cli.robots.model import RobotModel, to_urdf
 from deepbots_cli.robots.reader import read
 
 
@@ -32,7 +32,7 @@ def model_of(name: str) -> RobotModel:
 def test_another_reader_finds_the_same_joints_in_the_normalised_file(yourdfpy: Any, name: str, tmp_path: Path) -> None:
     model = model_of(name)
     file = tmp_path / "robot.urdf"
-    file.write_text(write(model), encoding="utf-8")
+    file.write_text(to_urdf(model), encoding="utf-8")
     other = yourdfpy.URDF.load(str(file), load_meshes=False, build_scene_graph=True)
     assert other.base_link == model.root
     assert list(other.joint_map) == [joint.name for joint in model.joints]
@@ -47,7 +47,7 @@ def test_another_reader_finds_the_same_joints_in_the_normalised_file(yourdfpy: A
 def test_the_tip_of_the_leaning_pole_is_where_another_reader_has_it(yourdfpy: Any, tmp_path: Path) -> None:
     model = model_of("cartpole")
     file = tmp_path / "robot.urdf"
-    file.write_text(write(model), encoding="utf-8")
+    file.write_text(to_urdf(model), encoding="utf-8")
     other = yourdfpy.URDF.load(str(file), load_meshes=False, build_scene_graph=True)
     angle = 0.3
     other.update_cfg({"pole_hinge": angle})

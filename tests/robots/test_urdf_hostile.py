@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.robots.meshes import UnusableMesh
-from deepbots_cli.robots.model import write
+from deepbots_cli.robots.model import to_urdf
 from deepbots_cli.robots.reader import read, read_bytes
 
 CARTPOLE = (Path(__file__).parents[2] / "robots/urdf/cartpole.urdf").read_bytes()
@@ -107,13 +107,13 @@ def check(data: bytes) -> None:
     for finding in findings:
         text = finding.span.source.text
         assert 0 <= finding.span.start <= finding.span.end <= len(text)
-        assert finding.span.where
+        assert finding.span.location
         assert finding.headline[0].islower() or not finding.headline[0].isalpha() or finding.headline.startswith("XML")
         assert "\n" not in finding.headline
     if robot is None:
         assert findings.errors
         return
-    again = read_bytes(write(robot.model).encode(), "y.urdf", Findings(), resolve_mesh=lambda _: UnusableMesh(""))
+    again = read_bytes(to_urdf(robot.model).encode(), "y.urdf", Findings(), resolve_mesh=lambda _: UnusableMesh(""))
     assert again is not None
     assert again.model == robot.model
 

@@ -24,7 +24,7 @@ from deepbots_cli.robots.model import (
     RobotModel,
     Shape,
     Sphere,
-    homogeneous,
+    homogeneous_inertial,
     volume,
     with_friction,
     with_joint,
@@ -38,7 +38,7 @@ DENSITY = 3.0
 
 def robot(shape: Shape, origin: Pose = Pose(), rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> RobotModel:  # noqa: B008
     """One link of homogeneous material, with a child at (0.1, 0.2, 0.3)."""
-    body = homogeneous(shape, DENSITY * (volume(shape) or 1), origin)
+    body = homogeneous_inertial(shape, DENSITY * (volume(shape) or 1), origin)
     geometry = Geometry(shape, origin)
     links = (Link("a", body, (geometry,), (geometry,)), Link("b", Inertial(1.0, ixx=1.0, iyy=1.0, izz=1.0)))
     return RobotModel("r", links, (Joint("j", "continuous", "a", "b", Pose((0.1, 0.2, 0.3), rpy)),), "a")
@@ -62,7 +62,7 @@ def test_a_stretched_box_is_the_box_of_the_new_size(size, scale, at):
     link = stretched.link("a")
     assert link.visuals[0].shape == Box(new)
     assert moments(link.inertial) == pytest.approx(
-        moments(homogeneous(Box(new), DENSITY * math.prod(new), Pose(tuple(a * f for a, f in zip(at, scale, strict=True)))))
+        moments(homogeneous_inertial(Box(new), DENSITY * math.prod(new), Pose(tuple(a * f for a, f in zip(at, scale, strict=True)))))
     )
 
 
@@ -72,7 +72,9 @@ def test_a_cylinder_may_grow_in_length_and_in_radius(radius, length, across, alo
     stretched = model_of(with_scale(robot(Cylinder(radius, length)), "a", (across, across, along)))
     new = Cylinder(radius * across, length * along)
     assert stretched.link("a").collisions[0].shape == new
-    assert moments(stretched.link("a").inertial) == pytest.approx(moments(homogeneous(new, DENSITY * math.pi * new.radius**2 * new.length)))
+    assert moments(stretched.link("a").inertial) == pytest.approx(
+        moments(homogeneous_inertial(new, DENSITY * math.pi * new.radius**2 * new.length))
+    )
 
 
 @pytest.mark.parametrize("shape", [Sphere(0.3), Capsule(0.2, 0.7), Cylinder(0.3, 0.1), Box((1.0, 2.0, 3.0))])
@@ -99,7 +101,7 @@ def test_the_inertia_of_a_turned_frame_is_stretched_in_the_axes_of_the_link():
     turned = Pose((0.0, 0.0, 0.0), (0.0, 0.0, math.pi / 2))
     model = robot(Box((1.0, 2.0, 3.0)), turned)
     stretched = model_of(with_scale(model, "a", (5.0, 1.0, 1.0))).link("a").inertial
-    assert moments(stretched)[4:] == pytest.approx(moments(homogeneous(Box((1.0, 10.0, 3.0)), 6 * 5 * DENSITY))[4:])
+    assert moments(stretched)[4:] == pytest.approx(moments(homogeneous_inertial(Box((1.0, 10.0, 3.0)), 6 * 5 * DENSITY))[4:])
 
 
 def test_a_mesh_is_stretched_by_its_scale():
@@ -127,7 +129,7 @@ def test_a_shape_that_cannot_follow_says_why(shape, origin, scale, why):
 
 def test_a_new_mass_scales_the_inertia():
     model = model_of(with_mass(robot(Box((1.0, 2.0, 3.0))), "a", 5.0))
-    assert moments(model.link("a").inertial) == pytest.approx(moments(homogeneous(Box((1.0, 2.0, 3.0)), 5.0)))
+    assert moments(model.link("a").inertial) == pytest.approx(moments(homogeneous_inertial(Box((1.0, 2.0, 3.0)), 5.0)))
 
 
 def test_a_mass_that_cannot_be_changed_says_why():
@@ -149,7 +151,7 @@ def test_the_closed_forms_agree_with_a_sum_over_small_cubes(shape):
     step = 1.2 / 40
     ticks = [-0.6 + step * (i + 0.5) for i in range(40)]
     inside = [(x, y, z) for x in ticks for y in ticks for z in ticks if _holds(shape, x, y, z)]
-    body = homogeneous(shape, 2.0)
+    body = homogeneous_inertial(shape, 2.0)
     share = 2.0 / len(inside)
     assert volume(shape) == pytest.approx(len(inside) * step**3, rel=0.05)
     assert body.ixx == pytest.approx(share * sum(y * y + z * z for _, y, z in inside), rel=0.03)

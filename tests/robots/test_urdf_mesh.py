@@ -13,7 +13,7 @@ import pytest
 
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.robots import meshes
-from deepbots_cli.robots.model import Mesh, write
+from deepbots_cli.robots.model import Mesh, to_urdf
 from deepbots_cli.robots.reader import RobotFile, read
 
 TETRAHEDRON = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1/1 2/2 4/3\nf -1 -2 -3\n"
@@ -49,7 +49,7 @@ def test_the_normalised_robot_finds_its_meshes_from_anywhere(tmp_path: Path):
     (tmp_path / "m.obj").write_bytes(TETRAHEDRON)
     robot, _ = robot_with(tmp_path, "m.obj")
     (tmp_path / "elsewhere").mkdir()
-    (tmp_path / "elsewhere/n.urdf").write_text(write(robot.model))
+    (tmp_path / "elsewhere/n.urdf").write_text(to_urdf(robot.model))
     again = read(tmp_path / "elsewhere/n.urdf", "n.urdf", Findings(), resolve_mesh=Path)
     assert again.model == robot.model
 
@@ -152,11 +152,11 @@ def test_a_folder_or_a_pipe_is_no_mesh(tmp_path: Path):
 
 def test_a_package_is_an_installed_one_else_a_folder_above_else_beside_the_robot(tmp_path: Path):
     home = Path(os.path.realpath(Path(pytest.__file__).parent))
-    assert meshes.locate("package://pytest/m.obj", tmp_path) == home / "m.obj"
+    assert meshes.locate_mesh("package://pytest/m.obj", tmp_path) == home / "m.obj"
     folder = tmp_path / "my_robot_description" / "urdf"
     folder.mkdir(parents=True)
-    assert meshes.locate("package://my_robot_description/m.obj", folder) == Path(os.path.realpath(folder.parent / "m.obj"))
-    assert meshes.locate("package://meshes/visual/m.obj", folder) == Path(os.path.realpath(folder / "meshes/visual/m.obj"))
+    assert meshes.locate_mesh("package://my_robot_description/m.obj", folder) == Path(os.path.realpath(folder.parent / "m.obj"))
+    assert meshes.locate_mesh("package://meshes/visual/m.obj", folder) == Path(os.path.realpath(folder / "meshes/visual/m.obj"))
 
 
 def test_a_resolver_decides_what_may_be_read(tmp_path: Path):

@@ -65,8 +65,8 @@ def test_a_velocity_or_effort_of_zero_means_that_none_is_stated(read_text):
 def test_links_and_joints_know_where_they_are_named(read_text):
     robot, _ = read_text(ARM)
     assert robot.link_spans["hand"].text == "hand"
-    assert robot.link_spans["hand"].begin == (8, 15)
-    assert robot.joint_spans["elbow"].where == "robot.urdf:13:16"
+    assert robot.link_spans["hand"].start_position == (8, 15)
+    assert robot.joint_spans["elbow"].location == "robot.urdf:13:16"
 
 
 def test_the_digest_is_that_of_the_file(tmp_path: Path):
@@ -82,7 +82,7 @@ def test_columns_count_characters_and_not_bytes(read_text):
     _, findings = read_text(text)
     finding = single(findings)
     assert finding.span.text == "0 3 x"
-    assert finding.span.begin.column == 1 + text.splitlines()[finding.span.begin.line - 1].index("0 3 x")
+    assert finding.span.start_position.column == 1 + text.splitlines()[finding.span.start_position.line - 1].index("0 3 x")
 
 
 def test_an_attribute_is_found_even_if_another_value_looks_like_it(read_text):
@@ -177,7 +177,7 @@ def test_what_pybullet_reads_with_certainty_is_read_with_a_warning_at_its_place(
     robot, findings = read_text(text)
     finding = single(findings)
     assert (finding.code, finding.headline) == ("DB311", headline)
-    assert (finding.span.text, finding.span.begin) == (place, position)
+    assert (finding.span.text, finding.span.start_position) == (place, position)
     assert robot.model == read_text(ARM)[0].model
 
 
@@ -186,7 +186,7 @@ def test_a_ball_joint_is_read_as_three_hinges_with_a_warning_at_its_type(read_te
     finding = single(findings)
     assert finding.code == "DB311"
     assert finding.headline == "ball joint 'elbow' is read as three hinges at one place: elbow_x, elbow_y, elbow_z"
-    assert finding.span.where == "robot.urdf:13:29"
+    assert finding.span.location == "robot.urdf:13:29"
     hinges = [robot.model.joint(f"elbow_{axis}") for axis in "xyz"]
     assert [hinge.axis for hinge in hinges] == [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)]
     assert [(hinge.parent, hinge.child) for hinge in hinges] == [("base", "elbow_x"), ("elbow_x", "elbow_y"), ("elbow_y", "hand")]
@@ -196,9 +196,9 @@ def test_a_ball_joint_is_read_as_three_hinges_with_a_warning_at_its_type(read_te
 def test_blank_lines_before_the_declaration_shift_no_place(read_text):
     text = "\n \n" + ARM.replace('name="arm"', 'name="ärm"').replace('xyz="0 3 4"', 'xyz="0 3 x"')
     _, findings = read_text(text)
-    assert [finding.span.where for finding in findings if finding.severity == "error"] == ["robot.urdf:19:16"]
+    assert [finding.span.location for finding in findings if finding.severity == "error"] == ["robot.urdf:19:16"]
     robot, _ = read_text(text.replace("0 3 x", "0 3 4"))
-    assert robot.link_spans["hand"].begin == (10, 15)
+    assert robot.link_spans["hand"].start_position == (10, 15)
 
 
 def test_all_errors_of_a_file_are_found_at_once(read_text):
@@ -212,8 +212,8 @@ def test_a_duplicate_shows_the_first_place(read_text):
     _, findings = read_text(
         ARM.replace("</robot>", '<joint name="elbow" type="fixed"><parent link="base"/><child link="hand"/></joint></robot>')
     )
-    label = findings[0].also[0]
-    assert (label.text, label.span.begin) == ("first defined here", (13, 16))
+    label = findings[0].labels[0]
+    assert (label.text, label.span.start_position) == ("first defined here", (13, 16))
 
 
 def test_two_parents_and_a_circle_are_named(read_text):
@@ -299,7 +299,7 @@ def test_links_without_inertia_that_do_not_move_share_one_warning(read_text):
 )
 def test_an_inertia_that_no_body_can_have_is_warned_about(read_text, moments):
     finding = warning(read_text, broken('ixx="1" iyy="1" izz="1"', moments))
-    assert (finding.code, finding.span.begin.line) == ("DB306", 5)
+    assert (finding.code, finding.span.start_position.line) == ("DB306", 5)
 
 
 def test_a_mass_of_zero_is_warned_about(read_text):

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from deepbots_cli.compiler.robots import match
+from deepbots_cli.compiler.robots import matching_names
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.robots.meshes import mesh_resolver
-from deepbots_cli.robots.model import Box, Cylinder, Sphere, homogeneous, write
+from deepbots_cli.robots.model import Box, Cylinder, Sphere, homogeneous_inertial, to_urdf
 from deepbots_cli.robots.reader import RobotFile, read, read_bytes
 
 SHIPPED = Path(__file__).parents[2] / "robots/urdf"
@@ -43,14 +43,14 @@ def shipped(name: str) -> RobotFile:
 
 def moments(link, shape, origin):
     """What the file says, beside the closed form."""
-    said, right = link.inertial, homogeneous(shape, link.inertial.mass, origin)
+    said, right = link.inertial, homogeneous_inertial(shape, link.inertial.mass, origin)
     return [said.ixx, said.iyy, said.izz], pytest.approx([right.ixx, right.iyy, right.izz], rel=1e-9)
 
 
 @pytest.mark.parametrize("path", sorted(SHIPPED.glob("*.urdf")), ids=lambda path: path.stem)
 def test_a_shipped_robot_is_silent_and_survives_the_round_trip(path: Path):
     robot = shipped(path.name)
-    again = read_bytes(write(robot.model).encode(), "x", Findings(), resolve_mesh=Path)
+    again = read_bytes(to_urdf(robot.model).encode(), "x", Findings(), resolve_mesh=Path)
     assert again is not None
     assert again.model == robot.model
 
@@ -58,7 +58,7 @@ def test_a_shipped_robot_is_silent_and_survives_the_round_trip(path: Path):
 def test_the_cart_of_the_paper_has_the_names_that_scenarios_use():
     model = shipped("cartpole.urdf").model
     assert model.root == "body"
-    wheels = match((joint.name for joint in model.moving_joints), "wheel_*")
+    wheels = matching_names((joint.name for joint in model.moving_joints), "wheel_*")
     assert wheels == ("wheel_front_left", "wheel_front_right", "wheel_rear_left", "wheel_rear_right")
     hinge = model.joint("pole_hinge")
     assert (hinge.limit.lower, hinge.limit.upper, hinge.limit.effort) == (-1.3, 1.3, None)
@@ -73,7 +73,7 @@ def test_the_cart_of_the_paper_weighs_and_resists_turning_as_its_shapes_do():
         said, right = moments(link, link.visuals[0].shape, link.visuals[0].origin)
         assert said == right
         assert link.inertial.origin == link.visuals[0].origin
-    for name in match((link.name for link in model.links), "wheel_*"):
+    for name in matching_names((link.name for link in model.links), "wheel_*"):
         link = model.link(name)
         (across, along, other), right = moments(link, link.visuals[0].shape, link.visuals[0].origin)
         assert [across, other, along] == right  # the cylinder lies along y
@@ -129,7 +129,7 @@ def test_a_published_robot_is_read_with_warnings_at_most(library, name):
     assert findings.errors == []
     assert robot is not None
     assert {finding.code for finding in findings} == PUBLISHED[name]
-    again = read_bytes(write(robot.model).encode(), "x", Findings(), resolve_mesh=Path)
+    again = read_bytes(to_urdf(robot.model).encode(), "x", Findings(), resolve_mesh=Path)
     assert again is not None
     assert again.model == robot.model
 
@@ -148,8 +148,8 @@ def test_of_the_robots_of_pybullet_data_only_these_are_refused(library):
 
 def test_patterns_keep_the_order_of_the_file_and_mind_case():
     names = ("b_1", "a_1", "B_1", "c")
-    assert match(names, "*_1") == ("b_1", "a_1", "B_1")
-    assert match(names, "b_?") == ("b_1",)
-    assert match(names, "[ab]_1") == ("b_1", "a_1")
-    assert match(names, "x*") == ()
-    assert match(["a" * 5000], "*a" * 30 + "b") == ()
+    assert matching_names(names, "*_1") == ("b_1", "a_1", "B_1")
+    assert matching_names(names, "b_?") == ("b_1",)
+    assert matching_names(names, "[ab]_1") == ("b_1", "a_1")
+    assert matching_names(names, "x*") == ()
+    assert matching_names(["a" * 5000], "*a" * 30 + "b") == ()

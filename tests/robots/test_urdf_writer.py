@@ -25,7 +25,7 @@ from deepbots_cli.robots.model import (
     Pose,
     RobotModel,
     Sphere,
-    write,
+    to_urdf,
 )
 from deepbots_cli.robots.reader import read, read_bytes
 
@@ -89,7 +89,7 @@ def robots(draw: st.DrawFn) -> RobotModel:
 @given(robots())
 def test_any_robot_survives_writing_and_reading(model: RobotModel):
     findings = Findings()
-    robot = read_bytes(write(model).encode(), "x.urdf", findings, resolve_mesh=mesh_resolver(Path("/nowhere")))
+    robot = read_bytes(to_urdf(model).encode(), "x.urdf", findings, resolve_mesh=mesh_resolver(Path("/nowhere")))
     assert robot is not None, [finding.headline for finding in findings]
     assert robot.model == model
 
@@ -97,14 +97,14 @@ def test_any_robot_survives_writing_and_reading(model: RobotModel):
 def test_writing_is_the_same_every_time_and_in_short_lines():
     robot = read(Path(__file__).parents[2] / "robots/urdf/cartpole.urdf", "cartpole.urdf", Findings())
     assert robot is not None
-    assert write(robot.model) == write(robot.model)
-    assert max(map(len, write(robot.model).splitlines())) < 200
+    assert to_urdf(robot.model) == to_urdf(robot.model)
+    assert max(map(len, to_urdf(robot.model).splitlines())) < 200
 
 
 def test_one_material_name_means_one_colour():
     red, blue = (1.0, 0.0, 0.0, 1.0), (0.0, 0.0, 1.0, 1.0)
     visuals = tuple(Geometry(Sphere(1.0), Pose(), colour) for colour in (red, blue, red))
-    text = write(RobotModel("r", (Link("a", visuals=visuals),), (), "a"))
+    text = to_urdf(RobotModel("r", (Link("a", visuals=visuals),), (), "a"))
     assert text.count('"colour_0"') == 2
     assert text.count('"colour_1"') == 1
 
@@ -112,6 +112,6 @@ def test_one_material_name_means_one_colour():
 @pytest.mark.parametrize("name", ['a"b', "a'b", "a<b>&", "é", "a b"])
 def test_names_with_special_characters_are_escaped(name):
     model = RobotModel("r", (Link(name),), (), name)
-    robot = read_bytes(write(model).encode(), "x", Findings(), resolve_mesh=mesh_resolver(Path("/nowhere")))
+    robot = read_bytes(to_urdf(model).encode(), "x", Findings(), resolve_mesh=mesh_resolver(Path("/nowhere")))
     assert robot is not None
     assert robot.model.root == name

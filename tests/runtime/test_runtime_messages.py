@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from deepbots_cli import message_formats
 from deepbots_cli.errors import MessageError
 from deepbots_cli.program.robots import MessageField, MessageLayout
-from deepbots_cli.runtime.messages import MALFORMED, Codec, codec, explain
+from deepbots_cli.runtime.messages import DECODING_ERRORS, Codec, codec, layout_error
 
 FORMATS = tuple(name for name in message_formats.FORMATS if name != "none")
 LAYOUT = MessageLayout(
@@ -42,7 +42,7 @@ def reading(made: Codec, layout: MessageLayout, message: object) -> tuple[Any, .
         stamp, *values = made.decode(message)
         if stamp != layout.layout_hash or len(values) != count:
             raise ValueError(stamp)
-    except MALFORMED:
+    except DECODING_ERRORS:
         return None
     return tuple(values)
 
@@ -76,12 +76,12 @@ def test_a_message_without_fields_still_says_whose_it_is(format: str) -> None:
 def test_a_message_of_another_robot_is_recognised(format: str) -> None:
     foreign = codec(OTHER, format).encode(*VALUES)
     assert reading(codec(LAYOUT, format), LAYOUT, foreign) is None
-    assert "a foreign message" in str(explain(LAYOUT, format, foreign, 3))
+    assert "a foreign message" in str(layout_error(LAYOUT, format, foreign, 3))
 
 
 @every_format
 def test_an_error_names_the_robot_its_direction_and_the_step(format: str) -> None:
-    said = str(explain(LAYOUT, format, codec(OTHER, format).encode(*VALUES), 41))
+    said = str(layout_error(LAYOUT, format, codec(OTHER, format).encode(*VALUES), 41))
     assert "robot 'cart'" in said
     assert "from the robot" in said
     assert "step 41" in said
@@ -92,7 +92,7 @@ def test_a_short_message_is_told_by_its_first_missing_field(format: str) -> None
     partial = MessageLayout("cart", "from_robot", LAYOUT.fields[:1], LAYOUT.layout_hash)
     message = codec(partial, format).encode(0.5)
     assert reading(codec(LAYOUT, format), LAYOUT, message) is None
-    assert "field 'gyro.x' is missing" in str(explain(LAYOUT, format, message, 1))
+    assert "field 'gyro.x' is missing" in str(layout_error(LAYOUT, format, message, 1))
 
 
 @every_format
@@ -100,7 +100,7 @@ def test_a_message_with_values_too_many_is_refused(format: str) -> None:
     longer = MessageLayout("cart", "from_robot", (*LAYOUT.fields, MessageField("more", "m")), LAYOUT.layout_hash)
     message = codec(longer, format).encode(*VALUES, 1.0)
     assert reading(codec(LAYOUT, format), LAYOUT, message) is None
-    assert "values too many" in str(explain(LAYOUT, format, message, 1))
+    assert "values too many" in str(layout_error(LAYOUT, format, message, 1))
 
 
 @pytest.mark.parametrize(
@@ -115,7 +115,7 @@ def test_a_message_with_values_too_many_is_refused(format: str) -> None:
 )
 def test_a_value_of_the_wrong_kind_is_told_by_its_field(format: str, message: object, field: str) -> None:
     assert reading(codec(LAYOUT, format), LAYOUT, message) is None
-    assert f"field '{field}'" in str(explain(LAYOUT, format, message, 1))
+    assert f"field '{field}'" in str(layout_error(LAYOUT, format, message, 1))
 
 
 @every_format
@@ -124,8 +124,8 @@ def test_a_value_of_the_wrong_kind_is_told_by_its_field(format: str, message: ob
 )
 def test_what_is_no_message_at_all_is_refused_in_words(format: str, message: object) -> None:
     assert reading(codec(LAYOUT, format), LAYOUT, message) is None
-    assert isinstance(explain(LAYOUT, format, message, 1), MessageError)
-    assert len(str(explain(LAYOUT, format, message, 1))) < 400
+    assert isinstance(layout_error(LAYOUT, format, message, 1), MessageError)
+    assert len(str(layout_error(LAYOUT, format, message, 1))) < 400
 
 
 def damage(message: bytes | str, data: st.DataObject) -> bytes | str:
@@ -145,7 +145,7 @@ def test_a_damaged_message_is_read_or_refused_but_never_breaks_the_reader(format
         made = codec(layout, format)
         message = damage(made.encode(*values), data)
         if reading(made, layout, message) is None:
-            assert "robot 'cart'" in str(explain(layout, format, message, 5))
+            assert "robot 'cart'" in str(layout_error(layout, format, message, 5))
 
 
 @every_format
@@ -153,7 +153,7 @@ def test_a_damaged_message_is_read_or_refused_but_never_breaks_the_reader(format
 @given(message=st.one_of(st.binary(max_size=60), st.text(max_size=30), st.none(), st.integers(), st.lists(st.floats(), max_size=3)))
 def test_garbage_is_refused_but_never_breaks_the_reader(format: str, message: object) -> None:
     if reading(codec(LAYOUT, format), LAYOUT, message) is None:
-        assert isinstance(explain(LAYOUT, format, message, 5), MessageError)
+        assert isinstance(layout_error(LAYOUT, format, message, 5), MessageError)
 
 
 @pytest.mark.parametrize("format", ["json", "msgpack", "csv", "struct"])
@@ -163,6 +163,6 @@ def test_what_is_not_finite_arrives_as_it_was_or_is_refused(format: str, value: 
     message = made.encode(value, 0.0, 0.0, 0.0)
     values = reading(made, FLOATS_ONLY, message)
     if values is None:
-        assert "field 'angle'" in str(explain(FLOATS_ONLY, format, message, 1))
+        assert "field 'angle'" in str(layout_error(FLOATS_ONLY, format, message, 1))
     else:
         assert values[0] == value or math.isnan(value)

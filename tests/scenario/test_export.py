@@ -15,8 +15,8 @@ from deepbots_cli.document import load, to_data
 from deepbots_cli.document.parse import parse
 from deepbots_cli.scenario import Scenario
 from deepbots_cli.scenario.actuators import ACTUATORS
-from deepbots_cli.scenario.base import Section, fields, sections, unit_of
-from deepbots_cli.scenario.json_schema import FILE_NAME, definition_of, json_schema, to_text
+from deepbots_cli.scenario.base import Section, section_fields, unit_of, walk_sections
+from deepbots_cli.scenario.json_schema import FILE_NAME, definition_of, json_schema, schema_text
 from deepbots_cli.scenario.sensors import SENSORS
 from deepbots_cli.scenario.training import ALGORITHMS
 from deepbots_cli.scenario.world import OBJECTS, TERRAINS
@@ -66,12 +66,12 @@ def properties(schema: Json) -> Iterator[tuple[str, Json]]:
             yield "/".join(map(str, path)), said
 
 
-SECTIONS = list(dict.fromkeys(section for _, section, _ in sections(Scenario) if isinstance(section, type)))
+SECTIONS = list(dict.fromkeys(section for _, section, _ in walk_sections(Scenario) if isinstance(section, type)))
 
 
 def test_the_committed_schema_is_up_to_date(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "path", [folder for folder in sys.path if Path(folder).name != "exact"])  # an engine of the tests
-    assert COMMITTED.read_text(encoding="utf-8") == to_text(), "run: python -m deepbots_cli.scenario.json_schema"
+    assert COMMITTED.read_text(encoding="utf-8") == schema_text(), "run: python -m deepbots_cli.scenario.json_schema"
 
 
 def test_the_schema_is_a_schema_to_a_checker_of_schemas() -> None:
@@ -89,7 +89,7 @@ def test_a_checker_on_the_command_line_accepts_all_scenarios() -> None:
 
 
 def test_the_schema_is_written_the_same_on_every_run() -> None:
-    assert to_text() == to_text()
+    assert schema_text() == schema_text()
 
 
 @pytest.mark.parametrize("path", SAMPLES, ids=lambda path: path.stem)
@@ -115,7 +115,7 @@ def test_every_key_says_what_it_is_and_shows_an_example(schema: Json) -> None:
 @pytest.mark.parametrize("section", SECTIONS, ids=lambda section: section.__name__)
 def test_every_quantity_says_its_unit(schema: Json, section: type[Section]) -> None:
     said = schema["$defs"][definition_of(section).__name__]["properties"]
-    assert [key for key, shape in fields(section).items() if bool(unit_of(shape)) != ("Unit: " in said[key]["description"])] == []
+    assert [key for key, shape in section_fields(section).items() if bool(unit_of(shape)) != ("Unit: " in said[key]["description"])] == []
 
 
 @pytest.mark.parametrize(
@@ -134,7 +134,7 @@ def test_a_description_has_unit_default_and_example(schema: Json, section: str, 
 
 
 def test_the_schema_is_small_enough_for_editors() -> None:
-    assert len(to_text()) < 240_000
+    assert len(schema_text()) < 240_000
 
 
 def test_kinds_are_told_apart_by_conditions_and_never_by_trial(schema: Json) -> None:
@@ -223,5 +223,5 @@ def test_a_file_that_is_included_may_bring_what_is_missing(validator: jsonschema
 
 
 def test_no_path_of_this_machine_is_in_the_schema() -> None:
-    assert str(ROOT) not in to_text()
-    assert json.loads(to_text()) == json_schema()
+    assert str(ROOT) not in schema_text()
+    assert json.loads(schema_text()) == json_schema()

@@ -9,11 +9,11 @@ import jsonschema
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.compiler.inventory import known
+from deepbots_cli.compiler.inventory import scenario_names
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.document import to_data
 from deepbots_cli.document.parse import parse
-from deepbots_cli.scenario.json_schema import json_schema, to_text
+from deepbots_cli.scenario.json_schema import json_schema, schema_text
 from tests.few import every
 from tests.fuzz.mutations import case
 from tests.fuzz.workbench import Workbench
@@ -36,7 +36,7 @@ def own(tmp_path: Path) -> Own:
     def of(text: str) -> Json:
         file = tmp_path / "mine.yaml"
         file.write_text(text, encoding="utf-8")
-        return json_schema(known(api.load(file)))
+        return json_schema(scenario_names(api.load(file)))
 
     return of
 
@@ -62,15 +62,15 @@ def listed(schema: Json, definition: str, key: str) -> dict[str, str]:
 def test_every_right_scenario_fits_its_own_schema_and_the_general_one(path: Path) -> None:
     checked = api.load(path)
     assert checked.document.root is not None
-    for schema in (json_schema(known(checked)), json_schema()):
+    for schema in (json_schema(scenario_names(checked)), json_schema()):
         assert faults(schema, data(path.read_text(encoding="utf-8"))) == []
         assert faults(schema, to_data(checked.document.root)) == []
 
 
 def test_its_own_schema_is_a_schema_and_the_same_on_every_run() -> None:
-    schema = to_text(known(api.load("cartpole")))
+    schema = schema_text(scenario_names(api.load("cartpole")))
     jsonschema.Draft202012Validator.check_schema(json.loads(schema))
-    assert schema == to_text(known(api.load("cartpole")))
+    assert schema == schema_text(scenario_names(api.load("cartpole")))
 
 
 def test_joints_are_listed_with_their_type_and_limits(own: Own) -> None:
@@ -213,7 +213,7 @@ def test_whatever_became_of_a_file_what_has_no_error_fits_its_schema(tmp_path: P
             whole = damaged.file.read_bytes()
             damaged.file.write_bytes(damaged.data)
             checked = api.load(damaged.main)
-            schema = json_schema(known(checked))
+            schema = json_schema(scenario_names(checked))
             if not checked.findings.errors and checked.document.root is not None:
                 sound += 1
                 assert faults(schema, to_data(checked.document.root)) == [], number

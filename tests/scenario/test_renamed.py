@@ -11,16 +11,16 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.diagnostics import Edit, Findings, Source
 from deepbots_cli.diagnostics.nearest import RENAMES, Rename
-from deepbots_cli.document.nodes import Mapping, Scalar, to_data, walk
+from deepbots_cli.document.nodes import MappingNode, ScalarNode, to_data, walk
 from deepbots_cli.document.parse import parse
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.lint.fixes import Fixer
-from deepbots_cli.scenario.base import Kinds, sections, shape_at
+from deepbots_cli.scenario.base import Kinds, shape_at, walk_sections
 from deepbots_cli.scenario.scenario import Scenario
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = sorted([*(ROOT / "golden/lint/ok").glob("*.yaml"), *(ROOT / "data/scenarios").glob("*.yaml"), *(ROOT / "world").glob("*.yaml")])
-MODELS = {model.__name__: model for _, part, _ in sections(Scenario) if isinstance(part, type) for model in part.__mro__}
+MODELS = {model.__name__: model for _, part, _ in walk_sections(Scenario) if isinstance(part, type) for model in part.__mro__}
 
 
 @cache
@@ -32,7 +32,7 @@ def renamed_in(path: Path) -> tuple[tuple[Edit, Rename], ...]:
     found = []
     for place, node in walk(root):
         section = shape_at(Scenario, to_data(root), place)
-        if isinstance(node, Mapping) and isinstance(section, type):
+        if isinstance(node, MappingNode) and isinstance(section, type):
             for key, entry in node.entries.items():
                 for rename in RENAMES:
                     if (
@@ -40,11 +40,11 @@ def renamed_in(path: Path) -> tuple[tuple[Edit, Rename], ...]:
                         and issubclass(section, MODELS[rename.section])
                         and not section.__name__ == "Camera" != rename.section
                     ):
-                        if rename.key == key and isinstance(entry.value, Scalar) and entry.value.text == rename.new:
+                        if rename.key == key and isinstance(entry.value, ScalarNode) and entry.value.text == rename.new:
                             found.append((Edit(entry.value.span, rename.old), rename))
                         elif not rename.key and rename.new == key:
                             found.append((Edit(entry.key.span, rename.old), rename))
-        elif isinstance(node, Scalar) and node.style == "plain":
+        elif isinstance(node, ScalarNode) and node.style == "plain":
             for rename in (rename for rename in RENAMES if not rename.section):
                 calls = re.finditer(rf"\b{rename.new}(?=\()", node.span.text)
                 found += [(Edit(node.part(call.start(), call.end()), rename.old), rename) for call in calls]
@@ -83,20 +83,22 @@ def test_the_language_knows_the_new_name_and_not_the_old_one(rename: Rename) -> 
         assert rename.new in MODELS[rename.section].model_fields
         assert rename.old not in MODELS[rename.section].model_fields
     else:
-        kinds = [set(part.names) for _, part, _ in sections(Scenario) if isinstance(part, Kinds) and part.key == rename.key]
-        words = [set(shape.words) for _, part, _ in sections(Scenario) if isinstance(part, type) for shape in shapes_of(part, rename.key)]
+        kinds = [set(part.names) for _, part, _ in walk_sections(Scenario) if isinstance(part, Kinds) and part.key == rename.key]
+        words = [
+            set(shape.words) for _, part, _ in walk_sections(Scenario) if isinstance(part, type) for shape in shapes_of(part, rename.key)
+        ]
         assert any(rename.new in known for known in (*kinds, *words))
         assert not any(rename.old in known for known in (*kinds, *words))
 
 
 def shapes_of(section: type, key: str) -> list:
-    from deepbots_cli.scenario.base import fields
+    from deepbots_cli.scenario.base import section_fields
     from deepbots_cli.scenario.fields import Word
 
-    return [shape for name, shape in fields(section).items() if name == key and isinstance(shape, Word)]
+    return [shape for name, shape in section_fields(section).items() if name == key and isinstance(shape, Word)]
 
 
-def load(tmp_path: Path, **texts: str) -> api.Checked:
+def load(tmp_path: Path, **texts: str) -> api.CheckedScenario:
     (tmp_path / "deepbots.toml").touch()
     for name, text in texts.items():
         (tmp_path / f"{name}.yaml").write_text(text, encoding="utf-8")

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli.document import descend, load
-from deepbots_cli.scenario import Scenario, validate, visit
-from deepbots_cli.scenario.base import description, sections
+from deepbots_cli.scenario import Scenario, validate, visit_values
+from deepbots_cli.scenario.base import key_description, walk_sections
 from deepbots_cli.scenario.fields import Expression, Pattern, Quantity, Range, Reference, count_literal, read_schedule
 
 ROOT = Path(__file__).parents[2]
@@ -20,7 +20,7 @@ def read(path: Path) -> Scenario:
     document = load(path)
     assert document.root is not None
     scenario = validate(document.root, document.findings)
-    assert [f"{finding.span.where} {finding.headline}" for finding in document.findings] == []
+    assert [f"{finding.span.location} {finding.headline}" for finding in document.findings] == []
     assert scenario is not None
     return scenario
 
@@ -34,7 +34,7 @@ def test_every_sample_of_the_language_is_valid(path: Path) -> None:
 def test_every_value_that_is_visited_stands_where_its_path_says(path: Path) -> None:
     document = load(path)
     assert document.root is not None
-    visited = list(visit(read(path)))
+    visited = list(visit_values(read(path)))
     for place, kind, value in visited:
         node, _, depth = descend(document.root, place)
         assert depth == len(place), (place, kind)
@@ -44,8 +44,8 @@ def test_every_value_that_is_visited_stands_where_its_path_says(path: Path) -> N
 
 
 def test_the_visit_hands_out_kinds_with_what_they_mean() -> None:
-    found = {(place, type(kind)): (kind, value) for place, kind, value in visit(read(BY_NAME["cartpole"]))}
-    assert found[("world", "timestep"), Quantity] == (Quantity("time", minimum=0, exclusive=True, usual="ms"), "32 ms")
+    found = {(place, type(kind)): (kind, value) for place, kind, value in visit_values(read(BY_NAME["cartpole"]))}
+    assert found[("world", "timestep"), Quantity] == (Quantity("time", minimum=0, exclusive=True, usual_unit="ms"), "32 ms")
     assert found[("reward", "alive"), Expression] == (Expression("reward"), 1)
     assert found[("observation", "speed"), Range] == (Range("any", auto=True), "-0.8 .. 0.8 m/s")
     assert found[("observation", "speed"), Reference] == (Reference("value"), "speed")
@@ -54,7 +54,7 @@ def test_the_visit_hands_out_kinds_with_what_they_mean() -> None:
 
 
 def test_patterns_of_links_are_visited_as_keys() -> None:
-    places = {place: value for place, kind, value in visit(read(BY_NAME["quadruped"])) if kind == Pattern("link")}
+    places = {place: value for place, kind, value in visit_values(read(BY_NAME["quadruped"])) if kind == Pattern("link")}
     assert places == {("robots", "dog", "links", "trunk"): "trunk", ("robots", "dog", "links", "*_toe"): "*_toe"}
 
 
@@ -72,11 +72,11 @@ def test_the_hyperparameters_of_a_training_are_those_that_were_given() -> None:
 
 
 def test_every_key_has_a_sentence_for_the_editor() -> None:
-    found = {section for _, section, _ in sections(Scenario) if isinstance(section, type)}
+    found = {section for _, section, _ in walk_sections(Scenario) if isinstance(section, type)}
     assert len(found) > 50
     for section in found:
         for key in section.model_fields:
-            assert description(section, key).endswith("."), f"{section.__name__}.{key}"
+            assert key_description(section, key).endswith("."), f"{section.__name__}.{key}"
 
 
 @pytest.mark.parametrize(

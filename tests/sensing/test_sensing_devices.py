@@ -51,7 +51,7 @@ def test_period_and_latency_add_up_and_the_tick_of_the_measurement_is_known() ->
     seen = []
     for _ in range(10):
         sensor()
-        seen.append((sensor.reading[0], sensor.measured))
+        seen.append((sensor.reading[0], sensor.sampled_at))
     assert seen == [(0, 0), (0, 0), (0, 0), (0, 0), (1, 2), (1, 2), (2, 4), (2, 4), (3, 6), (3, 6)]
 
 

@@ -12,7 +12,7 @@ import pytest
 from deepbots_cli.program.robots import CalibrationTable, RayConfig, Sensor
 from deepbots_cli.program.world import ObjectBody
 from deepbots_cli.robots.model import Box, Pose, Sphere
-from deepbots_cli.runtime.readers import Table
+from deepbots_cli.runtime.readers import LookupTable
 from deepbots_cli.runtime.streams import Streams
 from tests.sensing.conftest import DEGREE, Scene, brick
 
@@ -74,13 +74,13 @@ TABLE = CalibrationTable((0.01, 0.02, 0.05, 0.07), (1000.0, 400.0, 100.0, 50.0))
 
 def test_a_lookup_is_straight_between_its_rows_and_flat_beyond_them() -> None:
     distances = [0.0, 0.005, *np.linspace(0.01, 0.07, 61), 0.08, 1.0]
-    assert Table(TABLE, len(distances))(distances) == pytest.approx(np.interp(distances, TABLE.distance, TABLE.value))
+    assert LookupTable(TABLE, len(distances))(distances) == pytest.approx(np.interp(distances, TABLE.distance, TABLE.value))
 
 
 def test_the_noise_of_a_lookup_is_a_share_of_the_reading_interpolated_between_rows() -> None:
     noisy = CalibrationTable(TABLE.distance, TABLE.value, (0.002, 0.04, 0.01, 0.03))
     distances = [0.0, 0.01, 0.015, 0.03, 0.07, 0.2]
-    table = Table(noisy, len(distances))
+    table = LookupTable(noisy, len(distances))
     table.restart(Streams(3)["lookup"])
     sample = np.array([table(distances) for _ in range(20_000)])
     values = np.interp(distances, noisy.distance, noisy.value)

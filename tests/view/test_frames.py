@@ -141,7 +141,7 @@ def test_fields_have_units_ranges_and_options():
 def test_a_person_drives_by_the_names_of_action_fields():
     with closing(Player(Source("find_ball").open(), HAND)) as player:
         player.begin(0, 0)
-        player.hand.values = {"gas": 1.0, "wheel": -0.5}
+        player.hand = {"gas": 1.0, "wheel": -0.5}
         assert player.step().agents["agent"].action == pytest.approx((1.0, -0.5))
 
 

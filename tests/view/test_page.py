@@ -227,7 +227,7 @@ def test_a_changed_parameter_counts_at_the_same_seed():
         _run(page, lambda: page.player is not old)
         assert page.shown[0].past[0].links == start
         assert page._values is panel  # and the panel stays as it is
-        assert "0.31" in deepbots_cli.codegen.emit(page.player.program)
+        assert "0.31" in deepbots_cli.codegen.generate_module(page.player.program)
         page._change("goal", "31 kg")
         _run(page, lambda: "DB503" in page._banner.content)
         page._change("goal", "20 cm")

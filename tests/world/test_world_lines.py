@@ -7,7 +7,7 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.program.world import Line
-from deepbots_cli.runtime.paths import Follower, Paint
+from deepbots_cli.runtime.paths import Follower, PaintedGround
 
 SQUARE = Line("square", ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)), closed=True, width=0.02, reflectance=0.1)
 ROAD = Line("road", ((0.0, 0.0), (1.0, 0.0)), closed=False, width=0.02)
@@ -75,7 +75,7 @@ def test_lanes_beside_each_other_are_told_apart() -> None:
 
 
 def test_bare_ground_is_white_and_paint_throws_back_what_it_says() -> None:
-    light = Paint([SQUARE], spot=0.002)
+    light = PaintedGround([SQUARE], spot=0.002)
     assert light(0.5, 0.5) == 1.0
     assert light(40.0, 40.0) == 1.0
     assert light(0.5, 0.0) == pytest.approx(0.1)
@@ -83,17 +83,17 @@ def test_bare_ground_is_white_and_paint_throws_back_what_it_says() -> None:
 
 @pytest.mark.parametrize(("y", "share"), [(0.01, 0.5), (0.011, 0.25), (0.009, 0.75), (0.012, 0.0), (0.008, 1.0)])
 def test_at_the_edge_of_the_paint_the_light_is_a_mean_over_the_spot(y: float, share: float) -> None:
-    assert Paint([SQUARE], spot=0.002)(0.5, -y) == pytest.approx(1.0 - 0.9 * share)
+    assert PaintedGround([SQUARE], spot=0.002)(0.5, -y) == pytest.approx(1.0 - 0.9 * share)
 
 
 def test_a_spot_wider_than_the_line_never_sees_it_alone() -> None:
-    assert Paint([SQUARE], spot=0.02)(0.5, 0.0) == pytest.approx(1.0 - 0.9 * 0.5)
+    assert PaintedGround([SQUARE], spot=0.02)(0.5, 0.0) == pytest.approx(1.0 - 0.9 * 0.5)
 
 
 def test_a_later_line_lies_over_an_earlier_one() -> None:
     over = Line("over", ((0.5, -1.0), (0.5, 1.0)), closed=False, width=0.02, reflectance=0.7)
-    assert Paint([SQUARE, over], spot=0.001)(0.5, 0.0) == pytest.approx(0.7)
-    assert Paint([over, SQUARE], spot=0.001)(0.5, 0.0) == pytest.approx(0.1)
+    assert PaintedGround([SQUARE, over], spot=0.001)(0.5, 0.0) == pytest.approx(0.7)
+    assert PaintedGround([over, SQUARE], spot=0.001)(0.5, 0.0) == pytest.approx(0.1)
 
 
 SCENARIO = """

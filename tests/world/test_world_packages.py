@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.cli.sources import opened_robot
+from deepbots_cli.cli.sources import open_robot
 from tests.few import every
 
 ROBOTS = {
@@ -56,7 +56,7 @@ truncation: {{max_steps: 1000}}
 
 @pytest.mark.parametrize("file", every(3, ROBOTS))
 def test_a_robot_of_a_package_runs_with_sensors_on_any_link(tmp_path: Path, file: str) -> None:
-    robot, findings = opened_robot(f"package://pybullet_data/{file}")
+    robot, findings = open_robot(f"package://pybullet_data/{file}")
     assert {finding.severity for finding in findings} <= {"warning"}
     joint = robot.model.moving_joints[0]
     slides = joint.type == "prismatic"

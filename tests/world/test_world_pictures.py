@@ -12,7 +12,7 @@ from deepbots_cli.document import shipped
 from deepbots_cli.frames import add, cross, dot, scaled, subtract
 from deepbots_cli.port import View
 from deepbots_cli.runtime import Supervisor
-from deepbots_cli.runtime.overview import around, beside, overview
+from deepbots_cli.runtime.overview import overview, shift_beside, view_around
 from tests.few import few
 
 
@@ -39,7 +39,7 @@ BOXES = [
 
 @pytest.mark.parametrize("box", BOXES)
 def test_a_view_holds_a_box_and_hardly_more(box) -> None:
-    view = around([box])
+    view = view_around([box])
     corners = [seen_at(view, (x, y, z)) for x in (box[0][0], box[1][0]) for y in (box[0][1], box[1][1]) for z in (box[0][2], box[1][2])]
     greatest = max(abs(part) for corner in corners for part in corner)
     assert greatest == pytest.approx(1 / 1.08) or (max(box[1][2] - box[0][2], box[1][0] - box[0][0]) < 0.1 and greatest < 1.0)
@@ -47,9 +47,9 @@ def test_a_view_holds_a_box_and_hardly_more(box) -> None:
 
 def test_scenes_stand_side_by_side_and_long_ones_lie_across() -> None:
     boxes = [((-5.0, -5.0, 0.0), (5.0, 5.0, 0.1))]
-    view, shift = around(boxes), beside(boxes, boxes)
+    view, shift = view_around(boxes), shift_beside(boxes, boxes)
     assert seen_at(view, add(view.target, shift))[0] > 1.0
-    row = around([((-0.5, -4.0, 0.0), (0.5, 4.0, 0.2))])
+    row = view_around([((-0.5, -4.0, 0.0), (0.5, 4.0, 0.2))])
     ends = [seen_at(row, (0.0, y, 0.0)) for y in (-4.0, 4.0)]
     assert abs(ends[1][0] - ends[0][0]) > 1.5
 

@@ -26,7 +26,7 @@ def drive(name: str, steps: int) -> None:
 
 @pytest.mark.parametrize("name", shipped.scenario_names())
 def test_a_shipped_scenario_has_no_findings(name: str) -> None:
-    assert [f"{finding.span.where}: {finding.headline}" for finding in api.lint(name, preview=True)] == []
+    assert [f"{finding.span.location}: {finding.headline}" for finding in api.lint(name, preview=True)] == []
 
 
 @pytest.mark.parametrize("name", few(shipped.scenario_names()))

@@ -16,7 +16,7 @@ from deepbots_cli import api, engines, files
 from deepbots_cli.errors import EngineError
 from deepbots_cli.expressions.scalar import Const, Name, Op
 from deepbots_cli.frames import IDENTITY_ROTATION, from_axis_angle
-from deepbots_cli.geometry import RIM_RADIUS_PER_SIGMA, grid, height, pixels
+from deepbots_cli.geometry import RIM_RADIUS_PER_SIGMA, ground_height, height_grid, picture_pixels
 from deepbots_cli.program.world import Formula, ObjectBody, Pit, Terrain, TerrainShape, WorldModel
 from deepbots_cli.robots.model import Sphere
 
@@ -62,30 +62,30 @@ def world(relief: TerrainShape, **more: object) -> WorldModel:
 
 @pytest.mark.parametrize(("radius", "expected"), [(0.5, 0.0569), (1.0, 0.2106), (1.5, 0.4168), (2.0, 0.6199), (2.7, 0.8115)])
 def test_a_pit_has_the_profile_of_its_formula(radius: float, expected: float) -> None:
-    at = height(Terrain(Pit(0.85 * 4.0, 2.7 * RIM_RADIUS_PER_SIGMA)))
+    at = ground_height(Terrain(Pit(0.85 * 4.0, 2.7 * RIM_RADIUS_PER_SIGMA)))
     for angle in (0.0, 1.0, 2.5):
         assert at(radius * math.cos(angle), radius * math.sin(angle)) == pytest.approx(expected, abs=2e-3)
 
 
 def test_the_rim_of_a_pit_is_where_its_radius_says_and_a_quarter_of_its_height_high() -> None:
     for radius in (1.0, 3.0):
-        at = height(Terrain(Pit(2.0, radius)))
+        at = ground_height(Terrain(Pit(2.0, radius)))
         assert at(radius, 0.0) == pytest.approx(0.5, rel=1e-3)
         assert at(0.9 * radius, 0.0) < at(radius, 0.0) > at(1.1 * radius, 0.0)
         assert at(0.0, 0.0) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_lumps_take_away_up_to_their_share_and_are_the_same_in_every_world() -> None:
-    plain, rough = grid(Pit(3.2, 3.0)).heights, grid(Pit(3.2, 3.0, 0.15)).heights
+    plain, rough = height_grid(Pit(3.2, 3.0)).heights, height_grid(Pit(3.2, 3.0, 0.15)).heights
     assert np.all(rough <= plain + 1e-12)
     assert np.all(rough >= 0.85 * plain - 1e-12)
     assert np.ptp(rough[plain > 0.1] / plain[plain > 0.1]) > 0.1
-    assert np.array_equal(rough, grid(Pit(3.2, 3.0, 0.15)).heights)
+    assert np.array_equal(rough, height_grid(Pit(3.2, 3.0, 0.15)).heights)
 
 
 @pytest.mark.parametrize("relief", [PIT, SLOPE], ids=["pit", "slope"])
 def test_the_engine_has_the_ground_where_placing_thinks_it_is(relief: TerrainShape) -> None:
-    at, rng = height(Terrain(relief)), random.Random(0)
+    at, rng = ground_height(Terrain(relief)), random.Random(0)
     with closing(engines.create("pybullet", world(relief))) as engine:
         down = [((0.0, 0.0, 0.0), from_axis_angle((0.0, 1.0, 0.0), math.pi / 2))]
         read = engine.rays(("ball", None), down, 10.0)
@@ -134,7 +134,7 @@ def test_a_grey_picture_is_read_as_it_was_written(data, depth: int, filtering: i
     rows = [[data.draw(st.integers(0, 256**depth - 1)) for _ in range(width)] for _ in range(tall)]
     written = grey_png(rows, depth, filtering)
     assert files.picture_problem(written) is None
-    assert pixels(written).tolist() == rows
+    assert picture_pixels(written).tolist() == rows
 
 
 @settings(max_examples=200, deadline=None)
@@ -144,7 +144,7 @@ def test_a_damaged_picture_is_refused_or_read_and_nothing_worse(tail: bytes, at:
     for odd in (whole[:at] + patch + whole[at + len(patch) :], whole[:at] + tail):
         if files.picture_problem(odd) is None:
             with suppress(EngineError):
-                pixels(odd)
+                picture_pixels(odd)
 
 
 HOSTILE = {
@@ -191,7 +191,7 @@ def compiled(folder: Path, terrain: str) -> api.Compiled:
 
 def lowest(scenario: api.Compiled) -> float:
     """Where a ball that rolls for 3 s gets to, above the ground there."""
-    at = height(scenario.program.world.terrain)
+    at = ground_height(scenario.program.world.terrain)
     with closing(api.make(scenario)) as environment:
         environment.reset(seed=0)
         for _ in range(99):
@@ -202,7 +202,7 @@ def lowest(scenario: api.Compiled) -> float:
 
 def test_hills_may_be_written_as_a_formula_of_place(tmp_path: Path) -> None:
     scenario = compiled(tmp_path, "type: formula, heights: 0.2 m * sin(x / m * 90 deg) + 0.1 * y, size: 40 40 m")
-    at = height(scenario.program.world.terrain)
+    at = ground_height(scenario.program.world.terrain)
     assert at(1.0, 2.0) == pytest.approx(0.4, abs=1e-3)
     assert at(-1.0, 0.0) == pytest.approx(-0.2, abs=1e-3)
     assert lowest(scenario) == pytest.approx(0.1, abs=0.02)
@@ -211,7 +211,7 @@ def test_hills_may_be_written_as_a_formula_of_place(tmp_path: Path) -> None:
 def test_hills_may_come_from_a_picture_whose_first_row_is_farthest_to_the_left(tmp_path: Path) -> None:
     (tmp_path / "hills.png").write_bytes(grey_png([[255] * 5, *[[0] * 5] * 4]))
     scenario = compiled(tmp_path, "type: heightfield, file: hills.png, size: 8 8 m, height: 2 m")
-    at = height(scenario.program.world.terrain)
+    at = ground_height(scenario.program.world.terrain)
     assert at(0.0, 4.0) == 2.0
     assert at(0.0, 3.0) == 1.0
     assert at(0.0, -1.0) == 0.0
@@ -235,7 +235,7 @@ def test_the_ground_may_be_a_mesh(tmp_path: Path) -> None:
     (tmp_path / "ramp.obj").write_text(text, encoding="utf-8")
     for file in ("ramp.stl", "ramp.obj"):
         scenario = compiled(tmp_path, f"type: mesh, file: {file}, scale: 1 1 0.5")
-        at = height(scenario.program.world.terrain)
+        at = ground_height(scenario.program.world.terrain)
         assert at(3.0, 0.0) == pytest.approx(0.5)
         assert at(3.0, -5.0) == pytest.approx(0.25)
         assert at(30.0, 0.0) == 0.0
@@ -267,6 +267,6 @@ def test_ground_that_cannot_be_is_a_finding_before_an_engine_sees_it(tmp_path: P
 
 def test_a_compiled_scenario_with_another_formula_than_of_place_has_no_heights() -> None:
     with pytest.raises(EngineError, match="cannot be computed"):
-        grid(Formula(Name("secret"), (1.0, 1.0)))
+        height_grid(Formula(Name("secret"), (1.0, 1.0)))
     with pytest.raises(EngineError, match="no height"):
-        grid(Formula(Op("div", (Const(1.0), Const(0.0))), (1.0, 1.0)))
+        height_grid(Formula(Op("div", (Const(1.0), Const(0.0))), (1.0, 1.0)))

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.compiler.inventory import definition, names
+from deepbots_cli.compiler.inventory import definition, names_at
 from deepbots_cli.runtime import Supervisor
 
 # The puck is 4 cm high and 2 cm in radius; the faces of `bay` are at x = 0.39 and 0.41 m, those of the arena at 1 m.
@@ -121,9 +121,9 @@ def test_editors_offer_walls_and_the_arena_and_lead_to_where_they_stand(tmp_path
     file = tmp_path / "yard.yaml"
     file.write_text(YARD, encoding="utf-8")
     checked = api.load(file)
-    felt = [found.name for found in names(checked, "bodies or links", ("robots", "stand", "sensors", "bump", "against"))]
+    felt = [found.name for found in names_at(checked, "bodies or links", ("robots", "stand", "sensors", "bump", "against"))]
     assert {"bay", "nook", "arena"} <= set(felt)
-    assert not {"bay", "arena"} & {found.name for found in names(checked, "body", ("reset", "place"))}
+    assert not {"bay", "arena"} & {found.name for found in names_at(checked, "body", ("reset", "place"))}
     for name in ("bay", "arena"):
         found = definition(checked, name)
         assert found is not None

@@ -20,15 +20,15 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import terminal, throughput
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Scenario, Seed, Sets, known_engine, whole
-from deepbots_cli.cli.tables import pairs as aligned
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Scenario, Seed, Sets, known_engine, whole_number
+from deepbots_cli.cli.tables import row_as_lines as aligned
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from deepbots_cli.runtime import Supervisor
 
-UNTIMED = 3
+WARM_UP_STEPS = 3
 """Number of steps at the start of an episode that are not timed; delayed commands have then reached the motors."""
 
 
@@ -36,14 +36,15 @@ def command(
     scenario: Scenario,
     sets: Sets = None,
     steps: Annotated[
-        int | None, typer.Option("--steps", metavar="N", parser=whole(100), help="Steps of the agent per measurement; 2000 by default.")
+        int | None,
+        typer.Option("--steps", metavar="N", parser=whole_number(100), help="Steps of the agent per measurement; 2000 by default."),
     ] = None,
     pairs: Annotated[
         int | None,
         typer.Option(
             "--pairs",
             metavar="N",
-            parser=whole(),
+            parser=whole_number(),
             help="Number of pairs of measurements, one with and one without the environment; 9 by default.",
         ),
     ] = None,
@@ -138,7 +139,7 @@ class Timing:
 
 
 @dataclass(frozen=True)
-class Held:
+class ConstantActionEpisode:
     """An episode with one constant action, and the number of its timed steps."""
 
     seed: int
@@ -178,31 +179,36 @@ def measure(
     )
 
 
-def plan(environment: Supervisor, steps: int, seed: int) -> list[Held]:
+def plan(environment: Supervisor, steps: int, seed: int) -> list[ConstantActionEpisode]:
     """Episodes that together have `steps` timed steps."""
-    episodes: list[Held] = []
+    episodes: list[ConstantActionEpisode] = []
     left = steps
     while left > 0:
         number = seed + len(episodes)
         environment.reset(seed=number)
         action = environment.action_space.sample()
         length, ended = 0, False
-        while not ended and length < left + UNTIMED:
+        while not ended and length < left + WARM_UP_STEPS:
             _, _, terminated, truncated, _ = environment.step(action)
             length, ended = length + 1, terminated or truncated
-        if length <= UNTIMED:
-            raise UsageError(f"an episode ends within {UNTIMED} steps, so there is nothing to measure")
-        episodes.append(Held(number, action, length - UNTIMED))
-        left -= length - UNTIMED
+        if length <= WARM_UP_STEPS:
+            raise UsageError(f"an episode ends within {WARM_UP_STEPS} steps, so there is nothing to measure")
+        episodes.append(ConstantActionEpisode(number, action, length - WARM_UP_STEPS))
+        left -= length - WARM_UP_STEPS
     return episodes
 
 
-def timed(environment: Any, episodes: list[Held], call: Callable[[Any], object], argument_of: Callable[[Held], Any]) -> float:
+def timed(
+    environment: Any,
+    episodes: list[ConstantActionEpisode],
+    call: Callable[[Any], object],
+    argument_of: Callable[[ConstantActionEpisode], Any],
+) -> float:
     """CPU seconds of `call` in all timed steps."""
     total = 0.0
     for episode in episodes:
         environment.reset(seed=episode.seed)
-        for _ in range(UNTIMED):
+        for _ in range(WARM_UP_STEPS):
             environment.step(episode.action)
         argument = argument_of(episode)
         start = time.process_time()

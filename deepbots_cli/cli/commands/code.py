@@ -13,16 +13,16 @@ from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Scenario, Sets
 from deepbots_cli.cli.commands.new import Files, modeline, write_new
-from deepbots_cli.codegen import emit
+from deepbots_cli.codegen import generate_module
 from deepbots_cli.codegen.text import class_name
-from deepbots_cli.compiler import Checked
-from deepbots_cli.compiler.inputs import FOLDER, RESOLVED
-from deepbots_cli.compiler.inventory import known
+from deepbots_cli.compiler import CheckedScenario
+from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME
+from deepbots_cli.compiler.inventory import scenario_names
 from deepbots_cli.diagnostics.render import summary
 from deepbots_cli.errors import UsageError, install_source
-from deepbots_cli.files import atomic
+from deepbots_cli.files import atomic_write
 from deepbots_cli.program import identity
-from deepbots_cli.scenario.json_schema import to_text
+from deepbots_cli.scenario.json_schema import schema_text
 
 
 def compile_(
@@ -60,7 +60,7 @@ def compile_(
     if output is not None and output.is_file() and output.read_bytes() in compiled.inputs.values():
         raise UsageError(f"{output} is an input of the scenario; name another output file")
     terminal.note_warnings(compiled.findings, scenario)
-    code = compiled.code if target == "scalar" else emit(compiled.program, target)
+    code = compiled.code if target == "scalar" else generate_module(compiled.program, target)
     if as_json:
         data = {"name": compiled.program.name, "digest": compiled.digest, "code": code, "inputs": list(compiled.inputs)}
         text = terminal.json_text(data)
@@ -89,7 +89,7 @@ def eject(
     _check(folder)
     compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
     terminal.note_warnings(compiled.findings, scenario)
-    written = write_new(project(compiled), folder)
+    written = write_new(project_files(compiled), folder)
     if as_json:
         terminal.show_json({"project": folder, "files": written})
         return
@@ -98,7 +98,7 @@ def eject(
     terminal.note(f"\nnext: cd {quote(str(folder))} && python run.py")
 
 
-def project(compiled: api.Compiled) -> Files:
+def project_files(compiled: api.Compiled) -> Files:
     """The files of the project, README first; the templates are in `project/`."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
@@ -110,13 +110,13 @@ def project(compiled: api.Compiled) -> Files:
         "version": deepbots_cli.__version__,
         "digest": compiled.digest[:12],
         "supervisor": f"{class_name(compiled.program.name)}Supervisor",
-        "resolved": RESOLVED,
-        "inputs": FOLDER,
+        "resolved": RESOLVED_NAME,
+        "inputs": INPUTS_FOLDER,
         "options": ", allow_code=True" if compiled.allow_code else "",
     }
     made = {name: templates.get_template(f"{name}.j2").render(words) for name in ("README.md", "task.py", "run.py", "train.py")}
-    made |= {"environment.py": compiled.code, RESOLVED: compiled.resolved, "requirements.txt": _requirements()}
-    copies = {PurePosixPath(FOLDER, path): content for path, content in compiled.inputs.items()}
+    made |= {"environment.py": compiled.code, RESOLVED_NAME: compiled.resolved, "requirements.txt": _requirements()}
+    copies = {PurePosixPath(INPUTS_FOLDER, path): content for path, content in compiled.inputs.items()}
     return {PurePosixPath(path): text.encode() for path, text in made.items()} | copies
 
 
@@ -167,19 +167,19 @@ def schema(
     if output == Path("-"):
         output = None
     if scenario is None:
-        _write(to_text(), output)
+        _write(schema_text(), output)
         return
     checked = api.load(scenario, allow_paths=allow_paths or ())
     if output is not None and _is_read(checked, output):
         raise UsageError(f"{output} is an input of the scenario; name another output file")
-    _write(to_text(known(checked)), output)
+    _write(schema_text(scenario_names(checked)), output)
     if checked.findings.errors:
         terminal.note(f"{summary(checked.findings.errors)}: names in unreadable parts are missing; see: deepbots lint {quote(scenario)}")
     if output is not None and Path(scenario).is_file():
         terminal.note(f"write as the first line of {checked.document.path.name}: {modeline(checked.document.path, output)}")
 
 
-def _is_read(checked: Checked, output: Path) -> bool:
+def _is_read(checked: CheckedScenario, output: Path) -> bool:
     """Whether the file is an input of the scenario, by its path or its content."""
     if output.resolve() in checked.document.files:
         return True
@@ -190,5 +190,5 @@ def _write(text: str, output: Path | None) -> None:
     if output is None:
         print(text, end="")
     else:
-        with atomic(output) as draft:
+        with atomic_write(output) as draft:
             draft.write_text(text, encoding="utf-8")

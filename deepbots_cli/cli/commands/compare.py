@@ -10,7 +10,7 @@ import typer
 
 from deepbots_cli import api, learning
 from deepbots_cli.cli import results, terminal
-from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Json, whole
+from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Json, whole_number
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.learning.run import Record, changed_settings, short
 
@@ -24,10 +24,10 @@ def command(
     ],
     episodes: Annotated[
         int | None,
-        typer.Option("--episodes", metavar="N", parser=whole(), help="Episodes of each run; by default those of the scenario."),
+        typer.Option("--episodes", metavar="N", parser=whole_number(), help="Episodes of each run; by default those of the scenario."),
     ] = None,
     seed: Annotated[
-        int, typer.Option("--seed", metavar="N", parser=whole(0, MAX_SEED), help="Root seed of the starts, the same for all runs.")
+        int, typer.Option("--seed", metavar="N", parser=whole_number(0, MAX_SEED), help="Root seed of the starts, the same for all runs.")
     ] = 0,
     last: Annotated[bool, typer.Option("--last", help="Compare the last models instead of the best ones.")] = False,
     scenario: Annotated[
@@ -63,7 +63,7 @@ def command(
     if scenario is not None:
         judged = api.compile(scenario, allow_paths=allow_paths or (), allow_code=allow_code)
         terminal.note_warnings(judged.findings, scenario)
-    with terminal.passing("loading the policies ..."):
+    with terminal.transient_line("loading the policies ..."):
         compare = learning.compare  # which imports torch
     with terminal.progress(always=False) as show:
         found = compare(
@@ -96,18 +96,21 @@ def _show(found: Comparison) -> None:
             "runs": len(group.evaluations),
             "mean_return": group.mean_return,
         }
-        row |= {"return_95 %": results.between(group.return_interval), "iqm": group.interquartile_mean if group.return_interval else None}
+        row |= {
+            "return_95 %": results.interval_text(group.return_interval),
+            "iqm": group.interquartile_mean if group.return_interval else None,
+        }
         if has_success:
-            row |= {"success": f"{group.success_rate:.1%}", "success_95 %": results.between(group.success_interval, percent=True)}
+            row |= {"success": f"{group.success_rate:.1%}", "success_95 %": results.interval_text(group.success_interval, percent=True)}
         rows.append(row)
     terminal.print_result(table(rows))
     terminal.print_result(f"\nagainst {found.groups[0].name}")
     rows = []
     for entry in found.differences:
-        row = {"group": entry.group, "return": entry.mean_return.mean, "return_95 %": results.between(entry.mean_return.interval)}
+        row = {"group": entry.group, "return": entry.mean_return.mean, "return_95 %": results.interval_text(entry.mean_return.interval)}
         if entry.success_rate is not None:
             success = entry.success_rate
-            row |= {"success": f"{success.mean:+.1%}", "success_95 %": results.between(success.interval, percent=True)}
+            row |= {"success": f"{success.mean:+.1%}", "success_95 %": results.interval_text(success.interval, percent=True)}
         rows.append(row | {"probability_of_improvement" if entry.between_seeds else "episodes_better": entry.mean_return.improvement})
     terminal.print_result(table(rows))
     if not all(entry.between_seeds for entry in found.differences):

@@ -17,9 +17,9 @@ import typer
 
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Sets
-from deepbots_cli.cli.exits import FAILED, WRONG
-from deepbots_cli.cli.sources import Opened, opened
-from deepbots_cli.cli.tables import cell, formula
+from deepbots_cli.cli.exits import FAILED, WRONG_USAGE
+from deepbots_cli.cli.sources import OpenedSource, open_source
+from deepbots_cli.cli.tables import cell_text, formula_text
 from deepbots_cli.errors import ScenarioError
 from deepbots_cli.expressions.scalar import Const, Draw, Scalar
 from deepbots_cli.program import Program, identity
@@ -75,11 +75,11 @@ def command(
       deepbots diff runs/cartpole-0-1 cartpole.yaml
     """
     try:
-        sides = [opened(name, given, allow_paths or (), allow_code=allow_code) for name, given in ((one, ()), (other, sets or ()))]
+        sides = [open_source(name, given, allow_paths or (), allow_code=allow_code) for name, given in ((one, ()), (other, sets or ()))]
     except ScenarioError as error:
         terminal.show_findings(error.findings)
-        raise typer.Exit(WRONG) from None
-    found = changes(*sides)
+        raise typer.Exit(WRONG_USAGE) from None
+    found = scenario_changes(*sides)
     if as_json:
         terminal.show_json(_data(one, other, found))
     else:
@@ -199,7 +199,7 @@ _NAME = re.compile(r"[a-z_][a-z0-9_]*")
 _LISTED = 3
 
 
-def changes(one: Opened, other: Opened) -> list[Change]:
+def scenario_changes(one: OpenedSource, other: OpenedSource) -> list[Change]:
     """All differences, the most serious group first; empty if both scenarios compile to the same program, except for paths of files."""
     found = [*_of_interface(one, other), *_of_values(one, other), *_of_variants(one, other), *_of_orders(one.program, other.program)]
     if not found and identity.digest(one.program) != identity.digest(other.program):
@@ -214,7 +214,7 @@ def changes(one: Opened, other: Opened) -> list[Change]:
     return list(by_path.values())
 
 
-def _of_interface(one: Opened, other: Opened) -> Iterator[Change]:
+def _of_interface(one: OpenedSource, other: OpenedSource) -> Iterator[Change]:
     """Differences in the interface of a policy: ranges, choices and messages."""
     before, after = identity.interface(one.program), identity.interface(other.program)
     for name in dict.fromkeys((*before, *after)):
@@ -225,7 +225,7 @@ def _of_interface(one: Opened, other: Opened) -> Iterator[Change]:
             yield _change(path, Group.policy, old, new, one, other)
 
 
-def _of_values(one: Opened, other: Opened) -> Iterator[Change]:
+def _of_values(one: OpenedSource, other: OpenedSource) -> Iterator[Change]:
     before, after = values(one.program), values(other.program)
     items: dict[tuple[int, str, Group], tuple[dict[str, str], dict[str, str]]] = {}
     for raw in dict.fromkeys((*before, *after)):
@@ -257,13 +257,13 @@ def _is_seen(path: str, scenario: Program) -> bool:
     return shapeless or any(sensor.optics for robot in scenario.robots for sensor in robot.sensors)
 
 
-def _change(path: str, group: Group, old: Mapping[str, str], new: Mapping[str, str], one: Opened, other: Opened) -> Change:
+def _change(path: str, group: Group, old: Mapping[str, str], new: Mapping[str, str], one: OpenedSource, other: OpenedSource) -> Change:
     """The change at a path: the texts of both scenarios, or the compiled values that differ where the texts do not."""
     section, _, name = path.partition(".")
-    if section == "signals" and any(name in side.names("augment") for side in (one, other)):
+    if section == "signals" and any(name in side.keys_at("augment") for side in (one, other)):
         path = f"augment.{name}"
     written = f"{path.removeprefix(LOOK)}.colour" if path.startswith(LOOK) else path
-    texts = one.wording(written), other.wording(written)
+    texts = one.text_at(written), other.text_at(written)
     kind = "changed" if all(texts) else _kind(bool(old), bool(new))
     if texts[0] != texts[1]:
         return Change(path, group, kind, *texts)
@@ -285,11 +285,11 @@ def _differing(old: Mapping[str, str], new: Mapping[str, str]) -> tuple[str, str
     return ", ".join([*shown[0], *rest] if shown[0] else []), ", ".join([*shown[1], *rest] if shown[1] else [])
 
 
-def _altered_parameters(text: str, one: Opened, other: Opened, known: set[str]) -> dict[str, tuple[str, str]]:
+def _altered_parameters(text: str, one: OpenedSource, other: OpenedSource, known: set[str]) -> dict[str, tuple[str, str]]:
     """The parameters whose texts differ, of those in a text and of those that they are computed from; and both texts of each."""
     found: dict[str, tuple[str, str]] = {}
     for name in dict.fromkeys(_NAME.findall(text)):
-        here, there = one.wording(f"parameters.{name}"), other.wording(f"parameters.{name}")
+        here, there = one.text_at(f"parameters.{name}"), other.text_at(f"parameters.{name}")
         if here != there:
             found[name] = here, there
         elif here and name not in known:
@@ -297,7 +297,7 @@ def _altered_parameters(text: str, one: Opened, other: Opened, known: set[str]) 
     return found
 
 
-def _of_variants(one: Opened, other: Opened) -> Iterator[Change]:
+def _of_variants(one: OpenedSource, other: OpenedSource) -> Iterator[Change]:
     """Cases and stages, by the values that each changes in its scenario."""
     for section, before, after in (
         ("evaluation.cases", _variants(one.program, one.program.cases), _variants(other.program, other.program.cases)),
@@ -306,7 +306,7 @@ def _of_variants(one: Opened, other: Opened) -> Iterator[Change]:
         for name in dict.fromkeys((*before, *after)):
             if before.get(name) != after.get(name):
                 path = f"{section}.{name}"
-                yield Change(path, Group.training, _kind(name in before, name in after), one.wording(path), other.wording(path))
+                yield Change(path, Group.training, _kind(name in before, name in after), one.text_at(path), other.text_at(path))
 
 
 def _variants(scenario: Program, entries: Iterable[Any]) -> dict[str, object]:
@@ -365,11 +365,11 @@ def _leaves(value: Any, path: str) -> Iterator[tuple[str, str]]:
     elif path.endswith("/fixed_base"):
         yield path, "fixed" if value else "free"
     elif isinstance(value, Scalar):
-        yield path, formula(value)
+        yield path, formula_text(value)
     elif isinstance(value, float):
         yield path, f"{value:.12g}"
     elif value not in (None, ()):
-        yield path, cell(list(value)) if isinstance(value, tuple) else cell(value)
+        yield path, cell_text(list(value)) if isinstance(value, tuple) else cell_text(value)
 
 
 def _keyed(entries: tuple[Any, ...], path: str) -> dict[str, Any]:

@@ -13,11 +13,11 @@ import typer
 
 from deepbots_cli import api, learning
 from deepbots_cli.cli import results, terminal
-from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Json, Sets, fraction, known_engine, whole
+from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Json, Sets, fraction, known_engine, whole_number
 from deepbots_cli.cli.commands.insight import repeat_failed
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import table
-from deepbots_cli.compiler.inputs import RESOLVED
+from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import check_writable
@@ -49,7 +49,7 @@ FAILED_ONES = "failed"
 
 def _episodes(text: str) -> int | str:
     """A parser: a number of episodes, or `failed`."""
-    return text if text == FAILED_ONES else whole()(text)
+    return text if text == FAILED_ONES else whole_number()(text)
 
 
 def command(
@@ -68,7 +68,7 @@ def command(
         typer.Option(
             "--seed",
             metavar="N",
-            parser=whole(0, MAX_SEED),
+            parser=whole_number(0, MAX_SEED),
             help="Root seed of the starts; by default the seed of the training, and 0 for a group.",
         ),
     ] = None,
@@ -223,7 +223,7 @@ def command(
         _robustness(known, gates, changed, allow_paths or (), scenario, case, stage, as_json=as_json, seed=seed, mass_of=mass_of, **chosen)
         return
     chosen |= {"seed": seed}
-    with terminal.passing("loading the policy ..."):
+    with terminal.transient_line("loading the policy ..."):
         evaluate, evaluate_cases, evaluate_baselines = (
             learning.evaluate,
             learning.evaluate_cases,
@@ -248,7 +248,7 @@ def command(
                 others = evaluate_baselines(known, case=case, stage=stage, **options | {"episodes": result.episodes})
         elsewhere = _elsewhere(known, scenario, sets or (), compiled) if scenario is not None or sets else None
         found.append(_Found(result, cases, others, elsewhere, tuple(sets or ())))
-        results.keep(known, found[-1].as_json())
+        results.keep_evaluation(known, found[-1].as_json())
         of = f"{result.engine}: " if len(several) > 1 else ""
         requirements += [(f"{of}{words}", met, reason) for words, met, reason in gates.requirements(result, episodes or usual)]
     if csv is not None:
@@ -345,7 +345,7 @@ def _judged(
         return None
     options: dict[str, Any] = {"sets": with_engine(sets, engine), "allow_paths": allow_paths or (), "allow_code": allow_code}
     if scenario is None:
-        return api.compile(api.load(folder / RESOLVED, project=folder, **options))
+        return api.compile(api.load(folder / RESOLVED_NAME, project=folder, **options))
     compiled = api.compile(api.load(scenario, **options))
     terminal.note_warnings(compiled.findings, scenario)
     return compiled
@@ -445,7 +445,7 @@ def _evaluate_group(
     **chosen: Any,
 ) -> None:
     """Evaluate a group in each of the `judged` scenarios, which differ in their engine; None is the scenario of the group."""
-    with terminal.passing("loading the policies ..."):
+    with terminal.transient_line("loading the policies ..."):
         from deepbots_cli.learning.comparison import across_engines, evaluate_group  # which import torch
     ready = Group.open(folder).ready
     groups: list[GroupResult] = []
@@ -493,7 +493,7 @@ def _robustness(
     **chosen: Any,
 ) -> None:
     gates.check(known.program)
-    with terminal.passing("loading the policy ..."):
+    with terminal.transient_line("loading the policy ..."):
         from deepbots_cli.learning.robustness import evaluate_robustness  # which imports torch
     with terminal.progress("evaluations") as show_level:
         found = evaluate_robustness(

@@ -15,7 +15,7 @@ from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import Json
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.diagnostics import Findings, Rule, Source
-from deepbots_cli.diagnostics.nearest import is_typo, nearest, renames_of
+from deepbots_cli.diagnostics.nearest import is_typo, nearest_word, renames_of
 from deepbots_cli.diagnostics.registry import matching_rules, unknown_rule_message
 from deepbots_cli.document.nodes import to_data
 from deepbots_cli.document.parse import parse
@@ -23,8 +23,19 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.dimensions import UNITS
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.lint import pages_of
-from deepbots_cli.scenario.base import Kinds, Section, about, default_of, description, example_of, fields, noun_of, sections, unit_of
-from deepbots_cli.scenario.fields import article
+from deepbots_cli.scenario.base import (
+    Kinds,
+    Section,
+    default_of,
+    example_of,
+    key_description,
+    noun_of,
+    section_description,
+    section_fields,
+    unit_of,
+    walk_sections,
+)
+from deepbots_cli.scenario.fields import with_article
 from deepbots_cli.scenario.scenario import Scenario
 
 _FINDING = re.compile(r"db\d|.*-", re.IGNORECASE)
@@ -58,12 +69,12 @@ def command(
     """
     found = matching_rules(finding)
     if not found:
-        lines = explained(finding)
-        if not lines and not _FINDING.match(finding) and (meant := misspelt(finding)):
+        lines = explain_word(finding)
+        if not lines and not _FINDING.match(finding) and (meant := misspelt_word(finding)):
             terminal.note(f"there is no entry '{finding}'; this is the entry '{meant}'\n")
-            lines = explained(meant)
+            lines = explain_word(meant)
         if not lines:
-            raise UsageError(unknown_rule_message(finding) if _FINDING.match(finding) else unknown(finding))
+            raise UsageError(unknown_rule_message(finding) if _FINDING.match(finding) else unknown_word_message(finding))
         if as_json:
             raise UsageError(f"--json prints findings, and '{finding}' is not a finding; leave it out")
         terminal.print_result("\n".join(map(_wrapped, lines)))
@@ -160,7 +171,7 @@ def _topic(name: str, entry: dict[str, str]) -> Topic:
     return Topic(name, names, entry["about"].strip(), entry.get("example", "").strip(), entry["read"])
 
 
-def explained(word: str) -> list[str]:
+def explain_word(word: str) -> list[str]:
     """Paragraphs and examples about `word`; empty if nothing has this name.
 
     A concept of this name comes first, then functions, units, kinds and keys. Other names of a concept count only if the language has no
@@ -175,14 +186,14 @@ def explained(word: str) -> list[str]:
     blocks = [*map(_of_topic, found), *blocks]
     for new, rename in {rename.new: rename for rename in renames_of(spelt)}.items():
         named = _blocks(new) or _blocks(rename.key)  # a word that is no kind is explained by its key
-        blocks += [[f"{spelt}: the former name of the {rename.what} `{new}`"], *named]
+        blocks += [[f"{spelt}: the former name of the {rename.kind} `{new}`"], *named]
     others = _others(word, {topic.name for topic in found} | {spelt}) if word.strip() else []
     if blocks and others:
         blocks.append([f"See also: {', '.join(others)}"])
     return [line for number, block in enumerate(blocks) for line in ([""] if number else []) + block]
 
 
-def misspelt(word: str) -> str | None:
+def misspelt_word(word: str) -> str | None:
     """The concept or word of the language that differs from `word` by one letter, such as `curiculum`; None if there is none."""
     concepts = [name for topic in topics() for name in (topic.name, *topic.names)]
     return next((name for name in (*concepts, *_words()) if is_typo(_plain(word), _plain(name))), None)
@@ -191,14 +202,14 @@ def misspelt(word: str) -> str | None:
 def _blocks(word: str) -> list[list[str]]:
     """The function, the unit, the kinds and the keys of this name."""
     places: dict[Lines, dict[str, None]] = {}
-    for path, part, mark in sections(Scenario):
+    for path, part, mark in walk_sections(Scenario):
         place = f"`{'.'.join('<name>' if step == '*' else step for step in path)}`" if path else "a scenario"
         for lines in _explained_in(part, mark, word):
             places.setdefault(lines, {})[place] = None
     blocks = [block for block in (list(_of_function(word)), list(_of_unit(word))) if block]
     for (what, *text), paths in list(places.items())[:_SHOWN]:
         more = f" and {len(paths) - _SHOWN} more places" if len(paths) > _SHOWN else ""
-        blocks.append([f"{word}: {article(what)} of {', '.join([*paths][:_SHOWN])}{more}", *text])
+        blocks.append([f"{word}: {with_article(what)} of {', '.join([*paths][:_SHOWN])}{more}", *text])
     return blocks
 
 
@@ -229,15 +240,15 @@ def _others(word: str, shown: Iterable[str]) -> list[str]:
 def _words() -> dict[str, None]:
     """Every function, unit, kind and key."""
     names = [*FUNCTIONS, *UNITS]
-    for _, part, _ in sections(Scenario):
-        names += part.names if isinstance(part, Kinds) else fields(part)
+    for _, part, _ in walk_sections(Scenario):
+        names += part.names if isinstance(part, Kinds) else section_fields(part)
     return dict.fromkeys(names)
 
 
-def unknown(word: str) -> str:
+def unknown_word_message(word: str) -> str:
     """The error for a word that has no entry."""
     concepts = [name for topic in topics() for name in (topic.name, *topic.names)]
-    near = nearest(word, concepts, 0.8) or nearest(word, list(_words())) or nearest(word, concepts)
+    near = nearest_word(word, concepts, 0.8) or nearest_word(word, list(_words())) or nearest_word(word, concepts)
     hint = f"; did you mean {near}?" if near else "; `deepbots explain` lists all findings"
     others = _others(word, ())
     if others:
@@ -268,7 +279,7 @@ def _of_unit(word: str) -> Iterator[str]:
 def _explained_in(part: type[Section] | Kinds, mark: str, word: str) -> Iterator[Lines]:
     """The explanations of a word as a key or a kind of a section; `mark` is the key that names the kind."""
     if not isinstance(part, Kinds):
-        if word in fields(part) and word != mark:
+        if word in section_fields(part) and word != mark:
             yield "key", *_of_key(part, word)
         return
     if part.key == word:
@@ -278,7 +289,7 @@ def _explained_in(part: type[Section] | Kinds, mark: str, word: str) -> Iterator
 
 
 def _of_kind(kinds: Kinds, name: str) -> Iterator[str]:
-    yield about(kinds.models[name])
+    yield section_description(kinds.models[name])
     model = kinds.models[name]
     keys = {key: info.is_required() for key, info in model.model_fields.items() if key != kinds.key}
     needed, others = ([key for key, required in keys.items() if required is wanted] for wanted in (True, False))
@@ -289,8 +300,8 @@ def _of_kind(kinds: Kinds, name: str) -> Iterator[str]:
 
 
 def _of_key(part: type[Section], key: str) -> Iterator[str]:
-    yield description(part, key)
-    spec, default = fields(part)[key], default_of(part, key)
+    yield key_description(part, key)
+    spec, default = section_fields(part)[key], default_of(part, key)
     unit = unit_of(spec)
     measured = "" if unit in ("", "1") or unit.startswith("of ") else f", {unit}"
     required = "; required" if part.model_fields[key].is_required() else ""

@@ -68,7 +68,7 @@ def command(
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise UsageError(f"{folder} exists and is not an empty folder; name another folder with --out")
     check_folder(folder)
-    with terminal.passing("exporting the policy ..."):
+    with terminal.transient_line("exporting the policy ..."):
         from deepbots_cli.insight import card  # torch, which exporting imports, takes a second
 
         files = card.bundle(run, "last" if last else "best")

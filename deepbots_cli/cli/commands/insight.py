@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import MAX_SEED, AllowCode, Json, whole
+from deepbots_cli.cli.command import MAX_SEED, AllowCode, Json, whole_number
 from deepbots_cli.errors import RunError, UsageError
 
 if TYPE_CHECKING:
@@ -28,14 +28,17 @@ def explain_episode(
         typer.Option(
             "--episode",
             metavar="K",
-            parser=whole(0),
+            parser=whole_number(0),
             help="Episode of the evaluation or of the recording; by default the first failed one of the last evaluation, or 0.",
         ),
     ] = None,
     seed: Annotated[
         int | None,
         typer.Option(
-            "--seed", metavar="N", parser=whole(0, MAX_SEED), help="Root seed of the starts of a run; by default that of its evaluation."
+            "--seed",
+            metavar="N",
+            parser=whole_number(0, MAX_SEED),
+            help="Root seed of the starts of a run; by default that of its evaluation.",
         ),
     ] = None,
     last: Annotated[bool, typer.Option("--last", help="Let the last model of a run act instead of the best one.")] = False,
@@ -56,7 +59,7 @@ def explain_episode(
 
     Next: `deepbots clip RUN --episode K` shows the episode, `deepbots diagnose RUN` tells why a training does not learn.
     """
-    with terminal.passing("running the episode again ..."):
+    with terminal.transient_line("running the episode again ..."):
         from deepbots_cli.insight.episode import explain, explanation_json
 
         trace = _trace(shown, episode, seed, last=last, allow_code=allow_code)
@@ -170,7 +173,7 @@ def diagnose(
     folders = Group.open(run).runs if is_group(run) else [run]
     if not folders:
         raise UsageError(f"{run} is a group without a run yet; train it with: deepbots train --resume {quote(str(run))}")
-    with terminal.passing("reading the logs ..."):
+    with terminal.transient_line("reading the logs ..."):
         from deepbots_cli.insight.diagnosis import diagnose as find_causes
         from deepbots_cli.insight.training import probe, read
     found: list[dict[str, Any]] = []

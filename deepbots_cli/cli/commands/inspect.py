@@ -11,15 +11,15 @@ import typer
 from deepbots_cli import api
 from deepbots_cli.cli import inspection, terminal
 from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Engine, Json, Sets, Stage, with_case_or_stage
-from deepbots_cli.cli.sources import is_robot, opened, opened_robot
-from deepbots_cli.cli.tables import pairs, table
+from deepbots_cli.cli.sources import is_robot, open_robot, open_source
+from deepbots_cli.cli.tables import row_as_lines, table
 from deepbots_cli.diagnostics import Source, Span
-from deepbots_cli.document import Mapping
+from deepbots_cli.document import MappingNode
 from deepbots_cli.document.load import with_settings_at
 from deepbots_cli.engine_kinds import chosen
 from deepbots_cli.errors import EngineError, EvaluationError, MissingExtraError, UsageError
-from deepbots_cli.files import atomic
-from deepbots_cli.footprint import bounds, resting_height
+from deepbots_cli.files import atomic_write
+from deepbots_cli.footprint import resting_height, robot_bounds
 from deepbots_cli.frames import add
 from deepbots_cli.program import Program
 from deepbots_cli.program.world import RobotBody, WorldModel
@@ -80,16 +80,16 @@ def command(
     if is_robot(scenario):
         _inspect_robot(scenario, picture, chosen(engine), as_json)
         return
-    side = opened(scenario, sets or (), allow_paths or (), allow_code=allow_code, engine=engine)
+    side = open_source(scenario, sets or (), allow_paths or (), allow_code=allow_code, engine=engine)
     terminal.note_warnings(side.findings, scenario)
     program = with_case_or_stage(side.program, case, stage)
-    root = side.root if isinstance(side.root, Mapping) else Mapping(Span(Source(scenario, ""), 0, 0), {})
+    root = side.root if isinstance(side.root, MappingNode) else MappingNode(Span(Source(scenario, ""), 0, 0), {})
     if case is not None:
         root = with_settings_at(root, ("evaluation", "cases", case))
     elif stage is not None:
         root = with_settings_at(root, ("curriculum", [known.name for known in side.program.curriculum].index(stage)))
     engine = engine or (side.run.engine_for(program) if side.run else None)
-    tables = {**inspection.of_scenario(program, root, side.run), **_start(program, picture, engine, allow_code=allow_code)}
+    tables = {**inspection.scenario_tables(program, root, side.run), **_start(program, picture, engine, allow_code=allow_code)}
     if as_json:
         terminal.show_json(tables)
     else:
@@ -122,8 +122,8 @@ def _start(program: Program, picture: Path | None, engine: str | None, *, allow_
 
 
 def _inspect_robot(reference: str, picture: Path | None, engine: str, as_json: bool) -> None:
-    robot, findings = opened_robot(reference)
-    tables = inspection.of_robot(robot, findings)
+    robot, findings = open_robot(reference)
+    tables = inspection.robot_tables(robot, findings)
     if picture is not None:
         _draw(_rendered(robot.model, engine), picture)
     if as_json:
@@ -139,12 +139,12 @@ def _inspect_robot(reference: str, picture: Path | None, engine: str, as_json: b
 def _rendered(model: RobotModel, engine: str) -> Image:
     """The robot on a floor, its joints at 0."""
     from deepbots_cli import engines
-    from deepbots_cli.runtime.overview import around
+    from deepbots_cli.runtime.overview import view_around
 
     pose = Pose((0.0, 0.0, resting_height(model)))
     world = WorldModel(0.01, 1, robots=(RobotBody("robot", model, fixed_base=True, pose=pose),))
-    low, high = bounds(model)
-    view = around([(add(low, pose.xyz), add(high, pose.xyz))])
+    low, high = robot_bounds(model)
+    view = view_around([(add(low, pose.xyz), add(high, pose.xyz))])
     with closing(engines.create(engine, world)) as opened_engine:
         return opened_engine.render(view)
 
@@ -161,11 +161,11 @@ def _draw(image: Image, picture: Path) -> None:
     """Write an image (uint8, height x width x 3) as PNG."""
     import PIL.Image  # of the extra that draws
 
-    with atomic(picture) as draft:
+    with atomic_write(picture) as draft:
         PIL.Image.fromarray(image).save(draft, format="PNG")
 
 
 def _show(tables: inspection.Tables) -> None:
     for name, rows in tables.items():
         terminal.print_result(f"{name}{f': {_CAPTIONS[name]}' if name in _CAPTIONS else ''}")
-        terminal.print_result((table(rows) if isinstance(rows, list) else pairs(rows)) + "\n")
+        terminal.print_result((table(rows) if isinstance(rows, list) else row_as_lines(rows)) + "\n")

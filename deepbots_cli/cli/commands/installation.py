@@ -19,8 +19,8 @@ from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import Json
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import Row, table
-from deepbots_cli.document import Scalar, load, shipped
-from deepbots_cli.errors import DeepbotsError, installing
+from deepbots_cli.document import ScalarNode, load, shipped
+from deepbots_cli.errors import DeepbotsError, install_hint
 
 
 def list_(as_json: Json = False) -> None:
@@ -38,7 +38,7 @@ def list_(as_json: Json = False) -> None:
         path = shipped.scenario_path(name)
         root = load(path).root if path else None
         summary = root.get("summary") if root else None
-        rows.append({"name": name, "summary": summary.text if isinstance(summary, Scalar) else ""})
+        rows.append({"name": name, "summary": summary.text if isinstance(summary, ScalarNode) else ""})
     if as_json:
         terminal.show_json({"scenarios": rows})
     else:
@@ -104,7 +104,7 @@ def checks() -> Iterator[Check]:
         yield Check(name, "ok" if found else absent, found or "not installed")
     complete = {extra: all(versions[name] for name in needed[extra]) for extra in _EXTRAS}
     for extra, is_complete in complete.items():
-        yield Check(f"extra {extra}", "ok" if is_complete else "missing", "complete" if is_complete else installing(extra))
+        yield Check(f"extra {extra}", "ok" if is_complete else "missing", "complete" if is_complete else install_hint(extra))
     names = shipped.scenario_names()
     yield Check("scenarios", "ok" if names else "broken", f"{len(names)} in {shipped.data_dir()}")
     yield _linting()

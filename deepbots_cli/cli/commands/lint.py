@@ -15,15 +15,15 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Sets, whole
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Sets, whole_number
 from deepbots_cli.cli.commands import rewriting
-from deepbots_cli.cli.exits import FAILED, FAULT
-from deepbots_cli.compiler import Checked
+from deepbots_cli.cli.exits import FAILED, INTERNAL_ERROR
+from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.diagnostics import Edit, Finding, Severity, Source
 from deepbots_cli.diagnostics.findings import RuleSelectors, Selection, exception_finding
-from deepbots_cli.diagnostics.render import github, inert, junit, render, sarif, summary
+from deepbots_cli.diagnostics.render import escape_log_commands, github, junit, render, sarif, summary
 from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
-from deepbots_cli.lint import review, simulate
+from deepbots_cli.lint import all_findings, simulate
 from deepbots_cli.lint.fixes import Fixer
 from deepbots_cli.lint.settings import Settings, scenarios_in, settings
 
@@ -88,7 +88,7 @@ def lint(
     diff: Annotated[bool, typer.Option("--diff", help="Show the changes of --fix, and write nothing.")] = False,
     stdin_name: Annotated[str | None, typer.Option("--stdin-filename", metavar="FILE", help="File name for standard input.")] = None,
     jobs: Annotated[
-        int, typer.Option("--jobs", "-j", metavar="N", parser=whole(), help="Number of processes; useful for tens of files or more.")
+        int, typer.Option("--jobs", "-j", metavar="N", parser=whole_number(), help="Number of processes; useful for tens of files or more.")
     ] = 1,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
@@ -123,8 +123,8 @@ def lint(
     )
     if deep:
         _check_simulator(fix or diff or unsafe_fixes)
-    look = Look(tuple(sets or ()), tuple(allow_paths or ()), allow_code, previewed, deep, stdin_name)
-    names = named(scenarios or ["."], project)
+    look = LintOptions(tuple(sets or ()), tuple(allow_paths or ()), allow_code, previewed, deep, stdin_name)
+    names = scenario_names(scenarios or ["."], project)
     if stdin_name and STDIN not in names:
         raise UsageError("--stdin-filename needs - (standard input) as a scenario")
     format_ = Format.json if as_json else format or Format(project.format or Format.full)
@@ -147,7 +147,7 @@ def lint(
     hidden = [finding for finding in findings if finding.severity == "error" and not selection.selects(finding)]
     _note_hidden(hidden)
     if any(finding.is_internal_error for finding in shown):
-        raise typer.Exit(FAULT)
+        raise typer.Exit(INTERNAL_ERROR)
     if any(finding.severity in failing for finding in (*shown, *hidden)) or (diff and changes):
         raise typer.Exit(FAILED)
 
@@ -177,7 +177,7 @@ def _check_fixing(fix: bool, diff: bool, sets: list[str] | None, names: Sequence
         raise UsageError("standard input cannot be fixed; name the file")
 
 
-def _fixed(names: Sequence[str], look: Look, selection: Selection, *, unsafe: bool, show: bool) -> tuple[list[Finding], bool]:
+def _fixed(names: Sequence[str], look: LintOptions, selection: Selection, *, unsafe: bool, show: bool) -> tuple[list[Finding], bool]:
     """The findings that are left after fixing, and whether a file changes; `show` prints the difference and writes nothing."""
     load = partial(api.load, allow_paths=look.allow_paths, allow_code=look.allow_code)
     fixer = Fixer(names, load, unsafe=unsafe, wanted=selection.selects, preview=look.preview)
@@ -189,11 +189,11 @@ def _fixed(names: Sequence[str], look: Look, selection: Selection, *, unsafe: bo
             rewriting.write(rewrite)
     for finding in fixer.fixed:
         edit = finding.fix.edits[0] if finding.fix else None
-        terminal.note(f"{'would fix' if show else 'fixed'} {finding.span.where}: {finding.code}[{finding.name}] {_change(edit)}")
+        terminal.note(f"{'would fix' if show else 'fixed'} {finding.span.location}: {finding.code}[{finding.name}] {_change(edit)}")
     if fixer.fixed:
         verb, files = "would be fixed" if show else "fixed", len(rewrites)
         terminal.note(f"{len(fixer.fixed)} {verb} in {files} file{'s' if files > 1 else ''}")
-    return fixer.left, bool(rewrites)
+    return fixer.remaining_findings, bool(rewrites)
 
 
 def _change(edit: Edit | None) -> str:
@@ -215,7 +215,7 @@ def _sum_up(findings: list[Finding], names: list[str], selection: Selection, *, 
     """Print the number of findings, and of those with a fix."""
     if not findings:
         called = names[0] if len(names) == 1 else f"{len(names)} scenarios"
-        asked = "" if selection.is_everything else " of the selected ones"
+        asked = "" if selection.selects_all else " of the selected ones"
         terminal.print_result(f"{called}: no findings{asked}{', including the simulation' if deep else ''}")
         return
     terminal.print_result(summary(findings))
@@ -245,7 +245,7 @@ _NAMELESS = "<stdin>"
 
 
 @dataclass(frozen=True)
-class Look:
+class LintOptions:
     """How each scenario is read, and whether it is simulated (`deep`); `stdin_name` is the file name for standard input."""
 
     sets: tuple[str, ...] = ()
@@ -275,29 +275,29 @@ class Look:
         document = load(path, self.sets, display=display, allow_paths=self.allow_paths, drafts={path: data})
         return self._reviewed(check(replace(document, allow_code=self.allow_code)), display)
 
-    def _reviewed(self, checked: Checked, called: str) -> list[Finding]:
+    def _reviewed(self, checked: CheckedScenario, called: str) -> list[Finding]:
         """The findings from the text and then from a simulation; a scenario with errors cannot be simulated."""
         try:
-            found = review(checked, preview=self.preview)
+            found = all_findings(checked, preview=self.preview)
             if not self.deep:
                 return found
             if any(finding.severity == "error" and not finding.is_internal_error for finding in found):
                 terminal.note(f"{called}: not simulated because it has errors")
                 return found
-            with terminal.passing(f"{called}: simulating"):
+            with terminal.transient_line(f"{called}: simulating"):
                 simulated = simulate(checked, preview=self.preview)
-            if simulated.left:
-                terminal.note(f"{called}: the simulation was stopped {simulated.left}; its further findings are missing")
-            return review(checked, preview=self.preview, measured=simulated.findings)
+            if simulated.incomplete:
+                terminal.note(f"{called}: the simulation was stopped {simulated.incomplete}; its further findings are missing")
+            return all_findings(checked, preview=self.preview, measured=simulated.findings)
         finally:
-            checked.release()
+            checked.release_names()
 
     def called(self, name: str) -> str:
         """The name of the scenario `name` in findings."""
         return (self.stdin_name or _NAMELESS) if name == STDIN else api.locate(name)[1]
 
 
-def named(given: Iterable[str], project: Settings) -> list[str]:
+def scenario_names(given: Iterable[str], project: Settings) -> list[str]:
     """The scenarios that the arguments name, each once; files in folders that the project excludes are left out.
 
     Raises:
@@ -318,7 +318,7 @@ def _expanded(given: str, project: Settings) -> Iterator[str]:
     yield from map(str, scenarios_in(folder, project))
 
 
-def findings_of(names: Sequence[str], look: Look, jobs: int = 1) -> list[Finding]:
+def findings_of(names: Sequence[str], look: LintOptions, jobs: int = 1) -> list[Finding]:
     """The findings of the scenarios in their order; findings in shared files are reported once."""
     look_at = partial(_look_at, look)
     jobs = min(jobs, len(names))
@@ -326,7 +326,7 @@ def findings_of(names: Sequence[str], look: Look, jobs: int = 1) -> list[Finding
     return list({finding.sort_key: finding for findings in each for finding in findings}.values())
 
 
-def _look_at(look: Look, name: str) -> list[Finding]:
+def _look_at(look: LintOptions, name: str) -> list[Finding]:
     """The findings of one scenario. An internal error of deepbots becomes its only finding, and the other scenarios are still linted."""
     try:
         return look.findings(name)
@@ -364,7 +364,7 @@ def report(findings: Sequence[Finding], format: Format, names: Sequence[str], fa
             return render(findings, "json")
         case Format.full | Format.concise:
             form: Literal["full", "concise"] = "full" if format is Format.full else "concise"
-            return inert(render(findings, form, terminal.colourful(sys.stdout), terminal.width()))
+            return escape_log_commands(render(findings, form, terminal.uses_colour(sys.stdout), terminal.width()))
 
 
 def _page(code: str) -> tuple[str, str]:

@@ -19,17 +19,17 @@ import typer
 from deepbots_cli import api
 from deepbots_cli.cli import starters, terminal
 from deepbots_cli.cli.command import Json
-from deepbots_cli.cli.sources import opened_robot
-from deepbots_cli.compiler.inventory import known
+from deepbots_cli.cli.sources import open_robot
+from deepbots_cli.compiler.inventory import scenario_names
 from deepbots_cli.diagnostics import Findings, Source
-from deepbots_cli.diagnostics.nearest import nearest
-from deepbots_cli.document import Scalar, files, shipped, walk
-from deepbots_cli.document.files import UnusableFile, project_root, resolve
+from deepbots_cli.diagnostics.nearest import nearest_word
+from deepbots_cli.document import ScalarNode, files, shipped, walk
+from deepbots_cli.document.files import UnusableFile, project_root, resolve_reference
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
-from deepbots_cli.files import unwritable
+from deepbots_cli.files import unwritable_message
 from deepbots_cli.robots import reader
-from deepbots_cli.scenario.json_schema import to_text
+from deepbots_cli.scenario.json_schema import schema_text
 
 Files = dict[PurePosixPath, bytes]
 """Contents by path below the folder that they are written to."""
@@ -71,7 +71,7 @@ def new(
 
     Next: `deepbots run mine.yaml` runs random actions, and `deepbots train mine.yaml` trains a policy.
     """
-    name = checked(name)
+    name = validated_name(name)
     if template and urdf:
         raise UsageError("--template and --urdf exclude each other; a template has its own robot")
     if not (template or urdf):
@@ -102,7 +102,7 @@ _TEMPLATES = Path(starters.__file__).parent
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,63}")
 
 
-def checked(name: str) -> str:
+def validated_name(name: str) -> str:
     """The name of a new scenario without the suffix .yaml.
 
     Raises:
@@ -135,7 +135,7 @@ def from_robot(robot: str, name: str, folder: Path) -> Files:
         UsageError: The file does not exist, a scenario in the folder may not read it, or the robot has no joint that can be driven.
         ScenarioError: The file is not a valid robot.
     """
-    model = opened_robot(robot)[0].model
+    model = open_robot(robot)[0].model
     text = starters.scenario(model, _reference(robot, folder), _title(name))
     return {PurePosixPath(f"{name}.yaml"): text.encode()}
 
@@ -145,7 +145,7 @@ def _reference(robot: str, folder: Path) -> str:
     if robot.startswith("package://") or shipped.robot_path(robot) is not None:
         return robot
     path = os.path.relpath(Path(robot).resolve(), folder.resolve()).replace(os.sep, "/")
-    found = resolve(path, folder.resolve(), [project_root(folder), *shipped.data_roots()])
+    found = resolve_reference(path, folder.resolve(), [project_root(folder), *shipped.data_roots()])
     if isinstance(found, UnusableFile):
         raise UsageError(
             f"a scenario in {folder.resolve()} may not read {robot}, which {found.headline.partition('` ')[2]}; copy it into the folder"
@@ -178,7 +178,7 @@ def copy(
 
     Next: change the copy, then run `deepbots lint cartpole.yaml` and `deepbots train cartpole.yaml`.
     """
-    found = collect(name)
+    found = shipped_files(name)
     kept = _present(found, folder)
     written = write_new(found, folder)
     if as_json:
@@ -189,7 +189,7 @@ def copy(
     terminal.note(f"\nnext:\n  deepbots lint {scenario}\n  deepbots train {scenario}")
 
 
-def collect(name: str) -> Files:
+def shipped_files(name: str) -> Files:
     """The files of the shipped scenario `name`, the scenario first, by their paths in the new folder.
 
     Files of `scenarios/` move to the top of the folder. The paths in scenarios are rewritten; comments stay.
@@ -200,7 +200,7 @@ def collect(name: str) -> Files:
     first = shipped.scenario_path(name)
     if first is None:
         names = shipped.scenario_names()
-        near = nearest(name, names)
+        near = nearest_word(name, names)
         hint = f" (did you mean {near}?)" if near else ""
         raise UsageError(f"there is no shipped scenario '{name}'{hint}; shipped scenarios are: {', '.join(names)}")
     found: Files = {}
@@ -240,14 +240,14 @@ def _rewritten(file: Path, text: str) -> tuple[bytes, list[Path]]:
     return text.encode(), needed[::-1]
 
 
-def _references(file: Path, text: str) -> Iterator[tuple[Scalar, Path]]:
+def _references(file: Path, text: str) -> Iterator[tuple[ScalarNode, Path]]:
     """Every value that names a shipped file, in file order: a path, or the name of a robot as the value of `urdf`."""
     root = parse(Source(file.name, text), Findings())
     if root is None:
         return
     for path, node in walk(root):
-        if isinstance(node, Scalar) and isinstance(node.value, str):
-            found = files.resolve(node.text, file.parent, shipped.data_roots())
+        if isinstance(node, ScalarNode) and isinstance(node.value, str):
+            found = files.resolve_reference(node.text, file.parent, shipped.data_roots())
             robot = shipped.robot_path(node.text) if path[-1:] == ("urdf",) else None
             if isinstance(found, Path):
                 yield node, found
@@ -292,7 +292,7 @@ def write_new(files: Files, folder: Path) -> list[Path]:
         except OSError as error:
             for other in begun:
                 other.unlink(missing_ok=True)
-            raise UsageError(unwritable(path, error)) from error
+            raise UsageError(unwritable_message(path, error)) from error
     return list(wanted)
 
 
@@ -314,4 +314,4 @@ def write_with_schema(files: Files, folder: Path) -> list[Path]:
         raise UsageError(f"nothing was written, since there is already: {folder / schema}")
     led = f"{modeline(folder / target, folder / schema)}\n\n".encode() + text
     written = write_new({target: led, **dict(others)}, folder)
-    return [*written, *write_new({PurePosixPath(schema): to_text(known(api.load(written[0]))).encode()}, folder)]
+    return [*written, *write_new({PurePosixPath(schema): schema_text(scenario_names(api.load(written[0]))).encode()}, folder)]

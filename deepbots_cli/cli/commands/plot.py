@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import whole
-from deepbots_cli.files import atomic
+from deepbots_cli.cli.command import whole_number
+from deepbots_cli.files import atomic_write
 
 
 def command(
@@ -17,7 +17,9 @@ def command(
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="File to write, .png or .svg.")] = Path("plot.png"),
     window: Annotated[
         int,
-        typer.Option("--window", metavar="N", parser=whole(1, 100_000), help="Average returns and successes over this number of episodes."),
+        typer.Option(
+            "--window", metavar="N", parser=whole_number(1, 100_000), help="Average returns and successes over this number of episodes."
+        ),
     ] = 100,
     dark: Annotated[bool, typer.Option("--dark", help="Light lines on a dark ground.")] = False,
 ) -> None:
@@ -38,9 +40,9 @@ def command(
     from deepbots_cli.view.pictures import check_target
 
     check_target(out, plots.SUFFIXES)
-    with terminal.passing("reading the logs ..."):
+    with terminal.transient_line("reading the logs ..."):
         logs = plots.read(runs, window)
     figure = plots.plot(logs, theme="dark" if dark else "light")
-    with atomic(out) as draft:
+    with atomic_write(out) as draft:
         figure.savefig(draft, format=out.suffix[1:].lower(), dpi=130)
     terminal.print_result(f"{out} ({len(logs)} run{'s' * (len(logs) > 1)})")

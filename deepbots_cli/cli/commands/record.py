@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Json, Seed, Sets, Stage, whole
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Json, Seed, Sets, Stage, whole_number
 from deepbots_cli.cli.commands.view import Driver, EngineOrRun, Episode, ScenarioOrRun
 from deepbots_cli.errors import UsageError
 
@@ -22,10 +22,11 @@ def command(
     seed: Seed = 0,
     episode: Episode = 0,
     episodes: Annotated[
-        int, typer.Option("--episodes", metavar="N", parser=whole(1, 10_000), help="Number of episodes, from --episode on.")
+        int, typer.Option("--episodes", metavar="N", parser=whole_number(1, 10_000), help="Number of episodes, from --episode on.")
     ] = 1,
     steps: Annotated[
-        int | None, typer.Option("--steps", metavar="N", parser=whole(1), help="Record at most N steps of each episode; by default all.")
+        int | None,
+        typer.Option("--steps", metavar="N", parser=whole_number(1), help="Record at most N steps of each episode; by default all."),
     ] = None,
     sets: Sets = None,
     case: Case = None,

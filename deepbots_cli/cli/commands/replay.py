@@ -12,7 +12,7 @@ import typer
 from deepbots_cli.cli import sources, terminal
 from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Sets
 from deepbots_cli.cli.commands.diff import Change, Group
-from deepbots_cli.cli.commands.diff import changes as changes_of_meaning
+from deepbots_cli.cli.commands.diff import scenario_changes as changes_of_meaning
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.document.parse import parse
@@ -90,7 +90,7 @@ def command(
     if scenario is not None:
         shown, changed = _elsewhere(opened, scenario, sets or (), allow_paths or (), allow_code=allow_code)
         notes += changed
-    elif opened.texts()[2] != found.metadata.get("digest"):
+    elif opened.checked().digest != found.metadata.get("digest"):
         notes.append("the scenario in the recording means something else than when it was recorded; it or deepbots has changed")
     for note in notes:
         terminal.note(note)
@@ -130,25 +130,25 @@ def _elsewhere(
     if differ:
         raise UsageError(f"the actions of {opened.recording.path} do not fit {scenario}:\n  " + "\n  ".join(differ))
     one, now = (
-        sources.Opened(program, parse(Source("resolved.yaml", text), Findings()))
-        for program, text in ((opened.program, opened.texts()[0]), (other.program, other.texts()[0]))
+        sources.OpenedSource(program, parse(Source("resolved.yaml", text), Findings()))
+        for program, text in ((opened.program, opened.checked().resolved), (other.program, other.checked().resolved))
     )
     found = [change for change in changes_of_meaning(one, now) if change.group not in (Group.cosmetic, Group.training)]
     return other, [line for change in found for line in _told(change, one, now)]
 
 
-def _told(change: Change, one: sources.Opened, other: sources.Opened) -> Iterator[str]:
+def _told(change: Change, one: sources.OpenedSource, other: sources.OpenedSource) -> Iterator[str]:
     """The setting that differs and its values on both sides; of a section, the keys in it that differ."""
     if change.through:
         yield f"{change.path}: {change.by}"
-    elif (change.one, change.other) == (one.wording(change.path), other.wording(change.path)):
+    elif (change.one, change.other) == (one.text_at(change.path), other.text_at(change.path)):
         yield from _differing(change.path, one, other)
     else:
         yield f"{change.path}: recorded {change.one or '(not written)'}, now {change.other or '(not written)'}"
 
 
-def _differing(path: str, one: sources.Opened, other: sources.Opened) -> Iterator[str]:
-    texts, names = (one.wording(path), other.wording(path)), (one.names(path), other.names(path))
+def _differing(path: str, one: sources.OpenedSource, other: sources.OpenedSource) -> Iterator[str]:
+    texts, names = (one.text_at(path), other.text_at(path)), (one.keys_at(path), other.keys_at(path))
     if all(names):
         for name in dict.fromkeys((*names[0], *names[1])):
             yield from _differing(f"{path}.{name}", one, other)

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import AllowCode, Json, whole
+from deepbots_cli.cli.command import AllowCode, Json, whole_number
 from deepbots_cli.errors import MissingExtraError, UsageError
 
 
@@ -18,7 +18,8 @@ def command(
     out: Annotated[Path | None, typer.Option("--out", "-o", metavar="FILE", help="File to write, .html; by default RUN.html.")] = None,
     figures: Annotated[Path | None, typer.Option("--figures", metavar="FOLDER", help="Also write every figure as PNG.")] = None,
     episodes: Annotated[
-        int, typer.Option("--episodes", metavar="N", parser=whole(3, 1000), help="Evaluation episodes to run again for trajectories.")
+        int,
+        typer.Option("--episodes", metavar="N", parser=whole_number(3, 1000), help="Evaluation episodes to run again for trajectories."),
     ] = 12,
     clips: Annotated[bool, typer.Option("--clips/--no-clips", help="Film the best, the median and the worst episode.")] = True,
     as_json: Json = False,
@@ -40,7 +41,7 @@ def command(
 
     Next: open the file in a browser.
     """
-    from deepbots_cli.files import atomic, check_folder, check_writable
+    from deepbots_cli.files import atomic_write, check_folder, check_writable
 
     target = out or Path(f"{run.resolve().name}.html")
     if target.suffix.lower() not in (".html", ".htm"):
@@ -56,12 +57,12 @@ def command(
         raise MissingExtraError("view", "a report") from error
     from deepbots_cli.insight.report import Report
 
-    with terminal.passing("reading the run ..."):
+    with terminal.transient_line("reading the run ..."):
         report = Report.read(run)
     with terminal.progress("episodes") as show:
         report.run_again(report.chosen(episodes), show or (lambda done, of: None), clips=clips, allow_code=allow_code)
-    with terminal.passing("drawing ..."):
-        with atomic(target) as draft:
+    with terminal.transient_line("drawing ..."):
+        with atomic_write(target) as draft:
             draft.write_text(report.html(), encoding="utf-8")
         written = report.write_figures(figures) if figures is not None else []
     for note in report.notes:

@@ -23,12 +23,12 @@ from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.diagnostics import Findings
-from deepbots_cli.document import Mapping as Tree
-from deepbots_cli.document import Scalar, files
+from deepbots_cli.document import MappingNode as Tree
+from deepbots_cli.document import ScalarNode, files
 from deepbots_cli.document.layout import canonical_text
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import ScenarioError, UsageError
-from deepbots_cli.files import atomic
+from deepbots_cli.files import atomic_write
 from deepbots_cli.lint.fixes import Fixer, Rewrite
 from deepbots_cli.lint.settings import scenarios_in, settings
 from deepbots_cli.scenario.scenario import VERSION
@@ -189,7 +189,7 @@ def _read(path: Path) -> bytes:
 
 def _tree(path: Path, data: bytes) -> Tree:
     findings = Findings()
-    source, sound = files.decode(data, files.display(path.resolve()), findings)
+    source, sound = files.decode(data, files.display_path(path.resolve()), findings)
     root = parse(source, findings) if sound else None
     if findings.errors or root is None:
         raise ScenarioError(list(findings))
@@ -205,7 +205,7 @@ def _version(path: Path, root: Tree) -> int:
         if not _TELLING & root.entries.keys():
             raise UsageError(f"{path} is not a whole scenario; a file that scenarios include has no version")
         return 0
-    version = entry.value.value if isinstance(entry.value, Scalar) else None
+    version = entry.value.value if isinstance(entry.value, ScalarNode) else None
     if not isinstance(version, int) or isinstance(version, bool) or version < 1:
         said = " ".join(entry.value.span.text.split())[:40]
         raise UsageError(f"{path} has `deepbots: {said}`, which is not a version of the language; write `deepbots: {VERSION}`")
@@ -228,7 +228,7 @@ def show(rewrite: Rewrite) -> None:
 
 def _difference(rewrite: Rewrite) -> str:
     """A unified diff."""
-    name = files.display(rewrite.path)
+    name = files.display_path(rewrite.path)
     if name.isprintable():
         name += "\t" if " " in name else ""  # without it `patch` takes the name to end there
     else:
@@ -250,9 +250,9 @@ def write(rewrite: Rewrite) -> None:
         UsageError: It has changed since it was read, or the system refuses it; nothing is written.
     """
     path = rewrite.path
-    with atomic(path) as draft:
+    with atomic_write(path) as draft:
         if path.read_bytes() != rewrite.before:
-            raise UsageError(f"{files.display(path)} was changed by someone else meanwhile, and is left alone")
+            raise UsageError(f"{files.display_path(path)} was changed by someone else meanwhile, and is left alone")
         with path.open("r+b"):  # a file that its owner made read-only stays as it is, though its folder would let it be replaced
             pass
         draft.write_bytes(rewrite.after)

@@ -15,7 +15,19 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import results, terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Engine, Json, Scenario, Seed, Sets, Stage, whole, with_case_or_stage
+from deepbots_cli.cli.command import (
+    AllowCode,
+    AllowPaths,
+    Case,
+    Engine,
+    Json,
+    Scenario,
+    Seed,
+    Sets,
+    Stage,
+    whole_number,
+    with_case_or_stage,
+)
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError
@@ -26,8 +38,8 @@ if TYPE_CHECKING:
     from deepbots_cli.runtime import Supervisor
 
 MAX_SHOWN = 20
-"""Maximum number of episodes that are listed one by one; of more episodes, only the `FIRST` are."""
-FIRST = 5
+"""Maximum number of episodes that are listed one by one; of more episodes, only the `FIRST_EPISODES` are."""
+FIRST_EPISODES = 5
 EPISODES = 3
 
 
@@ -52,11 +64,14 @@ def command(
         str | None, typer.Option("--actions", metavar="A,B,...", help="Repeat these actions: names of options, or numbers.")
     ] = None,
     script: Annotated[str | None, typer.Option("--script", metavar="NAME", help="Use this script of the scenario as the policy.")] = None,
-    episodes: Annotated[int, typer.Option("--episodes", metavar="N", parser=whole(), help="Number of episodes.")] = EPISODES,
+    episodes: Annotated[int, typer.Option("--episodes", metavar="N", parser=whole_number(), help="Number of episodes.")] = EPISODES,
     steps: Annotated[
         int | None,
         typer.Option(
-            "--steps", metavar="N", parser=whole(), help="Stop after this total number of steps; by default at the end of the last episode."
+            "--steps",
+            metavar="N",
+            parser=whole_number(),
+            help="Stop after this total number of steps; by default at the end of the last episode.",
         ),
     ] = None,
     seed: Seed = 0,
@@ -101,12 +116,12 @@ def command(
     with closing(api.make(program, allow_code=allow_code)) as environment:
         name = environment.engine.name
         if script is not None:
-            acting: Acting = partial(environment.script, script)
+            acting: ActionSource = partial(environment.script, script)
         elif actions is not None:
-            acting = repeated(environment, actions)
+            acting = repeated_actions(environment, actions)
         else:
             acting = zero(environment) if policy is Policy.zero else environment.action_space.sample  # the reset seeds it
-        running = play(environment, acting, count=episodes, seed=seed, max_steps=steps)
+        running = run_episodes(environment, acting, count=episodes, seed=seed, max_steps=steps)
         done: list[Episode] = []
         with terminal.progress() as show:
             for episode in running:
@@ -154,7 +169,7 @@ def _row(episode: Episode) -> Row:
 
 
 def _show(done: list[Episode]) -> None:
-    shown = done if len(done) <= MAX_SHOWN else done[:FIRST]
+    shown = done if len(done) <= MAX_SHOWN else done[:FIRST_EPISODES]
     rows = [{"episode": number, **_row(episode)} for number, episode in enumerate(shown)]
     terminal.print_result("episodes\n" + table([{name: value for name, value in row.items() if name != "reward_terms"} for row in rows]))
     if len(shown) < len(done):
@@ -170,11 +185,11 @@ def _term(done: list[Episode], name: str) -> Row:
 
 # Policies
 
-Acting = Callable[[], Any]
+ActionSource = Callable[[], Any]
 """Returns the next action."""
 
 
-def repeated(environment: Supervisor, text: str) -> Acting:
+def repeated_actions(environment: Supervisor, text: str) -> ActionSource:
     """The actions in `text`, repeated without end. Commas separate actions, colons the parts of one action.
 
     A part is the name or the index of an option, or a number from -1 to 1 for a range. All copies of a robot get the same action.
@@ -186,7 +201,7 @@ def repeated(environment: Supervisor, text: str) -> Acting:
     return lambda: next(actions)
 
 
-def play(environment: Supervisor, policy: Acting, *, count: int, seed: int, max_steps: int | None) -> Iterator[Episode]:
+def run_episodes(environment: Supervisor, policy: ActionSource, *, count: int, seed: int, max_steps: int | None) -> Iterator[Episode]:
     """Up to `count` episodes, the first reset with `seed`; `ended_by` is `--steps` for an episode that `max_steps` cuts."""
     left = max_steps
     for number in range(count):

@@ -14,7 +14,7 @@ import typer
 from deepbots_cli import api
 from deepbots_cli.cli import results, terminal
 from deepbots_cli.cli.command import AllowCode, AllowPaths, Engine, Json, Sets
-from deepbots_cli.cli.commands.lint import named
+from deepbots_cli.cli.commands.lint import scenario_names
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.diagnostics import Finding
@@ -67,7 +67,7 @@ def command(
     """
     if junit is not None:
         check_writable(junit)
-    began, names = time.perf_counter(), named(scenarios, settings())
+    began, names = time.perf_counter(), scenario_names(scenarios, settings())
     options: dict[str, Any] = {"sets": with_engine(sets, engine), "allow_paths": allow_paths or (), "allow_code": allow_code, "tests": True}
     given = [f"--engine {engine}"] if engine else []
     given += [f"--set {quote(text)}" for text in sets or ()]
@@ -111,7 +111,7 @@ def _show(found: _Tested, given: Sequence[str]) -> None:
         terminal.print_result(f"{found.scenario}\n{table([_row(result) for result in found.results])}")
         for result in found.results:
             if not result.passed:
-                terminal.print_result(f"\n  FAILED {result.test.name} ({result.test.span.where})")
+                terminal.print_result(f"\n  FAILED {result.test.name} ({result.test.span.location})")
             for miss in result.misses:
                 terminal.print_result(f"    expected  {miss.expected} ({miss.where})\n    measured  {miss.measured}")
                 terminal.print_result(f"    show it   {_command(found.scenario, result, miss, given)}")
@@ -130,7 +130,7 @@ def _command(scenario: str, result: TestResult, miss: Miss, given: Sequence[str]
     where = " ".join([quote(scenario), *settings, *given])
     if isinstance(test.policy, str):
         return f"deepbots view {where} --script {test.policy} --seed {test.seed} --episode {episode}"
-    actions, seed = ",".join(action.words for action in test.policy), derive_seed(test.seed, "evaluation", episode)
+    actions, seed = ",".join(action.text for action in test.policy), derive_seed(test.seed, "evaluation", episode)
     return f"deepbots run {where} --actions={actions} --steps {len(test.policy)} --episodes 1 --seed {seed}"
 
 
@@ -157,12 +157,12 @@ def _data(found: _Tested, given: Sequence[str]) -> dict[str, Any]:
     tests = [
         {
             "test": result.test.name,
-            "where": result.test.span.where,
+            "where": result.test.span.location,
             **{key: getattr(result.test, key) for key in ("case", "stage", "seed")},
             **{key: getattr(result, key) for key in ("passed", "episodes", "steps", "seconds")},
             "misses": [asdict(miss) | {"command": _command(found.scenario, result, miss, given)} for miss in result.misses],
         }
         for result in found.results
     ]
-    errors = [{"code": finding.code, "where": finding.span.where, "headline": finding.headline} for finding in found.findings]
+    errors = [{"code": finding.code, "where": finding.span.location, "headline": finding.headline} for finding in found.findings]
     return {"scenario": found.scenario, "passed": found.passed, "tests": tests, "findings": errors}

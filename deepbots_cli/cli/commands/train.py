@@ -16,7 +16,7 @@ import typer
 
 from deepbots_cli import api, learning
 from deepbots_cli.cli import results, terminal
-from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Engine, Json, Sets, seed_list, whole
+from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Engine, Json, Sets, seed_list, whole_number
 from deepbots_cli.cli.commands.eval import show, with_cases
 from deepbots_cli.cli.exits import FAILED, INTERRUPTED
 from deepbots_cli.engine_kinds import with_engine
@@ -37,7 +37,8 @@ def command(
     ] = None,
     sets: Sets = None,
     seed: Annotated[
-        int | None, typer.Option("--seed", metavar="N", parser=whole(0, MAX_SEED), help="Root seed of all random numbers; 0 by default.")
+        int | None,
+        typer.Option("--seed", metavar="N", parser=whole_number(0, MAX_SEED), help="Root seed of all random numbers; 0 by default."),
     ] = None,
     seeds: Annotated[
         str | None, typer.Option("--seeds", metavar="LIST", help="Train a group: a run for each of several seeds, such as 0..4 or 0,3,7.")
@@ -47,7 +48,7 @@ def command(
         typer.Option(
             "--timesteps",
             metavar="N",
-            parser=whole(),
+            parser=whole_number(),
             help="Total number of timesteps, such as 200000, 200k or 2e5; by default `train.total_timesteps`.",
         ),
     ] = None,
@@ -62,7 +63,7 @@ def command(
     keep_checkpoints: Annotated[
         int | None,
         typer.Option(
-            "--keep-checkpoints", metavar="N", parser=whole(0, 10_000), help="Keep N models, saved at equal intervals; 0 by default."
+            "--keep-checkpoints", metavar="N", parser=whole_number(0, 10_000), help="Keep N models, saved at equal intervals; 0 by default."
         ),
     ] = None,
     initialize_from: Annotated[
@@ -157,7 +158,7 @@ def command(
             "progress": progress,
             "command": ["deepbots", *sys.argv[1:]],
         }
-        with terminal.passing("loading PyTorch ..." if progress else ""):
+        with terminal.transient_line("loading PyTorch ..." if progress else ""):
             train = learning.train  # which imports torch
         if progress:
             _announce(compiled.program, f"seeds {seeds}" if seeds else f"seed {seed or 0}", timesteps, full=full)
@@ -179,7 +180,7 @@ def _announce(program: Program, seeds: str, timesteps: int | None, *, full: bool
     """Say what is trained, when it ends, and how to end it earlier."""
     training, solved = program.policy.training, program.solved
     if training is not None:
-        until = f", or until it is solved ({solved.words})" if solved and not full else ""
+        until = f", or until it is solved ({solved.description})" if solved and not full else ""
         terminal.note(f"training {program.name} with {training.algorithm} from {seeds}")
         terminal.note(f"at most {timesteps or training.total_timesteps:,} timesteps{until}; Ctrl-C ends it and keeps the policy")
 
@@ -226,7 +227,7 @@ def _finish_group(group: GroupTraining, *, quiet: bool, as_json: bool, allow_cod
     with terminal.progress("runs", always=False) as show_run:
         evaluation = learning.evaluate_group(group.group, allow_code=allow_code, on_run=show_run)
     for found in evaluation.evaluations:
-        results.keep(Run.open(found.run), {**with_cases(found, ()), "engine": Group.open(group.group).record.engine})
+        results.keep_evaluation(Run.open(found.run), {**with_cases(found, ()), "engine": Group.open(group.group).record.engine})
     if as_json:
         terminal.show_json({"training": results.group_training_json(group), "evaluation": results.group_json(evaluation)})
     else:
@@ -256,7 +257,7 @@ def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, allow_code: b
     with terminal.progress(always=False) as show_episode:
         evaluation = learning.evaluate(trained, allow_code=allow_code, on_episode=show_episode)
         cases = learning.evaluate_cases(trained, allow_code=allow_code, on_episode=show_episode)
-    results.keep(trained, with_cases(evaluation, cases))
+    results.keep_evaluation(trained, with_cases(evaluation, cases))
     if as_json:
         terminal.show_json({"training": report.to_json(result), "evaluation": with_cases(evaluation, cases)})
         return

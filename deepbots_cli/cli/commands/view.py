@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Seed, Sets, Stage, known_engine, whole
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Seed, Sets, Stage, known_engine, whole_number
 from deepbots_cli.errors import UsageError
-from deepbots_cli.files import atomic
+from deepbots_cli.files import atomic_write
 
 if TYPE_CHECKING:
     from deepbots_cli.view.episodes import Source
@@ -62,12 +62,12 @@ Host = Annotated[
 ]
 Port = Annotated[
     int | None,
-    typer.Option("--port", metavar="N", parser=whole(0, 65535), help="Port of the page; by default the first free port from 8787."),
+    typer.Option("--port", metavar="N", parser=whole_number(0, 65535), help="Port of the page; by default the first free port from 8787."),
 ]
 Open = Annotated[bool, typer.Option("--open", help="Open the page in the browser.")]
 Episode = Annotated[
     int,
-    typer.Option("--episode", metavar="K", parser=whole(0), help="Begin with the start of held-out episode K of `deepbots eval`."),
+    typer.Option("--episode", metavar="K", parser=whole_number(0), help="Begin with the start of held-out episode K of `deepbots eval`."),
 ]
 # Any: typer would parse each part of a tuple alone.
 Size = Annotated[Any, typer.Option("--size", metavar="WxH", parser=size, help="Width and height in pixels.")]
@@ -100,9 +100,11 @@ def view(
     ] = None,
     worlds: Annotated[
         int | None,
-        typer.Option("--worlds", metavar="N", parser=whole(1, 4096), help="Step a batch of N worlds in MuJoCo, and show one of them."),
+        typer.Option(
+            "--worlds", metavar="N", parser=whole_number(1, 4096), help="Step a batch of N worlds in MuJoCo, and show one of them."
+        ),
     ] = None,
-    world: Annotated[int, typer.Option("--world", metavar="K", parser=whole(0), help="The world to show first, with --worlds.")] = 0,
+    world: Annotated[int, typer.Option("--world", metavar="K", parser=whole_number(0), help="The world to show first, with --worlds.")] = 0,
     sets: Sets = None,
     case: Case = None,
     stage: Stage = None,
@@ -213,7 +215,7 @@ def picture(
     labels: Annotated[bool, typer.Option("--labels", help="Name the links and joints of the first robot.")] = False,
     rays: Annotated[bool, typer.Option("--rays", help="Draw the rays of sensors.")] = False,
     path: Annotated[bool, typer.Option("--path", help="Run the episode, and draw the path of the robot, seen from above.")] = False,
-    steps: Annotated[int, typer.Option("--steps", metavar="N", parser=whole(0), help="Run this number of steps first.")] = 0,
+    steps: Annotated[int, typer.Option("--steps", metavar="N", parser=whole_number(0), help="Run this number of steps first.")] = 0,
     driver: Driver = None,
     seed: Seed = 0,
     episode: Episode = 0,
@@ -246,7 +248,7 @@ def picture(
     with player(source, driver) as world:
         trace = list(world.episode(seed, episode, None if path and not steps else steps))
         image = pictures.picture(world, shot, labels=labels, rays=rays, path=trace if path else ())
-    with atomic(out) as draft:
+    with atomic_write(out) as draft:
         image.save(draft, "PNG")
     terminal.print_result(str(out))
 
@@ -294,7 +296,7 @@ def clip(
 
     pictures.check_target(out, pictures.SUFFIXES)
     source = _source(shown, sets, case, stage, engine, allow_paths, allow_code)
-    with player(source, driver) as world, terminal.passing("running the episode ..."):
+    with player(source, driver) as world, terminal.transient_line("running the episode ..."):
         frame = pictures.clip(
             world, out, pictures.Shot(size[0], size[1], eye, target), seed=seed, episode=episode, seconds=seconds, speed=speed
         )

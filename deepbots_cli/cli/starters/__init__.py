@@ -76,7 +76,7 @@ class Draft:
         if not all(joint.limit.effort for joint in joints):
             weight = max(self.build.mass, 0.1) * _GRAVITY
             arm = max((wheel.radius for wheel in self.build.wheels), default=self.build.size / 2)
-            strength = f"{number(2.0 * weight)} N" if joints[0].type == "prismatic" else f"{number(weight * arm)} N*m"
+            strength = f"{short_number(2.0 * weight)} N" if joints[0].type == "prismatic" else f"{short_number(weight * arm)} N*m"
         self.motors[name] = (kind, group, strength)
         self.commands[name] = command
 
@@ -97,7 +97,7 @@ class Draft:
     def raised(self) -> dict[str, str]:
         """The start height, where the robot would begin within the ground: by default it rests on it with all joints at 0."""
         usual = 0.0 if self.fixed else self.build.height({})
-        return {"z": f"{number(self.height)} m"} if self.height > usual + 1e-3 else {}
+        return {"z": f"{short_number(self.height)} m"} if self.height > usual + 1e-3 else {}
 
 
 def scenario(model: RobotModel, urdf: str, name: str) -> str:
@@ -203,7 +203,7 @@ def _pushed(draft: Draft, name: str, joints: Sequence[Joint]) -> dict[str, objec
     group = draft.group(name, joints)
     unit = "m" if name == "slides" else "rad"
     top = min(1.0 if unit == "m" else 3.0, *(joint.limit.velocity or inf for joint in joints))
-    draft.motor(f"drive_{name}", "velocity_motor", group, joints, f"push * {number(top)} {unit}/s")
+    draft.motor(f"drive_{name}", "velocity_motor", group, joints, f"push * {short_number(top)} {unit}/s")
     ends = [min(abs(end), 5.0) for joint in joints for end in (joint.limit.lower, joint.limit.upper) if end]
     measures: dict[str, object] = {"unit": unit, "top": top, "span": min(ends, default=3.0), "ends": bool(ends)}
     return {"name": name, "group": group, "sent": f"{name}, {name}_speed", "end": f"at_end_of_{name}", **measures}
@@ -233,7 +233,7 @@ def reach(draft: Draft) -> dict[str, object] | None:
     draft.motor("motors", "position_motor", group, joints, "angles + stride * move    # each joint goes on from where it is")
     draft.hold([joint for joint in build.driven if joint not in joints])
     lift = (0.0, 0.0, draft.height)
-    ends = [" ".join(number(round(value, 3)) for value in frames.add(corner, lift)) for corner in (low, high)]
+    ends = [" ".join(short_number(round(value, 3)) for value in frames.add(corner, lift)) for corner in (low, high)]
     bounded = all(joint.type != "continuous" and joint.limit.lower is not None and joint.limit.upper is not None for joint in joints)
     return {"arm": group, "low": ends[0], "high": ends[1], "tip": limb.tip, "reach": limb.reach, "bounded": bounded}
 
@@ -255,8 +255,8 @@ def walk(draft: Draft) -> dict[str, object]:
     hips = [frames.rotate(tilt, build.frames[limb.joints[0].child][0]) for limb in build.limbs]
     along, across = (max(hip[axis] for hip in hips) - min(hip[axis] for hip in hips) for axis in (0, 1))
     height = build.height(positions, tilt)
-    turns = {name: f"{number(angle)} deg" for name, angle in (("roll", roll), ("pitch", pitch)) if angle}
-    place = {"z": f"{number(height * 1.02)} m", **turns, "yaw": "uniform(-5 .. 5 deg)"}
+    turns = {name: f"{short_number(angle)} deg" for name, angle in (("roll", roll), ("pitch", pitch)) if angle}
+    place = {"z": f"{short_number(height * 1.02)} m", **turns, "yaw": "uniform(-5 .. 5 deg)"}
     return {"legs": group, "axis": "x" if along >= across else "y", "height": height, "chassis": build.chassis, "place": place}
 
 
@@ -269,11 +269,11 @@ def roam(draft: Draft) -> dict[str, object]:
         if endless:
             actions[f"spin_{unit}"] = group = draft.group(f"turning_{unit}", endless)
             top = min(10.0, *(joint.limit.velocity or 10.0 for joint in endless))
-            draft.motor(f"spin_{unit}", "velocity_motor", group, endless, f"spin_{unit} * {number(top)} {measure}/s")
+            draft.motor(f"spin_{unit}", "velocity_motor", group, endless, f"spin_{unit} * {short_number(top)} {measure}/s")
         if others := [joint for joint in joints if joint not in endless]:
             actions[f"bend_{unit}"] = group = draft.group(f"bending_{unit}", others)
             rest, swing = _middle(draft, group, f"rest_{unit}", others)
-            draft.motor(f"bend_{unit}", "position_motor", group, others, f"{rest} + {number(swing)} {measure} * bend_{unit}")
+            draft.motor(f"bend_{unit}", "position_motor", group, others, f"{rest} + {short_number(swing)} {measure} * bend_{unit}")
     return {"actions": actions, "chassis": build.chassis, "place": draft.raised | {"yaw": "any"}}
 
 
@@ -284,7 +284,7 @@ def posture(draft: Draft) -> dict[str, object]:
         measure = "m" if unit == "slides" else "rad"
         group = draft.group(f"moved_{unit}", joints)
         rest, swing = _middle(draft, group, f"rest_{unit}", joints)
-        draft.motor(f"move_{unit}", "position_motor", group, joints, f"{unit} + {number(0.2 * swing)} {measure} * turn_{unit}")
+        draft.motor(f"move_{unit}", "position_motor", group, joints, f"{unit} + {short_number(0.2 * swing)} {measure} * turn_{unit}")
         moved.append({"name": unit, "group": group, "rest": rest, "swing": swing, "unit": measure})
     return {"moved": moved}
 
@@ -327,7 +327,7 @@ def _steer(draft: Draft, command: str) -> None:
         joints = [joint for joint in build.steering if (build.axis(joint)[2] < 0) is mirrored]
         if joints:
             ends = [min(abs(end), 0.5) for joint in joints for end in (joint.limit.lower, joint.limit.upper) if end]
-            angle = f"{'-' if mirrored else ''}{command} * {number(degrees(min(ends, default=0.5)))} deg" if command else "0 deg"
+            angle = f"{'-' if mirrored else ''}{command} * {short_number(degrees(min(ends, default=0.5)))} deg" if command else "0 deg"
             draft.motor(name, "position_motor", draft.group(name, joints), joints, angle)
 
 
@@ -393,22 +393,22 @@ def _templates() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=StrictUndefined,
-        finalize=lambda value: number(value) if isinstance(value, float) else str(value).rstrip("\n"),
+        finalize=lambda value: short_number(value) if isinstance(value, float) else str(value).rstrip("\n"),
         autoescape=False,  # the output is YAML; `word` quotes names
     )
-    environment.filters |= {"word": word, "flow": flow, "number": number}
+    environment.filters |= {"word": yaml_name, "flow": flow_collection, "number": short_number}
     return environment
 
 
-def word(name: str) -> str:
+def yaml_name(name: str) -> str:
     """A name of a robot file as YAML."""
     plain = _PLAIN.fullmatch(name) and name.lower() not in _OTHER_YAML
     return name if plain else json.dumps(name, ensure_ascii=False)
 
 
-def flow(items: Sequence[str] | Mapping[str, str], key: str, indent: int = 6) -> str:
+def flow_collection(items: Sequence[str] | Mapping[str, str], key: str, indent: int = 6) -> str:
     """`key: [a, b]` or `key: {a: 1, b: 2}`, over several lines where it is long."""
-    pairs = [f"{word(name)}: {value}" for name, value in items.items()] if isinstance(items, Mapping) else list(map(word, items))
+    pairs = [f"{yaml_name(name)}: {value}" for name, value in items.items()] if isinstance(items, Mapping) else list(map(yaml_name, items))
     start, end = "{}" if isinstance(items, Mapping) else "[]"
     lines = [f"{' ' * indent}{key}: {start}"]
     for position, pair in enumerate(pairs, start=1):
@@ -419,7 +419,7 @@ def flow(items: Sequence[str] | Mapping[str, str], key: str, indent: int = 6) ->
     return "\n".join(lines)
 
 
-def number(value: float) -> str:
+def short_number(value: float) -> str:
     """Three digits of a number."""
     return f"{value + 0.0:.3g}" if abs(value) < 1000 else f"{value:.0f}"
 

@@ -13,7 +13,7 @@ from functools import cached_property
 from math import atan2, dist, hypot, pi
 
 from deepbots_cli import frames
-from deepbots_cli.footprint import Bounds, bounds, bounds_of_shape, child_frame, link_frames
+from deepbots_cli.footprint import Bounds, bounds_of_shape, child_frame, link_frames, robot_bounds
 from deepbots_cli.frames import IDENTITY_ROTATION, Frame, Quaternion, Triple
 from deepbots_cli.robots.model import Joint, Link, RobotModel
 
@@ -149,7 +149,7 @@ class Build:
     @cached_property
     def size(self) -> float:
         """The longest side of the box around the robot."""
-        low, high = bounds(self.model)
+        low, high = robot_bounds(self.model)
         return max(b - a for a, b in zip(low, high, strict=True)) or 1.0
 
     @property

@@ -13,11 +13,11 @@ from copy import copy, deepcopy
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from mujoco.batch import Batch
 
 from deepbots_cli import frames
 from deepbots_cli.engines.mujoco import cameras
 from deepbots_cli.engines.mujoco import motors as drives
-from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.engine import MuJoCoEngine, _link
 from deepbots_cli.engines.mujoco.model import HIDDEN, Body, Builder, limited
 from deepbots_cli.engines.mujoco.state import World
@@ -63,7 +63,8 @@ class MuJoCoBatch:
         self._gathered: dict[str, Column] = {}
         self._views: dict[str, list[memoryview]] = {}
         """Of arrays of all worlds, whose memory stays where it is."""
-        self._motors: list[Motor] = []
+        self._followers: list[Callable[[Sequence[int]], object]] = []
+        """Called with the worlds that have begun an episode."""
         self._derives: Callable[[World], object] | None = None
         """Computes what readers need beside the state; `_derived` is what was computed in all worlds since they changed."""
         self._derived: Callable[[World], object] | None = None
@@ -101,8 +102,8 @@ class MuJoCoBatch:
         """Take notice of new episodes in these worlds."""
         self._gathered = {}
         self._derived = None
-        for motor in self._motors:
-            motor.begun(list(worlds))
+        for follower in self._followers:
+            follower(list(worlds))
 
     def lost(self) -> Column:
         """The numbers of the worlds whose state is not finite."""
@@ -211,33 +212,40 @@ class MuJoCoBatch:
         return lambda: (pose(), velocity())
 
     def rays(self, part: Part, rays: Sequence[Frame], reach: float) -> Callable[[], Column]:
-        """See `Engine.rays`; from each link by itself, since a robot is hidden while its rays are cast."""
+        """See `Engine.rays`."""
         place = self._place(*part)
         if place is None:
             readers = [member.rays(part, rays, reach) for member in self.members]
             return lambda: np.array([reader() for reader in readers]).T
         form, link = place
-        own = form.of(None)
         starts = np.array([origin for origin, _ in rays])
         ways = np.array([frames.rotate(turned, (1.0, 0.0, 0.0)) for _, turned in rays])
         seen = np.ones(6, np.uint8)
         seen[HIDDEN] = 0
-        groups = [world.model.geom_group[min(own, default=0) : max(own, default=-1) + 1] for world in self._worlds]
+        # MuJoCo casts the rays of all worlds in its own threads, in a fifth of the time that a call for each takes.
+        casts = Batch(self._worlds[0].model, len(self._worlds), self._threads)
+        casts_groups, casts_qpos = casts.expand("geom_group"), casts.bind("qpos")
+        at_rest = [(name, casts.bind(name)) for name in ("mocap_pos", "mocap_quat") if self._worlds[0].model.nmocap]
+        own = form.of(None)
+
+        def begun(worlds: Sequence[int]) -> None:
+            """Bodies come and go with an episode, and a robot does not see itself."""
+            for world in worlds:
+                casts_groups[world] = self._worlds[world].model.geom_group
+                casts_groups[world, own] = HIDDEN
+                for name, places in at_rest:
+                    places[world] = getattr(self._worlds[world].data, name)
+
+        begun(range(len(self._worlds)))
+        self._followers.append(begun)
         self._derives = self._derives or World.pose
-        free = np.zeros((len(self._worlds), len(rays)))
-        ray, range_ = mj.mj_ray, range(len(rays))
 
         def read() -> Column:
             self._derive()
             axes = self._of(f"xmat{link}", lambda world: world.data.xmat[link]).T.reshape(-1, 3, 3)
             position = self._of(f"xpos{link}", lambda world: world.data.xpos[link]).T
-            origins, directions = position[:, None] + starts @ axes.transpose(0, 2, 1), ways @ axes.transpose(0, 2, 1)
-            for world, group, met, origin, direction in zip(self._worlds, groups, free, origins, directions, strict=True):
-                model, data, usual = world.model, world.data, group.copy()
-                group.fill(HIDDEN)
-                for number in range_:
-                    met[number] = ray(model, data, origin[number], direction[number], seen, True, -1, None, None)
-                group[:] = usual
+            casts_qpos[:] = self._state("qpos").T
+            free, _ = casts.ray(position[:, None] + starts @ axes.transpose(0, 2, 1), ways @ axes.transpose(0, 2, 1), seen)
             return np.where((free < 0.0) | (free > reach), reach, free).T
 
         return read
@@ -293,6 +301,32 @@ class MuJoCoBatch:
         return motor.writer(lambda targets: rates * targets, holds=True)
 
 
+class Rows:
+    """The same places of an array of MuJoCo in all worlds, written as columns.
+
+    Copying one view onto another takes 0.06 us per world, writing a row of an array into a slice of another 0.2 us.
+    """
+
+    def __init__(self, arrays: Sequence[Column], places: Any) -> None:
+        """`places` are a slice, or numbers that do not follow each other."""
+        parts = [places] if isinstance(places, slice) else [slice(place, place + 1) for place in places.tolist()]
+        self._values = np.zeros((len(arrays), len(arrays[0][places])))
+        own = [slice(None)] if isinstance(places, slice) else [slice(number, number + 1) for number in range(len(parts))]
+        self._pairs = [
+            [(array[part].data, row[mine].data) for part, mine in zip(parts, own, strict=True)]
+            for array, row in zip(arrays, self._values, strict=True)
+        ]
+        self._all = [pair for pairs in self._pairs for pair in pairs]
+
+    def write(self, columns: Column, worlds: Column) -> None:
+        """Write a row per place and a column per world, in these worlds."""
+        self._values[:] = columns.T
+        whole = slice(None)
+        chosen = self._all if len(worlds) == len(self._pairs) else [pair for world in worlds.tolist() for pair in self._pairs[world]]
+        for target, source in chosen:
+            target[whole] = source
+
+
 class Motor:
     """A motor on the same joints of all worlds; in a new episode, its first command goes through the motor of the single world."""
 
@@ -302,15 +336,13 @@ class Motor:
         self._numbers = numbers
         self._model = batch._worlds[0].model
         self._acts = drives.places([batch.members[0]._motors.actuators[number] for number in numbers])
-        self._ctrl = [world.data.ctrl for world in batch._worlds]
-        self._known = np.full((len(joints), len(own)), np.nan)
+        self._ctrl = Rows([world.data.ctrl for world in batch._worlds], self._acts)
         self._let_go = np.zeros(len(own), bool)
         self._holds = True
-        batch._motors.append(self)
+        batch._followers.append(self.begun)
 
     def begun(self, worlds: Sequence[int]) -> None:
         """These worlds have begun an episode; most motors hold their joints since then, and drive them."""
-        self._known[:, worlds] = np.nan
         self._let_go[worlds] = not self._holds
 
     def each(self, targets: Any) -> None:
@@ -324,20 +356,18 @@ class Motor:
         """
         self._holds = holds
         self._let_go[:] = not holds
-        ctrl, acts = self._ctrl, self._acts
 
         def write(targets: Any) -> None:
             columns, chosen = self._columns(targets), self._chosen()
             if self._let_go.any():
                 self._write_own(columns, chosen[self._let_go[chosen]])
-            for world, row in zip(chosen.tolist(), np.ascontiguousarray(control(columns).T[chosen]), strict=True):
-                ctrl[world][acts] = row
+            self._ctrl.write(control(columns), chosen)
 
         return write
 
     def pursuit(self, singles: Sequence[drives.Motor], limits: Sequence[float]) -> MotorWriter:
         """A velocity motor; see `drives.Motor.velocity_writer`. Worlds in which gains are renewed are written by their `singles`."""
-        model, batch, acts, ctrl = self._model, self._batch, self._acts, self._ctrl
+        model, batch = self._model, self._batch
         motors, step = batch.members[0]._motors, model.opt.timestep
         dofs = drives.places(model.jnt_dofadr[self._numbers].tolist())
         usual, moved = motors.usual_armature[dofs][:, None], 1.0 / motors.usual_inverse[dofs][:, None]
@@ -345,32 +375,26 @@ class Motor:
         inertias = model.dof_M0[dofs][:, None]
         stiffest, least = drives.STIFFEST * inertias / step, inertias / step
         renewed = [member._motors.renewed for member in batch.members]
-        changing = ("actuator_biasprm", "dof_armature", "dof_invweight0")
-        biases, armatures, inverses = ([getattr(world.model, name) for world in batch._worlds] for name in changing)
-        biases = [bias[:, 2] for bias in biases]
+        models = [world.model for world in batch._worlds]
+        biases = Rows([each.actuator_biasprm[:, 2] for each in models], self._acts)
+        armatures, inverses = (Rows([getattr(each, name) for each in models], dofs) for name in ("dof_armature", "dof_invweight0"))
 
         def write(targets: Any) -> None:
-            columns, chosen, known = self._columns(targets), self._chosen(), self._known
+            columns, chosen = self._columns(targets), self._chosen()
             off = np.maximum(np.abs(columns - batch._state("qvel")[dofs]), drives.SLACK * np.abs(columns))
             gains = np.where(off * stiffest > bounds, bounds / off, stiffest)
-            slow = (gains < least).any(axis=0)
+            slow = (gains < least).any(axis=0).tolist()
             one_by_one = [world for world in chosen.tolist() if slow[world] or renewed[world]]
             if one_by_one:
                 for world in one_by_one:
                     singles[world].gains = []  # the model may have others
                 self._write_own(columns, np.array(one_by_one))
-                known[:, one_by_one] = np.nan
                 chosen = np.setdiff1d(chosen, one_by_one)
-            changed = chosen[(gains != known)[:, chosen].any(axis=0)]
-            known[:, changed] = gains[:, changed]
             added = gains * step
-            values = (part.T[changed] for part in (-gains, usual + added, 1.0 / (moved + added)))
-            for world, bias, armature, inverse in zip(changed.tolist(), *values, strict=True):
-                biases[world][acts] = bias
-                armatures[world][dofs] = armature
-                inverses[world][dofs] = inverse
-            for world, row in zip(chosen.tolist(), (gains * columns).T[chosen], strict=True):
-                ctrl[world][acts] = row
+            biases.write(-gains, chosen)
+            armatures.write(usual + added, chosen)
+            inverses.write(1.0 / (moved + added), chosen)
+            self._ctrl.write(gains * columns, chosen)
 
         return write
 

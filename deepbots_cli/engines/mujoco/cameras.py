@@ -51,7 +51,7 @@ def available() -> bool:
 def _opens() -> bool:
     """Whether a context of OpenGL can be made; found out once, in 10 ms.
 
-    Software OpenGL brings the LLVM of the system. Triton, which torch loads with its first optimizer, has its own, and the process
+    Software OpenGL brings the LLVM of the system. Triton, which torch loads with some optimizers, has its own, and the process
     ends with a segmentation fault if Triton is loaded second (triton 3.7, Mesa 22). It is therefore loaded here, in 0.15 s.
     """
     if find_spec("triton") is not None:

@@ -15,7 +15,7 @@ from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.objects import PALETTE, ROOT_MASS_FRACTION, Pool, as_robot, forms, moves, rigid_group, walls, with_explicit_masses
 from deepbots_cli.errors import EngineError
-from deepbots_cli.geometry import HeightGrid, grid, triangles
+from deepbots_cli.geometry import HeightGrid, height_grid, mesh_triangles
 from deepbots_cli.program.world import GROUND, Colour, Line, ObjectBody, Terrain, WorldModel
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Friction, Geometry, Joint, Link, Mesh, RobotModel, Sphere
 
@@ -173,7 +173,7 @@ class Builder:
             self._paint(line)
 
     def _relief(self, terrain: Terrain) -> HeightGrid:
-        relief = grid(terrain.shape)
+        relief = height_grid(terrain.shape)
         if relief is None:
             lack = ENGINES.own["mujoco"].mesh_terrain
             assert lack is not None
@@ -287,7 +287,7 @@ class Builder:
         """The inertia of a link that has a mass but none: that of the box around its mesh, or else a trace."""
         for piece in link.collisions:
             if isinstance(piece.shape, Mesh):
-                corners = triangles(piece.shape).reshape(-1, 3)
+                corners = mesh_triangles(piece.shape).reshape(-1, 3)
                 x, y, z = ((corners.max(axis=0) - corners.min(axis=0)) ** 2).tolist()
                 return frames.diagonal((mass / 12 * (y + z), mass / 12 * (x + z), mass / 12 * (x + y)))
         return frames.diagonal((ROOT_MASS_FRACTION * mass,) * 3)
@@ -354,7 +354,7 @@ class Builder:
 
     def _mesh(self, mesh: Mesh) -> str:
         """The triangles of a mesh; MuJoCo lets its convex hull collide, as PyBullet does with meshes that move."""
-        corners = triangles(mesh).reshape(-1, 3)
+        corners = mesh_triangles(mesh).reshape(-1, 3)
         vertices, faces = np.unique(corners, axis=0, return_inverse=True)
         self._elements += 1
         name = f"m{self._elements}"

@@ -80,6 +80,14 @@ class World:
                     lateral = 1.0 if rubs.lateral is None else rubs.lateral
                     self.surfaces[geoms] = (lateral, rubs.spinning or 0.0, rubs.rolling or 0.0, rubs.restitution or 0.0)
                 body.on_entrance = self._enter
+        self._homes = model.qpos0.copy(), np.array(self.data.mocap_pos), np.array(self.data.mocap_quat)
+        """Positions of joints and of bodies at the beginning of an episode."""
+        for body in (body for pool in pools for body in pool):
+            position, (x, y, z, w) = body.home
+            if body.mocap >= 0:
+                self._homes[1][body.mocap], self._homes[2][body.mocap] = position, (w, x, y, z)
+            elif body.position >= 0:
+                self._homes[0][body.position : body.position + 7] = (*position, w, x, y, z)
         model.dof_simplenum[:] = 0  # MuJoCo would take the inertia of simple bodies from `dof_M0`; motors change `dof_armature`
         self._varied = [model.opt.gravity, self.surfaces, *(getattr(model, name) for name in VARIED)]
         self._usual = [np.array(values) for values in self._varied]
@@ -128,12 +136,7 @@ class World:
         self.colours.clear()
         for pool in self.pools.values():
             pool.leave()
-            for body in pool:
-                position, (x, y, z, w) = body.home
-                if body.mocap >= 0:
-                    data.mocap_pos[body.mocap], data.mocap_quat[body.mocap] = position, (w, x, y, z)
-                elif body.position >= 0:
-                    data.qpos[body.position : body.position + 7] = (*position, w, x, y, z)
+        data.qpos[:], data.mocap_pos[:], data.mocap_quat[:] = self._homes
         self.changed()
         self._forces, self.pushed = (), False
 

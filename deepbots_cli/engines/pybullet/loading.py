@@ -16,11 +16,11 @@ from deepbots_cli.engines.pybullet import BASE, UNREACHABLE, capture_native_outp
 from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.engines.pybullet.state import Body, contact_parameters
 from deepbots_cli.errors import EngineError
-from deepbots_cli.geometry import HeightGrid, grid, triangles
+from deepbots_cli.geometry import HeightGrid, height_grid, mesh_triangles
 from deepbots_cli.port import STILL
 from deepbots_cli.program.world import GROUND
-from deepbots_cli.robots.meshes import checked_bytes
-from deepbots_cli.robots.model import Friction, Joint, Limit, Link, Mesh, RobotModel, write
+from deepbots_cli.robots.meshes import read_verified
+from deepbots_cli.robots.model import Friction, Joint, Limit, Link, Mesh, RobotModel, to_urdf
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -135,7 +135,7 @@ def _object(client: int, thing: ObjectBody, file: Path) -> Body:
 
 
 def _load(client: int, name: str, model: RobotModel, fixed: bool, file: Path, inertia_known: bool = True) -> Body:
-    file.write_text(write(for_loader(model)), encoding="utf-8")
+    file.write_text(to_urdf(for_loader(model)), encoding="utf-8")
     flags = p.URDF_USE_IMPLICIT_CYLINDER | (p.URDF_USE_INERTIA_FROM_FILE if inertia_known else 0)
     with capture_native_output() as said:
         try:
@@ -188,16 +188,16 @@ def _terrain(client: int, ground: Terrain) -> Body:
     Raises:
         EngineError: Its file has gone or changed, or it has no height somewhere.
     """
-    heights = grid(ground.shape)
+    heights = height_grid(ground.shape)
     if heights is None:
         assert isinstance(ground.shape, Mesh)  # all else is a grid
-        corners = triangles(ground.shape)
+        corners = mesh_triangles(ground.shape)
         shape = _mesh(client, corners.reshape(-1, 3), np.arange(corners.size // 3), p.GEOM_FORCE_CONCAVE_TRIMESH)
         drawn, middle = _drawn_terrain(client, corners.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3), ground), 0.0
     else:
         middle = float(heights.heights.max() + heights.heights.min()) / 2  # the library moves it there
         shape = _heightfield(client, heights)
-        drawn = _drawn_terrain(client, *heights.coarser(_MAX_VISUAL_CELLS).triangles(), ground, middle)
+        drawn = _drawn_terrain(client, *heights.with_at_most(_MAX_VISUAL_CELLS).triangles(), ground, middle)
     if shape < 0:
         raise EngineError("PyBullet cannot build the terrain")
     number = p.createMultiBody(0, shape, drawn, basePosition=(0.0, 0.0, middle), physicsClientId=client)
@@ -260,7 +260,7 @@ def for_loader(model: RobotModel) -> RobotModel:
     for index, link in enumerate(model.links):
         for geometry in (*link.visuals, *link.collisions):
             if isinstance(geometry.shape, Mesh):
-                checked_bytes(geometry.shape)
+                read_verified(geometry.shape)
         colour = PALETTE[index % len(PALETTE)]
         visuals = tuple(replace(seen, colour=seen.colour or colour) for seen in link.visuals or link.collisions)
         links.append(replace(link, visuals=visuals))

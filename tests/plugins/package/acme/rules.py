@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from deepbots_cli.compiler import Checked
+from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.diagnostics import Finding, Rule
 
 
-def short_episodes(checked: Checked) -> Iterator[Finding]:
+def short_episodes(checked: CheckedScenario) -> Iterator[Finding]:
     """Episodes of fewer than ten steps teach little.
 
     Most of them is the reset.
