@@ -23,7 +23,11 @@ FAST = ("cartpole", "find_ball", "pit_escape", "balancer")
 PUSHED = str(Path(__file__).parents[1] / "data" / "scenarios" / "pushed.yaml")
 SHORTER = {PUSHED: ("truncation.max_time=4 s",), "quadruped": ("truncation.max_time=4 s",)}
 """Settings with which episodes end within 500 steps."""
-OTHERS = ("cartpole_wireless", "line_follower", PUSHED, "quadruped", "panda_reach", "panda_push", "quadrotor", "find_ball_random")
+OTHERS = (
+    *("cartpole_continuous", "cartpole_long", "cartpole_wireless", "find_and_avoid_unmasked", "find_ball_as_printed", "find_ball_random"),
+    *("line_follower", "panda_push", "panda_reach", "pit_escape_as_printed", "quadrotor", "quadruped", "tag", PUSHED),
+)
+"""With these, every shipped scenario that fits a batch."""
 
 
 def stem(name: str) -> str:

@@ -5,6 +5,7 @@ text does not show, and what stands in `deep/ok/` is unusual and right. After a 
 """
 
 import os
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -38,11 +39,14 @@ def found_in(path: str) -> list[Finding]:
 
 @pytest.mark.parametrize("case", few(BAD, ONE_OF_EACH))
 def test_a_mistake_is_measured_and_told_in_these_words(case: Case) -> None:
+    """The words hold what PyBullet measures; on MuJoCo alone, only the codes are compared."""
+    if "pybullet_data" in case.text:
+        pytest.importorskip("pybullet_data")
     found = found_in(f"deep/err/{case}.yaml")
     said = render(found, "full").replace(f"{Path.cwd()}{os.sep}", "<here>/").rstrip("\n") + "\n"
     if os.environ.get("UPDATE_GOLDEN"):
         case.update(said)
-    else:
+    elif find_spec("pybullet"):
         assert said == case.said
     assert [finding.code.lower() for finding in found] == [case.page.stem]
 
