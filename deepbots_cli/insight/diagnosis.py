@@ -28,8 +28,8 @@ _UNLEARNABLE = {"DB705", "DB711", "DB807", "DB810"}
 """Lint shows by these that failing at once earns most, that all policies earn the same, or that what is required is out of reach."""
 _CERTAIN, _SYMPTOMS = 0.9, {"too_few_steps", "short_training", "one_ending"}
 """Beside a cause that is as likely as this, the length of the training and its most frequent ending are no causes of their own."""
-_NOT_YET = {"success_never_seen", "silent_terms", "one_ending"}
-"""What a training that was cut short may still come to see: a cause only after half of the planned timesteps, or if it is certain."""
+_NOT_YET = {"success_never_seen", "silent_terms", "one_ending", "exploration_too_large"}
+"""What may still change in a training that was cut short: a cause only after half of the planned timesteps, or if it is certain."""
 
 
 def diagnose(training: Training) -> list[Statement]:
@@ -252,8 +252,8 @@ def standing_still_pays(t: Training) -> Numbers | None:
     if not t.still or not t.program.defines_success or (len(late.successes) and late.successes.mean() >= 0.5):
         return None
     still, policy = _per_step(t.still), _per_step(t.policy or t.random)
-    succeeded = sum(trace.outcome == "success" for trace in t.still)
-    if still <= 0 or succeeded or still < 0.8 * policy:
+    outcomes = [trace.outcome for trace in t.still]  # where standing still fails soon, it pays until then only
+    if still <= 0 or "success" in outcomes or 2 * outcomes.count("failure") > len(outcomes) or still < 0.8 * policy:
         return None
     return {"likelihood": 0.93, "still": still, "policy": policy, "random": _per_step(t.random), "episodes": len(t.still),
             "rate": Share(float(late.successes.mean()) if len(late.successes) else 0.0)}  # fmt: skip

@@ -56,12 +56,12 @@ def ending(trace: Trace) -> Numbers | None:
 
 
 def error(trace: Trace) -> Numbers | None:
-    """{what} stopped with an error after {steps} steps, at {seconds}: {error}."""
+    """After {steps} steps, at {seconds}, {what} stopped with an error: {error}."""
     return {"what": trace.what, "error": trace.error, "steps": trace.steps, "seconds": _seconds(trace.time)} if trace.error else None
 
 
 def not_ended(trace: Trace) -> Numbers | None:
-    """{what} holds {steps} steps ({seconds}), and the episode does not end in them."""
+    """The actions of {what} last for {steps} steps ({seconds}), and the episode does not end in them."""
     found = {"what": trace.what, "steps": trace.steps, "seconds": _seconds(trace.time)}
     return found if trace.outcome == "not ended" else None
 

@@ -195,7 +195,7 @@ class Report:
             except (EngineError, MissingExtraError) as error:
                 self.notes = list(dict.fromkeys([*self.notes, f"there are no clips: {error}"]))
                 return
-            fast = f", {speed:.1f} times as fast" if speed > 1 else ""
+            fast = f", {speed:.1f} times as fast" if speed > 1.05 else ""
             self.clips[shown.label] = (f"{shown.title} after {time:.1f} s{fast}", _uri("video/mp4", target.read_bytes()))
 
     # Figures

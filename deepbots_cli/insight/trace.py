@@ -303,6 +303,6 @@ def trace_failure(path: Path, *, allow_code: bool = False) -> Trace:
             raise
         except DeepbotsError as found:
             error = str(found)
-        trace = world.trace(f"{path}, episode {failure.episode}", error=error)
+        trace = world.trace(f"episode {failure.episode} of {path}", error=error)
     trace.critic_absent = "a failure keeps no critic"
     return trace

@@ -67,7 +67,7 @@ def command(
     if not to_verify and (tolerance or scenario):
         raise UsageError("--tolerance and --scenario are for --verify")
     if sets and not scenario:
-        raise UsageError("a recording keeps its scenario; --set changes that of --scenario")
+        raise UsageError("--set needs --scenario: it changes a scenario, and not the recording; add --scenario and its name")
     if not to_verify:
         with closing(Replayed(opened)) as player:
             ends = [(each.number, player.begin(0, each.number), player.seek(len(each.steps))) for each in found.episodes]
