@@ -222,8 +222,8 @@ class MuJoCoBatch:
         ways = np.array([frames.rotate(turned, (1.0, 0.0, 0.0)) for _, turned in rays])
         seen = np.ones(6, np.uint8)
         seen[HIDDEN] = 0
-        # One call for the rays of all worlds takes a quarter of the time of a call for each ray. It has one thread: idle threads of
-        # MuJoCo wait in a loop, which takes 10 to 30 us of CPU per world from the physics.
+        # One call for the rays of all worlds takes a quarter of the time of a call for each ray. It has one thread: with
+        # two, the physics of FindBall took 3 to 30 us more CPU per world, probably since idle threads wait in a loop.
         casts = Batch(self._worlds[0].model, len(self._worlds), 1)
         casts_groups, casts_qpos = casts.expand("geom_group"), casts.bind("qpos")
         at_rest = [(name, casts.bind(name)) for name in ("mocap_pos", "mocap_quat") if self._worlds[0].model.nmocap]
