@@ -126,8 +126,7 @@ def look(server: viser.ViserServer, view: View) -> float:
     camera.position, camera.look_at, camera.fov = view.eye, view.target, view.fov
     camera.near, camera.far = max(0.002, size / 200), 60 * size
     server.scene.set_up_direction("+z")
-    server.scene.configure_default_lights(enabled=False)  # they are so bright that grey obstacles are as light as the ground
-    server.scene.add_light_directional("/light", intensity=1.2, position=(-0.4, -0.7, 1.0))
+    server.scene.configure_default_lights(cast_shadow=False)
     return size
 
 
