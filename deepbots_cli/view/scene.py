@@ -32,7 +32,7 @@ from deepbots_cli.view.frames import Beams, Layout, LinkName, WorldFrame
 if TYPE_CHECKING:
     import viser
 
-GROUND_COLOUR: Colour = (0.86, 0.87, 0.89, 1.0)
+GROUND_COLOUR: Colour = (0.95, 0.955, 0.965, 1.0)
 _PLAIN: Colour = (0.72, 0.74, 0.78, 1.0)
 _MAX_CELLS = 120  # of a terrain along either side
 _MAX_PATH = 2000  # points
