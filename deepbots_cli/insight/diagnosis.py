@@ -381,7 +381,9 @@ def too_few_steps(t: Training) -> Numbers | None:
         return None
     gain = float(late.mean() - early.mean())
     chance = 2 * float(np.hypot(early.std() / np.sqrt(len(early)), late.std() / np.sqrt(len(late))))
-    if not gain > chance > 0:
+    # A return that rises evenly gains a third of its total rise in the last quarter; below half of that it levels off.
+    start, before = (float(t.part(share, share + 0.25).returns.mean()) for share in (0.0, 0.5))
+    if not gain > chance > 0 or late.mean() - before < (late.mean() - start) / 6:
         return None
     length = _length(t)
     return {**length, "likelihood": 0.8 if length["share"] < 0.5 else 0.65, "first": float(early.mean()), "last": float(late.mean()),

@@ -55,6 +55,7 @@ def test_logs_alone_tell_some_causes(short):
     assert _causes(_logs(short, -30 + noise, 30 - noise))[0] == "ending_early_pays"
     assert _causes(_logs(short, np.full(50, 3.0)))[0] == "ending_at_once"
     assert _causes(_logs(short, 30 + np.arange(200) / 4 + noise))[0] == "too_few_steps"
+    assert "too_few_steps" not in _causes(_logs(short, 100 - 70 * np.exp(-np.arange(200) / 40) + noise))  # it levels off
     # 1 % of the planned timesteps: later episodes may end in other ways, or succeed
     assert _causes(_logs(short, 30 + noise)) == ["short_training"]
     assert "exploration_collapsed" in _causes(_logs(short, 30 + noise, train__entropy_loss=[-0.6] * 4 + [-0.001] * 10))
