@@ -6,7 +6,7 @@ out readers and writers, so that a step looks nothing up. A reader only reads; t
 steps return equal values.
 
 The names of methods that set a value of the episode begin with `set`, and parameters that hold a body or a part of one are called
-`body`, `robot`, `part`, `of`, `one` or `other`: `runtime/copies.py` passes calls on by these names. docs/engine-port.md describes every
+`body`, `robot`, `part`, `owner`, `one` or `other`: `runtime/copies.py` passes calls on by these names. docs/engine-port.md describes every
 method.
 
 A further engine is a class that fits `Engine`: in a package with an entry point of the group `deepbots.engines`, or in
@@ -54,7 +54,7 @@ The limits that a motor is bound with are infinite where a joint has none.
 """
 
 
-STILL: Triple = (0.0, 0.0, 0.0)
+ZERO_VECTOR: Triple = (0.0, 0.0, 0.0)
 Pusher = Callable[[Triple, Triple], object]
 """Takes a force (N) and a torque (N m)."""
 ContactReader = Callable[[], bool]
@@ -64,21 +64,21 @@ RayReader = Callable[[], Sequence[float]]
 Kinematics = Callable[[Triple, Quaternion | None], Sequence[float]]
 
 
-SIGHT = 100.0  # m; as far as cameras see
+CAMERA_RANGE_M = 100.0  # m; as far as cameras see
 
 
-class Sight(NamedTuple):
+class CameraImage(NamedTuple):
     """One picture: `colours` uint8 (height, width, 3); `depth` float32 (height, width) in m along the line of sight's axis,
-    at most `SIGHT`; `bodies` int32 (height, width), the place of each pixel's body in `names`, -1 for none. A pixel is
+    at most `CAMERA_RANGE_M`; `bodies` int32 (height, width), the place of each pixel's body in `body_names`, -1 for none. A pixel is
     what its centre sees."""
 
     colours: Image
     depth: NDArray[np.float32]
     bodies: NDArray[np.int32]
-    names: tuple[str, ...]
+    body_names: tuple[str, ...]
 
 
-CameraReader = Callable[[], Sight]
+CameraReader = Callable[[], CameraImage]
 
 
 class Overlap(NamedTuple):
@@ -117,7 +117,7 @@ class Engine(Protocol):
         """
 
     def place(
-        self, body: str, position: Triple, orientation: Quaternion, velocity: Triple = STILL, angular_velocity: Triple = STILL
+        self, body: str, position: Triple, orientation: Quaternion, velocity: Triple = ZERO_VECTOR, angular_velocity: Triple = ZERO_VECTOR
     ) -> None:
         """Set the frame and the velocities of a body's root link (world frame). Called between `reset` and the first step.
 
@@ -130,7 +130,7 @@ class Engine(Protocol):
     def choose(self, body: str, variant: str) -> None:
         """Let a pooled body take the form of one of its variants. Called between `reset` and `place`, before parameters are set."""
 
-    def set_parameter(self, what: EngineParameter, of: tuple[str, ...], *values: float) -> None:
+    def set_parameter(self, parameter: EngineParameter, owner: tuple[str, ...], *values: float) -> None:
         """Set a parameter of an episode. Called between `reset` and `place`; it holds until the next reset, which restores the model.
 
         Of the world, `()`: `gravity` (x, y, z in m/s^2, world frame), `light` (brightness of pictures; 1 is ordinary). Of a body and its

@@ -19,7 +19,7 @@ from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, TIME, UNITS
 from deepbots_cli.expressions.functions import ALLOWED_FAMILIES, FUNCTIONS, Family, Function
 from deepbots_cli.expressions.types import Context, Kind
-from deepbots_cli.learning.defaults import OURS, library_defaults, library_of
+from deepbots_cli.learning.defaults import DEFAULTS, library_defaults, library_of
 from deepbots_cli.lint import Page, every_page
 from deepbots_cli.scenario.base import (
     Forms,
@@ -127,10 +127,10 @@ def _defaults() -> Iterator[str]:
     yield from ["", "## Defaults of the hyperparameters", ""]
     yield "The values that a training takes where `train` does not set them; `deepbots inspect` shows them for one scenario or run."
     for algorithm, model in ALGORITHMS.items():
-        own, library, title = OURS[algorithm], library_defaults(algorithm) or {}, library_of(algorithm)
+        own, library, title = DEFAULTS[algorithm], library_defaults(algorithm) or {}, library_of(algorithm)
         yield from ["", f"### {algorithm}", "", "| hyperparameter | default | whose |", "|---|---|---|"]
         for name in model.hyperparameter_names():
-            text, source = (own[name].words, "deepbots") if name in own else (_plain(library.get(name)), title)
+            text, source = (own[name].description, "deepbots") if name in own else (_plain(library.get(name)), title)
             yield f"| `{name}` | {text} | {source} |"
 
 

@@ -22,7 +22,7 @@ from deepbots_cli.document import MappingNode, Node, descend
 from deepbots_cli.expressions.scalar import Const, Name, Scalar, State, children, names_in
 from deepbots_cli.footprint import resting_height, robot_bounds
 from deepbots_cli.frames import roll_pitch_yaw
-from deepbots_cli.learning.defaults import Effective, effective
+from deepbots_cli.learning.defaults import EffectiveHyperparameter, effective_hyperparameters
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.resets import OfSensor, RandomizedParameter
@@ -487,9 +487,10 @@ def _training(scenario: Program, root: Node, run: Run | None) -> Tables:
         "policy.activation": training.network.activation,
     }
     rows = [
-        Effective(name, value, "scenario" if text_at(root, "train", *name.split(".")) else "deepbots") for name, value in common.items()
+        EffectiveHyperparameter(name, value, "scenario" if text_at(root, "train", *name.split(".")) else "deepbots")
+        for name, value in common.items()
     ]
-    rows += effective(scenario, total)
+    rows += effective_hyperparameters(scenario, total)
     return {
         "training": {
             "algorithm": training.algorithm,

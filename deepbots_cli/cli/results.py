@@ -15,7 +15,7 @@ from deepbots_cli.errors import RunError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.learning.episodes import DrawnBin, Interval, Summary
 from deepbots_cli.learning.report import to_json
-from deepbots_cli.learning.run import POLICY, Run, TrainingResult
+from deepbots_cli.learning.run import POLICY_NAME, Run, TrainingResult
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.comparison import GroupResult
@@ -50,7 +50,7 @@ def training_text(result: TrainingResult) -> str:
     rows["initialized from"] = result.initialized_from
     lines = [f"training {result.status}", row_as_lines(rows), *(f"note: {reason}" for reason in result.inexact)]
     if result.interrupted:
-        if (result.run / "models" / POLICY / "best.zip").is_file():  # not before the first checkpoint
+        if (result.run / "models" / POLICY_NAME / "best.zip").is_file():  # not before the first checkpoint
             lines.append(f"evaluate the policy with: deepbots eval {quote(str(result.run))}")
         lines.append(f"the policy is kept; continue the training with: deepbots train --resume {quote(str(result.run))}")
     return "\n".join(lines)
@@ -299,7 +299,7 @@ def robustness_json(found: Robustness) -> dict[str, Any]:
 def keep_evaluation(run: Run, evaluation: dict[str, Any]) -> None:
     """Keep an evaluation in its run, or say why it is not kept; it is shown all the same."""
     try:
-        run.keep_evaluation(evaluation)
+        run.write_evaluation(evaluation)
     except RunError as error:
         terminal.note(f"note: the run does not keep this evaluation: {error}")
 

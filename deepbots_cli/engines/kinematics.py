@@ -1,6 +1,6 @@
 """Inverse kinematics of a chain of joints: damped least squares, within the ranges of the joints.
 
-The rule is that of Levenberg and Marquardt on the error of position (m) and attitude (rad, counted as `LEVER` m each):
+The rule is that of Levenberg and Marquardt on the error of position (m) and attitude (rad, counted as `METRES_PER_RAD` m each):
 a step is (J^T J + c 1)^-1 J^T e, and c falls after steps that help and grows after steps that do not.
 """
 
@@ -23,15 +23,15 @@ if TYPE_CHECKING:
 
     FloatArray = NDArray[np.float64]
 
-LEVER = 0.3  # m; what an error of 1 rad counts
-CLOSE = 1e-7  # m; an error to stop at
-ROUNDS = 100
-SLOW = 0.99  # of the square of the error; a round that leaves more than this share has not helped
-IDLE_ROUNDS = 12  # in a row, after which the search gives up
-LONGEST = 0.5  # rad or m; of a joint in one round
+METRES_PER_RAD = 0.3  # m; what an error of 1 rad counts
+TOLERANCE_M = 1e-7  # m; an error to stop at
+MAX_ITERATIONS = 100
+STALL_RATIO = 0.99  # of the square of the error; a round that leaves more than this share has not helped
+MAX_STALLED_ITERATIONS = 12  # in a row, after which the search gives up
+MAX_STEP = 0.5  # rad or m; of a joint in one round
 
 
-class Step(NamedTuple):
+class Segment(NamedTuple):
     """From one link to the next: a fixed frame, then a joint, at `place` among all moving joints of the chain, or None."""
 
     frame: Frame
@@ -41,32 +41,33 @@ class Step(NamedTuple):
 
 
 class Chain:
-    """From the root of a robot to one of its links. `moving` names the joints on the way, of which `driven` may be solved for."""
+    """From the root of a robot to one of its links. `moving_joints` names the joints on the way, of which `driven` may be solved for."""
 
     def __init__(self, model: RobotModel, link: str, driven: Sequence[str]) -> None:
         path = _path(model, link)
-        self.moving = tuple(joint.name for joint in path if joint.moves)
-        strange = [name for name in driven if name not in self.moving]
+        self.moving_joints = tuple(joint.name for joint in path if joint.moves)
+        strange = [name for name in driven if name not in self.moving_joints]
         if strange:
             raise EngineError(f"joint '{strange[0]}' does not move link '{link}' of '{model.name}'")
-        self._steps = [
-            Step(frames.frame(j.origin), j.axis, j.type != "prismatic", self.moving.index(j.name) if j.moves else None) for j in path
+        self._segments = [
+            Segment(frames.frame(j.origin), j.axis, j.type != "prismatic", self.moving_joints.index(j.name) if j.moves else None)
+            for j in path
         ]
-        self._driven = [self.moving.index(name) for name in driven]
+        self._driven = [self.moving_joints.index(name) for name in driven]
         ranges = [_range(model.joint(name)) for name in driven]
         self._lower, self._upper = (np.array([ends[side] for ends in ranges]) for side in (0, 1))
 
     def solve(self, root: Frame, positions: Sequence[float], target: Triple, attitude: Quaternion | None) -> list[float]:
         """Positions of the driven joints that bring the link's origin there, or as near as the search gets.
 
-        `root` is the pose of the root link, `positions` are those of all `moving` joints. The search begins there, and
+        `root` is the pose of the root link, `positions` are those of all `moving_joints`. The search begins there, and
         once more in the middle of the ranges if that ends elsewhere: an arm that is stretched out finds no way to bend.
         """
         inward = frames.inverse(root[1])
         goal = frames.rotate(inward, frames.subtract(target, root[0]))
         turned = None if attitude is None else frames.multiply(inward, frames.normalised(attitude))
         found, missing = self._search(list(positions), goal, turned)
-        if missing > CLOSE * CLOSE:
+        if missing > TOLERANCE_M * TOLERANCE_M:
             other, still_missing = self._search(self._middle(positions), goal, turned)
             if still_missing < missing:
                 found = other
@@ -84,18 +85,18 @@ class Chain:
         """Where the search from these positions ends, and the square of the error that it leaves."""
         error, jacobian = self._linearised(joints, goal, turned)
         damping, missing, idle = 1e-4, float(error @ error), 0
-        for _ in range(ROUNDS):
-            if missing < CLOSE * CLOSE or damping > 1e8 or idle > IDLE_ROUNDS:
+        for _ in range(MAX_ITERATIONS):
+            if missing < TOLERANCE_M * TOLERANCE_M or damping > 1e8 or idle > MAX_STALLED_ITERATIONS:
                 break
             now = np.array([joints[place] for place in self._driven])
             normal = jacobian.T @ jacobian + damping * np.eye(len(now))
-            step = np.clip(np.linalg.solve(normal, jacobian.T @ error), -LONGEST, LONGEST)
+            step = np.clip(np.linalg.solve(normal, jacobian.T @ error), -MAX_STEP, MAX_STEP)
             tried = list(joints)
             for place, value in zip(self._driven, np.clip(now + step, self._lower, self._upper).tolist(), strict=True):
                 tried[place] = value
             new_error, new_jacobian = self._linearised(tried, goal, turned)
             left = float(new_error @ new_error)
-            idle = idle + 1 if left > SLOW * missing else 0
+            idle = idle + 1 if left > STALL_RATIO * missing else 0
             if left < missing:
                 joints, error, jacobian, missing = tried, new_error, new_jacobian, left
                 damping = max(damping * 0.2, 1e-9)
@@ -111,7 +112,7 @@ class Chain:
             [IDENTITY_FRAME[0]] * len(joints),
             [True] * len(joints),
         )
-        for frame, axis, turning, place in self._steps:
+        for frame, axis, turning, place in self._segments:
             here = frames.compose(here, frame)
             if place is not None:
                 axes[place], pivots[place], turns[place] = frames.rotate(here[1], axis), here[0], turning
@@ -123,9 +124,9 @@ class Chain:
         columns = [frames.cross(axes[i], frames.subtract(here[0], pivots[i])) if turns[i] else axes[i] for i in self._driven]
         if attitude is None:
             return np.array(error), np.array(columns).T
-        error += frames.scaled(_turn(frames.multiply(attitude, frames.inverse(here[1]))), LEVER)
+        error += frames.scaled(_rotation_vector(frames.multiply(attitude, frames.inverse(here[1]))), METRES_PER_RAD)
         full = [
-            (*column, *(frames.scaled(axes[i], LEVER) if turns[i] else IDENTITY_FRAME[0]))
+            (*column, *(frames.scaled(axes[i], METRES_PER_RAD) if turns[i] else IDENTITY_FRAME[0]))
             for i, column in zip(self._driven, columns, strict=True)
         ]
         return np.array(error), np.array(full).T
@@ -148,7 +149,7 @@ def _range(joint: Joint) -> tuple[float, float]:
     return -inf if lower is None else lower, inf if upper is None else upper
 
 
-def _turn(q: Quaternion) -> Triple:
+def _rotation_vector(q: Quaternion) -> Triple:
     """The axis of a rotation times its angle (rad), at most half a turn."""
     x, y, z, w = q if q[3] >= 0.0 else (-q[0], -q[1], -q[2], -q[3])
     length = float(np.hypot(np.hypot(x, y), z))

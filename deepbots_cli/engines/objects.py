@@ -13,16 +13,16 @@ from deepbots_cli.program.world import ARENA_WALLS, WALL_COLOUR, Arena, ObjectBo
 from deepbots_cli.robots.model import Box, Friction, Geometry, Inertial, Link, Pose, RobotModel, homogeneous_inertial, with_link
 
 # Of links that state no colour, in turn.
-PALETTE = ((0.84, 0.44, 0.24, 1.0), (0.27, 0.45, 0.66, 1.0), (0.30, 0.32, 0.36, 1.0), (0.86, 0.70, 0.32, 1.0), (0.42, 0.60, 0.46, 1.0))
+LINK_COLOURS = ((0.84, 0.44, 0.24, 1.0), (0.27, 0.45, 0.66, 1.0), (0.30, 0.32, 0.36, 1.0), (0.86, 0.70, 0.32, 1.0), (0.42, 0.60, 0.46, 1.0))
 ROOT_MASS_FRACTION = 1e-6  # the mass of a root that has none, of what is held to it; its inertia as of a mass 1 m away
 
 
-def moves(body: ObjectBody) -> bool:
+def is_movable(body: ObjectBody) -> bool:
     """Whether physics moves the object. One without mass, or that is only seen, stays where it is put."""
     return body.solid and not body.fixed and body.mass > 0.0
 
 
-def forms(body: ObjectBody) -> dict[str, ObjectBody]:
+def forms_of(body: ObjectBody) -> dict[str, ObjectBody]:
     """The object in each of its variants, by their names; by its own if it has none."""
     fields = ("shape", "mass", "colour", "friction", "fixed")
     shown = {v.name: replace(body, variants=(), **{what: getattr(v, what) for what in fields}) for v in body.variants}
@@ -42,7 +42,7 @@ def as_robot(body: ObjectBody) -> RobotModel:
     return RobotModel(name=body.name, links=(link,), joints=(), root=body.name)
 
 
-def walls(arena: Arena) -> tuple[ObjectBody, ...]:
+def arena_walls(arena: Arena) -> tuple[ObjectBody, ...]:
     """Four fixed boxes around the inner size of the arena. Four, not one of four parts: an engine sorts out far boxes cheaply."""
     (x, y), height, thick = arena.size, arena.wall_height, arena.wall_thickness
     sides = (
@@ -113,26 +113,26 @@ def _with_heavy_root(name: str, model: RobotModel) -> RobotModel:
 
 # Bodies by name
 
-Found = TypeVar("Found")
-Given = ParamSpec("Given")
-Told = TypeVar("Told")
+T = TypeVar("T")
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
-def find(table: dict[str, Found], name: str, lacking: str) -> Found:
-    """The entry called `name`; `lacking` opens the sentence of the error that lists what there is."""
+def find(table: dict[str, T], name: str, message: str) -> T:
+    """The entry called `name`; `message` opens the sentence of the error that lists what there is."""
     try:
         return table[name]
     except KeyError:
-        raise EngineError(f"{lacking} '{name}'; there are {', '.join(table)}") from None
+        raise EngineError(f"{message} '{name}'; there are {', '.join(table)}") from None
 
 
 class Form(Protocol):
     """A body as an engine holds it."""
 
-    def suspend(self) -> None:
+    def deactivate(self) -> None:
         """Be absent: touched and seen by nothing."""
 
-    def wake(self) -> None:
+    def activate(self) -> None:
         """Be present."""
 
 
@@ -146,35 +146,35 @@ class Pool(Generic[Body]):
         self.name = name
         self.pooled = pooled
         self.present = not pooled
-        self.chosen = forms[0][1]
+        self.current = forms[0][1]
         self._forms = dict(forms)
 
     def __iter__(self) -> Iterator[Body]:
         return iter(self._forms.values())
 
     def choose(self, form: str) -> None:
-        self.chosen = find(self._forms, form, f"'{self.name}' has no variant")
+        self.current = find(self._forms, form, f"'{self.name}' has no variant")
 
-    def leave(self) -> None:
+    def deactivate(self) -> None:
         """Be absent, in the first form."""
         if self.pooled:
-            self.present, self.chosen = False, next(iter(self))
+            self.present, self.current = False, next(iter(self))
             for body in self:
-                body.suspend()
+                body.deactivate()
 
-    def enter(self) -> Body:
+    def activate(self) -> Body:
         """Be present, in the chosen form."""
         self.present = True
-        self.chosen.wake()
-        return self.chosen
+        self.current.activate()
+        return self.current
 
-    def bound(self, bind: Callable[[Body], Callable[Given, Told]]) -> Callable[Given, Told]:
+    def bind_current(self, bind: Callable[[Body], Callable[P, R]]) -> Callable[P, R]:
         """What `bind` makes of the present form; a body of one form pays nothing for there being others."""
         if len(self._forms) == 1:
-            return bind(self.chosen)
+            return bind(self.current)
         table = {id(body): bind(body) for body in self}
 
-        def of_chosen(*given: Given.args, **named: Given.kwargs) -> Told:
-            return table[id(self.chosen)](*given, **named)
+        def of_chosen(*given: P.args, **named: P.kwargs) -> R:
+            return table[id(self.current)](*given, **named)
 
         return of_chosen

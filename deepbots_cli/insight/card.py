@@ -23,7 +23,7 @@ import deepbots_cli
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME
 from deepbots_cli.errors import MissingExtraError, RunError
 from deepbots_cli.learning.listing import last_evaluation
-from deepbots_cli.learning.run import Format, KeptEvaluation, ModelName, Run, read_json
+from deepbots_cli.learning.run import EvaluationRecord, ModelName, RecordFormat, Run, read_json
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import ActionRange, Choices, ObservedValue
 
@@ -78,7 +78,7 @@ class Card(BaseModel):
     action_mask: tuple[str, ...] | None
     memory: tuple[int, int] | None
     """Layers and units of a recurrent policy."""
-    result: KeptEvaluation | None
+    result: EvaluationRecord | None
     interface: Mapping[str, str]
     files: Mapping[str, str]
     versions: Mapping[str, str]
@@ -89,7 +89,7 @@ class Card(BaseModel):
         return result_text(self.result) if self.result else "not evaluated since the end of the training"
 
 
-def result_text(found: KeptEvaluation) -> str:
+def result_text(found: EvaluationRecord) -> str:
     """Mean return and success rate with their intervals, and what they are of."""
     low, high = found.return_interval or (found.mean_return, found.mean_return)
     text = f"mean return {found.mean_return:.4g} (95 % interval {low:.4g} .. {high:.4g})"
@@ -211,7 +211,7 @@ def read(folder: Path) -> Card:
     """
     if not (folder / NAME).is_file() or (folder / NAME).is_symlink():
         raise RunError(f"{folder} is not a bundle of `deepbots export`: it holds no {NAME}")
-    found = read_json(folder / NAME, Format, _LIMIT).format
+    found = read_json(folder / NAME, RecordFormat, _LIMIT).format
     if found != FORMAT:
         raise RunError(f"{folder} is a bundle of format {found}, this deepbots reads {FORMAT}; use the deepbots that wrote it")
     card = read_json(folder / NAME, Card, _LIMIT)

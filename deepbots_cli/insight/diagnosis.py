@@ -18,7 +18,7 @@ from deepbots_cli.errors import RunError
 from deepbots_cli.insight.statements import Finder, Numbers, Share, Statement, listed, state_all
 from deepbots_cli.insight.trace import Array, Trace
 from deepbots_cli.insight.training import Training, findings
-from deepbots_cli.learning.defaults import longest_episode, ours
+from deepbots_cli.learning.defaults import default_values, longest_episode
 from deepbots_cli.program.task import Choices, Observation
 
 _SAME = 1e-6  # numbers of the observation, from -1 to 1, that differ by less are equal
@@ -300,7 +300,7 @@ def learning_rate_too_high(t: Training) -> Numbers | None:
     rate, training = t.setting("learning_rate"), t.program.policy.training
     if rate is None or training is None:
         return None
-    known: Any = ours(training, t.run.record.total_timesteps, longest_episode(t.program)).get("learning_rate")
+    known: Any = default_values(training, t.run.record.total_timesteps, longest_episode(t.program)).get("learning_rate")
     usual = float(known) if isinstance(known, int | float) else 3e-4  # of the library
     clipped, kl = (float(t.curve(f"train/{name}").max(initial=0.0)) for name in ("clip_fraction", "approx_kl"))
     times = rate / usual

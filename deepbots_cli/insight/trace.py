@@ -23,7 +23,7 @@ from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.insight.conditions import Measured, Values, Watch, deciding, measured
 from deepbots_cli.learning import failures, listing
 from deepbots_cli.learning.episodes import Episode
-from deepbots_cli.learning.run import KeptEvaluation, ModelName, Run, read_json
+from deepbots_cli.learning.run import EvaluationRecord, ModelName, Run, read_json
 from deepbots_cli.program import Program
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.streams import derive_seed
@@ -151,7 +151,7 @@ class Traced(gym.Wrapper[Any, Any, Any, Any]):
 # Runs
 
 
-class KeptEpisodes(KeptEvaluation):
+class KeptEpisodes(EvaluationRecord):
     """An evaluation that a run keeps, with its episodes."""
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
@@ -216,11 +216,11 @@ def trace_episodes(
         raise RunError(f"{run.path} holds no model '{model}'; train it first, with: deepbots train --resume {run.path}")
     watch = measured(run.program)
     with algorithms.torch_settings(), closing(_world(watch, run.engine_for(run.program), allow_code, draw=bool(films))) as world:
-        policy = evaluation.load(run, model, world)
+        policy = evaluation.load_model(run, model, world)
         for number in numbers:
             film, begin = films.get(number), derive_seed(seed, "evaluation", number)
-            with video.filmed(world, film, 1 / watch.program.period) if film is not None else nullcontext(world) as acted:
-                evaluation.repeat(policy, acted, begin, number, deterministic=deterministic)
+            with video.recording_video(world, film, 1 / watch.program.period) if film is not None else nullcontext(world) as acted:
+                evaluation.repeat_episode(policy, acted, begin, number, deterministic=deterministic)
             trace = world.trace(f"episode {number} of {run.path}", notes=run.notes())
             row = list(world.world.agents).index(trace.agent) if trace.agent else None
             trace.critic = _critic_values(policy, [seen if row is None else row_of(seen, row) for seen in world.seen[:-1]])
@@ -293,11 +293,11 @@ def trace_failure(path: Path, *, allow_code: bool = False) -> Trace:
     Raises:
         RunError: The file is damaged, or does not lie in the folder of a run.
     """
-    failure, run, program = failures.read(path)
+    failure, run, program = failures.read_failure(path)
     error = ""
     with closing(_world(measured(program), run.record.engine, allow_code)) as world:
         try:
-            for _ in failures.steps(failure, program, world, path):
+            for _ in failures.repeat_steps(failure, program, world, path):
                 pass
         except RunError:
             raise

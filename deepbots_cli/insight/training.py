@@ -23,8 +23,8 @@ from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.insight.conditions import measured
 from deepbots_cli.insight.trace import Array, Trace, Traced
 from deepbots_cli.learning import failures
-from deepbots_cli.learning.defaults import effective
-from deepbots_cli.learning.episodes import meets
+from deepbots_cli.learning.defaults import effective_hyperparameters
+from deepbots_cli.learning.episodes import meets_solved
 from deepbots_cli.learning.run import Run, changed_settings
 from deepbots_cli.lint import all_findings
 from deepbots_cli.program import Program
@@ -83,7 +83,7 @@ class Training:
     @cached_property
     def settings(self) -> Mapping[str, Any]:
         """The hyperparameters that the training takes, by name."""
-        return {entry.name: entry.value for entry in effective(self.program, self.run.record.total_timesteps)}
+        return {entry.name: entry.value for entry in effective_hyperparameters(self.program, self.run.record.total_timesteps)}
 
     def setting(self, name: str) -> float | None:
         """A hyperparameter as a number, the first one of a schedule; None where it is none."""
@@ -106,7 +106,7 @@ class Training:
         """Whether the episodes of the training or one of its evaluations met what `solved` asks for."""
         solved = self.program.solved
         means = [(fmean(each["returns"]), fmean(each["successes"])) for each in self.evaluations]
-        return self.solved_while_exploring or (solved is not None and any(meets(solved, *each) for each in means))
+        return self.solved_while_exploring or (solved is not None and any(meets_solved(solved, *each) for each in means))
 
     def curve(self, tag: str) -> Array:
         """The values of a curve; none where TensorBoard has no such tag."""
@@ -133,8 +133,8 @@ def findings(run: Run) -> tuple[str, list[Finding]]:
 
 def read(run: Run) -> Training:
     """The logs of a run, without short episodes. Raises: RunError: A log is damaged."""
-    files = sorted((run.path / failures.FOLDER).glob("[0-9][0-9][0-9][0-9].json"))
-    failure = failures.read(files[-1])[0] if files else None
+    files = sorted((run.path / failures.FAILURES_FOLDER).glob("[0-9][0-9][0-9][0-9].json"))
+    failure = failures.read_failure(files[-1])[0] if files else None
     error = "" if failure is None else f"episode {failure.episode:,}, {failure.error}"
     return Training(run, *logs_of(run.path), scalars_of(run.tensorboard), error)
 
@@ -150,7 +150,7 @@ def probe(training: Training, *, allow_code: bool = False, on_episode: Callable[
     with algorithms.torch_settings(), closing(world):
         constant, still = _constant(world.world), _still(world.world)
         name: Any = next((name for name in ("last", "best") if run.model(name).is_file()), None)
-        model = None if name is None else evaluation.load(run, name, world)
+        model = None if name is None else evaluation.load_model(run, name, world)
         total = EPISODES * (1 + (still is not None) + (model is not None)) + sum(map(len, constant.values()))
         done = 0
 
@@ -180,7 +180,7 @@ def probe(training: Training, *, allow_code: bool = False, on_episode: Callable[
         if still is not None:
             training.still = [episode(seed, fixed(still)) for seed in seeds]
         if model is not None:
-            training.policy = [episode(seed, lambda: evaluation.acting(model, world)) for seed in seeds]
+            training.policy = [episode(seed, lambda: evaluation.action_function(model, world)) for seed in seeds]
 
 
 def _constant(env: Supervisor) -> dict[str, dict[str, Any]]:

@@ -70,7 +70,7 @@ def create(
     """
     algorithm = _entry(training.algorithm)
     training = replace(training, environments=env.num_envs)
-    settings: Settings = defaults.ours(training, total_timesteps, longest_episode)
+    settings: Settings = defaults.default_values(training, total_timesteps, longest_episode)
     kind = training.action_noise or settings.pop("action_noise", None)
     settings.pop("action_noise", None)
     if settings.pop("replay", None) is not None and training.replay is not None:

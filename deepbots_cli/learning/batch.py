@@ -14,37 +14,37 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepR
 from deepbots_cli import api, engines
 from deepbots_cli.codegen import batch_obstacles
 from deepbots_cli.errors import DeepbotsError, UsageError
-from deepbots_cli.learning.environments import BuildWorld, VectorEnvironment, last_info
+from deepbots_cli.learning.environments import VectorEnvironment, WorldFactory, last_info
 from deepbots_cli.learning.episodes import Episode
-from deepbots_cli.learning.failures import BatchRecorder
+from deepbots_cli.learning.failures import BatchFailureRecorder
 from deepbots_cli.program import Program
 from deepbots_cli.runtime.batch import BatchStep, BatchSupervisor, EpisodeHistory
 
-SMALLEST = 8
+MIN_WORLDS = 8
 """Worlds from which on a batch is faster: what it does per step over arrays takes as long as 5 single worlds."""
 
 
-def reasons_against(program: Program, worlds: int, engine: str, build: BuildWorld) -> list[str]:
+def reasons_against_batch(program: Program, worlds: int, engine: str, build: WorldFactory) -> list[str]:
     """Why a training steps its worlds one by one; nothing where they are a batch."""
     if engine not in engines.BATCHES:
         return [f"the engine '{engine}' has no batches"]
-    if worlds < SMALLEST:
-        return [f"there are fewer than {SMALLEST} worlds"]
+    if worlds < MIN_WORLDS:
+        return [f"there are fewer than {MIN_WORLDS} worlds"]
     own = [] if getattr(build, "func", None) is api.build else ["its worlds are made by a function of the caller"]
     stages = [stage.program for stage in program.curriculum]
     return list(dict.fromkeys([*own, *(reason for one in (program, *stages) for reason in batch_obstacles(one))]))
 
 
-def described(program: Program, worlds: int, engine: str, build: BuildWorld) -> str:
+def stepping_text(program: Program, worlds: int, engine: str, build: WorldFactory) -> str:
     """Whether a training steps its worlds as a batch, and why not; empty where no batch is to be expected."""
-    if engine not in engines.BATCHES or worlds < SMALLEST:
+    if engine not in engines.BATCHES or worlds < MIN_WORLDS:
         return ""
-    reasons = reasons_against(program, worlds, engine, build)
+    reasons = reasons_against_batch(program, worlds, engine, build)
     how = f"one by one: {'; '.join(reasons)}" if reasons else "together, as a batch"
     return f"{program.name} steps its {worlds} worlds {how}"
 
 
-class Sums:
+class BatchEpisodeAccumulator:
     """Adds up the running episodes of a batch, as `EpisodeAccumulator` does for a single world."""
 
     def __init__(self, batch: BatchSupervisor) -> None:
@@ -55,11 +55,11 @@ class Sums:
         self._returns, self._lengths = np.zeros(self._count), np.zeros(self._count, int)
         self._terms = np.zeros((len(self._names), self._count))
 
-    def add(self, rewards: npt.NDArray[Any], terms: npt.NDArray[Any], acting: Any = True) -> None:
-        """Count one step of the worlds that are `acting` (truth values)."""
-        self._returns += np.where(acting, rewards, 0.0)
-        self._lengths += acting
-        self._terms += np.where(acting, terms, 0.0)
+    def add(self, rewards: npt.NDArray[Any], terms: npt.NDArray[Any], running: Any = True) -> None:
+        """Count one step of the worlds that are `running` (truth values)."""
+        self._returns += np.where(running, rewards, 0.0)
+        self._lengths += running
+        self._terms += np.where(running, terms, 0.0)
 
     def close(self, world: int, info: Mapping[str, Any], seed: int | None = None, drawn: Mapping[str, Any] | None = None) -> Episode:
         """The finished episode of a world, given the info of its last step; the next one begins."""
@@ -69,7 +69,7 @@ class Sums:
         return Episode(total, length, info["is_success"], info["ended_by"], terms, seed, drawn or {})
 
 
-class BatchedWorlds(VectorEnvironment):
+class BatchVectorEnvironment(VectorEnvironment):
     """The worlds of a batch, a row each; world i starts from `seeds[i]` at the first reset and runs on from there.
 
     In a curriculum, each world enters the next stage when its episode ends. There is a batch for each stage that worlds are in; the
@@ -94,11 +94,11 @@ class BatchedWorlds(VectorEnvironment):
         on_step: Callable[[], None] = lambda: None,
         on_episode: Callable[[int, Episode], None] = lambda world, episode: None,
         next_seed: Callable[[int], int | None] = lambda world: None,
-        recorder: BatchRecorder | None = None,
+        recorder: BatchFailureRecorder | None = None,
     ) -> None:
         self._build, self._next_seed, self._recorder = build, next_seed, recorder
         self.stages = [0] * len(seeds) if stages is None else stages
-        self._batches: dict[int, tuple[BatchSupervisor, Sums]] = {}
+        self._batches: dict[int, tuple[BatchSupervisor, BatchEpisodeAccumulator]] = {}
         first = self._batch_of(self.stages[0])
         super().__init__(first.singles, seeds, on_step=on_step, on_episode=on_episode)
 
@@ -106,7 +106,7 @@ class BatchedWorlds(VectorEnvironment):
         """The worlds of a stage, built when one of them is first needed."""
         if stage not in self._batches:
             made = self._build(stage)
-            self._batches[stage] = made, Sums(made)
+            self._batches[stage] = made, BatchEpisodeAccumulator(made)
         return self._batches[stage][0]
 
     def _in(self, stage: int) -> npt.NDArray[np.bool_]:
@@ -135,8 +135,8 @@ class BatchedWorlds(VectorEnvironment):
 
     def step_wait(self) -> VecEnvStepReturn:
         rewards, dones = np.zeros(self.num_envs, np.float32), np.zeros(self.num_envs, bool)
-        infos: list[dict[str, Any]] = [_NOTHING] * self.num_envs
-        ended: dict[int, tuple[int, BatchStep, Sums]] = {}
+        infos: list[dict[str, Any]] = [_EMPTY_INFO] * self.num_envs
+        ended: dict[int, tuple[int, BatchStep, BatchEpisodeAccumulator]] = {}
         for stage, (worlds, sums) in self._batches.items():
             acting = self._in(stage)
             known = len(worlds.losses)
@@ -144,7 +144,7 @@ class BatchedWorlds(VectorEnvironment):
                 outcome = worlds.advance(self._actions, None if acting.all() else ~acting)
             if self._recorder is not None:
                 for loss in worlds.losses[known:]:
-                    self._recorder.lost(stage, loss, worlds.snapshot()[loss.world])
+                    self._recorder.record_lost(stage, loss, worlds.snapshot()[loss.world])
             sums.add(outcome.rewards, outcome.terms, acting)
             rewards[acting] = outcome.rewards[acting]
             dones[outcome.done] = True
@@ -173,7 +173,7 @@ class BatchedWorlds(VectorEnvironment):
         except DeepbotsError:
             if self._recorder is not None:
                 histories = self._batch_of(stage).snapshot()
-                self._recorder.failed(stage, [histories[world] for world, own in enumerate(self.stages) if own == stage])
+                self._recorder.record_failed(stage, [histories[world] for world, own in enumerate(self.stages) if own == stage])
             raise
 
     def _begin_in(self, stage: int, beginning: Sequence[tuple[int, int | None]]) -> None:
@@ -186,7 +186,7 @@ class BatchedWorlds(VectorEnvironment):
         for world, _ in beginning:
             self.drawn[world] = worlds.singles[world].drawn()
 
-    def _close(self, world: int, place: int, outcome: BatchStep, sums: Sums) -> dict[str, Any]:
+    def _close(self, world: int, place: int, outcome: BatchStep, sums: BatchEpisodeAccumulator) -> dict[str, Any]:
         """The last info of an episode, which is reported."""
         info, last = outcome.infos[place], outcome.final_observations
         episode = sums.close(world, info)
@@ -214,9 +214,9 @@ class BatchedWorlds(VectorEnvironment):
             worlds.close()
 
 
-def _count(worlds: BatchSupervisor, sums: Sums, acting: npt.NDArray[np.bool_]) -> None:
+def _count(worlds: BatchSupervisor, sums: BatchEpisodeAccumulator, acting: npt.NDArray[np.bool_]) -> None:
     sums.add(worlds.rewards(), worlds.terms(), acting)
 
 
-_NOTHING: dict[str, Any] = {}
+_EMPTY_INFO: dict[str, Any] = {}
 """The info of a world whose episode goes on."""

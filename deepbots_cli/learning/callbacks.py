@@ -32,8 +32,8 @@ from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.errors import RunError
 from deepbots_cli.learning import batch, models
 from deepbots_cli.learning.curriculum import Curriculum
-from deepbots_cli.learning.defaults import effective
-from deepbots_cli.learning.environments import BuildWorld, World
+from deepbots_cli.learning.defaults import effective_hyperparameters
+from deepbots_cli.learning.environments import World, WorldFactory
 from deepbots_cli.learning.episodes import Episode, Statistics, Summary
 from deepbots_cli.learning.evaluation import batch_rollout, rollout
 from deepbots_cli.learning.failures import FailureRecorder
@@ -44,17 +44,17 @@ from deepbots_cli.program.task import Choices, Training, policy_inputs
 from deepbots_cli.runtime.batch import BatchSupervisor
 from deepbots_cli.runtime.streams import derive_seed
 
-EPISODES = 20
+EVALUATION_EPISODES = 20
 """Starts of an evaluation, the same each time: two networks differ by what they do there, not by their luck."""
 
 CONFIRMATION_EPISODES = 50
 """Starts of the evaluation that ends a training of an off-policy algorithm: of 20 episodes, a network that succeeds in 85 % of all
 loses at most one in 18 % of the cases; of 50, at most two in 1 %. With the small updates of PPO, past episodes tell enough."""
 
-RECENT = 256
+SCALAR_WINDOW_STEPS = 256
 """Steps of each copy of the environment that the scalars of an off-policy algorithm describe."""
 
-SHARE, OVERTIME_SHARE, AT_ONCE = 0.1, 0.5, math.inf
+EVALUATION_SHARE, FINAL_EVALUATION_SHARE, UNLIMITED_SHARE = 0.1, 0.5, math.inf
 """What evaluations may take of the steps that are trained: little as a rule, half when only one is missing to end the training."""
 
 
@@ -91,7 +91,7 @@ def signals_handled(interruption: Interruption) -> Iterator[None]:
 class Evaluator:
     """Evaluates the current policy without noise, in worlds of its own, from starts that neither training nor a later evaluation has."""
 
-    def __init__(self, build: BuildWorld, seed: int, run: Run | None = None) -> None:
+    def __init__(self, build: WorldFactory, seed: int, run: Run | None = None) -> None:
         self.steps = 0
         """Those of all evaluations."""
         self._build, self._run = build, run
@@ -101,12 +101,17 @@ class Evaluator:
         self._world: World | None = None
         self._batch: BatchSupervisor | None = None
 
-    def due(self, trained: int, length: float, share: float) -> bool:
+    def is_due(self, trained: int, length: float, share: float) -> bool:
         """Whether another evaluation fits into this share of `trained` steps, if its episodes are of that length."""
-        return self.steps + EPISODES * length <= share * trained
+        return self.steps + EVALUATION_EPISODES * length <= share * trained
 
-    def episodes(
-        self, model: BaseAlgorithm, scenario: Program, interruption: Interruption, count: int = EPISODES, stage: str | None = None
+    def run_episodes(
+        self,
+        model: BaseAlgorithm,
+        scenario: Program,
+        interruption: Interruption,
+        count: int = EVALUATION_EPISODES,
+        stage: str | None = None,
     ) -> list[Episode]:
         """The episodes of an evaluation in `scenario`, which is that of `stage`. The training's random numbers stay as they were.
 
@@ -123,8 +128,8 @@ class Evaluator:
         if scenario is not self._scenario:
             self.close()
             self._scenario = scenario
-            if not batch.reasons_against(scenario, EPISODES, self._engine, self._build):
-                self._batch = build_batch(scenario, EPISODES, engine=self._engine)
+            if not batch.reasons_against_batch(scenario, EVALUATION_EPISODES, self._engine, self._build):
+                self._batch = build_batch(scenario, EVALUATION_EPISODES, engine=self._engine)
         try:
             found = None if self._batch is None else batch_rollout(model, self._batch, seeds, on_episode=look)
             if found is None:
@@ -143,11 +148,11 @@ class Evaluator:
         self._world = self._batch = None
 
 
-class Rank(NamedTuple):
+class ModelRank(NamedTuple):
     """What makes a model the best: its evaluation has confirmed a solved task, it meets what `solved` asks, the mean return there."""
 
     confirmed: bool
-    solves: bool
+    meets_solved: bool
     mean_return: float
 
 
@@ -180,7 +185,7 @@ class TrainingCallback(BaseCallback):
         self.reporter = reporter
         self.total = total
         self.interruption = Interruption()
-        self.best: Rank | None = None
+        self.best: ModelRank | None = None
         self.confirmed = False
         """Whether the task was solved and an evaluation since then has shown that the networks of that moment solve it."""
         self._has_success = run.program.defines_success
@@ -205,7 +210,7 @@ class TrainingCallback(BaseCallback):
 
     def restore(self, state: CallbackState) -> None:
         self._next_beat = state.next_beat
-        self.best = None if state.best is None else Rank(*state.best)
+        self.best = None if state.best is None else ModelRank(*state.best)
         self.confirmed, self._solved_seen, self._evaluated_at = state.confirmed, state.solved_seen, state.evaluated_at
         self.evaluator.steps = state.evaluation_steps
 
@@ -239,7 +244,7 @@ class TrainingCallback(BaseCallback):
             self._solved_seen = solved
             self._next_beat = self.statistics.steps + self._beat
             self.reporter.update(self.progress())
-            self.evaluate(AT_ONCE if just_solved else OVERTIME_SHARE if solved else SHARE)
+            self.evaluate(UNLIMITED_SHARE if just_solved else FINAL_EVALUATION_SHARE if solved else EVALUATION_SHARE)
             self._record_scalars()
             self._beat_passed = True
         return not (solved and self.confirmed)
@@ -256,17 +261,17 @@ class TrainingCallback(BaseCallback):
         """
         check_finite(self.model, self.run, self.statistics.steps)
         steps, solved = self.statistics.steps, self.statistics.solved
-        if not self.statistics.full or steps == self._evaluated_at or not self.evaluator.due(steps, self.statistics.mean_length, share):
+        if not self.statistics.full or steps == self._evaluated_at or not self.evaluator.is_due(steps, self.statistics.mean_length, share):
             return
         scenario, stage = self.curriculum.scenario, self.curriculum.name
-        done = self.evaluator.episodes(self.model, scenario, self.interruption, stage=stage)
+        done = self.evaluator.run_episodes(self.model, scenario, self.interruption, stage=stage)
         ends = self.statistics.solved_at is not None
-        if ends and Summary.of(done).meets(solved) and isinstance(self.model, OffPolicyAlgorithm):
-            done = self.evaluator.episodes(self.model, scenario, self.interruption, CONFIRMATION_EPISODES, stage)
-        summary = Summary.of(done)
+        if ends and Summary.of_episodes(done).meets_solved(solved) and isinstance(self.model, OffPolicyAlgorithm):
+            done = self.evaluator.run_episodes(self.model, scenario, self.interruption, CONFIRMATION_EPISODES, stage)
+        summary = Summary.of_episodes(done)
         self._evaluated_at = steps
-        self.confirmed = ends and summary.meets(solved)
-        rank = Rank(self.confirmed, summary.meets(solved), summary.mean_return)
+        self.confirmed = ends and summary.meets_solved(solved)
+        rank = ModelRank(self.confirmed, summary.meets_solved(solved), summary.mean_return)
         if self.best is None or rank >= self.best:  # of equals the later one, which has seen more
             self.best = rank
             models.save(self.run.model("best"), self.model)
@@ -298,9 +303,9 @@ class TrainingCallback(BaseCallback):
         value = curriculum.value(self.statistics.steps)
         if curriculum.stages:
             self.logger.record("curriculum/stage", curriculum.index + 1)
-        if curriculum.until is not None and value is not None:
-            self.logger.record(f"curriculum/{curriculum.until.metric}", value)
-            self.logger.record("curriculum/threshold", curriculum.until.threshold)
+        if curriculum.criterion is not None and value is not None:
+            self.logger.record(f"curriculum/{curriculum.criterion.metric}", value)
+            self.logger.record("curriculum/threshold", curriculum.criterion.threshold)
         for name, mean in self.statistics.term_means().items():
             self.logger.record(f"reward/{name}", mean)
         for name, share in self.statistics.ended_by().items():
@@ -314,7 +319,7 @@ class TrainingCallback(BaseCallback):
         """
         if isinstance(self.model, OffPolicyAlgorithm):
             buffer: Any = self.model.replay_buffer
-            rows = np.arange(buffer.pos - min(RECENT, buffer.size()), buffer.pos) % buffer.buffer_size
+            rows = np.arange(buffer.pos - min(SCALAR_WINDOW_STEPS, buffer.size()), buffer.pos) % buffer.buffer_size
         else:
             buffer = self.model.rollout_buffer  # type: ignore[attr-defined]  # of OnPolicyAlgorithm
             rows = slice(None)
@@ -355,7 +360,7 @@ def option_shares(program: Program, actions: npt.NDArray[Any]) -> dict[str, floa
 
 def describe(run: Run, logger: Logger, training: Training) -> None:
     """Write the scenario as text, and the hyperparameters as a page of TensorBoard; once for each run."""
-    known = effective(run.program, training.total_timesteps)
+    known = effective_hyperparameters(run.program, training.total_timesteps)
     values = {entry.name: entry.value if isinstance(entry.value, bool | int | float | str) else str(entry.value) for entry in known}
     values |= {"algorithm": training.algorithm, "environments": training.environments, "seed": run.record.seed}
     metrics = {"rollout/ep_rew_mean": 0.0, "eval/mean_return": 0.0}

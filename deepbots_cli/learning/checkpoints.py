@@ -4,10 +4,10 @@
     checkpoints/replay/         the rows of a replay buffer, in segments that are written once
 
 A checkpoint is taken between two roll-outs, before anything of the next one happens. There the roll-out buffer is empty, and every local
-variable of Stable-Baselines3's loops has its initial value, except a count of roll-outs (`Resumable.dump_logs`). A resumed training calls
-the same `learn`. Once that has set everything up, `_setup_learn` puts the state of the checkpoint in its place. The running episodes are
-repeated (`VectorEnvironment.repeat`), and random generators are restored last. What was logged after the checkpoint is cut off, and logged
-again.
+variable of Stable-Baselines3's loops has its initial value, except a count of roll-outs (`ResumableAlgorithm.dump_logs`). A resumed
+training calls the same `learn`. Once that has set everything up, `_setup_learn` puts the state of the checkpoint in its place. The
+running episodes are repeated (`VectorEnvironment.repeat`), and random generators are restored last. What was logged after the checkpoint
+is cut off, and logged again.
 
 Nothing is unpickled, and no array takes more memory than its file.
 """
@@ -44,7 +44,7 @@ from deepbots_cli.learning import models
 from deepbots_cli.learning.algorithms import DecayingNoise
 from deepbots_cli.learning.callbacks import CallbackState, TrainingCallback, check_finite
 from deepbots_cli.learning.curriculum import CurriculumState
-from deepbots_cli.learning.environments import VectorEnvironment, fingerprint
+from deepbots_cli.learning.environments import VectorEnvironment, observation_digest
 from deepbots_cli.learning.episodes import StatisticsState
 from deepbots_cli.learning.run import Run, read_json
 from deepbots_cli.runtime.batch import EpisodeHistory
@@ -53,15 +53,15 @@ from deepbots_cli.runtime.streams import derive_seed
 Array = npt.NDArray[Any]
 Arrays = Mapping[str, Array]
 
-SECONDS = 10.0
+INTERVAL_S = 10.0
 """Time between checkpoints: what a killed training loses, unless a large replay buffer makes them rare."""
-COST = 40
+MIN_INTERVAL_PER_COST = 40
 """A checkpoint that takes a second is followed by 40 without one: at most 2.5 % of the time goes into checkpoints."""
 
-_STATE_LIMIT = 100_000_000
-_COUNTS = ("num_timesteps", "_episode_num", "_n_updates", "_n_calls", "_current_progress_remaining", "exploration_rate")
-_ROWS = ("_last_obs", "_last_original_obs", "_last_episode_starts")
-_COLUMNS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts", "ep_start")
+_MAX_STATE_BYTES = 100_000_000
+_COUNTER_ATTRIBUTES = ("num_timesteps", "_episode_num", "_n_updates", "_n_calls", "_current_progress_remaining", "exploration_rate")
+_ROW_ATTRIBUTES = ("_last_obs", "_last_original_obs", "_last_episode_starts")
+_BUFFER_COLUMNS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts", "ep_start")
 
 
 class CheckpointState(BaseModel, strict=True):
@@ -96,7 +96,7 @@ class CheckpointState(BaseModel, strict=True):
     inexact: list[str]
 
 
-class Resumable:
+class ResumableAlgorithm:
     """Mixed in before an algorithm of Stable-Baselines3: it goes on from a checkpoint, and takes one between roll-outs."""
 
     checkpoints: Checkpoints
@@ -149,7 +149,7 @@ class Checkpoints:
         self._last = -1
         self._previous = 0
         self._due = 0.0
-        self._found = latest(run)
+        self._found = latest_checkpoint(run)
         self.state = None if self._found is None else read_state(self._found)
         if self.state is not None:
             self.stages, self.inexact = list(self.state.stages), list(self.state.inexact)
@@ -188,7 +188,7 @@ class Checkpoints:
         self.save(model)
 
     @property
-    def kept(self) -> str:
+    def description(self) -> str:
         """The last checkpoint in words; empty before there is one."""
         return f"the last checkpoint, after {self._last:,} steps, is kept" if self._last >= 0 else ""
 
@@ -244,12 +244,17 @@ class Checkpoints:
                 shutil.rmtree(path) if path.is_dir() else path.unlink()
         self._last = steps
         now = time.monotonic()
-        self._due = now + max(SECONDS, COST * (now - began))
+        self._due = now + max(INTERVAL_S, MIN_INTERVAL_PER_COST * (now - began))
 
     def _collect(self, model: BaseAlgorithm) -> tuple[dict[str, Array], CheckpointState]:
         env = _environment(model)
         histories, numpy_state = env.histories(), np.random.get_state(legacy=False)
-        arrays = {key: part for name in _ROWS if getattr(model, name, None) is not None for key, part in _flat(name, getattr(model, name))}
+        arrays = {
+            key: part
+            for name in _ROW_ATTRIBUTES
+            if getattr(model, name, None) is not None
+            for key, part in _flat(name, getattr(model, name))
+        }
         arrays |= {f"actions/{index}": np.array(history.actions) for index, history in enumerate(histories)}
         arrays |= {f"noise/{i}": noise.drift for i, noise in enumerate(_noises(model)) if noise.drift is not None}
         arrays |= {f"lstm/{index}": tensor.cpu().numpy() for index, tensor in enumerate(_memory(model))}
@@ -272,8 +277,8 @@ class Checkpoints:
             callback=self.callback.state(),
             stages=self.stages,
             starts=[history.start for history in histories],
-            observed=fingerprint(env.last_observations),
-            counts={name: getattr(model, name) for name in _COUNTS if hasattr(model, name)},
+            observed=observation_digest(env.last_observations),
+            counts={name: getattr(model, name) for name in _COUNTER_ATTRIBUTES if hasattr(model, name)},
             infos=[_encoded(info) for info in model.ep_info_buffer or ()],
             successes=[bool(success) for success in model.ep_success_buffer or ()],
             pending=[_encoded(part) for part in _pending(model)],
@@ -324,10 +329,10 @@ class Checkpoints:
             reason = " ".join(str(error).split())[:200]
             raise RunError(f"{self._found} is damaged, or of another training ({type(error).__name__}: {reason})") from error
         self._last = self._previous = model.num_timesteps
-        self._due = time.monotonic() + SECONDS
+        self._due = time.monotonic() + INTERVAL_S
 
     def _restore(self, model: BaseAlgorithm, state: CheckpointState, arrays: Arrays) -> None:
-        if any(name not in _COUNTS for name in state.counts):
+        if any(name not in _COUNTER_ATTRIBUTES for name in state.counts):
             raise ValueError("unknown counts")
         for name, value in state.counts.items():
             setattr(model, name, type(getattr(model, name))(value))
@@ -337,7 +342,7 @@ class Checkpoints:
         self._compare(model, state)
         same = self._repeat_episodes(model, state, arrays)
         if same:
-            for name in _ROWS:
+            for name in _ROW_ATTRIBUTES:
                 if hasattr(model, name) and (value := _unflat(name, arrays)) is not None:
                     setattr(model, name, value)
         for index, tensor in enumerate(_memory(model)):
@@ -379,7 +384,7 @@ class Checkpoints:
         if len(state.starts) != len(env.worlds):
             raise ValueError(f"{len(state.starts)} worlds")
         histories = [EpisodeHistory(start, list(arrays[f"actions/{index}"])) for index, start in enumerate(state.starts)]
-        if fingerprint(env.repeat(histories)) == state.observed:
+        if observation_digest(env.repeat(histories)) == state.observed:
             return True
         self.note(f"the episodes that ran at {model.num_timesteps:,} steps gave different results when repeated, so they were restarted")
         env.starts = [derive_seed(self.run.record.seed, "environment", i, "resumed", model.num_timesteps) for i in range(len(env.worlds))]
@@ -426,7 +431,7 @@ class Checkpoints:
                 first = end
 
 
-def latest(run: Run) -> Path | None:
+def latest_checkpoint(run: Run) -> Path | None:
     """The last checkpoint of a run, if there is one."""
     folders = run.checkpoints.iterdir() if run.checkpoints.is_dir() else ()
     return max((path for path in folders if re.fullmatch(r"\d{12}", path.name)), default=None)
@@ -434,7 +439,7 @@ def latest(run: Run) -> Path | None:
 
 def read_state(folder: Path) -> CheckpointState:
     """Raises: RunError: The checkpoint is damaged."""
-    return read_json(folder / "state.json", CheckpointState, _STATE_LIMIT)
+    return read_json(folder / "state.json", CheckpointState, _MAX_STATE_BYTES)
 
 
 def _write_arrays(path: Path, arrays: Arrays) -> None:
@@ -495,7 +500,7 @@ def _environment(model: BaseAlgorithm) -> VectorEnvironment:
 
 def _columns(buffer: ReplayBuffer) -> dict[str, Array]:
     """The arrays of a replay buffer that have a row for each step."""
-    return {key: part for name in _COLUMNS if hasattr(buffer, name) for key, part in _flat(name, getattr(buffer, name))}
+    return {key: part for name in _BUFFER_COLUMNS if hasattr(buffer, name) for key, part in _flat(name, getattr(buffer, name))}
 
 
 def _check_actions(actions: Array, space: Any) -> None:

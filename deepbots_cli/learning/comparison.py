@@ -12,9 +12,9 @@ from deepbots_cli import api
 from deepbots_cli.api import Compiled
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.errors import RunError, UsageError
-from deepbots_cli.learning.environments import BuildWorld, compiled_of
+from deepbots_cli.learning.environments import WorldFactory, compiled_scenario
 from deepbots_cli.learning.episodes import Episode, Interval
-from deepbots_cli.learning.evaluation import EvaluationResult, Until, evaluate
+from deepbots_cli.learning.evaluation import EvaluationResult, StopCondition, evaluate
 from deepbots_cli.learning.group import Group, is_group
 from deepbots_cli.learning.run import ModelName, Run, run_folders
 from deepbots_cli.learning.statistics import Difference, compare_episodes, compare_seeds, interquartile_mean, mean_interval
@@ -73,7 +73,7 @@ class GroupResult:
 
 
 @dataclass(frozen=True)
-class Compared:
+class GroupDifference:
     """A group against the first group: differences of the mean return, and of the success rate if the scenario defines success.
 
     `between_seeds` tells whether the interval is one over the seeds of both groups. If not, each group is a single run, and the interval
@@ -117,7 +117,7 @@ class Comparison:
     episodes: int
     seed: int
     groups: tuple[GroupResult, ...]
-    differences: tuple[Compared, ...]
+    differences: tuple[GroupDifference, ...]
     notes: tuple[str, ...]
 
 
@@ -135,7 +135,7 @@ def compare(
     case: str | None = None,
     own: bool = False,
     allow_code: bool = False,
-    build: BuildWorld | None = None,
+    build: WorldFactory | None = None,
     on_run: OnRun | None = None,
 ) -> Comparison:
     """Evaluate runs on the same starts, and compare them by groups.
@@ -172,7 +172,7 @@ def compare(
     elif scenario is None:
         judged = api.compile(api.load(base / RESOLVED_NAME, allow_code=True, project=base))
     else:
-        judged = compiled_of(scenario)
+        judged = compiled_scenario(scenario)
     count = 0
     groups = []
     for group in members:
@@ -184,14 +184,14 @@ def compare(
             if on_run is not None:
                 on_run(count, len(opened))
         groups.append(GroupResult(group.name, tuple(results), group.waiting))
-    differences = tuple(_compared(groups[0], group) for group in groups[1:])
+    differences = tuple(_difference(groups[0], group) for group in groups[1:])
     first = groups[0].evaluations[0]
     notes = _notes(opened, groups, differences, own=own)
     return Comparison(None if own else first.scenario, first.episodes, seed, tuple(groups), differences, tuple(notes))
 
 
 @dataclass(frozen=True)
-class AcrossEngines:
+class EngineDifference:
     """One policy in a further engine against the first, on the same starts; `case` is None for the scenario itself."""
 
     case: str | None
@@ -210,13 +210,13 @@ class AcrossEngines:
         return row
 
 
-def across_engines(one: EvaluationResult | GroupResult, other: EvaluationResult | GroupResult) -> AcrossEngines:
+def compare_engines(one: EvaluationResult | GroupResult, other: EvaluationResult | GroupResult) -> EngineDifference:
     """Compare the evaluations of a policy in two engines episode by episode, or those of a group run by run.
 
     Intervals for a group are over its seeds, None for a single run.
     """
     first, second = (found.evaluations[0] if isinstance(found, GroupResult) else found for found in (one, other))
-    return AcrossEngines(second.case, first.engine, second.engine, *_paired(one, other))
+    return EngineDifference(second.case, first.engine, second.engine, *_paired(one, other))
 
 
 def _paired(one: EvaluationResult | GroupResult, other: EvaluationResult | GroupResult) -> tuple[Difference, Difference | None]:
@@ -238,7 +238,7 @@ def evaluate_group(
     *,
     seed: int = 0,
     scenario: Compiled | Scenario | str | Path | None = None,
-    until: Until | None = None,
+    until: StopCondition | None = None,
     on_run: OnRun | None = None,
     **options: Any,
 ) -> GroupResult:
@@ -255,8 +255,8 @@ def evaluate_group(
     Raises:
         RunError: The folder is no group, or none of its runs has a model; else as for `evaluate`.
     """
-    members = _opened(Group.open(group))
-    judged = None if scenario is None else compiled_of(scenario)
+    members = _open_runs(Group.open(group))
+    judged = None if scenario is None else compiled_scenario(scenario)
     results: list[EvaluationResult] = []
     before: list[Episode] = []
 
@@ -273,43 +273,43 @@ def evaluate_group(
     return GroupResult(members.name, tuple(results), members.waiting)
 
 
-class _Members(NamedTuple):
+class _GroupMembers(NamedTuple):
     name: str
     runs: Sequence[Run]
     waiting: tuple[int, ...] = ()
 
 
-def _members(paths: Sequence[Path]) -> list[_Members]:
+def _members(paths: Sequence[Path]) -> list[_GroupMembers]:
     """The groups in the order of their first runs; each run once."""
-    found: dict[object, _Members] = {}
+    found: dict[object, _GroupMembers] = {}
     single: dict[object, list[Run]] = {}
     for path in paths:
         if is_group(path):
-            found[path] = _opened(Group.open(path))
+            found[path] = _open_runs(Group.open(path))
             continue
         for run in map(Run.open, run_folders([path])):
             alike = single.setdefault((run.record.digest, run.record.engine), [])
             if run.path not in [other.path for other in alike]:
                 alike.append(run)
-            found[run.record.digest, run.record.engine] = _Members(_name(alike), alike)
+            found[run.record.digest, run.record.engine] = _GroupMembers(_name(alike), alike)
     groups = list(found.values())
     if len(found) == 1 and single:
-        groups = [_Members(run.path.name, (run,)) for runs in single.values() for run in runs]
+        groups = [_GroupMembers(run.path.name, (run,)) for runs in single.values() for run in runs]
     names = [group.name for group in groups]
     return [group._replace(name=str(group.runs[0].path)) if names.count(group.name) > 1 else group for group in groups]
 
 
-def _opened(group: Group) -> _Members:
+def _open_runs(group: Group) -> _GroupMembers:
     """The runs of a group that have a model.
 
     Raises:
         RunError: There is none.
     """
-    ready = group.ready
+    ready = group.runs_with_model
     if not ready:
         raise RunError(f"{group.path} holds no trained run yet; train it with: deepbots train --resume {group.path}")
     waiting = tuple(seed for seed in group.record.seeds if group.run(seed) not in ready)
-    return _Members(group.path.name, [Run.open(run) for run in ready], waiting)
+    return _GroupMembers(group.path.name, [Run.open(run) for run in ready], waiting)
 
 
 def _name(runs: Sequence[Run]) -> str:
@@ -318,16 +318,16 @@ def _name(runs: Sequence[Run]) -> str:
     return runs[0].path.name + (f" and {others} more" if others else "")
 
 
-def _compared(first: GroupResult, group: GroupResult) -> Compared:
+def _difference(first: GroupResult, group: GroupResult) -> GroupDifference:
     between_seeds = max(len(first.evaluations), len(group.evaluations)) > 1
     has_success = first.success_defined and group.success_defined
     if between_seeds:
         success = compare_seeds(first.success_rates, group.success_rates) if has_success else None
-        return Compared(first.name, group.name, compare_seeds(first.returns, group.returns), success, between_seeds)
-    return Compared(first.name, group.name, *_paired(first.evaluations[0], group.evaluations[0]), between_seeds)
+        return GroupDifference(first.name, group.name, compare_seeds(first.returns, group.returns), success, between_seeds)
+    return GroupDifference(first.name, group.name, *_paired(first.evaluations[0], group.evaluations[0]), between_seeds)
 
 
-def _notes(runs: Sequence[Run], groups: Sequence[GroupResult], differences: Sequence[Compared], *, own: bool) -> list[str]:
+def _notes(runs: Sequence[Run], groups: Sequence[GroupResult], differences: Sequence[GroupDifference], *, own: bool) -> list[str]:
     notes = [f"{group.name}: no model yet of seed {', '.join(map(str, group.waiting))}" for group in groups if group.waiting]
     fewest = min(len(group.evaluations) for group in groups)
     if all(not difference.between_seeds for difference in differences):

@@ -15,7 +15,7 @@ from deepbots_cli.program.task import Criterion
 
 
 @dataclass(frozen=True)
-class StageEnd:
+class CompletedStage:
     """A stage that is done: when, counted from the start of the training, and by which value of its criterion."""
 
     name: str
@@ -27,7 +27,7 @@ class StageEnd:
 class CurriculumState(BaseModel, strict=True):
     """What a checkpoint keeps: the stages that are done, the first step of the present one, and its recent values."""
 
-    ends: list[StageEnd]
+    ends: list[CompletedStage]
     first_step: NonNegativeInt
     recent: list[float]
 
@@ -48,17 +48,17 @@ class Curriculum:
         self._program = program
         self.stages: Sequence[CurriculumStage] = program.curriculum
         self._skipped = 0 if first is None else self.stages.index(program.stage(first))
-        self.ends: list[StageEnd] = []
+        self.completed: list[CompletedStage] = []
         self._begin(0)
 
     def _begin(self, steps: int) -> None:
-        until = self.until
+        until = self.criterion
         self._first_step = steps
         self._recent: deque[float] = deque(maxlen=until.episodes if until else 1)
 
     @property
     def index(self) -> int:
-        return self._skipped + len(self.ends)
+        return self._skipped + len(self.completed)
 
     @property
     def name(self) -> str | None:
@@ -74,7 +74,7 @@ class Curriculum:
         return self.index >= len(self.stages) - 1
 
     @property
-    def until(self) -> Criterion | None:
+    def criterion(self) -> Criterion | None:
         return None if self.is_last else self.stages[self.index].until
 
     @property
@@ -88,7 +88,7 @@ class Curriculum:
 
     def value(self, steps: int) -> float | None:
         """What the criterion compares with its threshold, after `steps` steps in all; None without one, and before enough episodes."""
-        until = self.until
+        until = self.criterion
         if until is None:
             return None
         if until.metric == "steps":
@@ -97,20 +97,20 @@ class Curriculum:
 
     def add(self, episode: Episode, steps: int, episodes: int) -> bool:
         """Count an episode of the present stage; whether the next one begins with it. `steps` and `episodes` count from the very start."""
-        until = self.until
+        until = self.criterion
         if until is None:
             return False
         self._recent.append(float(episode.is_success) if until.metric == "success_rate" else episode.total_return)
         value = self.value(steps)
         if value is None or value < until.threshold:
             return False
-        self.ends.append(StageEnd(str(self.name), steps, episodes, value))
+        self.completed.append(CompletedStage(str(self.name), steps, episodes, value))
         self._begin(steps)
         return True
 
     def describe(self, steps: int) -> str:
         """`few (2 of 3): success rate 0.45 of 0.7`, for a progress display."""
-        until, value = self.until, self.value(steps)
+        until, value = self.criterion, self.value(steps)
         place = f"{self.name} ({self.index + 1} of {len(self.stages)})"
         if until is None:
             return place
@@ -118,7 +118,7 @@ class Curriculum:
         return f"{place}: {until.metric.replace('_', ' ')} {'-' if value is None else format(value, form)} of {until.threshold:{form}}"
 
     def state(self) -> CurriculumState:
-        return CurriculumState(ends=self.ends, first_step=self._first_step, recent=list(self._recent))
+        return CurriculumState(ends=self.completed, first_step=self._first_step, recent=list(self._recent))
 
     def restore(self, state: CurriculumState) -> None:
         """Take up what `state` gave.
@@ -128,6 +128,6 @@ class Curriculum:
         """
         if len(state.ends) >= max(1, len(self.stages) - self._skipped):
             raise RunError("the checkpoint counts more stages as done than the scenario has")
-        self.ends = list(state.ends)
+        self.completed = list(state.ends)
         self._begin(state.first_step)
         self._recent.extend(state.recent)

@@ -21,7 +21,7 @@ from deepbots_cli.scenario.training import ALGORITHMS
 
 LIBRARIES: Mapping[str, str] = {"MaskablePPO": "sb3_contrib", "RecurrentPPO": "sb3_contrib", "TQC": "sb3_contrib"}
 """The package of each algorithm that Stable-Baselines3 does not have itself."""
-_TITLES = {"stable_baselines3": "Stable-Baselines3", "sb3_contrib": "sb3-contrib"}
+_LIBRARY_TITLES = {"stable_baselines3": "Stable-Baselines3", "sb3_contrib": "sb3-contrib"}
 _UNIFORM = "uniform"
 
 
@@ -29,10 +29,10 @@ class Default(NamedTuple):
     """A default of ours: its value, of the training, its timesteps in all and the steps of its longest episode; and in words."""
 
     value: Callable[[Training, int, int], object]
-    words: str
+    description: str
 
 
-class Effective(NamedTuple):
+class EffectiveHyperparameter(NamedTuple):
     """A hyperparameter as a training takes it; `source` is the scenario, deepbots, or the library. An unknown value is None."""
 
     name: str
@@ -47,12 +47,12 @@ def _roll_out(training: Training) -> int:
 
 def _batch(training: Training) -> int:
     rows = _roll_out(training) * training.environments
-    if training.environments >= _MANY:
+    if training.environments >= _MANY_ENVIRONMENTS:
         return rows // 8
     return 64 if rows % 64 == 0 else 32
 
 
-_MANY = 16
+_MANY_ENVIRONMENTS = 16
 """Environments from which on batches grow with their number, so that an epoch has 8 of them: larger batches cost less per row."""
 
 
@@ -69,7 +69,7 @@ _PPO = {
         "0.003 for layers of up to 32 units, else 0.001",
     ),
 }
-_REMEMBERING = {
+_OFF_POLICY = {
     # Hindsight takes goals from episodes that have ended, so learning waits for the first.
     "learning_starts": Default(
         lambda training, total, longest: max(1_000, longest * training.environments) if training.replay else min(1_000, total // 10),
@@ -82,33 +82,37 @@ _DQN = {
     "buffer_size": Default(lambda _, total, __: min(total, 100_000), "`total_timesteps`, at most 100_000"),
     "target_update_interval": Default(lambda *_: 500, "500"),
     "exploration_fraction": Default(lambda *_: 0.2, "0.2"),
-    **_REMEMBERING,
+    **_OFF_POLICY,
 }
 _ACTOR_CRITIC = {
     "buffer_size": Default(lambda _, total, __: min(total, 1_000_000), "`total_timesteps`, at most 1_000_000"),
     # As many updates as steps, however many copies there are.
     "gradient_steps": Default(lambda *_: -1, "-1"),
-    **_REMEMBERING,
+    **_OFF_POLICY,
 }
-_EXPLORING = _ACTOR_CRITIC | {"action_noise": Default(lambda *_: ActionNoise("normal", Schedule(0.1, 0.1)), "{type: normal, sigma: 0.1}")}
+_DETERMINISTIC = _ACTOR_CRITIC | {
+    "action_noise": Default(lambda *_: ActionNoise("normal", Schedule(0.1, 0.1)), "{type: normal, sigma: 0.1}")
+}
 
-OURS: Mapping[str, Mapping[str, Default]] = {
+DEFAULTS: Mapping[str, Mapping[str, Default]] = {
     "A2C": {},
-    "DDPG": _EXPLORING,
+    "DDPG": _DETERMINISTIC,
     "DQN": _DQN,
     "MaskablePPO": _PPO,
     "PPO": _PPO,
     "RecurrentPPO": _PPO | {"lstm": Default(lambda *_: 64, "64")},
     "SAC": _ACTOR_CRITIC,
-    "TD3": _EXPLORING,
+    "TD3": _DETERMINISTIC,
     "TQC": _ACTOR_CRITIC,
 }
 """Our defaults, by algorithm and hyperparameter."""
 
 
-def ours(training: Training, total_timesteps: int, longest_episode: int) -> dict[str, object]:
+def default_values(training: Training, total_timesteps: int, longest_episode: int) -> dict[str, object]:
     """The values of our defaults; `environments` of the training counts every copy that the policy acts for."""
-    return {name: default.value(training, total_timesteps, longest_episode) for name, default in OURS[_base(training.algorithm)].items()}
+    return {
+        name: default.value(training, total_timesteps, longest_episode) for name, default in DEFAULTS[_base(training.algorithm)].items()
+    }
 
 
 def _base(algorithm: str) -> str:
@@ -121,7 +125,7 @@ def longest_episode(scenario: Program) -> int:
     return max(stage.truncation.max_episode_steps(stage.period) for stage in stages)
 
 
-def effective(scenario: Program, total_timesteps: int) -> list[Effective]:
+def effective_hyperparameters(scenario: Program, total_timesteps: int) -> list[EffectiveHyperparameter]:
     """Every hyperparameter of the scenario's algorithm, in the order of the table of the language; none without a known one."""
     training = scenario.policy.training
     if training is None or training.algorithm not in ALGORITHMS:  # a scenario of a run may name any
@@ -129,23 +133,23 @@ def effective(scenario: Program, total_timesteps: int) -> list[Effective]:
     given: dict[str, object] = {entry.name: entry.value for entry in training.hyperparameters}
     given |= {name: value for name, value in (("action_noise", training.action_noise), ("replay", training.replay)) if value is not None}
     rows = training.environments * (scenario.policy.copies.count if scenario.policy.copies else 1)
-    own = ours(replace(training, environments=rows), total_timesteps, longest_episode(scenario))
+    own = default_values(replace(training, environments=rows), total_timesteps, longest_episode(scenario))
     library = library_defaults(_base(training.algorithm))
     title = "library default" if library is None else library_of(_base(training.algorithm))
     found = []
     for name in ALGORITHMS[training.algorithm].hyperparameter_names():
         if name in given:
-            found.append(Effective(name, given[name], "scenario"))
+            found.append(EffectiveHyperparameter(name, given[name], "scenario"))
         elif name in own:
-            found.append(Effective(name, own[name], "deepbots"))
+            found.append(EffectiveHyperparameter(name, own[name], "deepbots"))
         else:
-            found.append(Effective(name, (library or {}).get(name), title))
+            found.append(EffectiveHyperparameter(name, (library or {}).get(name), title))
     return found
 
 
 def library_of(algorithm: str) -> str:
     """What the library is called that has the algorithm."""
-    return _TITLES[LIBRARIES.get(algorithm, "stable_baselines3")]
+    return _LIBRARY_TITLES[LIBRARIES.get(algorithm, "stable_baselines3")]
 
 
 @cache

@@ -32,18 +32,18 @@ Outcome = tuple[Any, float, bool, bool, dict[str, Any]]
 """Of a step, as Gymnasium returns it: observation, reward, terminated, truncated, info."""
 
 
-class BuildWorld(Protocol):
+class WorldFactory(Protocol):
     """Makes the world of a compiled scenario; `render_mode` as in Gymnasium."""
 
     def __call__(self, program: Program, *, render_mode: str | None = None) -> World: ...
 
 
-def compiled_of(scenario: Compiled | Scenario | str | Path) -> Compiled:
+def compiled_scenario(scenario: Compiled | Scenario | str | Path) -> Compiled:
     """The scenario as it is, or compiled if a `Scenario`, a path or the name of a shipped one is given."""
     return api.compile(scenario) if isinstance(scenario, (str, Path, Scenario)) else scenario
 
 
-def default_build(engine: str, *, allow_code: bool = False) -> BuildWorld:
+def default_factory(engine: str, *, allow_code: bool = False) -> WorldFactory:
     """The generated supervisor on `engine`; with `allow_code`, terms in Python run."""
     return partial(api.build, engine=engine, allow_code=allow_code)
 
@@ -226,7 +226,7 @@ def has_copies(world: World) -> bool:
     return world.has_wrapper_attr("agents") and world.unwrapped not in world.get_wrapper_attr("agents").values()
 
 
-def fingerprint(observations: VecEnvObs) -> str:
+def observation_digest(observations: VecEnvObs) -> str:
     """SHA-256 of observations, to the bit."""
     parts = [observations[key] for key in sorted(observations)] if isinstance(observations, dict) else [observations]
     return hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in parts)).hexdigest()

@@ -21,12 +21,12 @@ from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.files import unwritable_message
 from deepbots_cli.program.task import Solved
 
-WINDOW = 100
+WINDOW_EPISODES = 100
 """Episodes that a training figure is averaged over, unless the scenario's `solved` says otherwise."""
 
-MAX_LOG = 1 << 28
+MAX_LOG_BYTES = 1 << 28
 """Bytes of a log that is read whole."""
-_LINE = 64_000
+_MAX_LINE_BYTES = 64_000
 
 Interval = tuple[float, float]
 UNBOUNDED: Interval = (-math.inf, math.inf)
@@ -87,7 +87,7 @@ class EpisodeAccumulator:
         return episode
 
 
-def zero(world: Any) -> Callable[[], Any]:
+def zero_action(world: Any) -> Callable[[], Any]:
     """A policy that takes the middle of every range, and the first option of every choice."""
     drawn = world.action_space.sample()
     action = {key: part * 0 for key, part in drawn.items()} if isinstance(drawn, dict) else drawn * 0
@@ -142,15 +142,15 @@ def read_log(path: Path, *, tail: int | None = None) -> list[dict[str, str]]:
     try:
         with path.open("rb") as stream:
             size = os.fstat(stream.fileno()).st_size
-            if size > MAX_LOG and tail is None:
-                raise RunError(f"{path} is larger than {MAX_LOG >> 20} MiB")
-            stream.readline(_LINE)  # of Stable-Baselines3
-            names = stream.readline(_LINE).decode(errors="replace").strip().split(",")
+            if size > MAX_LOG_BYTES and tail is None:
+                raise RunError(f"{path} is larger than {MAX_LOG_BYTES >> 20} MiB")
+            stream.readline(_MAX_LINE_BYTES)  # of Stable-Baselines3
+            names = stream.readline(_MAX_LINE_BYTES).decode(errors="replace").strip().split(",")
             begin = stream.tell()
             if tail is not None and size - tail > begin:
                 stream.seek(size - tail)
-                stream.readline(_LINE)
-            text = stream.read(MAX_LOG).decode(errors="replace")
+                stream.readline(_MAX_LINE_BYTES)
+            text = stream.read(MAX_LOG_BYTES).decode(errors="replace")
         whole = text[: text.rfind("\n") + 1]
         return [row for row in csv.DictReader(whole.splitlines(), names) if None not in row.values()]
     except FileNotFoundError:
@@ -200,7 +200,7 @@ class Statistics:
         self.cpu_seconds_before = 0.0
         self._began = time.process_time()
         self.solved_at: SolvedAt | None = None
-        self.recent: deque[Episode] = deque(maxlen=solved.episodes if solved else WINDOW)
+        self.recent: deque[Episode] = deque(maxlen=solved.episodes if solved else WINDOW_EPISODES)
 
     @property
     def next_episode(self) -> int:
@@ -253,7 +253,7 @@ class Statistics:
         if self.solved is None or self.solved_at is not None or not self.full or not self.final:
             return
         mean, rate = self.mean_return, self.success_rate
-        if mean is not None and rate is not None and meets(self.solved, mean, rate):
+        if mean is not None and rate is not None and meets_solved(self.solved, mean, rate):
             self.solved_at = SolvedAt(self.episodes, self.steps, self.simulated_hours, self.cpu_seconds, mean, rate)
 
     def state(self) -> StatisticsState:
@@ -267,7 +267,7 @@ class Statistics:
         self.recent.extend(state.recent)
 
 
-def meets(solved: Solved, mean_return: float, success_rate: float) -> bool:
+def meets_solved(solved: Solved, mean_return: float, success_rate: float) -> bool:
     """Whether means over enough episodes count as solved: every threshold that the scenario names is reached."""
     return (solved.mean_return is None or mean_return >= solved.mean_return) and (
         solved.success_rate is None or success_rate >= solved.success_rate
@@ -301,13 +301,13 @@ class Summary:
     term_means: Mapping[str, float]
 
     @classmethod
-    def of(cls, done: Sequence[Episode]) -> Summary:
+    def of_episodes(cls, done: Sequence[Episode]) -> Summary:
         """The summary of at least one episode."""
         return cls(**statistics_of(done))
 
-    def meets(self, solved: Solved | None) -> bool:
+    def meets_solved(self, solved: Solved | None) -> bool:
         """Whether these means count as solved; False where the scenario does not say what does."""
-        return solved is not None and meets(solved, self.mean_return, self.success_rate)
+        return solved is not None and meets_solved(solved, self.mean_return, self.success_rate)
 
 
 def statistics_of(done: Sequence[Episode], bounds: Interval = UNBOUNDED) -> dict[str, Any]:

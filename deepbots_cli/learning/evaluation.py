@@ -26,8 +26,17 @@ from deepbots_cli.api import Compiled, build_batch
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.learning import algorithms, batch, models, video
-from deepbots_cli.learning.environments import BuildWorld, VectorEnvironment, World, compiled_of, default_build, has_copies
-from deepbots_cli.learning.episodes import DrawnBin, Episode, EpisodeAccumulator, Summary, by_drawn_value, meets, statistics_of, zero
+from deepbots_cli.learning.environments import VectorEnvironment, World, WorldFactory, compiled_scenario, default_factory, has_copies
+from deepbots_cli.learning.episodes import (
+    DrawnBin,
+    Episode,
+    EpisodeAccumulator,
+    Summary,
+    by_drawn_value,
+    meets_solved,
+    statistics_of,
+    zero_action,
+)
 from deepbots_cli.learning.failures import FailureRecorder
 from deepbots_cli.learning.run import ModelName, Run
 from deepbots_cli.learning.statistics import gate_rate
@@ -39,20 +48,20 @@ from deepbots_cli.runtime.batch import BatchSupervisor
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.scenario import Scenario
 
-ROWS = 8
+ROWS_PER_PASS = 8
 """A forward pass of a small policy takes about 0.1 ms for any number of rows up to 16; more worlds than 8 gain little."""
 
-TOGETHER = 32
+MAX_BATCH_WORLDS = 32
 """Worlds of a batch. What a batch does per step over arrays takes as long as 5 single worlds; those that end early rest at the end."""
 
 OnEpisode = Callable[[int, int], None]
 """Is told after each episode how many are done, and of how many."""
 
 
-Act = Callable[[Any], Any]
+ActionFunction = Callable[[Any], Any]
 """Returns the action for an observation."""
 
-Until = Callable[[Sequence[Episode]], bool]
+StopCondition = Callable[[Sequence[Episode]], bool]
 """Whether the first episodes of an evaluation are enough."""
 
 
@@ -109,9 +118,9 @@ def evaluate(
     copies: int | None = None,
     allow_code: bool = False,
     engine: str | None = None,
-    build: BuildWorld | None = None,
+    build: WorldFactory | None = None,
     on_episode: OnEpisode | None = None,
-    until: Until | None = None,
+    until: StopCondition | None = None,
 ) -> EvaluationResult:
     """Evaluate the policy of a run on episodes that it was not trained on.
 
@@ -142,32 +151,32 @@ def evaluate(
         MissingExtraError: A video is wanted and imageio is not installed.
     """
     known = run if isinstance(run, Run) else Run.open(run)
-    program, count, root = _setting(known, episodes, seed, scenario, case, stage)
+    program, count, root = _evaluation_settings(known, episodes, seed, scenario, case, stage)
     video_to = None if video_to is None else Path(video_to)
     if video_to is not None:
-        video.check(video_to)
+        video.check_video_path(video_to)
     engine = engine or known.engine_for(program)
-    make = build or default_build(engine, allow_code=allow_code)
+    make = build or default_factory(engine, allow_code=allow_code)
     seeds = [derive_seed(root, "evaluation", k) for k in range(count)]
     with algorithms.torch_settings(), ExitStack() as stack:
         done: list[Episode] | None = None
-        together = min(count, TOGETHER)
-        if deterministic and copies is None and not batch.reasons_against(program, together, engine, make):
+        together = min(count, MAX_BATCH_WORLDS)
+        if deterministic and copies is None and not batch.reasons_against_batch(program, together, engine, make):
             many = stack.enter_context(closing(build_batch(program, together, engine=engine)))
-            policy = load(known, model, many.singles[0])
+            policy = load_model(known, model, many.singles[0])
             done = batch_rollout(policy, many, seeds, on_episode=on_episode, until=until)
         if done is None:
             worlds = []
-            for _ in range(min(count, max(1, min(copies or ROWS, ROWS)) if deterministic else 1)):
+            for _ in range(min(count, max(1, min(copies or ROWS_PER_PASS, ROWS_PER_PASS)) if deterministic else 1)):
                 worlds.append(
                     FailureRecorder(make(program), known if scenario is None else None, program, seeds=seeds, case=case, stage=stage)
                 )
                 stack.callback(worlds[-1].close)
-            policy = load(known, model, worlds[0])
+            policy = load_model(known, model, worlds[0])
             done = rollout(policy, worlds, seeds, deterministic=deterministic, on_episode=on_episode, until=until)
         if video_to is not None:
             world = stack.enter_context(closing(make(program, render_mode="rgb_array")))
-            filmed = stack.enter_context(video.filmed(world, video_to, 1 / program.period))
+            filmed = stack.enter_context(video.recording_video(world, video_to, 1 / program.period))
             rollout(policy, [filmed], seeds[:1], deterministic=deterministic)
     where = {"case": case, "stage": stage, "seed": root, "deterministic": deterministic, "video": video_to}
     return _result(known, program, model, done, engine=None if build else engine, **where)
@@ -183,7 +192,7 @@ def evaluate_baselines(
     stage: str | None = None,
     allow_code: bool = False,
     engine: str | None = None,
-    build: BuildWorld | None = None,
+    build: WorldFactory | None = None,
     on_episode: OnEpisode | None = None,
 ) -> tuple[EvaluationResult, ...]:
     """Evaluate policies without learning on the starts of `evaluate`: random actions, zero actions, and each script of the scenario.
@@ -192,13 +201,13 @@ def evaluate_baselines(
     by the action space, which the seed of each episode seeds.
     """
     known = run if isinstance(run, Run) else Run.open(run)
-    program, count, root = _setting(known, episodes, seed, scenario, case, stage)
+    program, count, root = _evaluation_settings(known, episodes, seed, scenario, case, stage)
     seeds = [derive_seed(root, "evaluation", k) for k in range(count)]
     results = []
     engine = engine or known.engine_for(program)
-    with closing((build or default_build(engine, allow_code=allow_code))(program)) as world:
-        random, none, scripted = world.action_space.sample, zero(world), world.get_wrapper_attr
-        policies: dict[str, Act] = {"random": lambda _: random(), "zero": lambda _: none()}
+    with closing((build or default_factory(engine, allow_code=allow_code))(program)) as world:
+        random, none, scripted = world.action_space.sample, zero_action(world), world.get_wrapper_attr
+        policies: dict[str, ActionFunction] = {"random": lambda _: random(), "zero": lambda _: none()}
         for script in program.policy.scripts:
             policies[f"script {script.name}"] = partial(lambda name, _: scripted("script")(name), script.name)
         for name, policy in policies.items():
@@ -212,7 +221,7 @@ def evaluate_baselines(
     return tuple(results)
 
 
-def _episode(world: World, seed: int, act: Act) -> Episode:
+def _episode(world: World, seed: int, act: ActionFunction) -> Episode:
     observation, info = world.reset(seed=seed)
     accumulator = EpisodeAccumulator()
     accumulator.begin(seed, info)
@@ -231,13 +240,13 @@ def evaluate_cases(
     `options` are those of `evaluate`, except for `case`, `stage` and `until`.
     """
     known = run if isinstance(run, Run) else Run.open(run)
-    judged = None if scenario is None else compiled_of(scenario)
+    judged = None if scenario is None else compiled_scenario(scenario)
     program = known.program if judged is None else judged.program
     cases = [evaluate(known, scenario=judged, case=case.name, **options) for case in program.cases]
     return (*cases, *(evaluate(known, scenario=judged, stage=stage.name, **options) for stage in program.curriculum if stages))
 
 
-def load(run: Run, name: ModelName, world: World) -> BaseAlgorithm:
+def load_model(run: Run, name: ModelName, world: World) -> BaseAlgorithm:
     """The model of a run, rebuilt from its scenario for the spaces of `world`, with the weights of `models/policy/<name>.zip`.
 
     Raises:
@@ -253,7 +262,7 @@ def load(run: Run, name: ModelName, world: World) -> BaseAlgorithm:
     return model
 
 
-def _fitting(run: Run, program: Program) -> Program:
+def _require_same_interface(run: Run, program: Program) -> Program:
     differences = identity.differences(run.program, program)
     if differences:
         lines = "\n  ".join(differences)
@@ -261,11 +270,11 @@ def _fitting(run: Run, program: Program) -> Program:
     return program
 
 
-def _setting(
+def _evaluation_settings(
     run: Run, episodes: int | None, seed: int | None, scenario: Compiled | Scenario | str | Path | None, case: str | None, stage: str | None
 ) -> tuple[Program, int, int]:
     """The program to evaluate in, the number of episodes, and the root seed."""
-    program = run.program if scenario is None else _fitting(run, compiled_of(scenario).program)
+    program = run.program if scenario is None else _require_same_interface(run, compiled_scenario(scenario).program)
     usual = program.evaluation.episodes
     if case is not None and stage is not None:
         raise UsageError("a case and a stage exclude each other")
@@ -283,7 +292,7 @@ def _setting(
 def _result(run: Run, program: Program, model: str, done: Sequence[Episode], **where: Any) -> EvaluationResult:
     known = return_range(Analysis(program)) if where["engine"] else Interval()  # a world of the caller may pay anything
     found = statistics_of(done, known)
-    solved, verdict = judge(program.solved, found["episodes"], found["mean_return"], found["success_rate"])
+    solved, verdict = solved_verdict(program.solved, found["episodes"], found["mean_return"], found["success_rate"])
     return EvaluationResult(
         run=run.path,
         scenario=program.name,
@@ -299,7 +308,7 @@ def _result(run: Run, program: Program, model: str, done: Sequence[Episode], **w
     )
 
 
-def judge(solved: Solved | None, episodes: int, mean_return: float, success_rate: float) -> tuple[bool | None, str]:
+def solved_verdict(solved: Solved | None, episodes: int, mean_return: float, success_rate: float) -> tuple[bool | None, str]:
     """Whether such an evaluation solves the task (None: cannot be told), and why."""
     if solved is None:
         return None, "the scenario does not say what counts as solved"
@@ -315,7 +324,7 @@ def judge(solved: Solved | None, episodes: int, mean_return: float, success_rate
         reasons.append(f"mean return {mean_return:.4g} where {solved.mean_return:g} is required")
     if solved.success_rate is not None:
         reasons.append(f"success rate {success_rate:.1%} where {solved.success_rate:.1%} is required")
-    met = meets(solved, mean_return, success_rate)
+    met = meets_solved(solved, mean_return, success_rate)
     return met, f"{'solved' if met else 'not solved'}: {', '.join(reasons)}"
 
 
@@ -329,7 +338,7 @@ def rollout(
     *,
     deterministic: bool,
     on_episode: OnEpisode | None = None,
-    until: Until | None = None,
+    until: StopCondition | None = None,
 ) -> list[Episode]:
     """One episode from each seed, in the order of `seeds`; uses up to ROWS of the worlds, a sampling policy or a team only one.
 
@@ -341,20 +350,20 @@ def rollout(
     episodes: list[Episode] = []
     if has_copies(worlds[0]):
         for seed in seeds:
-            episodes.append(repeat(model, worlds[0], seed, 0, deterministic=deterministic))
+            episodes.append(repeat_episode(model, worlds[0], seed, 0, deterministic=deterministic))
             on_episode(len(episodes), len(seeds))
             if until(episodes):
                 break
         return episodes
-    together = min(len(worlds), ROWS) if deterministic else 1
-    forward = _Pass(worlds[0].observation_space, _choices(worlds[0]) if algorithms.takes_masks(model) else None)
+    together = min(len(worlds), ROWS_PER_PASS) if deterministic else 1
+    forward = _ForwardPass(worlds[0].observation_space, _choices(worlds[0]) if algorithms.takes_masks(model) else None)
     finished: dict[int, Episode] = {}
-    for first in range(0, min(ROWS, len(seeds)), together):
-        rows = range(first, min(first + together, ROWS, len(seeds)))
-        lanes = [_Lane(world, row, range(row, len(seeds), ROWS), seeds) for world, row in zip(worlds, rows, strict=False)]
+    for first in range(0, min(ROWS_PER_PASS, len(seeds)), together):
+        rows = range(first, min(first + together, ROWS_PER_PASS, len(seeds)))
+        lanes = [_WorldInRow(world, row, range(row, len(seeds), ROWS_PER_PASS), seeds) for world, row in zip(worlds, rows, strict=False)]
         running = [lane for lane in lanes if lane.begin(forward)]
         while running:
-            actions = forward.answer(model, deterministic=deterministic)
+            actions = forward.predict(model, deterministic=deterministic)
             for lane in running:
                 episode = lane.step(actions[lane.row], forward)
                 if episode is not None:
@@ -374,7 +383,7 @@ def batch_rollout(
     seeds: Sequence[int],
     *,
     on_episode: OnEpisode | None = None,
-    until: Until | None = None,
+    until: StopCondition | None = None,
 ) -> list[Episode] | None:
     """The episodes of `rollout` in a batch of worlds, with the likeliest actions; there are at least as many seeds as worlds.
 
@@ -386,10 +395,10 @@ def batch_rollout(
     on_episode = on_episode or (lambda done, of: None)
     until = until or (lambda episodes: False)
     count = worlds.count
-    passes = [_Pass(worlds.observation_space, None) for _ in range(0, count, ROWS)]
-    waiting = [deque(range(count + (row - count) % ROWS, len(seeds), ROWS)) for row in range(ROWS)]
+    passes = [_ForwardPass(worlds.observation_space, None) for _ in range(0, count, ROWS_PER_PASS)]
+    waiting = [deque(range(count + (row - count) % ROWS_PER_PASS, len(seeds), ROWS_PER_PASS)) for row in range(ROWS_PER_PASS)]
     numbers, resting = list(range(count)), np.zeros(count, bool)
-    sums = batch.Sums(worlds)
+    sums = batch.BatchEpisodeAccumulator(worlds)
     finished: dict[int, Episode] = {}
     episodes: list[Episode] = []
     answers: list[Any] = [None] * len(passes)
@@ -399,22 +408,22 @@ def batch_rollout(
         drawn = [single.drawn() for single in worlds.singles]
         while not resting.all():
             for place, forward in enumerate(passes):
-                those = slice(place * ROWS, min(count, (place + 1) * ROWS))
+                those = slice(place * ROWS_PER_PASS, min(count, (place + 1) * ROWS_PER_PASS))
                 if answers[place] is None or not resting[those].all():
                     forward.put_all(seen, those)
-                    answers[place] = forward.answer(model, deterministic=True)
+                    answers[place] = forward.predict(model, deterministic=True)
             outcome = worlds.advance(np.concatenate(answers)[:count], resting if resting.any() else None)
             if len(worlds.losses) > lost:
                 return None
             sums.add(outcome.rewards, outcome.terms, ~resting)
             begun = []
             for place, world in enumerate(outcome.done.tolist()):
-                number, row = numbers[world], world % ROWS
+                number, row = numbers[world], world % ROWS_PER_PASS
                 finished[number] = sums.close(world, outcome.infos[place], seeds[number], drawn[world])
                 on_episode(len(finished), len(seeds))
                 if waiting[row]:
                     numbers[world] = waiting[row].popleft()
-                    passes[world // ROWS].starts[row] = True
+                    passes[world // ROWS_PER_PASS].starts[row] = True
                     begun.append(world)
                 else:
                     resting[world] = True
@@ -432,16 +441,18 @@ def batch_rollout(
     return episodes
 
 
-def repeat(model: BaseAlgorithm, world: World, seed: int, number: int, *, deterministic: bool) -> Episode:
+def repeat_episode(model: BaseAlgorithm, world: World, seed: int, number: int, *, deterministic: bool) -> Episode:
     """One episode of an evaluation once more, to the bit: the one of this number, whose reset has this seed.
 
     Of all copies of a robot, it has the mean of their rewards.
     """
     torch.manual_seed(derive_seed(seed, "policy"))
-    return _episode(world, seed, acting(model, world, deterministic=deterministic, number=number))
+    return _episode(world, seed, action_function(model, world, deterministic=deterministic, number=number))
 
 
-def acting(model: BaseAlgorithm, world: World, *, deterministic: bool = True, number: int | None = None, rows: int = 0) -> Act:
+def action_function(
+    model: BaseAlgorithm, world: World, *, deterministic: bool = True, number: int | None = None, rows: int = 0
+) -> ActionFunction:
     """A function that returns the action of a policy for each observation of one episode.
 
     With `number`, the actions are to the bit those of the episode of this number in an evaluation. For copies of a robot they always are:
@@ -450,11 +461,11 @@ def acting(model: BaseAlgorithm, world: World, *, deterministic: bool = True, nu
     size = rows or (len(world.get_wrapper_attr("agents")) if has_copies(world) else 0)
     takes_masks = algorithms.takes_masks(model) and not rows and world.has_wrapper_attr("action_masks")
     if number is not None and not size:
-        forward, row = _Pass(world.observation_space, _choices(world) if takes_masks else None), number % ROWS
+        forward, row = _ForwardPass(world.observation_space, _choices(world) if takes_masks else None), number % ROWS_PER_PASS
 
         def act_in_row(observation: Any) -> Any:
             forward.put(row, observation, world)
-            return forward.answer(model, deterministic=deterministic)[row]
+            return forward.predict(model, deterministic=deterministic)[row]
 
         return act_in_row
     memory, starts = None, np.ones(size or 1, dtype=bool)
@@ -470,7 +481,7 @@ def acting(model: BaseAlgorithm, world: World, *, deterministic: bool = True, nu
     return act
 
 
-class _Pass:
+class _ForwardPass:
     """The observations of one forward pass; rows of worlds that do not run keep what they last held.
 
     If the policy takes action masks, `masks` holds which of the `choices` of each row are allowed. A recurrent policy
@@ -479,13 +490,13 @@ class _Pass:
 
     def __init__(self, space: gym.Space[Any], choices: int | None) -> None:
         self.memory: Any = None
-        self.starts = np.ones(ROWS, dtype=bool)
-        self.masks: dict[str, Any] = {} if choices is None else {"action_masks": np.ones((ROWS, choices), dtype=bool)}
+        self.starts = np.ones(ROWS_PER_PASS, dtype=bool)
+        self.masks: dict[str, Any] = {} if choices is None else {"action_masks": np.ones((ROWS_PER_PASS, choices), dtype=bool)}
         self.observations: Any = (
             {key: _zeros(part) for key, part in space.spaces.items()} if isinstance(space, gym.spaces.Dict) else _zeros(space)
         )
 
-    def answer(self, model: BaseAlgorithm, *, deterministic: bool) -> Any:
+    def predict(self, model: BaseAlgorithm, *, deterministic: bool) -> Any:
         """An action for each row."""
         actions, self.memory = model.predict(
             self.observations, state=self.memory, episode_start=self.starts, deterministic=deterministic, **self.masks
@@ -521,23 +532,23 @@ def _choices(world: World) -> int | None:
 
 
 def _zeros(space: gym.Space[Any]) -> np.ndarray[Any, np.dtype[Any]]:
-    return np.zeros((ROWS, *(space.shape or ())), dtype=space.dtype)
+    return np.zeros((ROWS_PER_PASS, *(space.shape or ())), dtype=space.dtype)
 
 
-class _Lane:
+class _WorldInRow:
     """One world that goes through its episodes `todo`, in one row of a forward pass."""
 
-    def __init__(self, world: World, row: int, todo: Iterable[int], seeds: Sequence[int]) -> None:
+    def __init__(self, world: World, row: int, numbers: Iterable[int], seeds: Sequence[int]) -> None:
         self.row = row
         self.number = row
         self._world = world
-        self._todo = iter(todo)
+        self._episode_numbers = iter(numbers)
         self._seeds = seeds
         self._accumulator = EpisodeAccumulator()
 
-    def begin(self, forward: _Pass) -> bool:
+    def begin(self, forward: _ForwardPass) -> bool:
         """Start the next episode; whether there was one."""
-        number = next(self._todo, None)
+        number = next(self._episode_numbers, None)
         if number is None:
             return False
         self.number = number
@@ -550,7 +561,7 @@ class _Lane:
         forward.put(self.row, observation, self._world)
         return True
 
-    def step(self, action: Any, forward: _Pass) -> Episode | None:
+    def step(self, action: Any, forward: _ForwardPass) -> Episode | None:
         """The episode, if this step was its last."""
         observation, reward, terminated, truncated, info = self._world.step(action)
         self._accumulator.add(float(reward), info)

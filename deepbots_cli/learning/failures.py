@@ -2,8 +2,8 @@
 
     failures/0001.json      the start of the episode, its actions, and the error
 
-`FailureRecorder` wraps each single world of a training or an evaluation of a run; `BatchRecorder` does the same for a batch of worlds.
-`reproduce` repeats the episode of a file.
+`FailureRecorder` wraps each single world of a training or an evaluation of a run; `BatchFailureRecorder` does the same for a batch of
+worlds. `reproduce` repeats the episode of a file.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from deepbots_cli.learning.run import Run, read_json, write_numbered
 from deepbots_cli.program import Program
 from deepbots_cli.runtime.batch import EpisodeHistory, LostWorld
 
-FOLDER = "failures"
-_LIMIT = 100_000_000
+FAILURES_FOLDER = "failures"
+_MAX_FILE_BYTES = 100_000_000
 """Bytes of a file; one of 100 MB that holds empty lists takes 3 GB of memory."""
-MAX_LOSSES, OF_EPISODES = 10, 100
+MAX_LOST_EPISODES, LOSS_WINDOW_EPISODES = 10, 100
 """A training stops when so many of so many episodes in a row were lost."""
 
 
@@ -126,14 +126,14 @@ class FailureRecorder(gym.Wrapper[Any, Any, Any, Any]):
             raise error
         start = self.history.start
         number = 1 + self._seeds.index(start) if isinstance(start, int) and start in self._seeds else self._episode()
-        text = _kept(str(error), number, self.history, run=self._run, case=self._case, stage=self._stage)
+        text = _failure_text(str(error), number, self.history, run=self._run, case=self._case, stage=self._stage)
         raise type(error)(text) from error
 
 
-class BatchRecorder:
+class BatchFailureRecorder:
     """The failures of a batch of worlds in a training.
 
-    A world that is no longer finite begins anew: its episode is `lost`. A batch that raises an error has `failed`.
+    A world that is no longer finite begins anew: its episode is lost. A batch that raises an error has failed.
 
     Args:
         run: The run that keeps a file of each failure.
@@ -147,10 +147,10 @@ class BatchRecorder:
         self, run: Run, guarded: Callable[[int], FailureRecorder], statistics: Statistics, curriculum: Curriculum, reporter: Reporter
     ) -> None:
         self._run, self._guarded, self._statistics, self._curriculum, self._reporter = run, guarded, statistics, curriculum, reporter
-        self._losses: deque[int] = deque(maxlen=MAX_LOSSES)
+        self._losses: deque[int] = deque(maxlen=MAX_LOST_EPISODES)
         self._files = 0
 
-    def lost(self, stage: int, loss: LostWorld, history: EpisodeHistory) -> None:
+    def record_lost(self, stage: int, loss: LostWorld, history: EpisodeHistory) -> None:
         """Keep a lost episode and tell the user. There are files of the first ten, and of the one that ends the training.
 
         Raises:
@@ -158,19 +158,18 @@ class BatchRecorder:
         """
         number = self._statistics.next_episode
         self._losses.append(number)
-        again_and_again = len(self._losses) == MAX_LOSSES and number - self._losses[0] < OF_EPISODES
-        if not again_and_again and self._files == MAX_LOSSES:
+        again_and_again = len(self._losses) == MAX_LOST_EPISODES and number - self._losses[0] < LOSS_WINDOW_EPISODES
+        if not again_and_again and self._files == MAX_LOST_EPISODES:
             return
         self._files += 1
         error = f"step {loss.step}: {loss.error}"
-        text = _kept(error, number, history, run=self._run, stage=self._curriculum.name_of(stage))
+        text = _failure_text(error, number, history, run=self._run, stage=self._curriculum.name_of(stage))
         if again_and_again:
-            raise EngineError(
-                f"in {MAX_LOSSES} of the last {min(number, OF_EPISODES)} episodes a world was no longer finite; the last is {text}"
-            )
+            window = min(number, LOSS_WINDOW_EPISODES)
+            raise EngineError(f"in {MAX_LOST_EPISODES} of the last {window} episodes a world was no longer finite; the last is {text}")
         self._reporter.note(f"{text}\nworld {loss.world} begins anew")
 
-    def failed(self, stage: int, histories: Sequence[EpisodeHistory]) -> None:
+    def record_failed(self, stage: int, histories: Sequence[EpisodeHistory]) -> None:
         """Find the episode that fails: repeat the running episodes of a stage in a single world, until one fails.
 
         Raises:
@@ -185,7 +184,9 @@ class BatchRecorder:
                     world.step(action)
 
 
-def _kept(error: str, number: int, history: EpisodeHistory, *, run: Run | None, case: str | None = None, stage: str | None = None) -> str:
+def _failure_text(
+    error: str, number: int, history: EpisodeHistory, *, run: Run | None, case: str | None = None, stage: str | None = None
+) -> str:
     """The error with its episode, and with the command that repeats it if a file could be written."""
     start = history.start
     root = start if isinstance(start, int) else start.get("root")
@@ -193,7 +194,7 @@ def _kept(error: str, number: int, history: EpisodeHistory, *, run: Run | None, 
     if run is None:
         return text
     actions = [_plain(action) for action in history.actions]
-    path = keep(run, Failure(error=error, step=len(actions), episode=number, case=case, stage=stage, start=start, actions=actions))
+    path = write_failure(run, Failure(error=error, step=len(actions), episode=number, case=case, stage=stage, start=start, actions=actions))
     return text if path is None else f"{text}\nreproduce it with: deepbots run {quote(str(path))}"
 
 
@@ -203,21 +204,21 @@ def is_finite(observation: Any) -> bool:
     return all(math.isfinite(np.vdot(part, part)) or bool(np.isfinite(part).all()) for part in parts if part.dtype != np.uint8)
 
 
-def keep(run: Run, failure: Failure) -> Path | None:
+def write_failure(run: Run, failure: Failure) -> Path | None:
     """Write a failure under the next free number; None if the run cannot be written to."""
     try:
-        return write_numbered(run.path / FOLDER, failure.model_dump_json() + "\n")
+        return write_numbered(run.path / FAILURES_FOLDER, failure.model_dump_json() + "\n")
     except RunError:
         return None
 
 
-def read(path: Path) -> tuple[Failure, Run, Program]:
+def read_failure(path: Path) -> tuple[Failure, Run, Program]:
     """A file that `FailureRecorder` wrote, its run, and the scenario, case or stage that failed.
 
     Raises:
         RunError: The file is damaged, or does not lie in the folder `failures` of a run.
     """
-    failure, run = read_json(path, Failure, _LIMIT), Run.open(path.absolute().parent.parent)
+    failure, run = read_json(path, Failure, _MAX_FILE_BYTES), Run.open(path.absolute().parent.parent)
     program = run.program
     if failure.case is not None:
         program = program.case(failure.case).program
@@ -226,7 +227,7 @@ def read(path: Path) -> tuple[Failure, Run, Program]:
     return failure, run, program
 
 
-def steps(failure: Failure, program: Program, world: gym.Env[Any, Any], path: Path) -> Iterator[int]:
+def repeat_steps(failure: Failure, program: Program, world: gym.Env[Any, Any], path: Path) -> Iterator[int]:
     """Repeat the episode in a world of the program: yields how many actions are done, until they are or the episode ends.
 
     Raises:
@@ -255,11 +256,11 @@ def reproduce(path: Path, *, allow_code: bool = False) -> tuple[Failure, str | N
     Raises:
         RunError: The file is damaged, or does not lie in the folder `failures` of a run.
     """
-    failure, run, program = read(path)
+    failure, run, program = read_failure(path)
     done = 0
     with closing(api.build(program, engine=run.record.engine, allow_code=allow_code)) as world:
         try:
-            for done in steps(failure, program, world, path):  # noqa: B007
+            for done in repeat_steps(failure, program, world, path):  # noqa: B007
                 pass
         except RunError:  # of the file, not of the world
             raise

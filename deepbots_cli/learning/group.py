@@ -25,26 +25,26 @@ from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME, write_cop
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.learning.report import Reporter
 from deepbots_cli.learning.run import (
-    GROUP_NAME,
-    NAME,
-    POLICY,
-    Format,
-    Options,
-    Record,
+    GROUP_RECORD_NAME,
+    POLICY_NAME,
+    RECORD_NAME,
+    RecordFormat,
+    RunRecord,
+    TrainingOptions,
     TrainingResult,
     new_directory,
-    now,
     read_json,
     run_lock,
+    timestamp,
     write_text,
 )
 
 if TYPE_CHECKING:
-    from deepbots_cli.learning.environments import BuildWorld
+    from deepbots_cli.learning.environments import WorldFactory
 
 FORMAT = 1
 MAX_SEEDS = 1000
-_LIMIT = 1_000_000
+_MAX_RECORD_BYTES = 1_000_000
 
 
 class GroupRecord(BaseModel):
@@ -71,7 +71,7 @@ class GroupRecord(BaseModel):
     @property
     def options(self) -> dict[str, Any]:
         """Those of each training."""
-        return self.model_dump(include={*Options.__annotations__})
+        return self.model_dump(include={*TrainingOptions.__annotations__})
 
 
 @dataclass(frozen=True)
@@ -90,21 +90,21 @@ class Group:
         """
         path = Path(path)
         if not is_group(path):
-            raise RunError(f"{path} is not a group of runs: it holds no {GROUP_NAME}")
-        found = read_json(path / GROUP_NAME, Format, _LIMIT).format
+            raise RunError(f"{path} is not a group of runs: it holds no {GROUP_RECORD_NAME}")
+        found = read_json(path / GROUP_RECORD_NAME, RecordFormat, _MAX_RECORD_BYTES).format
         if found != FORMAT:
             raise RunError(f"{path} is a group of format {found}, this deepbots reads {FORMAT}; use the deepbots that wrote it")
-        record = read_json(path / GROUP_NAME, GroupRecord, _LIMIT)
+        record = read_json(path / GROUP_RECORD_NAME, GroupRecord, _MAX_RECORD_BYTES)
         if len(set(record.seeds)) < len(record.seeds):
-            raise RunError(f"{path / GROUP_NAME} is damaged: it names a seed twice")
-        for name in (GROUP_NAME, RESOLVED_NAME, INPUTS_FOLDER, *(f"seed-{seed}" for seed in record.seeds)):
+            raise RunError(f"{path / GROUP_RECORD_NAME} is damaged: it names a seed twice")
+        for name in (GROUP_RECORD_NAME, RESOLVED_NAME, INPUTS_FOLDER, *(f"seed-{seed}" for seed in record.seeds)):
             if (path / name).is_symlink():
                 raise RunError(f"{path / name} is a symbolic link, which no group of ours holds")
         return Group(path, record)
 
     def write(self) -> None:
         """Write the record."""
-        write_text(self.path / GROUP_NAME, self.record.model_dump_json(indent=2) + "\n")
+        write_text(self.path / GROUP_RECORD_NAME, self.record.model_dump_json(indent=2) + "\n")
 
     def run(self, seed: int) -> Path:
         """The folder of the run of a seed, which exists once its training has begun."""
@@ -113,17 +113,17 @@ class Group:
     @property
     def runs(self) -> list[Path]:
         """The folders of the runs that have begun, in the order of the seeds."""
-        return [self.run(seed) for seed in self.record.seeds if (self.run(seed) / NAME).is_file()]
+        return [self.run(seed) for seed in self.record.seeds if (self.run(seed) / RECORD_NAME).is_file()]
 
     @property
-    def ready(self) -> list[Path]:
+    def runs_with_model(self) -> list[Path]:
         """The folders of the runs that have a model."""
-        return [run for run in self.runs if (run / "models" / POLICY / "best.zip").is_file()]
+        return [run for run in self.runs if (run / "models" / POLICY_NAME / "best.zip").is_file()]
 
 
 def is_group(path: Path) -> bool:
     """Whether the folder is a group of runs."""
-    return (path / GROUP_NAME).is_file()
+    return (path / GROUP_RECORD_NAME).is_file()
 
 
 @dataclass(frozen=True)
@@ -157,8 +157,8 @@ def train_group(
     runs: str | Path = "runs",
     progress: bool | Reporter = False,
     on_seed: OnSeed | None = None,
-    build: BuildWorld | None = None,
-    **options: Unpack[Options],
+    build: WorldFactory | None = None,
+    **options: Unpack[TrainingOptions],
 ) -> GroupTraining:
     """Train a scenario with several seeds, one after the other, in a new folder.
 
@@ -175,7 +175,7 @@ def train_group(
         UsageError: The folder exists, a seed is given twice, or the settings cannot be trained with.
         TypeError: `train` has no such option.
     """
-    if unknown := options.keys() - Options.__annotations__.keys():
+    if unknown := options.keys() - TrainingOptions.__annotations__.keys():
         raise TypeError(f"a training has no option {', '.join(sorted(unknown))}")
     if not seeds or len(set(seeds)) < len(seeds) or len(seeds) > MAX_SEEDS:
         raise UsageError(f"a group has from 1 to {MAX_SEEDS} seeds, each of them once")
@@ -191,7 +191,7 @@ def train_group(
         scenario=compiled.program.name,
         source=str(compiled.source),
         seeds=tuple(seeds),
-        started=now(),
+        started=timestamp(),
         **kept,
     )
     made = Group(path, record)
@@ -216,7 +216,7 @@ def resume_group(
     progress: bool | Reporter = False,
     allow_code: bool = False,
     on_seed: OnSeed | None = None,
-    build: BuildWorld | None = None,
+    build: WorldFactory | None = None,
 ) -> GroupTraining:
     """Go on with a group: finished seeds are skipped, interrupted ones continue from their last checkpoint, the others begin.
 
@@ -254,7 +254,7 @@ def _train_seeds(group: Group, compiled: Compiled, changes: Mapping[str, Any], o
     for place, seed in enumerate(seeds):
         path = group.run(seed)
         try:
-            begun = Record.read(path) if (path / NAME).is_file() else None
+            begun = RunRecord.read(path) if (path / RECORD_NAME).is_file() else None
             if begun is not None and _is_done(begun, changes.get("total_timesteps")):
                 skipped.append(seed)
                 continue
@@ -279,6 +279,6 @@ def _train_seeds(group: Group, compiled: Compiled, changes: Mapping[str, Any], o
     return GroupTraining(group.path, tuple(trained), tuple(skipped), failed, waiting)
 
 
-def _is_done(record: Record, total_timesteps: int | None) -> bool:
+def _is_done(record: RunRecord, total_timesteps: int | None) -> bool:
     reached = record.result is not None and total_timesteps is not None and record.result.steps >= total_timesteps
     return record.status == "finished" and (total_timesteps is None or reached)

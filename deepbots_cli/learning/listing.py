@@ -13,14 +13,22 @@ from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.document import MappingNode, load
 from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.files import read_at_most
-from deepbots_cli.learning.episodes import WINDOW, read_log
+from deepbots_cli.learning.episodes import WINDOW_EPISODES, read_log
 from deepbots_cli.learning.group import Group, is_group
-from deepbots_cli.learning.run import NAME, KeptEvaluation, Record, changed_settings, is_training, numbered, read_evaluation
+from deepbots_cli.learning.run import (
+    RECORD_NAME,
+    EvaluationRecord,
+    RunRecord,
+    changed_settings,
+    is_training,
+    numbered_files,
+    read_evaluation,
+)
 
 State = Literal["training", "finished", "interrupted", "failed", "damaged"]
-_TAIL = 64_000
+_TAIL_BYTES = 64_000
 """Bytes of a log that hold its last 100 episodes."""
-_STATE_LIMIT = 100_000_000
+_MAX_STATE_BYTES = 100_000_000
 
 
 @dataclass(frozen=True)
@@ -63,21 +71,21 @@ def list_runs(folder: Path) -> list[ListedRun]:
     if not folder.is_dir():
         return []
     if is_group(folder):
-        return list(_of_group(folder).runs)
-    found = [path for path in folder.iterdir() if (path / NAME).is_file() or is_group(path)]
+        return list(_listed_group(folder).runs)
+    found = [path for path in folder.iterdir() if (path / RECORD_NAME).is_file() or is_group(path)]
     return sorted((read_listed(path) for path in found), key=lambda run: (run.updated, run.path.name))
 
 
 def read_listed(path: Path) -> ListedRun:
     """A run or a group; files that cannot be read are its `problem`."""
     try:
-        return _of_group(path) if is_group(path) else _of_run(path)
+        return _listed_group(path) if is_group(path) else _listed_run(path)
     except DeepbotsError as error:
         return ListedRun(path, "damaged", problem=str(error))
 
 
-def _of_run(path: Path) -> ListedRun:
-    record = Record.read(path)
+def _listed_run(path: Path) -> ListedRun:
+    record = RunRecord.read(path)
     result = record.result
     state: State = "interrupted" if record.status == "running" else record.status
     if record.status == "running" and is_training(path):
@@ -120,7 +128,7 @@ def _of_run(path: Path) -> ListedRun:
     )
 
 
-def _of_group(path: Path) -> ListedRun:
+def _listed_group(path: Path) -> ListedRun:
     group = Group.open(path)
     runs = tuple(read_listed(run) for run in group.runs)
     readable = [run for run in runs if run.problem is None]
@@ -153,10 +161,10 @@ def _of_group(path: Path) -> ListedRun:
     )
 
 
-def evaluations(run: Path) -> list[tuple[int, KeptEvaluation | str]]:
+def evaluations(run: Path) -> list[tuple[int, EvaluationRecord | str]]:
     """The evaluations that a run keeps, by number; of one that cannot be read, the reason."""
-    found: list[tuple[int, KeptEvaluation | str]] = []
-    for number, path in numbered(run / "evaluations"):
+    found: list[tuple[int, EvaluationRecord | str]] = []
+    for number, path in numbered_files(run / "evaluations"):
         try:
             found.append((number, read_evaluation(path)))
         except RunError as error:
@@ -164,13 +172,13 @@ def evaluations(run: Path) -> list[tuple[int, KeptEvaluation | str]]:
     return found
 
 
-def last_evaluation(path: Path, record: Record, *, plain: bool = True) -> tuple[Path, KeptEvaluation] | None:
+def last_evaluation(path: Path, record: RunRecord, *, plain: bool = True) -> tuple[Path, EvaluationRecord] | None:
     """The last evaluation in the scenario of the training, since the training ended, and its file.
 
     Args:
         plain: Only one of the best model without sampled actions.
     """
-    for _, kept in reversed(numbered(path / "evaluations")):
+    for _, kept in reversed(numbered_files(path / "evaluations")):
         try:
             found = read_evaluation(kept)
         except RunError:
@@ -185,7 +193,7 @@ def last_evaluation(path: Path, record: Record, *, plain: bool = True) -> tuple[
 def _recent(log: Path) -> list[tuple[int, int, float, bool]]:
     """Steps, number, return and success of the last episodes in a log; nothing where it cannot be read."""
     try:
-        rows = read_log(log, tail=_TAIL)[-WINDOW:]
+        rows = read_log(log, tail=_TAIL_BYTES)[-WINDOW_EPISODES:]
         return [(int(row["steps"]), int(row["episode"]), float(row["r"]), row["is_success"] == "1") for row in rows]
     except (RunError, KeyError, ValueError):
         return []
@@ -195,7 +203,7 @@ def _cpu_of_checkpoint(run: Path) -> float | None:
     """CPU time of the training when the last checkpoint was written, s."""
     states = sorted((run / "checkpoints").glob("[0-9]*/state.json"))
     try:
-        return float(json.loads(read_at_most(states[-1], _STATE_LIMIT))["statistics"]["cpu_seconds"])
+        return float(json.loads(read_at_most(states[-1], _MAX_STATE_BYTES))["statistics"]["cpu_seconds"])
     except (IndexError, OSError, ValueError, KeyError, TypeError):  # there is none yet, or it has just been replaced
         return None
 

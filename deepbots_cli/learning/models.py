@@ -30,12 +30,12 @@ Tensors = Mapping[str, Mapping[str, Any]]
 """What a model file holds: a state dictionary for each part (`policy`, `policy.optimizer`), and `pytorch_variables`."""
 
 _VARIABLES = "pytorch_variables"
-_OVERHEAD = 8_000_000
+_OVERHEAD_BYTES = 8_000_000
 _MAX_MEMBERS = 32
 # What a model cannot be loaded without, and JSON cannot hold; all of it is pickled by reference to Stable-Baselines3, Gymnasium and torch.
-_PICKLED = ("policy_class", "policy_kwargs", "observation_space", "action_space", "train_freq")
+_PICKLED_ENTRIES = ("policy_class", "policy_kwargs", "observation_space", "action_space", "train_freq")
 # Needs an environment to be loaded.
-_HINDSIGHT = ("replay_buffer_class", "replay_buffer_kwargs")
+_HINDSIGHT_ENTRIES = ("replay_buffer_class", "replay_buffer_kwargs")
 
 
 def save(path: Path, model: BaseAlgorithm) -> None:
@@ -44,9 +44,11 @@ def save(path: Path, model: BaseAlgorithm) -> None:
     Raises:
         RunError: The file cannot be written.
     """
-    left_out = {*model._excluded_save_params(), *_HINDSIGHT, *(name.partition(".")[0] for name in _parts(model))}
+    left_out = {*model._excluded_save_params(), *_HINDSIGHT_ENTRIES, *(name.partition(".")[0] for name in _parts(model))}
     data = {
-        name: value for name, value in vars(model).items() if name not in left_out and (name in _PICKLED or is_json_serializable(value))
+        name: value
+        for name, value in vars(model).items()
+        if name not in left_out and (name in _PICKLED_ENTRIES or is_json_serializable(value))
     }
     # A schedule is a function of ours; training on elsewhere begins with the present rate.
     data["learning_rate"] = float(model.lr_schedule(max(0.0, model._current_progress_remaining)))
@@ -78,10 +80,10 @@ def load(path: Path, model: BaseAlgorithm) -> None:
 
 @dataclass(frozen=True)
 class Initialization:
-    """The tensors of a policy that were taken over from another model; `others` says why the rest begins afresh."""
+    """The tensors of a policy that were taken over from another model; `not_copied` says why the rest begins afresh."""
 
-    taken: tuple[str, ...]
-    others: Mapping[str, str]
+    copied: tuple[str, ...]
+    not_copied: Mapping[str, str]
 
 
 def initialize(path: Path, model: BaseAlgorithm) -> Initialization:
@@ -115,7 +117,7 @@ def read(path: Path, model: BaseAlgorithm) -> Tensors:
         RunError: As for `load`.
     """
     size = sum(tensor.numel() * tensor.element_size() for tensor in model.policy.state_dict().values())
-    tensors = _read(path, 4 * size + _OVERHEAD)
+    tensors = _read(path, 4 * size + _OVERHEAD_BYTES)
     found, wanted = set(tensors), {*_parts(model), _VARIABLES}
     if found != wanted:
         _refuse(path, ", ".join(sorted(wanted - found)), ", ".join(sorted(found - wanted)))
@@ -137,7 +139,7 @@ def steps_of(path: Path) -> int:
     """
     try:
         with zipfile.ZipFile(path) as archive, archive.open("data") as member:
-            return int(json.loads(member.read(_OVERHEAD))["num_timesteps"])
+            return int(json.loads(member.read(_OVERHEAD_BYTES))["num_timesteps"])
     except (OSError, EOFError, zipfile.BadZipFile, KeyError, ValueError, TypeError, RuntimeError) as error:  # encrypted, packed otherwise
         raise RunError(f"{path} is damaged, or no model of ours") from error
 

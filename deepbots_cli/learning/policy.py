@@ -127,7 +127,7 @@ def loaded(run: Run, model: ModelName) -> BaseAlgorithm:
         RunError: There is no such model, or it is damaged.
     """
     with _generators_kept():
-        return evaluation.load(run, model, _Spaces(run.program))
+        return evaluation.load_model(run, model, _Spaces(run.program))
 
 
 class _Spaces(gym.Env[Any, Any]):

@@ -30,7 +30,7 @@ def to_json(result: TrainingResult | EvaluationResult) -> dict[str, Any]:
 
 # The progress of a training
 
-PAUSE = 0.25
+REFRESH_INTERVAL_S = 0.25
 """Seconds between two refreshes of the table; it has no thread of its own."""
 
 
@@ -98,7 +98,7 @@ class ProgressReporter(Reporter):
         now = time.perf_counter()
         speed = (progress.steps - self._first) / max(1e-9, now - self._began)
         if self._live is not None:
-            if now - self._shown >= PAUSE or progress.steps >= progress.total_steps:
+            if now - self._shown >= REFRESH_INTERVAL_S or progress.steps >= progress.total_steps:
                 self._live.update(_table(progress, speed, now - self._began), refresh=True)
                 self._shown = now
         elif 10 * progress.steps // progress.total_steps > self._tenth:

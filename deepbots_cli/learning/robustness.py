@@ -22,11 +22,11 @@ from deepbots_cli.learning.evaluation import EvaluationResult, evaluate
 from deepbots_cli.learning.run import ModelName, Run
 from deepbots_cli.program import Program
 
-EPISODES = 50
+EPISODES_PER_LEVEL = 50
 """Episodes of a level, unless the scenario asks for fewer."""
-STEPS, LOSSES, NOISES = (1, 2, 4, 8), (0.05, 0.1, 0.2, 0.4), (0.01, 0.02, 0.05, 0.1)
-FACTORS = (0.5, 0.75, 1.25, 1.5, 2.0)
-WEAKER = (0.9, 0.75, 0.5, 0.25)
+LATENCY_STEPS, LOSS_RATES, NOISE_SHARES = (1, 2, 4, 8), (0.05, 0.1, 0.2, 0.4), (0.01, 0.02, 0.05, 0.1)
+MASS_FACTORS = (0.5, 0.75, 1.25, 1.5, 2.0)
+STRENGTH_FACTORS = (0.9, 0.75, 0.5, 0.25)
 SHARE_OF_NOMINAL = 0.8
 """Where neither the caller nor the scenario names a bar: 80 % of the success rate or mean return without any change."""
 
@@ -157,7 +157,7 @@ def evaluate_robustness(
 
     plain = changed({})
     root = load(base, sets, allow_paths=allow_paths, project=project).root
-    count = min(EPISODES, plain.program.evaluation.episodes) if episodes is None else episodes
+    count = min(EPISODES_PER_LEVEL, plain.program.evaluation.episodes) if episodes is None else episodes
     given: dict[str, Any] = {"episodes": count, "seed": seed, "model": model, "allow_code": allow_code, **options}
     planned = list(plans(root, plain.program, mass_of)) if root is not None else []
     total = 1 + sum(len(levels) for _, levels in planned)
@@ -247,27 +247,27 @@ def plans(root: MappingNode, program: Program, mass_of: str | None = None) -> It
     if program.format != "none":
         for way, words in (("to_robot", "latency to the robot"), ("from_robot", "latency from the robot")):
             own = _text(root, "messages", way, "latency")
-            delays = [1000 * program.world.timestep * steps for steps in STEPS]
+            delays = [1000 * program.world.timestep * steps for steps in LATENCY_STEPS]
             levels = [(f"+{delay:g} ms", f"{delay:g} ms" + (f" + {own}" if own else "")) for delay in delays]
             yield words, [(label, {"messages": {way: {"latency": latency}}}) for label, latency in levels]
         yield (
             "message loss",
-            [(f"{loss:.0%}", {"messages": {way: {"loss": loss} for way in ("to_robot", "from_robot")}}) for loss in LOSSES],
+            [(f"{loss:.0%}", {"messages": {way: {"loss": loss} for way in ("to_robot", "from_robot")}}) for loss in LOSS_RATES],
         )
-    noisy = [(f"{share:.0%} of the range", _noise(root, program, share)) for share in NOISES]
+    noisy = [(f"{share:.0%} of the range", _noise(root, program, share)) for share in NOISE_SHARES]
     if all(change for _, change in noisy):
         yield "observation noise", [(label, {"observation": change}) for label, change in noisy]
     if mass := _mass(root, program, mass_of):
         name, changed = mass
-        yield f"mass of {name}", [(f"x {factor:g}", changed(factor)) for factor in FACTORS]
+        yield f"mass of {name}", [(f"x {factor:g}", changed(factor)) for factor in MASS_FACTORS]
     ground = "terrain" if program.world.terrain is not None else "ground"
     if program.world.terrain is not None or program.world.ground is not None:
         own = _text(root, "world", ground, "friction") or "1"
         yield (
             "friction of the ground",
-            [(f"x {factor:g}", {"world": {ground: {"friction": f"{factor:g} * ({own})"}}}) for factor in FACTORS],
+            [(f"x {factor:g}", {"world": {ground: {"friction": f"{factor:g} * ({own})"}}}) for factor in MASS_FACTORS],
         )
-    yield "motor strength", [(f"x {factor:g}", {"robots": _strengths(root, factor)}) for factor in WEAKER]
+    yield "motor strength", [(f"x {factor:g}", {"robots": _strengths(root, factor)}) for factor in STRENGTH_FACTORS]
 
 
 def _node(root: Node | None, *path: str) -> Node | None:

@@ -38,30 +38,30 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME, write_copies
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.files import atomic_write, unwritable_message
-from deepbots_cli.learning.curriculum import StageEnd
+from deepbots_cli.learning.curriculum import CompletedStage
 from deepbots_cli.learning.episodes import SolvedAt
 from deepbots_cli.program import Program, identity
 
 FORMAT = 3
 """Of the run directory as a whole; raised when an older deepbots could no longer read it."""
 
-NAME = "run.json"
-GROUP_NAME = "group.json"
+RECORD_NAME = "run.json"
+GROUP_RECORD_NAME = "group.json"
 """The record of a folder with runs of several seeds (`group.py`)."""
-POLICY = "policy"
+POLICY_NAME = "policy"
 """The name of the one policy of a scenario."""
 ModelName = Literal["best", "last"]
 Status = Literal["running", "finished", "interrupted", "failed"]
 M = TypeVar("M", bound=BaseModel)
 
-_LIMIT = 4_000_000
-_EVALUATION_LIMIT = 200_000_000
+_MAX_RECORD_BYTES = 4_000_000
+_MAX_EVALUATION_BYTES = 200_000_000
 _DISTRIBUTIONS = ("gymnasium", "mujoco", "numpy", "pybullet", "stable-baselines3", "torch")
-_FILES = (NAME, RESOLVED_NAME, "monitor.csv", ".lock")
+_FILES = (RECORD_NAME, RESOLVED_NAME, "monitor.csv", ".lock")
 _FOLDERS = (INPUTS_FOLDER, "tensorboard", "models", "evaluations", "logs", "checkpoints", "failures")
 
 
-class Result(BaseModel):
+class RunResult(BaseModel):
     """How a training ended, or how far it has come.
 
     `status` is finished or interrupted; of an interrupted one everything learned is kept, and `resume(run)` goes on.
@@ -88,7 +88,7 @@ class Result(BaseModel):
     wall_seconds: float
     weights_digest: str
     stage: str | None = None
-    stages: tuple[StageEnd, ...] = ()
+    stages: tuple[CompletedStage, ...] = ()
     stopped_by: str | None = None
     inexact: tuple[str, ...] = ()
 
@@ -97,14 +97,14 @@ class Result(BaseModel):
         return self.status == "interrupted"
 
 
-class TrainingResult(Result):
+class TrainingResult(RunResult):
     """The result of a training, its run directory, and what it took over from another run."""
 
     run: Path
     initialized_from: str | None = None
 
 
-class Options(TypedDict, total=False):
+class TrainingOptions(TypedDict, total=False):
     """Arguments of `train` that say how a training goes, which the trainings of a group share."""
 
     total_timesteps: int | None
@@ -118,7 +118,7 @@ class Options(TypedDict, total=False):
     engine: str | None
 
 
-class Record(BaseModel):
+class RunRecord(BaseModel):
     """The content of `run.json`: who trained what, when, from which inputs, with which versions, and how it went.
 
     Digests are SHA-256 in hexadecimal. `interface` is what the policy and the world have agreed on, item by item
@@ -151,7 +151,7 @@ class Record(BaseModel):
     started: str
     updated: str
     resumed_at: tuple[int, ...]
-    result: Result | None
+    result: RunResult | None
 
     @classmethod
     def read(cls, folder: Path) -> Self:
@@ -164,21 +164,21 @@ class Record(BaseModel):
             inside = Path("runs") / folder
             hint = f"; did you mean {inside}?" if not folder.exists() and inside.is_dir() else ""
             raise RunError(f"{folder} is not a run: {'it is a file' if folder.exists() else 'there is no such directory'}{hint}")
-        path = folder / NAME
-        if (folder / GROUP_NAME).is_file():
+        path = folder / RECORD_NAME
+        if (folder / GROUP_RECORD_NAME).is_file():
             raise RunError(f"{folder} is a group of runs, and not a run; name one of its runs, such as {folder}/seed-0")
         if not path.is_file():
-            raise RunError(f"{folder} is not a run: it holds no {NAME}")
-        found = read_json(path, Format, _LIMIT).format
+            raise RunError(f"{folder} is not a run: it holds no {RECORD_NAME}")
+        found = read_json(path, RecordFormat, _MAX_RECORD_BYTES).format
         if found != FORMAT:
             age = "a newer deepbots" if found > FORMAT else "an older deepbots"
             raise RunError(
                 f"{folder} is a run of format {found}, from {age}; this one reads format {FORMAT}: use the deepbots that wrote it"
             )
-        return read_json(path, cls, _LIMIT)
+        return read_json(path, cls, _MAX_RECORD_BYTES)
 
 
-class Format(BaseModel, strict=True):
+class RecordFormat(BaseModel, strict=True):
     """The entry of a record that tells whether the rest can be read."""
 
     format: int = Field(ge=0, lt=2**31)
@@ -218,7 +218,7 @@ class Run:
     """One run on disk; `record` is what its `run.json` says, `digest` that of its scenario as it compiles now."""
 
     path: Path
-    record: Record
+    record: RunRecord
     program: Program
     digest: str
 
@@ -236,7 +236,7 @@ class Run:
 
     @property
     def models(self) -> Path:
-        return self.path / "models" / POLICY
+        return self.path / "models" / POLICY_NAME
 
     @property
     def evaluations(self) -> Path:
@@ -252,16 +252,16 @@ class Run:
 
     def update(self, **changes: Any) -> None:
         """Change entries of the record, here and on disk."""
-        self.record = self.record.model_copy(update={"updated": now(), **changes})
+        self.record = self.record.model_copy(update={"updated": timestamp(), **changes})
         write_record(self.path, self.record)
 
-    def keep_evaluation(self, content: Mapping[str, Any]) -> Path:
+    def write_evaluation(self, content: Mapping[str, Any]) -> Path:
         """Write an evaluation under the next free number.
 
         Raises:
             RunError: The run may not be written to, or its disk is full.
         """
-        return write_numbered(self.evaluations, json.dumps({"evaluated": now(), **content}, indent=1, allow_nan=False) + "\n")
+        return write_numbered(self.evaluations, json.dumps({"evaluated": timestamp(), **content}, indent=1, allow_nan=False) + "\n")
 
     def notes(self) -> list[str]:
         """What one should know before using this run, a sentence each."""
@@ -276,13 +276,13 @@ class Run:
         return found
 
     @staticmethod
-    def create(path: Path, record: Record, compiled: Compiled) -> Run:
+    def create(path: Path, record: RunRecord, compiled: Compiled) -> Run:
         """Fill a new, empty directory (see `new_directory`), and open it, so that a run that could not be loaded is not trained either.
 
         If this fails, the directory is removed.
         """
         try:
-            for folder in (f"models/{POLICY}", "tensorboard", "evaluations", "checkpoints"):
+            for folder in (f"models/{POLICY_NAME}", "tensorboard", "evaluations", "checkpoints"):
                 (path / folder).mkdir(parents=True)
             write_copies(path, compiled.resolved, compiled.inputs)
             write_text(path / "environment.py", compiled.code)
@@ -302,7 +302,7 @@ class Run:
             RunError: No run, damaged, of another format, or its policy does not fit its scenario; then says field by field why.
         """
         path = Path(path)
-        record = Record.read(path)
+        record = RunRecord.read(path)
         _check_plain(path)
         if not (path / RESOLVED_NAME).is_file():
             raise RunError(f"{path / RESOLVED_NAME} is missing")
@@ -318,7 +318,7 @@ class Run:
         return Run(path, record, compiled.program, compiled.digest)
 
 
-class KeptEvaluation(BaseModel):
+class EvaluationRecord(BaseModel):
     """An evaluation as `evaluations/NNNN.json` of a run keeps it, without its episodes.
 
     Fields are those of `EvaluationResult`. `evaluated` is a time in UTC. `set` and `elsewhere` say how the scenario differs from that of
@@ -352,12 +352,12 @@ def changed_settings(command: Sequence[str]) -> tuple[str, ...]:
     return (*after, *(word.removeprefix("--set=") for word in words if word.startswith("--set=")))
 
 
-def short(settings: Sequence[str]) -> str:
+def short_settings(settings: Sequence[str]) -> str:
     """`learning_rate=0.003, hidden=32` for assignments, without the paths to their keys."""
     return ", ".join("=".join((path.rpartition(".")[2], value)) for path, _, value in (text.partition("=") for text in settings))
 
 
-def numbered(folder: Path) -> list[tuple[int, Path]]:
+def numbered_files(folder: Path) -> list[tuple[int, Path]]:
     """The files `0001.json`, `0002.json` ... of a folder, by number."""
     return sorted((int(path.stem), path) for path in folder.glob("*.json") if re.fullmatch("[0-9]{4,9}", path.stem))
 
@@ -371,7 +371,7 @@ def write_numbered(folder: Path, text: str) -> Path:
     path = folder / "0001.json"
     try:
         folder.mkdir(exist_ok=True)
-        number = 1 + max((number for number, _ in numbered(folder)), default=0)
+        number = 1 + max((number for number, _ in numbered_files(folder)), default=0)
         while True:
             try:
                 path = folder / f"{number:04d}.json"
@@ -389,13 +389,13 @@ def write_numbered(folder: Path, text: str) -> Path:
     return path
 
 
-def read_evaluation(path: Path) -> KeptEvaluation:
+def read_evaluation(path: Path) -> EvaluationRecord:
     """An evaluation that was kept.
 
     Raises:
         RunError: The file is damaged.
     """
-    return read_json(path, KeptEvaluation, _EVALUATION_LIMIT)
+    return read_json(path, EvaluationRecord, _MAX_EVALUATION_BYTES)
 
 
 def _check_plain(run: Path) -> None:
@@ -410,8 +410,8 @@ def _check_plain(run: Path) -> None:
             raise RunError(f"{member} is neither a file nor a directory, which no run of ours holds")
 
 
-def write_record(folder: Path, record: Record) -> None:
-    write_text(folder / NAME, record.model_dump_json(indent=2) + "\n")
+def write_record(folder: Path, record: RunRecord) -> None:
+    write_text(folder / RECORD_NAME, record.model_dump_json(indent=2) + "\n")
 
 
 @contextmanager
@@ -489,13 +489,15 @@ def run_folders(runs: Sequence[str | Path]) -> list[Path]:
     found: dict[Path, None] = {}
     for path in map(Path, runs):
         inner = (
-            sorted(child for child in path.iterdir() if (child / NAME).is_file()) if path.is_dir() and not (path / NAME).is_file() else []
+            sorted(child for child in path.iterdir() if (child / RECORD_NAME).is_file())
+            if path.is_dir() and not (path / RECORD_NAME).is_file()
+            else []
         )
         found |= dict.fromkeys(inner or [path])
     return list(found)
 
 
-def now() -> str:
+def timestamp() -> str:
     """The time in UTC, to the second, as ISO 8601."""
     return datetime.now(UTC).isoformat(timespec="seconds")
 

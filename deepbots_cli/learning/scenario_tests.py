@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from deepbots_cli import api
 from deepbots_cli.errors import DeepbotsError
-from deepbots_cli.learning.episodes import Episode, EpisodeAccumulator, zero
+from deepbots_cli.learning.episodes import Episode, EpisodeAccumulator, zero_action
 from deepbots_cli.lint.ranges import with_unit
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ExpectedResult, ScenarioTest
@@ -29,7 +29,7 @@ OnEpisode = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
-class Miss:
+class UnmetExpectation:
     """An expectation that is not met.
 
     `expected` is the key and its text, `where` its `file:line:column`, `measured` the result in words. `episode`, which counts from 0, is
@@ -51,7 +51,7 @@ class TestResult:
     episodes: int
     steps: int
     seconds: float
-    misses: tuple[Miss, ...]
+    misses: tuple[UnmetExpectation, ...]
 
     @property
     def passed(self) -> bool:
@@ -87,7 +87,7 @@ def run_tests(
 
 def _run(environment: Supervisor, test: ScenarioTest, on_episode: OnEpisode | None) -> TestResult:
     began, done = time.perf_counter(), list[Episode]()
-    misses: list[Miss] = []
+    misses: list[UnmetExpectation] = []
     cut = 0
     try:
         for number in range(test.episodes):
@@ -96,14 +96,14 @@ def _run(environment: Supervisor, test: ScenarioTest, on_episode: OnEpisode | No
                 on_episode(number + 1, test.episodes)
     except DeepbotsError as error:
         cut = environment.step_count
-        misses.append(Miss("no error", test.span.location, str(error), len(done), cut or None))
+        misses.append(UnmetExpectation("no error", test.span.location, str(error), len(done), cut or None))
     else:
         misses += _over_episodes(environment.scenario, test, done)
     steps = cut + sum(episode.length for episode in done)
     return TestResult(test, len(done), steps, time.perf_counter() - began, tuple(_first_of_each(misses, test, environment.scenario.period)))
 
 
-def _first_of_each(misses: Sequence[Miss], test: ScenarioTest, period: float) -> Iterator[Miss]:
+def _first_of_each(misses: Sequence[UnmetExpectation], test: ScenarioTest, period: float) -> Iterator[UnmetExpectation]:
     """The first miss of each expectation, with the number of episodes that miss it, and where it was measured."""
     for first in {miss.where: miss for miss in reversed(misses)}.values():
         episodes = {miss.episode for miss in misses if miss.where == first.where}
@@ -112,11 +112,11 @@ def _first_of_each(misses: Sequence[Miss], test: ScenarioTest, period: float) ->
         yield replace(first, measured=f"{first.measured}{many}; seed {test.seed}, episode {first.episode}{step}")
 
 
-def _episode(environment: Supervisor, test: ScenarioTest, number: int, misses: list[Miss]) -> Episode:
+def _episode(environment: Supervisor, test: ScenarioTest, number: int, misses: list[UnmetExpectation]) -> Episode:
     """One episode, whose `ended_by` is None if the test stops it; what it misses is added to `misses`."""
     seed, accumulator = derive_seed(test.seed, "evaluation", number), EpisodeAccumulator()
     accumulator.begin(seed, environment.reset(seed=seed)[1])
-    policy, watches = _policy(environment, test), [_Watch(agent, test, number) for agent in environment.agents.values()]
+    policy, watches = _policy(environment, test), [_ExpectationMonitor(agent, test, number) for agent in environment.agents.values()]
     for step in range(1, test.steps + 1):
         _, reward, terminated, truncated, info = environment.step(policy(step))
         accumulator.add(reward, info)
@@ -143,15 +143,15 @@ def _policy(environment: Supervisor, test: ScenarioTest) -> Callable[[int], Any]
     if any(script.name == test.policy for script in environment.scenario.policy.scripts):
         name = test.policy
         return lambda _: environment.script(name)
-    acting = zero(environment) if test.policy == "zero" else environment.action_space.sample  # the reset seeds it
+    acting = zero_action(environment) if test.policy == "zero" else environment.action_space.sample  # the reset seeds it
     return lambda _: acting()
 
 
-def _miss(expected: ExpectedResult, measured: str, episode: int, step: int | None = None) -> Miss:
-    return Miss(f"{expected.key}: {expected.text}", expected.span.location, measured, episode, step)
+def _miss(expected: ExpectedResult, measured: str, episode: int, step: int | None = None) -> UnmetExpectation:
+    return UnmetExpectation(f"{expected.key}: {expected.text}", expected.span.location, measured, episode, step)
 
 
-class _Watch:
+class _ExpectationMonitor:
     """Follows the conditions of a test in one episode, for one agent."""
 
     def __init__(self, agent: Supervisor, test: ScenarioTest, episode: int) -> None:
@@ -159,7 +159,7 @@ class _Watch:
         self._test = test
         self._episode = episode
         self._met: set[ExpectedResult] = set()
-        self._broken: dict[ExpectedResult, Miss] = {}
+        self._broken: dict[ExpectedResult, UnmetExpectation] = {}
 
     def look(self, step: int) -> None:
         """Note which conditions hold after a step."""
@@ -171,7 +171,7 @@ class _Watch:
             elif expected.key == "always" and expected not in self._broken:
                 self._broken[expected] = _miss(expected, self._compared(expected) or "false", self._episode, step)
 
-    def misses(self, length: str) -> Iterator[Miss]:
+    def misses(self, length: str) -> Iterator[UnmetExpectation]:
         """What the episode misses, called after its last step."""
         yield from self._broken.values()
         for expected in self._test.conditions:
@@ -186,7 +186,7 @@ class _Watch:
         return ", ".join(f"{value.text} is {with_unit(number, value.typed.type.dimension)}" for value, number in found[wanted])
 
 
-def _over_episodes(program: Program, test: ScenarioTest, done: Sequence[Episode]) -> Iterator[Miss]:
+def _over_episodes(program: Program, test: ScenarioTest, done: Sequence[Episode]) -> Iterator[UnmetExpectation]:
     """What all episodes together miss."""
     returns = [episode.total_return for episode in done]
     for expected in test.expected:

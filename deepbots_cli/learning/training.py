@@ -27,24 +27,24 @@ from deepbots_cli.api import Compiled, build_batch
 from deepbots_cli.errors import DeepbotsError, MissingExtraError, PluginError, RunError, UsageError
 from deepbots_cli.files import unwritable_message
 from deepbots_cli.learning import algorithms, batch, models, plugins
-from deepbots_cli.learning.callbacks import AT_ONCE, Evaluator, TrainingCallback, check_finite, describe, signals_handled
-from deepbots_cli.learning.checkpoints import Checkpoints, Resumable, latest
+from deepbots_cli.learning.callbacks import UNLIMITED_SHARE, Evaluator, TrainingCallback, check_finite, describe, signals_handled
+from deepbots_cli.learning.checkpoints import Checkpoints, ResumableAlgorithm, latest_checkpoint
 from deepbots_cli.learning.curriculum import Curriculum
 from deepbots_cli.learning.defaults import longest_episode
-from deepbots_cli.learning.environments import BuildWorld, VectorEnvironment, World, compiled_of, default_build
+from deepbots_cli.learning.environments import VectorEnvironment, World, WorldFactory, compiled_scenario, default_factory
 from deepbots_cli.learning.episodes import Episode, EpisodeLog, Statistics
-from deepbots_cli.learning.failures import BatchRecorder, FailureRecorder
+from deepbots_cli.learning.failures import BatchFailureRecorder, FailureRecorder
 from deepbots_cli.learning.report import Reporter, reporter
 from deepbots_cli.learning.run import (
     FORMAT,
-    Record,
-    Result,
     Run,
+    RunRecord,
+    RunResult,
     Status,
     TrainingResult,
     new_directory,
-    now,
     run_lock,
+    timestamp,
     versions,
 )
 from deepbots_cli.program import Program, identity
@@ -73,7 +73,7 @@ def train(
     progress: bool | Reporter = False,
     command: Sequence[str] = (),
     engine: str | None = None,
-    build: BuildWorld | None = None,
+    build: WorldFactory | None = None,
     on_start: Callable[[Path], object] = lambda run: None,
 ) -> TrainingResult:
     """Train the policy of a scenario in a new run directory.
@@ -104,21 +104,21 @@ def train(
         RunError: The training diverged; the last good model is kept.
         DeepbotsError: The world, a callback or a logger failed; names step and cause.
     """
-    compiled = compiled_of(scenario)
+    compiled = compiled_scenario(scenario)
     training = _training_of(compiled.program, total_timesteps)
     if not 0 <= seed < 2**63:
         raise UsageError(f"{seed} cannot be a seed, which is a whole number from 0 to {2**63 - 1}")
     if not 0 <= keep_checkpoints <= 10_000:
         raise UsageError(f"{keep_checkpoints} checkpoints cannot be kept; from 0 to 10000 are possible")
     engine = engine_kinds.chosen(engine or compiled.program.engine)
-    build = build or default_build(engine, allow_code=compiled.allow_code)
+    build = build or default_factory(engine, allow_code=compiled.allow_code)
     Curriculum(compiled.program, stage)
     plugins.check(callbacks, loggers)
     source = None if initialize_from is None else Run.open(initialize_from)
     taken_over = _validate_setup(compiled.program, training, build, source)
     path = new_directory(run, runs, compiled.program.name, seed)
     seeds = {f"environment/{i}": derive_seed(seed, "environment", i) for i in range(training.environments)}
-    record = Record(
+    record = RunRecord(
         format=FORMAT,
         deepbots=deepbots_cli.__version__,
         status="running",
@@ -140,8 +140,8 @@ def train(
         command=tuple(command),
         versions=versions(),
         platform=platform.platform(),
-        started=now(),
-        updated=now(),
+        started=timestamp(),
+        updated=timestamp(),
         resumed_at=(),
         result=None,
     )
@@ -162,7 +162,7 @@ def resume(
     loggers: Sequence[str] | None = None,
     progress: bool | Reporter = False,
     allow_code: bool = False,
-    build: BuildWorld | None = None,
+    build: WorldFactory | None = None,
 ) -> TrainingResult:
     """Go on with a run from its last checkpoint, in the same directory.
 
@@ -184,7 +184,7 @@ def resume(
         UsageError: The run has already reached its goal, or another training is at work in it.
     """
     path = Path(run)
-    Record.read(path)  # a folder that is no run is told so, whoever is at work in it
+    RunRecord.read(path)  # a folder that is no run is told so, whoever is at work in it
     with run_lock(path):
         # Only now: a training that has just ended in there has changed the record.
         known = Run.open(path)
@@ -197,7 +197,7 @@ def resume(
             error.add_note("to continue without callbacks or loggers: --callback none, --logger none")
             raise
         training = _training_of(known.program, record.total_timesteps if total_timesteps is None else total_timesteps)
-        if latest(known) is None and (record.status == "finished" or _has_learned(known)):
+        if latest_checkpoint(known) is None and (record.status == "finished" or _has_learned(known)):
             raise RunError(f"{known.checkpoints} contains no checkpoint to continue from")
         checkpoints = Checkpoints(known)
         steps = checkpoints.state.statistics.steps if checkpoints.state else 0
@@ -218,7 +218,7 @@ def resume(
             callbacks=tuple(callbacks),
             loggers=tuple(loggers),
         )
-        build = build or default_build(record.engine, allow_code=allow_code)
+        build = build or default_factory(record.engine, allow_code=allow_code)
         return _learn(known, training, checkpoints, build, reporter(progress))
 
 
@@ -247,7 +247,7 @@ def _training_of(program: Program, total_timesteps: int | None) -> Training:
     return training
 
 
-def _validate_setup(program: Program, training: Training, build: BuildWorld, source: Run | None) -> str | None:
+def _validate_setup(program: Program, training: Training, build: WorldFactory, source: Run | None) -> str | None:
     """Fail before there is a run directory, if a world cannot be built, the algorithm refuses its settings, or no initial tensor fits.
 
     Returns what is taken over from `source`, in words.
@@ -260,15 +260,15 @@ def _validate_setup(program: Program, training: Training, build: BuildWorld, sou
         if source is None:
             return None
         found = models.initialize(source.model("best"), model)
-        afresh = ", ".join(f"{name} ({reason})" for name, reason in found.others.items())
+        afresh = ", ".join(f"{name} ({reason})" for name, reason in found.not_copied.items())
         changed = "; ".join(identity.differences(source.program, program))
         return (
-            f"{source.path}: {len(found.taken)} of {len(found.taken) + len(found.others)} tensors"
+            f"{source.path}: {len(found.copied)} of {len(found.copied) + len(found.not_copied)} tensors"
             f"{f', afresh: {afresh}' if afresh else ''}{f'; the interface differs: {changed}' if changed else ''}"
         )
 
 
-def _learn(run: Run, training: Training, checkpoints: Checkpoints, build: BuildWorld, reporter: Reporter) -> TrainingResult:
+def _learn(run: Run, training: Training, checkpoints: Checkpoints, build: WorldFactory, reporter: Reporter) -> TrainingResult:
     """One process's share in a run, from its last checkpoint to the goal."""
     began = time.perf_counter()
     statistics, curriculum = Statistics(run.program.period, run.program.solved), Curriculum(run.program, run.record.first_stage)
@@ -292,14 +292,14 @@ def _learn(run: Run, training: Training, checkpoints: Checkpoints, build: BuildW
                 seed=derive_seed(run.record.seed, "policy"),
                 total_timesteps=training.total_timesteps,
                 longest_episode=longest_episode(run.program),
-                mixin=Resumable,
+                mixin=ResumableAlgorithm,
             )
             model.checkpoints = checkpoints
             if run.record.initialized_from is not None:
                 models.initialize(_initial(run), model)
             stack.enter_context(signals_handled(callback.interruption))
-            stack.enter_context(_quiet_writers())
-            if words := batch.described(run.program, training.environments, run.record.engine, build):
+            stack.enter_context(_silence_writer_threads())
+            if words := batch.stepping_text(run.program, training.environments, run.record.engine, build):
                 reporter.note(words)
             reporter.start(callback.progress())
             stack.callback(reporter.stop)
@@ -315,7 +315,7 @@ def _learn(run: Run, training: Training, checkpoints: Checkpoints, build: BuildW
     except (DeepbotsError, OSError) as error:
         raise _explained(error, run, checkpoints) from error
     finally:
-        result = Result(
+        result = RunResult(
             status=status,
             steps=statistics.steps,
             total_timesteps=training.total_timesteps,
@@ -330,7 +330,7 @@ def _learn(run: Run, training: Training, checkpoints: Checkpoints, build: BuildW
             wall_seconds=time.perf_counter() - began,
             weights_digest=digest,
             stage=curriculum.name,
-            stages=tuple(curriculum.ends),
+            stages=tuple(curriculum.completed),
             stopped_by=next((follower.name for follower in followers if follower.stopped), None),
             inexact=tuple(checkpoints.inexact),
         )
@@ -340,7 +340,7 @@ def _learn(run: Run, training: Training, checkpoints: Checkpoints, build: BuildW
 
 
 @contextmanager
-def _quiet_writers() -> Iterator[None]:
+def _silence_writer_threads() -> Iterator[None]:
     """Within, a thread that cannot write a file prints no traceback: TensorBoard's writer raises the error again, at its next call."""
     before = threading.excepthook
 
@@ -358,10 +358,10 @@ def _quiet_writers() -> Iterator[None]:
 def _explained(error: DeepbotsError | OSError, run: Run, checkpoints: Checkpoints) -> DeepbotsError:
     """The error that ended a training, with what is kept of it and how to use that."""
     known = RunError(unwritable_message(Path(error.filename or run.path), error)) if isinstance(error, OSError) else error
-    if checkpoints.kept and (isinstance(known, PluginError) or isinstance(known.__cause__ or error, OSError)):
-        known.add_note(f"{checkpoints.kept}; go on from there with: deepbots train --resume {quote(str(run.path))}")
-    elif checkpoints.kept:  # which would fail again, to the bit
-        known.add_note(f"{checkpoints.kept}; evaluate what was learned with: deepbots eval {quote(str(run.path))}")
+    if checkpoints.description and (isinstance(known, PluginError) or isinstance(known.__cause__ or error, OSError)):
+        known.add_note(f"{checkpoints.description}; go on from there with: deepbots train --resume {quote(str(run.path))}")
+    elif checkpoints.description:  # which would fail again, to the bit
+        known.add_note(f"{checkpoints.description}; evaluate what was learned with: deepbots eval {quote(str(run.path))}")
     return known
 
 
@@ -369,7 +369,7 @@ def _environment(
     stack: ExitStack,
     run: Run,
     training: Training,
-    build: BuildWorld,
+    build: WorldFactory,
     callback: TrainingCallback,
     checkpoints: Checkpoints,
     reporter: Reporter,
@@ -413,10 +413,10 @@ def _environment(
     stack.callback(close)
     seeds = [derive_seed(run.record.seed, "environment", i) for i in range(len(stages))]
     env: VectorEnvironment
-    if not batch.reasons_against(run.program, len(stages), run.record.engine, build):
+    if not batch.reasons_against_batch(run.program, len(stages), run.record.engine, build):
         build_stage = partial(_batch_of_stage, run, curriculum, len(stages))
-        recorder = BatchRecorder(run, guarded, statistics, curriculum, reporter)
-        env = batch.BatchedWorlds(
+        recorder = BatchFailureRecorder(run, guarded, statistics, curriculum, reporter)
+        env = batch.BatchVectorEnvironment(
             build_stage, seeds, stages, on_step=count_step, on_episode=count_episode, next_seed=next_seed, recorder=recorder
         )
         stack.callback(env.close)
@@ -455,7 +455,7 @@ def _drive(
         describe(run, model.logger, training)
     options: dict[str, Any] = {"use_masking": algorithms.has_masks(model)} if algorithms.takes_masks(model) else {}
     if isinstance(model, OnPolicyAlgorithm):
-        options["log_interval"] = 1  # `Resumable.dump_logs` decides
+        options["log_interval"] = 1  # `ResumableAlgorithm.dump_logs` decides
     try:
         for name in run.record.loggers:
             model.logger.output_formats.append(plugins.PluginLogger(name, run.path))
@@ -465,7 +465,7 @@ def _drive(
         model.learn(callback.total, callback=[callback, *followers] if followers else callback, **options)
         if callback.interruption.requested and statistics.steps < callback.total:
             return "interrupted"
-        callback.evaluate(AT_ONCE)
+        callback.evaluate(UNLIMITED_SHARE)
         if statistics.steps >= callback.total:
             checkpoints.finish(model)
         else:  # in the middle of a roll-out, since the task is solved or a callback says so

@@ -15,7 +15,7 @@ from deepbots_cli.files import atomic_write, check_writable
 from deepbots_cli.learning.environments import World
 
 
-def check(path: Path) -> None:
+def check_video_path(path: Path) -> None:
     """Find out before a long evaluation whether a video could be written to `path`.
 
     Raises:
@@ -30,7 +30,7 @@ def check(path: Path) -> None:
 
 
 @contextmanager
-def filmed(world: World, path: Path, rate: float) -> Iterator[World]:
+def recording_video(world: World, path: Path, rate: float) -> Iterator[World]:
     """`world`, with a picture of each reset and step in `path`; `rate` is in pictures per second of simulated time.
 
     The world must have been made with `render_mode="rgb_array"`.
@@ -39,10 +39,10 @@ def filmed(world: World, path: Path, rate: float) -> Iterator[World]:
 
     # Pictures of even height and width are all that the codec asks for; by default they would be scaled to multiples of 16.
     with atomic_write(path) as draft, imageio.get_writer(draft, fps=rate, macro_block_size=2) as writer:
-        yield _Filmed(world, writer)
+        yield _VideoRecorder(world, writer)
 
 
-class _Filmed(gym.Wrapper[Any, Any, Any, Any]):
+class _VideoRecorder(gym.Wrapper[Any, Any, Any, Any]):
     def __init__(self, world: World, writer: Any) -> None:
         super().__init__(world)
         self._writer = writer

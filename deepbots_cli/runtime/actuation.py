@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from deepbots_cli import frames
 from deepbots_cli.frames import Triple, quaternion
 from deepbots_cli.plugins import import_attribute
-from deepbots_cli.port import STILL, Engine, MotorWriter, Part, Pusher
+from deepbots_cli.port import ZERO_VECTOR, Engine, MotorWriter, Part, Pusher
 from deepbots_cli.program.robots import CustomActuator, MotorKind
 
 InitialValue = Callable[[], Sequence[float]]
@@ -420,13 +420,13 @@ class Push:
         self._now = -settling
         self._due = first / self._substep - _EARLY
         self._left = 0.0
-        self._force: Triple = STILL
-        self._torque: Triple = STILL
+        self._force: Triple = ZERO_VECTOR
+        self._torque: Triple = ZERO_VECTOR
 
     @property
     def acting(self) -> Triple:
         """The force (N) that pushes now; zero between two pushes."""
-        return self._force if self._left > 0.0 else STILL
+        return self._force if self._left > 0.0 else ZERO_VECTOR
 
     def _act(self) -> None:
         if self._now >= self._due:

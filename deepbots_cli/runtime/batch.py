@@ -138,9 +138,9 @@ class BatchLossyChannel:
             having = np.array([len(messages) > number for messages in arrived])
             usual = arrived[int(having.argmax())][number]
             messages = [messages[number] if len(messages) > number else usual for messages in arrived]
-            self._batch.engine.chosen = having
+            self._batch.engine.write_mask = having
             yield [stack_worlds(values) for values in zip(*messages, strict=True)]
-        self._batch.engine.chosen = None
+        self._batch.engine.write_mask = None
 
 
 class _Part:
@@ -153,7 +153,7 @@ class _Part:
     def each(self, attribute: str, index: int | None = None) -> PerWorldCall:
         """A call of the attribute of this name of each single world."""
         found = [getattr(single, attribute) for single in self._singles]
-        return PerWorldCall(found if index is None else [parts[index] for parts in found], lambda: self._batch.engine.chosen)
+        return PerWorldCall(found if index is None else [parts[index] for parts in found], lambda: self._batch.engine.write_mask)
 
     def memory(self, attribute: str) -> BatchMemory:
         """The memory of a stateful function."""
@@ -375,7 +375,7 @@ class BatchSupervisor(_Part, ABC):
     def _take_over_from(self, worlds: Sequence[int]) -> None:
         """Go on from what single worlds have begun with."""
         worlds = list(worlds)
-        self.engine.begun(worlds)
+        self.engine.begin_episodes(worlds)
         self._take_over(worlds, self.KEEPS)
         for controller in self.controllers.values():
             controller.begin(worlds)
@@ -443,7 +443,7 @@ class BatchSupervisor(_Part, ABC):
     def physics(self, substeps: int) -> None:
         """Let the worlds go on; those that are no longer finite are set aside until the end of the step."""
         self.engine.step(substeps, self.running)
-        lost = self.engine.lost()
+        lost = self.engine.non_finite_worlds()
         if len(lost):
             self._lost = self._lost.copy()
             self._lost[lost] = True
@@ -454,7 +454,7 @@ class BatchSupervisor(_Part, ABC):
                 except EngineError as error:
                     self._errors[world] = str(error)
                 member.reset()  # so that nothing that reads it fails
-            self.engine.begun(lost.tolist())
+            self.engine.begin_episodes(lost.tolist())
 
     def ranges(self, action: Any) -> Column:
         """The numbers of an action, a column each, within [-1, 1]."""

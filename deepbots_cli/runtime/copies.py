@@ -20,7 +20,7 @@ import numpy as np
 from gymnasium.vector.utils import batch_space
 
 from deepbots_cli.frames import Quaternion, Triple, add
-from deepbots_cli.port import STILL, ContactReader, Engine, Part, Pusher
+from deepbots_cli.port import ZERO_VECTOR, ContactReader, Engine, Part, Pusher
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import RobotCopies
 from deepbots_cli.program.world import WorldModel
@@ -30,7 +30,7 @@ from deepbots_cli.runtime.streams import Streams
 from deepbots_cli.runtime.supervisor import Info, Supervisor
 
 _FINISHED = object()
-_BODIES = ("body", "robot", "part", "of", "one", "other")
+_BODY_PARAMETERS = ("body", "robot", "part", "owner", "one", "other")
 """Parameters of the port that hold a body, or a tuple that begins with one."""
 
 
@@ -56,8 +56,8 @@ def make_environment(
     return CopiesSupervisor(kind, scenario, copies, create(world_with_copies(scenario.world, copies)), render_mode)
 
 
-_PLACES = {
-    name: [place - 1 for place, parameter in enumerate(inspect.signature(method).parameters) if parameter in _BODIES]
+_BODY_ARGUMENTS = {
+    name: [place - 1 for place, parameter in enumerate(inspect.signature(method).parameters) if parameter in _BODY_PARAMETERS]
     for name, method in vars(Engine).items()
     if inspect.isfunction(method)
 }
@@ -92,7 +92,7 @@ class EngineOfCopy:
         """Nothing: the supervisor of all copies closes the world."""
 
     def place(
-        self, body: str, position: Triple, orientation: Quaternion, velocity: Triple = STILL, angular_velocity: Triple = STILL
+        self, body: str, position: Triple, orientation: Quaternion, velocity: Triple = ZERO_VECTOR, angular_velocity: Triple = ZERO_VECTOR
     ) -> None:
         if body == self._robot:
             self._engine.place(self._copy, add(position, self._offset), orientation, velocity, angular_velocity)
@@ -116,9 +116,9 @@ class EngineOfCopy:
 
     def _call(self, name: str, method: Callable[..., Any], *given: Any, **named: Any) -> Any:
         """Call a method with the names exchanged; one that sets a value, only if this copy sets it."""
-        places = _PLACES.get(name, ())
+        places = _BODY_ARGUMENTS.get(name, ())
         own = tuple(self._exchanged(value) if place in places else value for place, value in enumerate(given))
-        own_named = {key: self._exchanged(value) if key in _BODIES else value for key, value in named.items()}
+        own_named = {key: self._exchanged(value) if key in _BODY_PARAMETERS else value for key, value in named.items()}
         sets = name.startswith("set") or name == "choose"
         if sets and not self._is_first and own == given and own_named == named:  # nothing of this copy
             return None

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from deepbots_cli.expressions.scalar import Const, Draw, Name, Scalar
 from deepbots_cli.footprint import Bounds, bounds_of_shape, robot_bounds
 from deepbots_cli.frames import Triple, add, cross, dot, scaled
-from deepbots_cli.port import STILL, View
+from deepbots_cli.port import ZERO_VECTOR, View
 from deepbots_cli.program import Program
 from deepbots_cli.program.resets import Placement, Region, Top
 from deepbots_cli.program.world import ObjectBody, Picture, Pit, WorldModel
@@ -55,9 +55,9 @@ def view_around(boxes: Sequence[Bounds], width: int = 480, height: int = 320) ->
     """
     middle, (right, up, back) = _axes(boxes)
     corners = _corners([*boxes, (add(middle, (-_LEAST,) * 3), add(middle, (_LEAST,) * 3))])
-    tall = math.tan(View(STILL, STILL).fov / 2) / _MARGIN
+    tall = math.tan(View(ZERO_VECTOR, ZERO_VECTOR).fov / 2) / _MARGIN
     # A corner is in the picture if |(corner - eye) * side| <= slope * (eye - corner) * back, for both sides of the picture.
-    eye, distance = STILL, -math.inf
+    eye, distance = ZERO_VECTOR, -math.inf
     for side, slope in ((right, tall * width / height), (up, tall)):
         ahead = max(dot(corner, side) + slope * dot(corner, back) for corner in corners)
         behind = max(slope * dot(corner, back) - dot(corner, side) for corner in corners)
@@ -124,7 +124,7 @@ def follows_robot(world: WorldModel) -> bool:
 def _robots(scenario: Program, places: dict[str, Placement], parameters: Parameters) -> Iterator[Bounds]:
     """Robots, wherever they may stand when an episode begins; of copies the two at the ends of their row."""
     copies = scenario.policy.copies
-    shifts = [copy_offset(copies, number) for number in (1, copies.count)] if copies else [STILL]
+    shifts = [copy_offset(copies, number) for number in (1, copies.count)] if copies else [ZERO_VECTOR]
     for robot in scenario.world.robots:
         states = [state for start in scenario.reset.joint_starts if start.robot == robot.name for state in start.states]
         joints = {joint: sum(_ends(position, parameters)) / 2 for joint, position, _ in states}

@@ -19,7 +19,7 @@ from deepbots_cli.errors import EvaluationError
 from deepbots_cli.footprint import Footprint, Patch, Spot
 from deepbots_cli.frames import Triple, quaternion
 from deepbots_cli.geometry import ground_height
-from deepbots_cli.port import STILL, Engine
+from deepbots_cli.port import ZERO_VECTOR, Engine
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import RobotCopies
 from deepbots_cli.program.world import ObjectBody, Variant, WorldModel
@@ -126,8 +126,8 @@ class Arrangement:
         body: str,
         xyz: Triple,
         rpy: Triple,
-        velocity: Triple = STILL,
-        angular_velocity: Triple = STILL,
+        velocity: Triple = ZERO_VECTOR,
+        angular_velocity: Triple = ZERO_VECTOR,
         *,
         rests: bool = False,
         clearance: float = 0.0,
@@ -148,8 +148,8 @@ class Arrangement:
         area: Area | None,
         stream: str,
         pose: Callable[[], Pose],
-        velocity: Triple = STILL,
-        angular_velocity: Triple = STILL,
+        velocity: Triple = ZERO_VECTOR,
+        angular_velocity: Triple = ZERO_VECTOR,
         *,
         rests: bool = False,
         clearance: float = 0.0,
@@ -219,7 +219,7 @@ class Arrangement:
         top = self.forms.top(body, z, rpy)
         if top > ground + TOUCHING:  # a table top level with the ground is nothing to keep clear of
             self._floor.occupy(patch, clearance, top)
-        self._poses[body] = ((x, y, z), rpy, *(() if motion == (STILL, STILL) else motion))
+        self._poses[body] = ((x, y, z), rpy, *(() if motion == (ZERO_VECTOR, ZERO_VECTOR) else motion))
 
 
 def _placed(scenario: Program) -> set[str]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from deepbots_cli import frames
 from deepbots_cli.frames import IDENTITY_FRAME, IDENTITY_ROTATION, Frame, Quaternion, Triple
-from deepbots_cli.port import Engine, Part, PoseReader, RayReader, Sight, VelocityReader
+from deepbots_cli.port import CameraImage, Engine, Part, PoseReader, RayReader, VelocityReader
 from deepbots_cli.program.robots import CalibrationTable, CameraIntrinsics, RayConfig
 from deepbots_cli.runtime.paths import PaintedGround
 from deepbots_cli.runtime.sensing import Instrument, Normals, Site, Values
@@ -320,9 +320,9 @@ def camera(site: Site) -> Instrument:
     optics, part = site.sensor.optics or CameraIntrinsics(1, 1, 1.0), (site.robot, site.link)
     read, taken = site.engine.camera(part, site.mount, optics.width, optics.height, optics.fov), _PICTURES[optics.channels]
 
-    def picture() -> tuple[Image, Sight]:
-        sight = read()
-        return taken(sight, optics), sight
+    def picture() -> tuple[Image, CameraImage]:
+        image = read()
+        return taken(image, optics), image
 
     return Instrument(picture)
 
@@ -331,29 +331,29 @@ def sees(device: Device, body: str) -> Callable[[], bool]:
     """Whether the newest picture of a camera shows at least one pixel of the body."""
 
     def seen() -> bool:
-        sight: Sight = device.reading[1]
-        return body in sight.names and bool((sight.bodies == sight.names.index(body)).any())
+        image: CameraImage = device.reading[1]
+        return body in image.body_names and bool((image.bodies == image.body_names.index(body)).any())
 
     return seen
 
 
-def _colours(sight: Sight, _optics: CameraIntrinsics) -> Image:
-    return sight.colours
+def _colours(image: CameraImage, _optics: CameraIntrinsics) -> Image:
+    return image.colours
 
 
-def _grayscale(sight: Sight, _optics: CameraIntrinsics) -> Image:
-    return _bytes(np.asarray(sight.colours @ _GREY))
+def _grayscale(image: CameraImage, _optics: CameraIntrinsics) -> Image:
+    return _bytes(np.asarray(image.colours @ _GREY))
 
 
-def _depth(sight: Sight, optics: CameraIntrinsics) -> Image:
+def _depth(image: CameraImage, optics: CameraIntrinsics) -> Image:
     """Black at `near`, white at `far` and beyond."""
-    share = (sight.depth - optics.near) / (optics.far - optics.near)
+    share = (image.depth - optics.near) / (optics.far - optics.near)
     return _bytes(255.0 * np.clip(share, 0.0, 1.0))
 
 
-def _segmentation(sight: Sight, _optics: CameraIntrinsics) -> Image:
+def _segmentation(image: CameraImage, _optics: CameraIntrinsics) -> Image:
     """0 where there is no body, else the place of the body among those of the world, from 1; 255 for all from there on."""
-    return _bytes(np.clip(sight.bodies + 1, 0, 255))
+    return _bytes(np.clip(image.bodies + 1, 0, 255))
 
 
 def _bytes(values: NDArray[Any]) -> Image:
@@ -361,7 +361,7 @@ def _bytes(values: NDArray[Any]) -> Image:
     return np.asarray(np.rint(values), np.uint8)[..., None]
 
 
-_PICTURES: dict[str, Callable[[Sight, CameraIntrinsics], Image]] = {
+_PICTURES: dict[str, Callable[[CameraImage, CameraIntrinsics], Image]] = {
     "rgb": _colours,
     "grayscale": _grayscale,
     "depth": _depth,

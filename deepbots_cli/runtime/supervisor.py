@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from deepbots_cli.errors import EvaluationError, MessageError, UsageError
 from deepbots_cli.frames import Triple
-from deepbots_cli.port import STILL, Engine, MotorWriter, View
+from deepbots_cli.port import ZERO_VECTOR, Engine, MotorWriter, View
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Actuator, CustomActuator, Direction, MessageLayout, Motor, Robot
 from deepbots_cli.program.task import ActionRange, Choices
@@ -287,7 +287,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         """How far the view follows: nowhere within an arena or on terrain, else as far as the first free robot went."""
         world = self.scenario.world
         if not follows_robot(world):
-            return STILL
+            return ZERO_VECTOR
         x, y, _ = self.engine.pose(next(robot.name for robot in world.robots if not robot.fixed_base))()[0]
         self._viewed = self._viewed or (x, y)
         return x - self._viewed[0], y - self._viewed[1], 0.0

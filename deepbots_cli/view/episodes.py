@@ -184,12 +184,17 @@ class Trained(Driver):
         """`rows` are the worlds of a batch, which one forward pass acts in."""
         try:
             from deepbots_cli.learning import evaluation, models
-            from deepbots_cli.learning.run import Record
+            from deepbots_cli.learning.run import RunRecord
         except ModuleNotFoundError as error:
             raise MissingExtraError("train", "showing the policy of a run") from error
         if differences := identity.differences(run.program, env.scenario):
             raise RunError(f"the policy of {run.path} does not fit the changed scenario:\n  " + "\n  ".join(differences))
-        self._load, self._acting, self._steps_of, self._record = evaluation.load, evaluation.acting, models.steps_of, Record.read
+        self._load, self._acting, self._steps_of, self._record = (
+            evaluation.load_model,
+            evaluation.action_function,
+            models.steps_of,
+            RunRecord.read,
+        )
         self._run, self._env, self._rows = run, env, rows
         self._model: Any = None
         self._stamp: tuple[int, int] | None = None

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from deepbots_cli import frames
 from deepbots_cli.frames import Frame, Triple
-from deepbots_cli.port import STILL
+from deepbots_cli.port import ZERO_VECTOR
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Sensor
 from deepbots_cli.program.task import Choices, policy_inputs
@@ -272,7 +272,7 @@ class FrameReader:
             rays={key: tuple(map(float, read())) for key, read in self._rays.items()},
             readings={key: tuple(map(float, sensor.reading)) for key, sensor in self._sensors.items()},
             forces={part: force for part, force in forces.items() if force > 0.0},
-            pushes=tuple((part, force) for part, push in self._pushes if (force := push.acting) != STILL),
+            pushes=tuple((part, force) for part, push in self._pushes if (force := push.acting) != ZERO_VECTOR),
             variants=self._variants | {body: variant.name for body, variant in chosen.items() if body in self._variants},
             messages={key: tap.message(channel) for key, (channel, tap) in self._taps.items()},
             cameras={key: _image(camera.reading) for key, camera in self._cameras.items()},
@@ -342,7 +342,7 @@ def _beams(part: LinkName, sensor: Sensor) -> tuple[Beams, Sequence[Frame]]:
     mount = frames.frame(sensor.mount)
     rays = [frames.compose(mount, frames.frame(ray)) for ray in sensor.beams.rays]
     if sensor.kind == "reflectance":
-        rays = [frames.compose(ray, (STILL, _DOWNWARD)) for ray in rays]
+        rays = [frames.compose(ray, (ZERO_VECTOR, _DOWNWARD)) for ray in rays]
     starts = np.array([origin for origin, _ in rays])
     directions = np.array([frames.rotate(turn, (1.0, 0.0, 0.0)) for _, turn in rays])
     return Beams(part, starts, directions, sensor.beams.reach or _LOOKS_DOWN), rays

@@ -23,7 +23,7 @@ import numpy as np
 from deepbots_cli.diagnostics.render import render
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.frames import Triple, add, scaled
-from deepbots_cli.port import STILL
+from deepbots_cli.port import ZERO_VECTOR
 from deepbots_cli.runtime.overview import extent, follows_robot, shift_beside, view_around
 from deepbots_cli.view import panel, server
 from deepbots_cli.view.batch import BatchPlayer
@@ -234,7 +234,7 @@ class Page:
         scene.reset()
         if controls != self._controls:
             self._clear()
-        boxes, right = extent(player.program), STILL
+        boxes, right = extent(player.program), ZERO_VECTOR
         for other in players[1:]:
             right = shift_beside(boxes, extent(other.program))
             boxes += [(add(low, right), add(high, right)) for low, high in extent(other.program)]

@@ -18,7 +18,7 @@ from deepbots_cli.errors import MissingExtraError, RunError, UsageError
 from deepbots_cli.files import read_at_most
 from deepbots_cli.learning.episodes import read_log
 from deepbots_cli.learning.group import is_group
-from deepbots_cli.learning.run import NAME, Record, changed_settings, run_folders, short
+from deepbots_cli.learning.run import RECORD_NAME, RunRecord, changed_settings, run_folders, short_settings
 from deepbots_cli.view.page import COLOURS
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def read(paths: Sequence[str | Path], window: int = 100) -> list[Log]:
         RunError: One is neither, is damaged, or holds no episode yet.
         MissingExtraError: TensorBoard is not installed.
     """
-    found = [_read_run(path, window) if (path / NAME).is_file() else _read_tensorboard(path) for path in run_folders(paths)]
+    found = [_read_run(path, window) if (path / RECORD_NAME).is_file() else _read_tensorboard(path) for path in run_folders(paths)]
     first = {log.group: log.path for log in reversed(found)}  # the first run of each scenario
     # Scenarios of one name that differ are called after the folder of their first run or group, or its path if folders share a name.
     folders = {group: path.parent if is_group(path.parent) else path for group, path in first.items()}
@@ -80,8 +80,8 @@ def read(paths: Sequence[str | Path], window: int = 100) -> list[Log]:
 
 
 def _read_run(path: Path, window: int) -> Log:
-    record = Record.read(path)
-    log = Log(path, f"{record.scenario} {record.digest}", settings=short(changed_settings(record.command)))
+    record = RunRecord.read(path)
+    log = Log(path, f"{record.scenario} {record.digest}", settings=short_settings(changed_settings(record.command)))
     episodes, evaluations = logs_of(path)
     if not len(episodes):
         raise RunError(f"{path} holds no finished episode yet; plot it later")

@@ -23,7 +23,7 @@ from deepbots_cli.engines import objects
 from deepbots_cli.errors import EngineError
 from deepbots_cli.footprint import robot_bounds
 from deepbots_cli.frames import Triple
-from deepbots_cli.port import STILL, View
+from deepbots_cli.port import ZERO_VECTOR, View
 from deepbots_cli.program.world import Colour, Line, WorldModel
 from deepbots_cli.robots.meshes import read_verified
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Geometry, Mesh, Pose, RobotModel, Sphere
@@ -134,7 +134,7 @@ class WorldScene:
     """One world below the node `root`. `take` gives it a frame, `draw` shows the world between the last two frames."""
 
     def __init__(
-        self, scene: viser.SceneApi, world: WorldModel, layout: Layout, *, size: float, root: str = "/world", place: Triple = STILL
+        self, scene: viser.SceneApi, world: WorldModel, layout: Layout, *, size: float, root: str = "/world", place: Triple = ZERO_VECTOR
     ) -> None:
         """`size` is the distance (m) from which the world is seen; marks are as large as it asks for. `place` is where its origin is."""
         self._scene, self._layout, self._root, self._size, self._place = scene, layout, root, size, place
@@ -153,7 +153,7 @@ class WorldScene:
         for robot in world.robots:
             self._build_robot(robot.name, robot.model)
         for thing in world.objects:
-            self._build_object(thing.name, objects.forms(thing))
+            self._build_object(thing.name, objects.forms_of(thing))
         for key, beams in layout.beams.items():
             self._build_beams(key, beams)
         line = np.zeros((1, 2, 3), np.float32)
@@ -197,7 +197,7 @@ class WorldScene:
         for number, line in enumerate(world.lines):
             points, faces = strokes(line, 0.0004 * self._size * (1 + 0.1 * number))
             scene.add_mesh_simple(f"{root}/lines/{number}", points, faces, color=_rgb(line.colour), side="double", cast_shadow=False)
-        for wall in objects.walls(world.arena) if world.arena else ():
+        for wall in objects.arena_walls(world.arena) if world.arena else ():
             self._add(f"{root}/arena/{wall.name.replace(' ', '_')}", Geometry(wall.shape, wall.pose, wall.colour), frames.IDENTITY_FRAME)
 
     def _build_robot(self, name: str, model: RobotModel) -> None:
@@ -345,7 +345,7 @@ class WorldScene:
         force = next(iter(frame.pushes), None)
         if force is not None:
             (part, push), strength = force, max(1e-9, float(np.linalg.norm(force[1])))
-            at = np.array(frame.links.get(part, (STILL,))[0])
+            at = np.array(frame.links.get(part, (ZERO_VECTOR,))[0])
             self._arrows.points = np.array([[at - np.array(push) / strength * 0.3 * self._size, at]], np.float32)
         self._arrows.visible = force is not None
         self._show_lines(self._path, list(pairwise(self._trail)) if self.shows["path"] else [], (70, 90, 200))

@@ -15,8 +15,8 @@ pytest.importorskip("stable_baselines3")
 from deepbots_cli import api, learning
 from deepbots_cli.errors import EvaluationError
 from deepbots_cli.learning import algorithms
-from deepbots_cli.learning.batch import BatchedWorlds, described
-from deepbots_cli.learning.environments import VectorEnvironment, default_build, fingerprint
+from deepbots_cli.learning.batch import BatchVectorEnvironment, stepping_text
+from deepbots_cli.learning.environments import VectorEnvironment, default_factory, observation_digest
 from deepbots_cli.learning.episodes import Episode
 from deepbots_cli.learning.evaluation import batch_rollout, rollout
 from deepbots_cli.program import Program
@@ -32,7 +32,7 @@ def program() -> Program:
 
 def test_a_learner_sees_the_same_of_a_batch_as_of_single_worlds(program: Program) -> None:
     told: dict[str, list[tuple[int, Episode]]] = {"batch": [], "single": []}
-    batched = BatchedWorlds(
+    batched = BatchVectorEnvironment(
         lambda stage: api.build_batch(program, 3), SEEDS, on_episode=lambda world, episode: told["batch"].append((world, episode))
     )
     singles = [api.build(program, engine="mujoco") for _ in SEEDS]
@@ -76,7 +76,9 @@ def test_worlds_of_a_batch_enter_another_stage_one_by_one(program: Program) -> N
 
         env: VectorEnvironment
         if is_batch:
-            env = BatchedWorlds(lambda stage: api.build_batch(programs[stage], 3), SEEDS, stages, on_episode=count, next_seed=enter)
+            env = BatchVectorEnvironment(
+                lambda stage: api.build_batch(programs[stage], 3), SEEDS, stages, on_episode=count, next_seed=enter
+            )
         else:
             singles = [api.build(program, engine="mujoco") for _ in SEEDS]
             env = VectorEnvironment(singles, SEEDS, on_episode=count, next_world=next_world)
@@ -90,8 +92,8 @@ def test_worlds_of_a_batch_enter_another_stage_one_by_one(program: Program) -> N
                 of_stages.append(sum(stages))
             if is_batch:
                 histories = env.histories()
-                with closing(BatchedWorlds(lambda stage: api.build_batch(programs[stage], 3), SEEDS, stages)) as other:
-                    assert fingerprint(other.repeat(histories)) == fingerprint(env.last_observations)
+                with closing(BatchVectorEnvironment(lambda stage: api.build_batch(programs[stage], 3), SEEDS, stages)) as other:
+                    assert observation_digest(other.repeat(histories)) == observation_digest(env.last_observations)
         steps.append(seen)
         kinds.append(of_stages)
     assert steps[0] == steps[1]
@@ -101,8 +103,8 @@ def test_worlds_of_a_batch_enter_another_stage_one_by_one(program: Program) -> N
 
 def test_a_running_batch_is_restored_exactly(program: Program) -> None:
     with (
-        closing(BatchedWorlds(lambda stage: api.build_batch(program, 3), SEEDS)) as first,
-        closing(BatchedWorlds(lambda stage: api.build_batch(program, 3), SEEDS)) as other,
+        closing(BatchVectorEnvironment(lambda stage: api.build_batch(program, 3), SEEDS)) as first,
+        closing(BatchVectorEnvironment(lambda stage: api.build_batch(program, 3), SEEDS)) as other,
     ):
         first.reset()
         generator = np.random.default_rng(1)
@@ -110,7 +112,7 @@ def test_a_running_batch_is_restored_exactly(program: Program) -> None:
         for actions in plan[:50]:
             first.step(actions)
         assert len({len(history.actions) for history in first.histories()}) > 1
-        assert fingerprint(other.repeat(first.histories())) == fingerprint(first.last_observations)
+        assert observation_digest(other.repeat(first.histories())) == observation_digest(first.last_observations)
         for actions in plan[50:]:
             mine, again = first.step(actions), other.step(actions)
             np.testing.assert_array_equal(mine[0], again[0])
@@ -147,9 +149,9 @@ def test_an_evaluation_in_which_a_world_fails_is_left_to_single_worlds() -> None
 
 def test_why_worlds_are_stepped_one_by_one_is_told() -> None:
     camera, cart = api.compile("see_ball").program, api.compile("cartpole").program
-    assert described(camera, 8, "mujoco", default_build("mujoco")) == "SeeBall steps its 8 worlds one by one: it has cameras"
-    assert described(cart, 8, "mujoco", default_build("mujoco")) == "CartPole steps its 8 worlds together, as a batch"
-    assert described(camera, 8, "pybullet", default_build("pybullet")) == ""
+    assert stepping_text(camera, 8, "mujoco", default_factory("mujoco")) == "SeeBall steps its 8 worlds one by one: it has cameras"
+    assert stepping_text(cart, 8, "mujoco", default_factory("mujoco")) == "CartPole steps its 8 worlds together, as a batch"
+    assert stepping_text(camera, 8, "pybullet", default_factory("pybullet")) == ""
 
 
 @pytest.mark.slow

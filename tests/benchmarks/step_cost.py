@@ -97,7 +97,7 @@ def substeps(environment: Supervisor) -> int:
 def blind(environment: Supervisor) -> None:
     """Let its engine look at nothing after a substep; that changes no motion."""
     hooks = environment.engine._substeps
-    for looking in (hooks._begins, hooks._after):
+    for looking in (hooks._at_step_start, hooks._after_substep):
         looking.clear()
     hooks._arrange()
 

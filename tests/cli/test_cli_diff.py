@@ -10,7 +10,7 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.document import shipped
-from deepbots_cli.learning.run import Record
+from deepbots_cli.learning.run import RunRecord
 from tests.few import few
 
 SINGLE = [
@@ -254,7 +254,7 @@ def test_a_run_is_compared_with_the_file_it_was_trained_on(deepbots, tmp_path):
     deepbots("copy", "cartpole")
     trained = deepbots("train", "cartpole.yaml", "--run", "run", "--set", "train.total_timesteps=512", "--set", "evaluation.episodes=1")
     assert trained.code == 0, trained.err
-    assert isinstance(Record.read(tmp_path / "run").digest, str)
+    assert isinstance(RunRecord.read(tmp_path / "run").digest, str)
     _, found = differences(deepbots, "run", "cartpole.yaml")
     assert set(found) == {("training", "train.total_timesteps"), ("training", "evaluation.episodes")}
     assert found["training", "train.total_timesteps"]["one"] == "512"

@@ -10,7 +10,7 @@ import pytest
 
 from deepbots_cli import frames
 from deepbots_cli.frames import quaternion
-from deepbots_cli.port import SIGHT, View
+from deepbots_cli.port import CAMERA_RANGE_M, View
 from deepbots_cli.program.world import Ground, Line, ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots.model import Box, Geometry, Inertial, Joint, Link, Pose, RobotModel, Sphere
 
@@ -46,22 +46,24 @@ def rays() -> tuple[np.ndarray, np.ndarray]:
 def test_a_camera_tells_distances_bodies_and_colours_pixel_by_pixel(engine_name, build):
     engine = build(engine_name, world(wall(2.0)))
     look = engine.camera(("scout", None), frames.IDENTITY_FRAME, WIDE, HIGH, FOV)
-    sight = look()
-    assert (sight.colours.shape, sight.colours.dtype) == ((HIGH, WIDE, 3), np.uint8)
-    assert (sight.depth.shape, sight.depth.dtype) == ((HIGH, WIDE), np.float32)
-    assert (sight.bodies.shape, sight.bodies.dtype) == ((HIGH, WIDE), np.int32)
+    image = look()
+    assert (image.colours.shape, image.colours.dtype) == ((HIGH, WIDE, 3), np.uint8)
+    assert (image.depth.shape, image.depth.dtype) == ((HIGH, WIDE), np.float32)
+    assert (image.bodies.shape, image.bodies.dtype) == ((HIGH, WIDE), np.int32)
     left, up = rays()
     on_wall = (np.abs(2 * left) <= 0.5) & (np.abs(2 * up) <= 0.5)
-    assert ((sight.bodies == sight.names.index("wall")) == on_wall).all()
-    assert sight.depth[on_wall] == pytest.approx(2.0, rel=1e-5)
+    assert ((image.bodies == image.body_names.index("wall")) == on_wall).all()
+    assert image.depth[on_wall] == pytest.approx(2.0, rel=1e-5)
     floor = ~on_wall & (up < 0) & (left < 9)
-    assert (sight.bodies[floor] == sight.names.index("ground")).all()
-    assert sight.depth[floor] == pytest.approx(np.broadcast_to(np.minimum(1 / np.maximum(-up, 1e-9), SIGHT), floor.shape)[floor], rel=1e-4)
+    assert (image.bodies[floor] == image.body_names.index("ground")).all()
+    assert image.depth[floor] == pytest.approx(
+        np.broadcast_to(np.minimum(1 / np.maximum(-up, 1e-9), CAMERA_RANGE_M), floor.shape)[floor], rel=1e-4
+    )
     sky = ~on_wall & ~floor
-    assert (sight.bodies[sky] == -1).all()
-    assert (sight.depth[sky] == SIGHT).all()
-    assert (sight.colours[on_wall][:, 0] > 2 * sight.colours[on_wall][:, 1].astype(int)).all()
-    assert sight.colours[floor].std() > 1.0  # tiles, by which motion is seen
+    assert (image.bodies[sky] == -1).all()
+    assert (image.depth[sky] == CAMERA_RANGE_M).all()
+    assert (image.colours[on_wall][:, 0] > 2 * image.colours[on_wall][:, 1].astype(int)).all()
+    assert image.colours[floor].std() > 1.0  # tiles, by which motion is seen
 
 
 def test_a_camera_looks_along_its_mount_on_a_link_that_turns(engine_name, build):
@@ -69,20 +71,20 @@ def test_a_camera_looks_along_its_mount_on_a_link_that_turns(engine_name, build)
     mount = ((0.0, 0.0, 0.0), quaternion(0.0, 0.0, -1.2))
     look = engine.camera(("scout", "head"), mount, WIDE, HIGH, FOV)
     engine.place("scout", (0.0, 0.0, 0.5), frames.IDENTITY_ROTATION)
-    assert (look().bodies != look().names.index("wall")).all()
+    assert (look().bodies != look().body_names.index("wall")).all()
     engine.set_joint("scout", "neck", 1.2, 0.0)
     centre = look().depth[HIGH // 2 - 5 : HIGH // 2 + 5, WIDE // 2 - 5 : WIDE // 2 + 5]
     assert centre == pytest.approx(2.0, rel=1e-4)
     engine.set_joint("scout", "neck", 1.2 + 0.2, 0.0)
-    columns = np.where((look().bodies == look().names.index("wall")).any(axis=0))[0]
+    columns = np.where((look().bodies == look().body_names.index("wall")).any(axis=0))[0]
     assert PIXEL * (columns.mean() + 0.5 - WIDE / 2) == pytest.approx((tan(0.2 + 0.245) + tan(0.2 - 0.245)) / 2, abs=0.05)
 
 
 def test_up_in_a_picture_is_up_in_the_mount(engine_name, build):
     engine = build(engine_name, world(ObjectBody("ball", Sphere(0.1), Pose((2, 0, 1.4)), colour=GREEN)))
     for roll, row, column in ((0.0, -1, None), (pi, 1, None), (pi / 2, None, -1)):
-        sight = engine.camera(("scout", None), ((0, 0, 0), quaternion(roll, 0.0, 0.0)), WIDE, HIGH, FOV)()
-        rows, columns = np.where(sight.bodies == sight.names.index("ball"))
+        image = engine.camera(("scout", None), ((0, 0, 0), quaternion(roll, 0.0, 0.0)), WIDE, HIGH, FOV)()
+        rows, columns = np.where(image.bodies == image.body_names.index("ball"))
         assert row is None or abs(rows.mean() - HIGH / 2 - row * 18) < 3
         assert column is None or abs(columns.mean() - WIDE / 2 - column * 18) < 3
 
@@ -91,10 +93,10 @@ def test_what_is_painted_gets_another_colour_and_what_is_absent_is_not_seen(engi
     ghost = ObjectBody("mark", Box((0.2, 1.0, 1.0)), colour=GREEN, solid=False, pooled=True)
     engine = build(engine_name, world(ghost))
     look = engine.camera(("scout", None), frames.IDENTITY_FRAME, 40, 40, FOV)
-    assert "mark" not in {look().names[place] for place in np.unique(look().bodies) if place >= 0}
+    assert "mark" not in {look().body_names[place] for place in np.unique(look().bodies) if place >= 0}
     engine.place("mark", (2.1, 0, 1), frames.IDENTITY_ROTATION)
     middle = (19, 20)
-    assert look().names[look().bodies[middle]] == "mark"
+    assert look().body_names[look().bodies[middle]] == "mark"
     assert look().depth[middle] == pytest.approx(2.0, rel=1e-4)
     assert look().colours[middle].argmax() == 1
     engine.set_parameter("colour", ("mark", ""), *RED)
@@ -126,17 +128,17 @@ def test_lines_are_seen_painted_on_a_floor_of_its_own_colour(engine_name, build)
     look = engine.camera(("scout", "head"), ((0.0, 0.0, -0.5), quaternion(0.0, pi / 2, 0.0)), HIGH, HIGH, 2.4)
     engine.place("scout", (0.0, 0.0, 1.0), frames.IDENTITY_ROTATION)
     engine.set_parameter("colour", ("scout", ""), 0, 0, 1, 1)
-    sight = look()
+    image = look()
     pixel = 2 * tan(1.2) / HIGH
     x = -pixel * (np.arange(HIGH) + 0.5 - HIGH / 2)[:, None]  # the first row is ahead
     y = -pixel * (np.arange(HIGH) + 0.5 - HIGH / 2)[None, :]
-    bare = sight.bodies == sight.names.index("ground")
+    bare = image.bodies == image.body_names.index("ground")
     largest = np.maximum(abs(x), abs(y))
     track = bare & (abs(largest - 0.5) < 0.04)
     assert track.sum() > 50
-    assert (sight.colours[track].argmax(axis=-1) == 0).all()
+    assert (image.colours[track].argmax(axis=-1) == 0).all()
     beside = bare & (abs(largest - 0.5) > 0.06) & (np.hypot(x, y) > 0.12)
-    assert (sight.colours[beside].argmax(axis=-1) == 1).all()
+    assert (image.colours[beside].argmax(axis=-1) == 1).all()
 
 
 def test_the_floor_gets_another_colour_until_the_next_reset(engine_name, build):
@@ -158,4 +160,4 @@ def test_a_side_in_the_plane_of_the_eye_does_not_hold_up_the_picture(engine_name
     plank = ObjectBody("plank", Box((0.2, 1.0, 0.1)), Pose((0.1 + 1e-8, 0, 1.3)), fixed=True)
     engine = build(engine_name, world(plank, wall(2.0)))
     look = engine.camera(("scout", None), frames.IDENTITY_FRAME, WIDE, HIGH, FOV)
-    assert "wall" in {look().names[number] for number in np.unique(look().bodies)}
+    assert "wall" in {look().body_names[number] for number in np.unique(look().bodies)}

@@ -13,7 +13,7 @@ import pytest
 from deepbots_cli import frames
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import quaternion
-from deepbots_cli.port import STILL, View
+from deepbots_cli.port import ZERO_VECTOR, View
 from deepbots_cli.program.world import Ground, ObjectBody, RobotBody, WorldModel, WorldParameter
 from deepbots_cli.robots.model import Box, Geometry, Inertial, Joint, Link, Pose, RobotModel, Sphere
 from deepbots_cli.scenario.world import World
@@ -289,7 +289,7 @@ def test_what_the_exact_engine_cannot_do_names_the_engine_that_can(worlds, build
             use()
     engine.set_parameter("colour", ("robot", ""), 1, 1, 1, 1)
     engine.set_parameter("light", (), 0.5)
-    assert engine.velocity("robot")() == (STILL, STILL)
+    assert engine.velocity("robot")() == (ZERO_VECTOR, ZERO_VECTOR)
 
 
 def test_a_rod_swings_with_the_period_of_the_closed_form(engine_name, worlds, build):

@@ -44,7 +44,7 @@ def arm() -> RobotModel:
 @pytest.mark.parametrize(("x", "y"), [(0.6, 0.3), (0.2, -0.5), (-0.7, 0.1)])
 def test_two_links_in_a_plane_bend_as_the_law_of_cosines_says(x, y):
     chain = Chain(planar(), "tip", ["shoulder", "elbow"])
-    assert chain.moving == ("slide", "shoulder", "elbow")
+    assert chain.moving_joints == ("slide", "shoulder", "elbow")
     shoulder, elbow = chain.solve(IDENTITY_FRAME, [0.1, 0.3, 0.8], (x, y, 0.0), None)
     assert elbow == pytest.approx(acos((x * x + (y - 0.1) ** 2 - 0.5) / 0.5), abs=1e-6)
     assert 0.5 * cos(shoulder) + 0.5 * cos(shoulder + elbow) == pytest.approx(x, abs=1e-6)

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli.diagnostics import Findings
-from deepbots_cli.port import STILL, Engine
+from deepbots_cli.port import ZERO_VECTOR, Engine
 from deepbots_cli.program.world import ObjectBody, Pit, RobotBody, Terrain, WorldModel
 from deepbots_cli.robots import reader
 from deepbots_cli.robots.model import Box, Pose, RobotModel, Sphere
@@ -81,7 +81,7 @@ def walk(engine: Engine, seed: int, ticks: int) -> bytes:
         if tick % 4 == 0:
             aim([angle + rng.uniform(-0.4, 0.4) for angle in STAND])
         if tick % 10 == 5:
-            push((rng.uniform(-300, 300), rng.uniform(-300, 300), 0.0), STILL)
+            push((rng.uniform(-300, 300), rng.uniform(-300, 300), 0.0), ZERO_VECTOR)
         engine.step(10)
         for part in (*pose(), *velocity(), *crate(), *(state[:2] for state in joints()), torques(), [foot() for foot in feet]):
             figures += part

@@ -19,5 +19,5 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     sets = ["truncation.max_steps=12", "world.arena.friction=uniform(0.8 .. 1.2)", "train.environments=2", "train.n_steps=64"]
     compiled = api.compile("cartpole", sets=sets)
     trained = train(compiled, run=folder / "cartpole", seed=3, total_timesteps=256, command=("deepbots", "train", "<b>cartpole</b>"))
-    Run.open(trained.run).keep_evaluation(to_json(evaluate(trained.run, episodes=12)))
+    Run.open(trained.run).write_evaluation(to_json(evaluate(trained.run, episodes=12)))
     return trained.run

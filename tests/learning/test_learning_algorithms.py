@@ -20,7 +20,7 @@ import torch
 from deepbots_cli.errors import MissingExtraError, UsageError, install_hint
 from deepbots_cli.learning import TrainingResult, algorithms, defaults, evaluate, models, resume, train, training
 from deepbots_cli.learning.algorithms import DecayingNoise
-from deepbots_cli.learning.checkpoints import Resumable
+from deepbots_cli.learning.checkpoints import ResumableAlgorithm
 from deepbots_cli.learning.environments import VectorEnvironment
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
@@ -163,13 +163,13 @@ def test_a_resumed_training_remembers_steps_and_the_episodes_that_they_belong_to
 ) -> None:
     replays = []
 
-    class Seen(Resumable):
+    class Seen(ResumableAlgorithm):
         def _setup_learn(self, *args: Any, **kwargs: Any) -> Any:
             result = super()._setup_learn(*args, **kwargs)
             replays.append(deepcopy({key: value for key, value in vars(self.replay_buffer).items() if key != "env"}))
             return result
 
-    monkeypatch.setattr(training, "Resumable", Seen)
+    monkeypatch.setattr(training, "ResumableAlgorithm", Seen)
     result = resume(reached.run, total_timesteps=1_600, build=Reach)
     (replay,) = replays
     assert replay["full"]
@@ -319,12 +319,12 @@ def test_the_frequency_of_updates_may_be_given_in_episodes(tmp_path: Path) -> No
 # Defaults
 
 
-@pytest.mark.parametrize("algorithm", sorted(defaults.OURS))
+@pytest.mark.parametrize("algorithm", sorted(defaults.DEFAULTS))
 def test_the_effective_hyperparameters_are_those_that_the_library_gets(algorithm: str) -> None:
     training = Training(algorithm, 5_000, 2, hyper(gamma=0.9), SMALL)
     scenario = stand_in.scenario(training=training, continuous=algorithm not in ("DQN", "MaskablePPO"))
     model = algorithms.create(training, copies_of(scenario, stand_in.CartPole), seed=0, total_timesteps=5_000)
-    shown = {row.name: row for row in defaults.effective(scenario, 5_000)}
+    shown = {row.name: row for row in defaults.effective_hyperparameters(scenario, 5_000)}
     assert (shown["gamma"].value, shown["gamma"].source) == (0.9, "scenario")
     got = {name: getattr(model, name) for name in shown if isinstance(getattr(model, name, None), (int, float))}
     got = {name: value for name, value in got.items() if shown[name].value != "auto"}  # which the library resolves
@@ -332,7 +332,7 @@ def test_the_effective_hyperparameters_are_those_that_the_library_gets(algorithm
     assert {name: shown[name].value for name in got} == got
 
 
-@pytest.mark.parametrize("algorithm", sorted(defaults.OURS))
+@pytest.mark.parametrize("algorithm", sorted(defaults.DEFAULTS))
 def test_the_defaults_of_the_library_are_read_from_its_signature(algorithm: str) -> None:
     home = pytest.importorskip(algorithms.ALGORITHMS[algorithm].import_path.partition(":")[0])
     signature = inspect.signature(getattr(home, algorithm).__init__)

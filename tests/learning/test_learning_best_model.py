@@ -15,7 +15,7 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.task import Hyperparameter, Solved, Training
 from deepbots_cli.runtime.streams import derive_seed
 
-EVALUATION_SEEDS = [derive_seed(0, "trial", k) for k in range(callbacks.EPISODES)]
+EVALUATION_SEEDS = [derive_seed(0, "trial", k) for k in range(callbacks.EVALUATION_EPISODES)]
 CONFIRMATION_SEED = derive_seed(0, "trial", callbacks.CONFIRMATION_EPISODES - 1)
 EASY = Solved(2, mean_return=5.0)
 
@@ -40,7 +40,7 @@ class Paying(stand_in.CartPole):
         observation, reward, terminated, truncated, info = super().step(action)
         success = True
         if self.seeds and self.seeds[-1] in EVALUATION_SEEDS:
-            number = (len(self.seeds) - 1) // callbacks.EPISODES
+            number = (len(self.seeds) - 1) // callbacks.EVALUATION_EPISODES
             reward, success = self.wage(number), self.success(number)
         return observation, reward, terminated, truncated, {**info, "is_success": success}
 
@@ -103,7 +103,7 @@ def test_the_best_model_is_that_of_the_best_evaluation_and_evaluations_take_at_m
     assert 0 < best < last
     assert evaluate(result.run, episodes=1, build=stand_in.build).mean_return > 0
     # The last evaluation comes in addition.
-    assert 0 < result.evaluation_steps <= result.steps * callbacks.OVERTIME_SHARE + 2 * callbacks.EPISODES * 50
+    assert 0 < result.evaluation_steps <= result.steps * callbacks.FINAL_EVALUATION_SHARE + 2 * callbacks.EVALUATION_EPISODES * 50
     again = resume(result.run, total_timesteps=5_000, build=build)
     assert again.evaluation_steps > result.evaluation_steps
 
@@ -177,7 +177,7 @@ def test_what_is_learned_does_not_depend_on_the_evaluations(
     unpaid: tuple[Builder, TrainingResult], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _, few = unpaid
-    monkeypatch.setattr(callbacks, "OVERTIME_SHARE", 1.0)
+    monkeypatch.setattr(callbacks, "FINAL_EVALUATION_SHARE", 1.0)
     many = learned(tmp_path, Builder(lambda number: 0.0))
     assert many.evaluation_steps > few.evaluation_steps
     assert many.weights_digest == few.weights_digest
@@ -190,11 +190,11 @@ def test_an_evaluation_stops_when_somebody_wants_the_training_to_end() -> None:
     model = algorithms.create(task.policy.training, VectorEnvironment([world] * 2, [0, 0]), seed=0, total_timesteps=100, longest_episode=50)
     evaluator, interruption = Evaluator(stand_in.build, seed=0), Interruption()
     state = torch.get_rng_state()
-    first, second = (evaluator.episodes(model, task, interruption) for _ in range(2))
+    first, second = (evaluator.run_episodes(model, task, interruption) for _ in range(2))
     assert first == second  # the same starts each time
-    assert len(first) == callbacks.EPISODES
+    assert len(first) == callbacks.EVALUATION_EPISODES
     assert torch.equal(torch.get_rng_state(), state)
     interruption.requested = True
     with pytest.raises(KeyboardInterrupt):
-        evaluator.episodes(model, task, interruption)
+        evaluator.run_episodes(model, task, interruption)
     evaluator.close()

@@ -18,7 +18,7 @@ from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.expressions.dimensions import LENGTH
 from deepbots_cli.learning import TrainingResult, evaluate, evaluate_baselines, evaluate_cases, train
 from deepbots_cli.learning.episodes import Episode, Summary, by_drawn_value
-from deepbots_cli.learning.evaluation import judge
+from deepbots_cli.learning.evaluation import solved_verdict
 from deepbots_cli.learning.report import to_json
 from deepbots_cli.program.task import Solved
 
@@ -80,11 +80,11 @@ def test_a_single_episode_has_no_standard_deviation(trained: TrainingResult) -> 
 
 def test_the_verdict_follows_the_scenario() -> None:
     solved = Solved(100, mean_return=195.0)
-    assert judge(solved, 100, 199.0, 0.0) == (True, "solved: mean return 199 where 195 is required")
-    assert judge(solved, 100, 190.0, 0.0)[0] is False
-    assert judge(solved, 20, 199.0, 0.0)[0] is None
-    assert judge(None, 100, 199.0, 0.0)[0] is None
-    assert judge(Solved(10, mean_return=1.0, success_rate=0.9), 10, 5.0, 0.5)[0] is False
+    assert solved_verdict(solved, 100, 199.0, 0.0) == (True, "solved: mean return 199 where 195 is required")
+    assert solved_verdict(solved, 100, 190.0, 0.0)[0] is False
+    assert solved_verdict(solved, 20, 199.0, 0.0)[0] is None
+    assert solved_verdict(None, 100, 199.0, 0.0)[0] is None
+    assert solved_verdict(Solved(10, mean_return=1.0, success_rate=0.9), 10, 5.0, 0.5)[0] is False
 
 
 def test_a_scenario_that_no_longer_fits_is_refused_field_by_field(trained: TrainingResult) -> None:
@@ -192,16 +192,16 @@ def test_a_run_with_a_case_for_another_policy_is_refused(tmp_path: Path) -> None
 
 def test_small_returns_are_shown_with_four_decimals() -> None:
     done = [Episode(value, 10, False, "max_time") for value in (0.1423, 0.1431)]
-    assert "mean return         0.1427; standard deviation 0.0006" in summary_text(Summary.of(done), success_defined=False)
-    assert "mean return       14.27" in summary_text(Summary.of([Episode(14.27, 10, False, None)]), success_defined=False)
+    assert "mean return         0.1427; standard deviation 0.0006" in summary_text(Summary.of_episodes(done), success_defined=False)
+    assert "mean return       14.27" in summary_text(Summary.of_episodes([Episode(14.27, 10, False, None)]), success_defined=False)
 
 
 def test_an_evaluation_that_already_excludes_what_is_asked_for_says_so() -> None:
     solved = Solved(100, success_rate=0.95)
-    met, verdict = judge(solved, 30, 0.0, 0.0)
+    met, verdict = solved_verdict(solved, 30, 0.0, 0.0)
     assert met is False
     assert verdict.startswith("not solved: a success rate of 95.0% is required, and 0 of 30 succeed")
-    assert judge(solved, 30, 0.0, 0.97)[0] is None
+    assert solved_verdict(solved, 30, 0.0, 0.97)[0] is None
 
 
 def test_an_episode_keeps_the_seed_and_what_its_reset_drew(tmp_path: Path) -> None:
@@ -224,7 +224,7 @@ def test_success_by_drawn_value_counts_every_episode_once() -> None:
         (0.75, 0.99, 25, 1.0),
     ]
     assert [(part.low, part.high, part.episodes, part.successes) for part in found["which"]] == [("a", "a", 50, 25), ("b", "b", 50, 25)]
-    assert found["mass"][0].success_interval == Summary.of(done[:25]).success_interval
+    assert found["mass"][0].success_interval == Summary.of_episodes(done[:25]).success_interval
 
 
 def test_baselines_and_the_policy_have_the_same_starts(tmp_path: Path) -> None:

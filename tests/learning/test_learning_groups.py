@@ -20,7 +20,7 @@ from deepbots_cli.learning import TrainingResult, compare, evaluate, evaluate_gr
 from deepbots_cli.learning.group import Group, GroupTraining
 from deepbots_cli.learning.listing import list_runs, read_listed, sort_runs
 from deepbots_cli.learning.report import Reporter, TrainingProgress, to_json
-from deepbots_cli.learning.run import Run, run_lock, short
+from deepbots_cli.learning.run import Run, run_lock, short_settings
 from deepbots_cli.learning.statistics import interquartile_mean, mean_interval
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Hyperparameter, Solved, Training
@@ -200,9 +200,9 @@ def test_the_list_shows_the_last_evaluation_in_the_scenario_of_the_training(run_
     assert read_listed(run_copy).score == "training"
     plain = evaluate(run_copy, episodes=3, build=stand_in.build)
     run = Run.open(run_copy)
-    run.keep_evaluation(to_json(plain))
-    run.keep_evaluation(to_json(plain) | {"mean_return": 1e6, "set": ["world.substeps=2"]})
-    run.keep_evaluation(to_json(plain) | {"mean_return": 1e6, "model": "last"})
+    run.write_evaluation(to_json(plain))
+    run.write_evaluation(to_json(plain) | {"mean_return": 1e6, "set": ["world.substeps=2"]})
+    run.write_evaluation(to_json(plain) | {"mean_return": 1e6, "model": "last"})
     (run_copy / "evaluations" / "0009.json").write_text("{")
     found = read_listed(run_copy)
     assert (found.score, found.mean_return, found.return_interval) == ("evaluation", plain.mean_return, plain.return_interval)
@@ -214,7 +214,7 @@ def test_values_that_the_command_line_has_changed_are_listed(run_copy: Path) -> 
     (run_copy / "run.json").write_text(json.dumps(record))
     settings = read_listed(run_copy).settings
     assert settings == ("train.learning_rate=0.003", "fall_angle=10deg")
-    assert short(settings) == "learning_rate=0.003, fall_angle=10deg"
+    assert short_settings(settings) == "learning_rate=0.003, fall_angle=10deg"
 
 
 def test_scenarios_of_the_same_name_are_listed_with_their_files(run_copy: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -23,7 +23,7 @@ from stable_baselines3 import PPO
 
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import TrainingResult, evaluate, load_policy, resume, train
-from deepbots_cli.learning.evaluation import load
+from deepbots_cli.learning.evaluation import load_model
 from deepbots_cli.learning.models import steps_of
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program.task import Hyperparameter, Network, Schedule, Training
@@ -105,7 +105,7 @@ def test_plain_stable_baselines_loads_a_model_and_acts_the_same(tmp_path: Path, 
         training = Training(algorithm, 150, 2, hyperparameters, Network((8,), "relu"))
         task = stand_in.compiled(training=training, continuous=algorithm != "DQN")
         run = Run.open(train(task, run=tmp_path / algorithm, build=stand_in.build).run)
-        ours.append(load(run, "best", stand_in.build(run.program)).predict(observations, deterministic=True)[0].astype(np.float32))
+        ours.append(load_model(run, "best", stand_in.build(run.program)).predict(observations, deterministic=True)[0].astype(np.float32))
     command = [sys.executable, "-c", PLAIN, "observations.npy", *algorithms]
     done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=120)
     assert done.returncode == 0, done.stderr

@@ -20,7 +20,7 @@ from deepbots_cli.errors import PluginError, UsageError
 from deepbots_cli.learning import TrainingResult, models, resume, resume_group, train, train_group
 from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.report import Reporter, TrainingProgress
-from deepbots_cli.learning.run import Record
+from deepbots_cli.learning.run import RunRecord
 from deepbots_cli.program.task import Hyperparameter, Training
 from tests.plugins import test_plugins
 
@@ -98,7 +98,7 @@ def test_one_that_fails_is_named_and_the_training_can_go_on(tmp_path: Path, name
     if "odd" not in sentence:
         assert "the last checkpoint" in caught.value.full_message
         assert f"deepbots train --resume {tmp_path / 'run'}" in caught.value.full_message
-    assert Record.read(tmp_path / "run").status == "failed"
+    assert RunRecord.read(tmp_path / "run").status == "failed"
 
 
 def test_a_callback_may_end_the_training(tmp_path: Path) -> None:
@@ -121,7 +121,7 @@ def test_a_resumed_run_and_the_seeds_of_a_group_keep_them(tmp_path: Path) -> Non
     rest = resume(run, build=stand_in.build, total_timesteps=200, callbacks=(), loggers=())
     assert (rest.steps >= 200, rest.stopped_by) == (True, None)
     assert rest.inexact == ("the callbacks were gone before 0 steps and are none since",)
-    assert (Record.read(run).callbacks, Record.read(run).loggers) == ((), ())
+    assert (RunRecord.read(run).callbacks, RunRecord.read(run).loggers) == ((), ())
 
 
 def test_a_resumed_group_drops_them_in_every_seed(tmp_path: Path) -> None:

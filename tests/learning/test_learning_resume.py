@@ -29,7 +29,7 @@ from deepbots_cli.cli.results import training_text
 from deepbots_cli.document import shipped
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import checkpoints, evaluate, resume, train
-from deepbots_cli.learning.environments import VectorEnvironment, fingerprint
+from deepbots_cli.learning.environments import VectorEnvironment, observation_digest
 from deepbots_cli.learning.report import TrainingProgress
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
@@ -52,7 +52,7 @@ def outcome(folder: Path) -> dict[str, Any]:
     assert run.record.result is not None
     events = EventAccumulator(str(run.tensorboard), size_guidance={"scalars": 0})
     events.Reload()
-    last = checkpoints.latest(run)
+    last = checkpoints.latest_checkpoint(run)
     with run.monitor.open(newline="") as file:
         next(file)
         rows = [{name: value for name, value in row.items() if name != "t"} for row in csv.DictReader(file)]
@@ -93,7 +93,7 @@ FORKS.set_forkserver_preload(["stand_in", "deepbots_cli.learning.training"])
 
 def work(name: str, run: Path, seed: int) -> None:
     """Begin a training, or continue it; checkpoints follow each other fast, and their times change nothing in the result."""
-    checkpoints.SECONDS, checkpoints.COST = (0.5, 10) if name in SHIPPED else (0.02, 2)
+    checkpoints.INTERVAL_S, checkpoints.MIN_INTERVAL_PER_COST = (0.5, 10) if name in SHIPPED else (0.02, 2)
     if (run / "run.json").exists():
         if Run.open(run).record.status != "finished":
             resume(run, build=build_of(name))
@@ -269,7 +269,7 @@ def test_a_run_can_be_opened_after_any_of_two_hundred_kills(tmp_path: Path) -> N
         kills += code == -signal.SIGKILL
         if (run / "run.json").exists():
             known = Run.open(run)
-            if (last := checkpoints.latest(known)) is not None:
+            if (last := checkpoints.latest_checkpoint(known)) is not None:
                 checkpoints.read_state(last)
                 assert all(path.is_file() for path in (known.model("best"), known.model("last")))
                 with_checkpoint += 1
@@ -315,11 +315,11 @@ def test_a_shipped_world_is_brought_back_in_the_middle_of_an_episode(name: str) 
             dones = env.step(actions)[2]
             ended, steps = ended + bool(dones[0]), 0 if dones[0] else steps + 1
         (history,) = env.histories()
-        seen = fingerprint(env.last_observations)
+        seen = observation_digest(env.last_observations)
     kept = EpisodeHistory(json.loads(json.dumps(history.start)), list(np.array(history.actions)))
     with closing(VectorEnvironment([api.build(compiled.program, allow_code=True)], [8])) as env:
         env.reset()
-        assert fingerprint(env.repeat([kept])) == seen
+        assert observation_digest(env.repeat([kept])) == seen
 
 
 def test_a_world_that_does_not_repeat_itself_is_told_and_the_training_goes_on(tmp_path: Path) -> None:
@@ -368,14 +368,14 @@ def test_a_training_begins_with_the_policy_of_another_run_and_says_what_it_took_
 
 def test_a_folder_that_cannot_be_written_leaves_the_last_good_state(tmp_path: Path) -> None:
     run = train(compiled_of("PPO"), run=tmp_path / "run", total_timesteps=500, build=stand_in.build).run
-    before = checkpoints.latest(Run.open(run))
+    before = checkpoints.latest_checkpoint(Run.open(run))
     (run / "checkpoints" / "new").write_text("in the way")
     (run / "models" / "policy" / "last.zip").unlink()
     (run / "models" / "policy" / "last.zip").mkdir()
     with pytest.raises(RunError, match=r"cannot be written.*") as caught:
         resume(run, total_timesteps=1_000, build=stand_in.build)
     assert f"is kept; go on from there with: deepbots train --resume {run}" in caught.value.full_message
-    assert checkpoints.latest(Run.open(run)) == before
+    assert checkpoints.latest_checkpoint(Run.open(run)) == before
     assert evaluate(run, episodes=1, build=stand_in.build).episodes == 1
 
 

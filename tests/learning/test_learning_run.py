@@ -211,15 +211,15 @@ def test_a_lock_that_is_a_link_is_not_followed(run_copy: Path, tmp_path: Path) -
 def test_an_evaluation_is_kept_with_its_episodes(run_copy: Path) -> None:
     run = Run.open(run_copy)
     result = to_json(evaluate(run, episodes=2, build=stand_in.build))
-    first, second = run.keep_evaluation(result), run.keep_evaluation(result)
+    first, second = run.write_evaluation(result), run.write_evaluation(result)
     assert [first.name, second.name] == ["0001.json", "0002.json"]
     assert len(json.loads(first.read_text())["outcomes"]) == 2
     (run.evaluations / "9999.json").write_text("{}")
-    assert [run.keep_evaluation(result).name for _ in range(2)] == ["10000.json", "10001.json"]
+    assert [run.write_evaluation(result).name for _ in range(2)] == ["10000.json", "10001.json"]
     shutil.rmtree(run.evaluations)
     run.evaluations.write_text("no folder")
     with pytest.raises(RunError, match=r"evaluations.* cannot be written"):
-        run.keep_evaluation(result)
+        run.write_evaluation(result)
 
 
 def test_a_run_whose_project_is_gone_finds_its_meshes_in_its_own_copies(tmp_path: Path) -> None:

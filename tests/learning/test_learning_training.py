@@ -247,7 +247,7 @@ def test_the_replay_buffer_is_taken_up_again(tmp_path: Path) -> None:
     training = Training("DQN", 100, hyperparameters=hyper(learning_starts=20, buffer_size=200), network=Network((8,), "relu"))
     result = train(stand_in.compiled(training=training), runs=tmp_path, build=stand_in.build)
     again = resume(result.run, total_timesteps=150, build=stand_in.build)
-    last = checkpoints.latest(Run.open(again.run))
+    last = checkpoints.latest_checkpoint(Run.open(again.run))
     assert last is not None
     assert checkpoints.read_state(last).segments[-1][1] == again.steps
 

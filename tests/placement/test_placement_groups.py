@@ -118,7 +118,7 @@ def test_every_copy_draws_its_own_mass_and_kind(make: Callable[..., Supervisor])
     masses: list[tuple[float, ...]] = []
     set_parameter = environment.engine.set_parameter
     heard: list[float] = []
-    environment.engine.set_parameter = lambda what, of, mass: (heard.append(mass), set_parameter(what, of, mass))
+    environment.engine.set_parameter = lambda parameter, owner, mass: (heard.append(mass), set_parameter(parameter, owner, mass))
     kinds: Counter[str] = Counter()
     environment.reset(seed=0)
     for _ in range(50):

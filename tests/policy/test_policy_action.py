@@ -82,4 +82,4 @@ def test_an_action_of_both_can_be_scripted_and_left_alone(small: Small) -> None:
     environment = small(REWARD, MIXED)
     environment.reset(seed=0)
     assert environment.step(run.repeated_actions(environment, "0.5:high:-1")())[1] == 0.5 + 30 + 0
-    assert environment.step(run.zero(environment)())[1] == 0 + 10 + 200
+    assert environment.step(run.zero_action(environment)())[1] == 0 + 10 + 200

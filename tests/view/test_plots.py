@@ -12,7 +12,7 @@ pytest.importorskip("matplotlib")
 pytest.importorskip("tensorboard")
 from deepbots_cli.cli import main
 from deepbots_cli.errors import RunError
-from deepbots_cli.learning.run import FORMAT, Record, write_record
+from deepbots_cli.learning.run import FORMAT, RunRecord, write_record
 from deepbots_cli.view import plots
 
 
@@ -32,7 +32,7 @@ def _events(folder, **scalars):
 def _run(folder, digest, returns):
     """A run directory as far as it is plotted; the first of four episodes is a success."""
     folder.mkdir()
-    record = Record(
+    record = RunRecord(
         format=FORMAT, deepbots="0", status="running", scenario="FindBall", source="", digest=digest, interface={}, inputs={},
         engine="pybullet", seed=0, seeds={}, total_timesteps=100, stop_when_solved=False, first_stage=None, keep_checkpoints=0,
         initialized_from=None, command=(), versions={}, platform="", started="", updated="", resumed_at=(), result=None,

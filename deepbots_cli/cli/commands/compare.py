@@ -12,7 +12,7 @@ from deepbots_cli import api, learning
 from deepbots_cli.cli import results, terminal
 from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Json, whole_number
 from deepbots_cli.cli.tables import Row, table
-from deepbots_cli.learning.run import Record, changed_settings, short
+from deepbots_cli.learning.run import RunRecord, changed_settings, short_settings
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.comparison import Comparison
@@ -88,7 +88,7 @@ def _show(found: Comparison) -> None:
     where = f"{found.scenario}: " if found.scenario else "each run in its own scenario: "
     terminal.print_result(f"{where}{found.episodes:,} held-out episodes of each run, from seed {found.seed}")
     rows: list[Row] = []
-    settings = {group.name: short(changed_settings(Record.read(group.evaluations[0].run).command)) for group in found.groups}
+    settings = {group.name: short_settings(changed_settings(RunRecord.read(group.evaluations[0].run).command)) for group in found.groups}
     for group in found.groups:
         row: dict[str, object] = {
             "group": group.name,

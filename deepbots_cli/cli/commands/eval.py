@@ -295,10 +295,10 @@ def _refuse(reason: str, **options: object) -> None:
 
 def _show_engines(run: Run, found: Sequence[_Found], *, as_json: bool) -> None:
     """The evaluations in several engines side by side, and the difference of each from the first, from the same starts."""
-    from deepbots_cli.learning.comparison import across_engines
+    from deepbots_cli.learning.comparison import compare_engines
 
     pairs = [
-        across_engines(one, other)
+        compare_engines(one, other)
         for column in zip(*((each.result, *each.cases) for each in found), strict=True)
         for one, other in ((column[0], other) for other in column[1:])
     ]
@@ -446,8 +446,8 @@ def _evaluate_group(
 ) -> None:
     """Evaluate a group in each of the `judged` scenarios, which differ in their engine; None is the scenario of the group."""
     with terminal.transient_line("loading the policies ..."):
-        from deepbots_cli.learning.comparison import across_engines, evaluate_group  # which import torch
-    ready = Group.open(folder).ready
+        from deepbots_cli.learning.comparison import compare_engines, evaluate_group  # which import torch
+    ready = Group.open(folder).runs_with_model
     groups: list[GroupResult] = []
     requirements: list[Requirement] = []
     for compiled in judged:
@@ -462,7 +462,7 @@ def _evaluate_group(
             found = evaluate_group(folder, scenario=compiled, on_run=show_run, until=until, **chosen)
         elsewhere = scenario or ("the scenario of the run, changed" if compiled else None)
         for result in found.evaluations:
-            Run.open(result.run).keep_evaluation({**with_cases(result, ()), "elsewhere": elsewhere, "set": list(sets)})
+            Run.open(result.run).write_evaluation({**with_cases(result, ()), "elsewhere": elsewhere, "set": list(sets)})
         of = f"{found.evaluations[0].engine}: " if len(judged) > 1 else ""
         requirements += [(f"{of}{words}", met, reason) for words, met, reason in gates.requirements_of_group(found, planned)]
         groups.append(found)
@@ -470,7 +470,7 @@ def _evaluate_group(
             terminal.print_result((f"in {found.evaluations[0].engine}: " if of else "") + results.group_text(found) + ("\n" if of else ""))
     if csv is not None:
         results.write_csv(csv, [result for found in groups for result in found.evaluations])
-    pairs = [across_engines(groups[0], other) for other in groups[1:]]
+    pairs = [compare_engines(groups[0], other) for other in groups[1:]]
     if as_json:
         rows = [results.group_json(found) for found in groups]
         terminal.show_json({"groups": rows, "differences": [asdict(pair) for pair in pairs]} if pairs else rows[0])

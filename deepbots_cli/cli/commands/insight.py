@@ -111,7 +111,7 @@ def repeat_failed(run: Run, video: Path | None, *, as_json: bool, allow_code: bo
     """Repeat the failed episodes of the last evaluation of a run, count their endings, and show the first; `video` names films."""
     from deepbots_cli.insight import trace
     from deepbots_cli.insight.episode import explain, explanation_json
-    from deepbots_cli.learning.video import check
+    from deepbots_cli.learning.video import check_video_path
 
     evaluation = trace.last_evaluation(run, plain=False)
     if evaluation is None:
@@ -123,7 +123,7 @@ def repeat_failed(run: Run, video: Path | None, *, as_json: bool, allow_code: bo
     first = failed[:MAX_SHOWN]
     films = {number: video.with_name(f"{video.stem}-{number}{video.suffix}") for number in first} if video is not None else {}
     for film in films.values():
-        check(film)
+        check_video_path(film)
     found = []
     with terminal.progress("episodes", always=False) as show:
         again = trace.trace_episodes(run, failed, **kept.circumstances, films=films, allow_code=allow_code) if failed else ()

@@ -31,7 +31,7 @@ from deepbots_cli.cli.command import (
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError
-from deepbots_cli.learning.episodes import Episode, EpisodeAccumulator, Summary, zero
+from deepbots_cli.learning.episodes import Episode, EpisodeAccumulator, Summary, zero_action
 from deepbots_cli.program.task import ActionRange, Choices
 
 if TYPE_CHECKING:
@@ -120,7 +120,7 @@ def command(
         elif actions is not None:
             acting = repeated_actions(environment, actions)
         else:
-            acting = zero(environment) if policy is Policy.zero else environment.action_space.sample  # the reset seeds it
+            acting = zero_action(environment) if policy is Policy.zero else environment.action_space.sample  # the reset seeds it
         running = run_episodes(environment, acting, count=episodes, seed=seed, max_steps=steps)
         done: list[Episode] = []
         with terminal.progress() as show:
@@ -128,7 +128,7 @@ def command(
                 done.append(episode)
                 if show and episodes > MAX_SHOWN:
                     show(len(done), episodes)
-    summary = Summary.of(done)
+    summary = Summary.of_episodes(done)
     if as_json:
         totals = {"success_defined": program.defines_success, **vars(summary)}
         known = {

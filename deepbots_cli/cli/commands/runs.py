@@ -15,7 +15,7 @@ from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.group import is_group
 from deepbots_cli.learning.listing import ListedRun, evaluations, list_runs, read_listed, sort_runs
-from deepbots_cli.learning.run import NAME, KeptEvaluation, short
+from deepbots_cli.learning.run import RECORD_NAME, EvaluationRecord, short_settings
 
 
 class Sort(StrEnum):
@@ -61,7 +61,7 @@ def command(
 
     Next: `deepbots eval RUN` evaluates a run or a group, and `deepbots compare RUN RUN` compares them.
     """
-    if (folder / NAME).is_file():
+    if (folder / RECORD_NAME).is_file():
         _show_run(folder, as_json=as_json)
         return
     if not folder.is_dir() and folder != Path("runs"):
@@ -112,7 +112,7 @@ def _row(run: ListedRun, *, with_file: bool = False) -> Row:
         "score": run.score,
         "solved": "" if run.solved is None else "yes" if run.solved else "no",
         "cpu_s": None if run.cpu_seconds is None else round(run.cpu_seconds, 1),
-        "set": short(run.settings),
+        "set": short_settings(run.settings),
         "digest": run.digest[:8],
         "updated": run.updated[:16].replace("T", " "),
     }
@@ -145,7 +145,7 @@ def _show_run(folder: Path, *, as_json: bool) -> None:
             terminal.note(f"evaluation {number}: {one}")
 
 
-def _evaluation(number: int, kept: KeptEvaluation) -> Row:
+def _evaluation(number: int, kept: EvaluationRecord) -> Row:
     return {
         "number": number,
         "evaluated": kept.evaluated[:16].replace("T", " "),

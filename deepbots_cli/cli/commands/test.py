@@ -21,7 +21,7 @@ from deepbots_cli.diagnostics import Finding
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import ScenarioError, UsageError
 from deepbots_cli.files import check_writable
-from deepbots_cli.learning.scenario_tests import Miss, TestResult, run_tests
+from deepbots_cli.learning.scenario_tests import TestResult, UnmetExpectation, run_tests
 from deepbots_cli.lint.settings import settings
 from deepbots_cli.runtime.streams import derive_seed
 
@@ -123,7 +123,7 @@ def _row(result: TestResult) -> Row:
     return {"test": result.test.name, "result": "passed" if result.passed else "FAILED", **numbers}
 
 
-def _command(scenario: str, result: TestResult, miss: Miss, given: Sequence[str]) -> str:
+def _command(scenario: str, result: TestResult, miss: UnmetExpectation, given: Sequence[str]) -> str:
     """The command that shows the episode of a miss, with the options that were `given`."""
     test, episode = result.test, miss.episode
     settings = [f"--{word} {value}" for word, value in (("case", test.case), ("stage", test.stage)) if value]

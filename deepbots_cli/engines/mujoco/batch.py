@@ -16,10 +16,9 @@ import numpy as np
 from mujoco.batch import Batch
 
 from deepbots_cli import frames
-from deepbots_cli.engines.mujoco import cameras
-from deepbots_cli.engines.mujoco import motors as drives
+from deepbots_cli.engines.mujoco import cameras, motors
 from deepbots_cli.engines.mujoco.engine import MuJoCoEngine, _link
-from deepbots_cli.engines.mujoco.model import HIDDEN, Body, Builder, limited
+from deepbots_cli.engines.mujoco.model import HIDDEN_GROUP, Body, ModelBuilder, limited
 from deepbots_cli.engines.mujoco.state import World
 from deepbots_cli.engines.objects import Pool
 
@@ -33,15 +32,15 @@ if TYPE_CHECKING:
     Column = NDArray[Any]
 
 
-class Member(MuJoCoEngine):
+class BatchMember(MuJoCoEngine):
     """One world of a batch, from a model that was compiled once for all of them."""
 
     def __init__(self, world: WorldModel, model: Any, pools: Sequence[Pool[Body]]) -> None:
         self._world = World(model, world, pools)
-        self._motors = drives.Motors(self._world)
-        self._touches = None
-        self._acts = []
-        self._pictures = cameras.Pictures(world, self._world)
+        self._motors = motors.Motors(self._world)
+        self._contact_monitor = None
+        self._substep_callbacks = []
+        self._renderer = cameras.WorldRenderer(world, self._world)
         self.capabilities = frozenset({"contacts", "snapshot"})
         self.reset()
 
@@ -53,22 +52,22 @@ class MuJoCoBatch:
 
     def __init__(self, world: WorldModel, count: int, threads: int | None = None) -> None:
         """Without `threads`, as many as there are cores for this process."""
-        built = Builder(world)
-        model = built.compiled()
+        built = ModelBuilder(world)
+        model = built.compile()
         shared = {id(body.model): body.model for pool in built.pools for body in pool}
-        self.members = [Member(world, copy(model), deepcopy(built.pools, dict(shared))) for _ in range(count)]
+        self.members = [BatchMember(world, copy(model), deepcopy(built.pools, dict(shared))) for _ in range(count)]
         self._worlds = [member._world for member in self.members]
         self._threads = threads or len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else threads or os.cpu_count() or 1
         self._pool = ThreadPoolExecutor(self._threads, thread_name_prefix="worlds") if min(self._threads, count) > 1 else None
-        self._gathered: dict[str, Column] = {}
+        self._gathered_arrays: dict[str, Column] = {}
         self._views: dict[str, list[memoryview]] = {}
         """Of arrays of all worlds, whose memory stays where it is."""
-        self._followers: list[Callable[[Sequence[int]], object]] = []
+        self._on_begin: list[Callable[[Sequence[int]], object]] = []
         """Called with the worlds that have begun an episode."""
-        self._derives: Callable[[World], object] | None = None
-        """Computes what readers need beside the state; `_derived` is what was computed in all worlds since they changed."""
-        self._derived: Callable[[World], object] | None = None
-        self.chosen: Column | None = None
+        self._derivation: Callable[[World], object] | None = None
+        """Computes what readers need beside the state; `_last_derivation` is what was computed in all worlds since they changed."""
+        self._last_derivation: Callable[[World], object] | None = None
+        self.write_mask: Column | None = None
         """The worlds that motors are written in, as truth values; None for all."""
 
     @property
@@ -81,7 +80,7 @@ class MuJoCoBatch:
     def step(self, substeps: int, running: Column | None = None) -> None:
         """Let the worlds go on, or only those that are `running` (truth values)."""
         chosen = self.members if running is None else [self.members[index] for index in np.flatnonzero(running)]
-        derives = self._derives
+        derives = self._derivation
         waiting = iter(chosen)  # each thread takes the next world, so that none waits for one that was disturbed
 
         def advance(_: int) -> None:
@@ -95,17 +94,17 @@ class MuJoCoBatch:
         else:
             for _ in self._pool.map(advance, range(self._threads)):
                 pass
-        self._gathered = {}
-        self._derived = derives if running is None else None
+        self._gathered_arrays = {}
+        self._last_derivation = derives if running is None else None
 
-    def begun(self, worlds: Iterable[int]) -> None:
+    def begin_episodes(self, worlds: Iterable[int]) -> None:
         """Take notice of new episodes in these worlds."""
-        self._gathered = {}
-        self._derived = None
-        for follower in self._followers:
+        self._gathered_arrays = {}
+        self._last_derivation = None
+        for follower in self._on_begin:
             follower(list(worlds))
 
-    def lost(self) -> Column:
+    def non_finite_worlds(self) -> Column:
         """The numbers of the worlds whose state is not finite."""
         return np.flatnonzero(~np.isfinite(self._state("qpos").sum(axis=0) + self._state("qvel").sum(axis=0)))
 
@@ -119,16 +118,16 @@ class MuJoCoBatch:
 
     def _state(self, name: str) -> Column:
         """An array of MuJoCo's data, flat, with a column per world; made anew after each step, so that what was read stays."""
-        return self._of(name, lambda world: getattr(world.data, name))
+        return self._gather(name, lambda world: getattr(world.data, name))
 
-    def _of(self, name: str, part: Callable[[World], Column]) -> Column:
-        found = self._gathered.get(name)
+    def _gather(self, name: str, part: Callable[[World], Column]) -> Column:
+        found = self._gathered_arrays.get(name)
         if found is None:
             parts = self._views.get(name)
             if parts is None:
                 parts = self._views[name] = [part(world).reshape(-1).data.cast("B") for world in self._worlds]
             # Joining bytes takes a sixth of `np.concatenate`. What results cannot be written, so nothing is changed by mistake.
-            found = self._gathered[name] = np.frombuffer(b"".join(parts)).reshape(len(parts), -1).T
+            found = self._gathered_arrays[name] = np.frombuffer(b"".join(parts)).reshape(len(parts), -1).T
         return found
 
     def joint_states(self, robot: str, joints: Sequence[str]) -> Callable[[], Any]:
@@ -142,66 +141,66 @@ class MuJoCoBatch:
         return read
 
     def joint_torques(self, robot: str, joints: Sequence[str]) -> Callable[[], Any]:
-        """See `drives.Motors.torques`."""
+        """See `motors.Motors.torques`."""
         first = self.members[0]
         dofs = self._worlds[0].model.jnt_dofadr[list(first._joints(robot, joints))]
-        usual = first._motors.usual_armature[dofs][:, None]
+        usual = first._motors.nominal_armature[dofs][:, None]
 
         def read() -> Any:
-            armature = self._of("dof_armature", lambda world: world.model.dof_armature)
+            armature = self._gather("dof_armature", lambda world: world.model.dof_armature)
             return self._state("qfrc_actuator")[dofs] - (armature[dofs] - usual) * self._state("qacc")[dofs]
 
         return read
 
     def pose(self, body: str, link: str | None = None) -> Callable[[], Any]:
-        place = self._place(body, link)
+        place = self._form_and_link(body, link)
         if place is None:
-            return self._each(lambda member: member.pose(body, link))
+            return self._read_each(lambda member: member.pose(body, link))
         form, number = place
-        if number == form.root and form.position >= 0:
-            at = form.position
+        if number == form.root_id and form.position_index >= 0:
+            at = form.position_index
 
             def read_free() -> Any:
                 px, py, pz, w, x, y, z = self._state("qpos")[at : at + 7]
                 return (px, py, pz), (x, y, z, w)
 
             return read_free
-        if number == form.root and form.mocap >= 0:
-            places, turns, index = "mocap_pos", "mocap_quat", form.mocap
+        if number == form.root_id and form.mocap_index >= 0:
+            places, turns, index = "mocap_pos", "mocap_quat", form.mocap_index
         else:
             places, turns, index = "xpos", "xquat", number
-            self._derives = self._derives or World.pose
+            self._derivation = self._derivation or World.update_positions
 
         def read() -> Any:
             if places == "xpos":
-                self._derive()
-            w, x, y, z = self._of(f"{turns}{index}", lambda world: getattr(world.data, turns)[index])
-            return tuple(self._of(f"{places}{index}", lambda world: getattr(world.data, places)[index])), (x, y, z, w)
+                self._require_derived()
+            w, x, y, z = self._gather(f"{turns}{index}", lambda world: getattr(world.data, turns)[index])
+            return tuple(self._gather(f"{places}{index}", lambda world: getattr(world.data, places)[index])), (x, y, z, w)
 
         return read
 
     def velocity(self, body: str, link: str | None = None) -> Callable[[], Any]:
-        place = self._place(body, link)
+        place = self._form_and_link(body, link)
         if place is None:
-            return self._each(lambda member: member.velocity(body, link))
+            return self._read_each(lambda member: member.velocity(body, link))
         form, number = place
-        if number == form.root and form.position >= 0:
-            pose, at = self.pose(body, link), form.velocity
+        if number == form.root_id and form.position_index >= 0:
+            pose, at = self.pose(body, link), form.velocity_index
 
             def read_free() -> Any:
                 numbers = self._state("qvel")[at : at + 6]
                 return tuple(numbers[:3]), frames.rotate(pose()[1], tuple(numbers[3:]))
 
             return read_free
-        self._derives = World.motion
+        self._derivation = World.update_velocities
         root = int(self._worlds[0].model.body_rootid[number])
 
         def read() -> Any:
             """Of the link's origin, from the velocity of the body at the centre of mass of its tree, as `mj_objectVelocity` does."""
-            self._derive()
-            spatial = self._of(f"cvel{number}", lambda world: world.data.cvel[number])
-            apart = self._of(f"xpos{number}", lambda world: world.data.xpos[number])
-            apart = apart - self._of(f"subtree_com{root}", lambda world: world.data.subtree_com[root])
+            self._require_derived()
+            spatial = self._gather(f"cvel{number}", lambda world: world.data.cvel[number])
+            apart = self._gather(f"xpos{number}", lambda world: world.data.xpos[number])
+            apart = apart - self._gather(f"subtree_com{root}", lambda world: world.data.subtree_com[root])
             angular = tuple(spatial[:3])
             return frames.subtract(tuple(spatial[3:]), frames.cross(tuple(apart), angular)), angular
 
@@ -213,7 +212,7 @@ class MuJoCoBatch:
 
     def rays(self, part: Part, rays: Sequence[Frame], reach: float) -> Callable[[], Column]:
         """See `Engine.rays`."""
-        place = self._place(*part)
+        place = self._form_and_link(*part)
         if place is None:
             readers = [member.rays(part, rays, reach) for member in self.members]
             return lambda: np.array([reader() for reader in readers]).T
@@ -221,50 +220,50 @@ class MuJoCoBatch:
         starts = np.array([origin for origin, _ in rays])
         ways = np.array([frames.rotate(turned, (1.0, 0.0, 0.0)) for _, turned in rays])
         seen = np.ones(6, np.uint8)
-        seen[HIDDEN] = 0
+        seen[HIDDEN_GROUP] = 0
         # One call for the rays of all worlds takes a quarter of the time of a call for each ray. It has one thread: with
         # two, the physics of FindBall took 3 to 30 us more CPU per world, probably since idle threads wait in a loop.
         casts = Batch(self._worlds[0].model, len(self._worlds), 1)
         casts_groups, casts_qpos = casts.expand("geom_group"), casts.bind("qpos")
         at_rest = [(name, casts.bind(name)) for name in ("mocap_pos", "mocap_quat") if self._worlds[0].model.nmocap]
-        own = form.of(None)
+        own = form.geoms_of(None)
 
         def begun(worlds: Sequence[int]) -> None:
             """Bodies come and go with an episode, and a robot does not see itself."""
             for world in worlds:
                 casts_groups[world] = self._worlds[world].model.geom_group
-                casts_groups[world, own] = HIDDEN
+                casts_groups[world, own] = HIDDEN_GROUP
                 for name, places in at_rest:
                     places[world] = getattr(self._worlds[world].data, name)
 
         begun(range(len(self._worlds)))
-        self._followers.append(begun)
-        self._derives = self._derives or World.pose
+        self._on_begin.append(begun)
+        self._derivation = self._derivation or World.update_positions
 
         def read() -> Column:
-            self._derive()
-            axes = self._of(f"xmat{link}", lambda world: world.data.xmat[link]).T.reshape(-1, 3, 3)
-            position = self._of(f"xpos{link}", lambda world: world.data.xpos[link]).T
+            self._require_derived()
+            axes = self._gather(f"xmat{link}", lambda world: world.data.xmat[link]).T.reshape(-1, 3, 3)
+            position = self._gather(f"xpos{link}", lambda world: world.data.xpos[link]).T
             casts_qpos[:] = self._state("qpos").T
             free, _ = casts.ray(position[:, None] + starts @ axes.transpose(0, 2, 1), ways @ axes.transpose(0, 2, 1), seen)
             return np.where((free < 0.0) | (free > reach), reach, free).T
 
         return read
 
-    def _derive(self) -> None:
+    def _require_derived(self) -> None:
         """Compute for all worlds what a step computes, since some began an episode."""
-        compute = self._derives
-        if compute is not None and self._derived is not compute:
+        compute = self._derivation
+        if compute is not None and self._last_derivation is not compute:
             for world in self._worlds:
                 compute(world)
-            self._derived = compute
+            self._last_derivation = compute
 
-    def _place(self, body: str, link: str | None) -> tuple[Body, int] | None:
+    def _form_and_link(self, body: str, link: str | None) -> tuple[Body, int] | None:
         """The form of a body and the number of the link; None where it has several forms."""
         pool = self.members[0]._pool(body)
-        return (pool.chosen, _link(pool.chosen, link)) if len(list(pool)) == 1 else None
+        return (pool.current, _link(pool.current, link)) if len(list(pool)) == 1 else None
 
-    def _each(self, bind: Callable[[Member], Callable[[], Any]]) -> Callable[[], Any]:
+    def _read_each(self, bind: Callable[[BatchMember], Callable[[], Any]]) -> Callable[[], Any]:
         readers = [bind(member) for member in self.members]
 
         def read() -> Any:
@@ -277,11 +276,11 @@ class MuJoCoBatch:
 
     def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
         singles = [member._motor(robot, joints, max_torque) for member in self.members]
-        motor = Motor(self, [single.velocity_writer() for single in singles], robot, joints)
-        return motor.pursuit(singles, [limited(limit) for limit in max_torque])
+        motor = BatchMotor(self, [single.velocity_writer() for single in singles], robot, joints)
+        return motor.tracking_writer(singles, [limited(limit) for limit in max_torque])
 
     def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
-        motor = Motor(self, [member.torque_motor(robot, joints, max_torque) for member in self.members], robot, joints)
+        motor = BatchMotor(self, [member.torque_motor(robot, joints, max_torque) for member in self.members], robot, joints)
         limits = np.array([limited(limit) for limit in max_torque])[:, None]
         return motor.writer(lambda targets: np.minimum(np.maximum(targets, -limits), limits), holds=False)
 
@@ -295,14 +294,14 @@ class MuJoCoBatch:
     ) -> MotorWriter:
         """A spring is written as an array; a servo renews its gains in each engine step, and is written world by world."""
         own = [member.position_motor(robot, joints, max_torque, stiffness, damping) for member in self.members]
-        motor = Motor(self, own, robot, joints)
+        motor = BatchMotor(self, own, robot, joints)
         if stiffness is None:
-            return motor.each
+            return motor.each_writer
         rates = np.array(stiffness)[:, None]
         return motor.writer(lambda targets: rates * targets, holds=True)
 
 
-class Rows:
+class ArrayWriter:
     """The same places of an array of MuJoCo in all worlds, written as columns.
 
     Copying one view onto another takes 0.06 us per world, writing a row of an array into a slice of another 0.2 us.
@@ -328,7 +327,7 @@ class Rows:
             target[whole] = source
 
 
-class Motor:
+class BatchMotor:
     """A motor on the same joints of all worlds; in a new episode, its first command goes through the motor of the single world."""
 
     def __init__(self, batch: MuJoCoBatch, own: Sequence[MotorWriter], robot: str, joints: Sequence[str]) -> None:
@@ -336,19 +335,19 @@ class Motor:
         numbers = list(batch.members[0]._joints(robot, joints))
         self._numbers = numbers
         self._model = batch._worlds[0].model
-        self._acts = drives.places([batch.members[0]._motors.actuators[number] for number in numbers])
-        self._ctrl = Rows([world.data.ctrl for world in batch._worlds], self._acts)
+        self._acts = motors.array_index([batch.members[0]._motors.actuators[number] for number in numbers])
+        self._ctrl = ArrayWriter([world.data.ctrl for world in batch._worlds], self._acts)
         self._let_go = np.zeros(len(own), bool)
         self._holds = True
-        batch._followers.append(self.begun)
+        batch._on_begin.append(self.begin_episodes)
 
-    def begun(self, worlds: Sequence[int]) -> None:
+    def begin_episodes(self, worlds: Sequence[int]) -> None:
         """These worlds have begun an episode; most motors hold their joints since then, and drive them."""
         self._let_go[worlds] = not self._holds
 
-    def each(self, targets: Any) -> None:
+    def each_writer(self, targets: Any) -> None:
         """Command each world by itself."""
-        self._write_own(self._columns(targets), self._chosen())
+        self._write_own(self._columns(targets), self._written_worlds())
 
     def writer(self, control: Callable[[Column], Column], *, holds: bool) -> MotorWriter:
         """A motor whose law stays the same: the numbers that its actuators get follow from the targets.
@@ -359,30 +358,30 @@ class Motor:
         self._let_go[:] = not holds
 
         def write(targets: Any) -> None:
-            columns, chosen = self._columns(targets), self._chosen()
+            columns, chosen = self._columns(targets), self._written_worlds()
             if self._let_go.any():
                 self._write_own(columns, chosen[self._let_go[chosen]])
             self._ctrl.write(control(columns), chosen)
 
         return write
 
-    def pursuit(self, singles: Sequence[drives.Motor], limits: Sequence[float]) -> MotorWriter:
-        """A velocity motor; see `drives.Motor.velocity_writer`. Worlds in which gains are renewed are written by their `singles`."""
+    def tracking_writer(self, singles: Sequence[motors.Motor], limits: Sequence[float]) -> MotorWriter:
+        """A velocity motor; see `motors.Motor.velocity_writer`. Worlds in which gains are renewed are written by their `singles`."""
         model, batch = self._model, self._batch
-        motors, step = batch.members[0]._motors, model.opt.timestep
-        dofs = drives.places(model.jnt_dofadr[self._numbers].tolist())
-        usual, moved = motors.usual_armature[dofs][:, None], 1.0 / motors.usual_inverse[dofs][:, None]
+        joint_motors, step = batch.members[0]._motors, model.opt.timestep
+        dofs = motors.array_index(model.jnt_dofadr[self._numbers].tolist())
+        usual, moved = joint_motors.nominal_armature[dofs][:, None], 1.0 / joint_motors.nominal_inverse_inertia[dofs][:, None]
         bounds = np.array(limits)[:, None]
         inertias = model.dof_M0[dofs][:, None]
-        stiffest, least = drives.STIFFEST * inertias / step, inertias / step
-        renewed = [member._motors.renewed for member in batch.members]
+        stiffest, least = motors.MAX_GAIN * inertias / step, inertias / step
+        renewed = [member._motors.gain_updates for member in batch.members]
         models = [world.model for world in batch._worlds]
-        biases = Rows([each.actuator_biasprm[:, 2] for each in models], self._acts)
-        armatures, inverses = (Rows([getattr(each, name) for each in models], dofs) for name in ("dof_armature", "dof_invweight0"))
+        biases = ArrayWriter([each.actuator_biasprm[:, 2] for each in models], self._acts)
+        armatures, inverses = (ArrayWriter([getattr(each, name) for each in models], dofs) for name in ("dof_armature", "dof_invweight0"))
 
         def write(targets: Any) -> None:
-            columns, chosen = self._columns(targets), self._chosen()
-            off = np.maximum(np.abs(columns - batch._state("qvel")[dofs]), drives.SLACK * np.abs(columns))
+            columns, chosen = self._columns(targets), self._written_worlds()
+            off = np.maximum(np.abs(columns - batch._state("qvel")[dofs]), motors.MIN_ERROR_SHARE * np.abs(columns))
             gains = np.where(off * stiffest > bounds, bounds / off, stiffest)
             slow = (gains < least).any(axis=0).tolist()
             one_by_one = [world for world in chosen.tolist() if slow[world] or renewed[world]]
@@ -403,8 +402,8 @@ class Motor:
         """The targets as an array with a row per joint and a column per world."""
         return np.stack([np.broadcast_to(np.asarray(target, float), len(self._own)) for target in targets])
 
-    def _chosen(self) -> Column:
-        chosen = self._batch.chosen
+    def _written_worlds(self) -> Column:
+        chosen = self._batch.write_mask
         return np.arange(len(self._own)) if chosen is None else np.flatnonzero(chosen)
 
     def _write_own(self, columns: Column, worlds: Column) -> None:

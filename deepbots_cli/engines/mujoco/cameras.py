@@ -17,9 +17,9 @@ import numpy as np
 
 from deepbots_cli import frames
 from deepbots_cli.engines.mujoco import mujoco as mj
-from deepbots_cli.engines.mujoco.model import FARTHEST, NEAREST, Builder
+from deepbots_cli.engines.mujoco.model import FAR_CLIP_M, NEAR_CLIP_M, ModelBuilder
 from deepbots_cli.errors import EngineError
-from deepbots_cli.port import SIGHT, Sight
+from deepbots_cli.port import CAMERA_RANGE_M, CameraImage
 from deepbots_cli.program.world import GROUND
 
 if TYPE_CHECKING:
@@ -28,27 +28,27 @@ if TYPE_CHECKING:
     from deepbots_cli.port import Image, PoseReader, View
     from deepbots_cli.program.world import WorldModel
 
-LACKING = (
+UNAVAILABLE_MESSAGE = (
     "MuJoCo draws with OpenGL, which this machine does not offer without a display; set MUJOCO_GL=egl or MUJOCO_GL=osmesa where one of"
     " these libraries is installed, or use the engine 'pybullet' for pictures"
 )
 
 
-_OPEN: WeakSet[Pictures] = WeakSet()
+_OPEN_RENDERERS: WeakSet[WorldRenderer] = WeakSet()
 
 
 def _close_all() -> None:
-    for pictures in tuple(_OPEN):
+    for pictures in tuple(_OPEN_RENDERERS):
         pictures.close()
 
 
-def available() -> bool:
+def is_available() -> bool:
     """Whether MuJoCo has found a library for OpenGL. No context is made before the first picture, which may still fail."""
     return hasattr(mj, "GLContext")
 
 
 @cache
-def _opens() -> bool:
+def _opens_context() -> bool:
     """Whether a context of OpenGL can be made; found out once, in 10 ms.
 
     Software OpenGL brings the LLVM of the system. Triton, which torch loads with some optimizers, has its own, and the process
@@ -70,61 +70,61 @@ def _opens() -> bool:
     return True
 
 
-class Pictures:
+class WorldRenderer:
     """Draws one world; nothing is built before the first picture."""
 
     def __init__(self, world: WorldModel, state: World) -> None:
         self._world, self._state = world, state
         self._model: Any = None
         self._renderers: dict[tuple[int, int], Any] = {}
-        _OPEN.add(self)
+        _OPEN_RENDERERS.add(self)
 
     def close(self) -> None:
         for renderer in self._renderers.values():
             renderer.close()
         self._renderers.clear()
 
-    def picture(self, view: View) -> Image:
+    def render_view(self, view: View) -> Image:
         ahead = np.subtract(view.target, view.eye)
         ahead = ahead / np.linalg.norm(ahead)
         left = np.cross((0.0, 0.0, 1.0), ahead)
         length = np.linalg.norm(left)
         left = left / length if length > 1e-9 else np.array((0.0, 1.0, 0.0))
         width, height, samples = view.width * view.samples, view.height * view.samples, view.samples
-        renderer = self._shown(width, height)
+        renderer = self._renderer_of_size(width, height)
         self._aim(renderer, view.eye, ahead, np.cross(ahead, left), view.fov)
         fine = renderer.render().astype(np.uint16).reshape(view.height, samples, view.width, samples, 3)
-        return self._lit((fine.sum(axis=(1, 3)) // samples**2).astype(np.uint8))
+        return self._brightened((fine.sum(axis=(1, 3)) // samples**2).astype(np.uint8))
 
-    def sight(self, pose: PoseReader, mount: Frame, width: int, height: int, fov: float) -> Sight:
+    def render_camera(self, pose: PoseReader, mount: Frame, width: int, height: int, fov: float) -> CameraImage:
         eye, turned = frames.compose(pose(), mount)
-        renderer = self._shown(width, height)
+        renderer = self._renderer_of_size(width, height)
         self._aim(renderer, eye, frames.rotate(turned, (1.0, 0.0, 0.0)), frames.rotate(turned, (0.0, 0.0, 1.0)), fov)
-        colours = self._lit(renderer.render().copy())
+        colours = self._brightened(renderer.render().copy())
         renderer.enable_depth_rendering()
-        depth = np.minimum(renderer.render(), np.float32(SIGHT))
+        depth = np.minimum(renderer.render(), np.float32(CAMERA_RANGE_M))
         renderer.disable_depth_rendering()
         renderer.enable_segmentation_rendering()
         geoms = renderer.render()[..., 0]
         renderer.disable_segmentation_rendering()
         names = tuple(self._state.pools)
         bodies = np.where(geoms >= 0, self._owners[geoms], np.int32(-1)).astype(np.int32)
-        return Sight(colours, depth, bodies, names)
+        return CameraImage(colours, depth, bodies, names)
 
-    def _lit(self, picture: Image) -> Image:
+    def _brightened(self, picture: Image) -> Image:
         light = self._state.light
         return picture if light == 1.0 else np.asarray(np.clip(picture * np.float32(light), 0.0, 255.0), dtype=np.uint8)
 
-    def _shown(self, width: int, height: int) -> Any:
+    def _renderer_of_size(self, width: int, height: int) -> Any:
         """A renderer of this size, with the bodies where they are now."""
-        if not (available() and _opens()):
-            raise EngineError(LACKING)
+        if not (is_available() and _opens_context()):
+            raise EngineError(UNAVAILABLE_MESSAGE)
         if self._model is None:
             self._build()
         model, data, now = self._model, self._data, self._state.data
         for name in ("qpos", "mocap_pos", "mocap_quat"):
             getattr(data, name)[:] = getattr(now, name)
-        model.geom_rgba[:] = self._usual
+        model.geom_rgba[:] = self._nominal
         for (body, link), colour in self._state.colours.items():
             geoms = self._geoms.get((body, link), [])
             model.geom_rgba[geoms] = colour
@@ -138,10 +138,10 @@ class Pictures:
         return renderer
 
     def _build(self) -> None:
-        builder = Builder(self._world, drawn=True)
-        self._model = builder.compiled()
+        builder = ModelBuilder(self._world, for_rendering=True)
+        self._model = builder.compile()
         self._data = mj.MjData(self._model)
-        self._usual = self._model.geom_rgba.copy()
+        self._nominal = self._model.geom_rgba.copy()
         self._geoms: dict[tuple[str, str], list[int]] = {}
         self._owners = np.full(self._model.ngeom + 1, -1, np.int32)
         for place, pool in enumerate(builder.pools):
@@ -158,7 +158,7 @@ class Pictures:
         for camera in renderer.scene.camera:
             camera.pos, camera.forward, camera.up = eye, ahead, up
             camera.frustum_center = 0.0
-            camera.frustum_top = NEAREST * tan(fov / 2)
+            camera.frustum_top = NEAR_CLIP_M * tan(fov / 2)
             camera.frustum_bottom = -camera.frustum_top
             camera.frustum_width = 0.0
-            camera.frustum_near, camera.frustum_far = NEAREST, FARTHEST
+            camera.frustum_near, camera.frustum_far = NEAR_CLIP_M, FAR_CLIP_M

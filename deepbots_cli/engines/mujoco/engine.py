@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Literal
 
 from deepbots_cli import frames
 from deepbots_cli.engines.kinematics import Chain
-from deepbots_cli.engines.mujoco import cameras, surfaces
-from deepbots_cli.engines.mujoco import motors as drives
+from deepbots_cli.engines.mujoco import cameras, motors, surfaces
 from deepbots_cli.engines.mujoco import mujoco as mj
-from deepbots_cli.engines.mujoco.model import Body, Builder
+from deepbots_cli.engines.mujoco.model import Body, ModelBuilder
 from deepbots_cli.engines.mujoco.state import World, WorldSnapshot
 from deepbots_cli.engines.objects import Pool, find
 from deepbots_cli.errors import EngineError
-from deepbots_cli.port import STILL, Overlap
+from deepbots_cli.port import ZERO_VECTOR, Overlap
 from deepbots_cli.program.world import GROUND
 
 if TYPE_CHECKING:
@@ -50,63 +49,69 @@ class MuJoCoEngine:
     name = "mujoco"
 
     def __init__(self, world: WorldModel) -> None:
-        built = Builder(world)
-        self._world = World(built.compiled(), world, built.pools)
-        self._motors = drives.Motors(self._world)
-        self._touches: surfaces.Touches | None = None
-        self._acts: list[Callable[[], object]] = []
-        self._pictures = cameras.Pictures(world, self._world)
-        drawing: frozenset[Capability] = frozenset({"rendering"} if cameras.available() else ())
+        built = ModelBuilder(world)
+        self._world = World(built.compile(), world, built.pools)
+        self._motors = motors.Motors(self._world)
+        self._contact_monitor: surfaces.ContactMonitor | None = None
+        self._substep_callbacks: list[Callable[[], object]] = []
+        self._renderer = cameras.WorldRenderer(world, self._world)
+        drawing: frozenset[Capability] = frozenset({"rendering"} if cameras.is_available() else ())
         self.capabilities: frozenset[Capability] = drawing | {"contacts", "snapshot"}
         self.reset()
 
     # Time
 
     def reset(self) -> None:
-        self._world.open().reset()
-        self._motors.rest()
-        if self._touches is not None:
-            self._touches.forget()
+        self._world.require_open().reset()
+        self._motors.deactivate_all()
+        if self._contact_monitor is not None:
+            self._contact_monitor.reset()
 
     def step(self, substeps: int) -> None:
         world = self._world
-        if world.unsettled:
-            world.settle()
-        model, data, touches, acts, renewed = world.model, world.data, self._touches, self._acts, self._motors.renewed
-        if not (acts or renewed or world.pushed):
+        if world.is_stale:
+            world.update_constants()
+        model, data, touches, acts, renewed = (
+            world.model,
+            world.data,
+            self._contact_monitor,
+            self._substep_callbacks,
+            self._motors.gain_updates,
+        )
+        if not (acts or renewed or world.has_pushes):
             if touches is None:
                 mj.mj_step(model, data, substeps)
             else:
-                advance, look = mj.mj_step, touches.look
-                touches.forget()
+                advance, look = mj.mj_step, touches.update
+                touches.reset()
                 for _ in range(substeps):
                     advance(model, data)
                     look()
-            world.stepped()
+            world.invalidate_after_step()
             return
         if touches is not None:
-            touches.forget()
+            touches.reset()
         for _ in range(substeps):
             for act in acts:
                 act()
             for renew in renewed.values():
                 renew()
             mj.mj_step(model, data)
-            world.stepped()
-            if world.pushed:
+            world.invalidate_after_step()
+            if world.has_pushes:
                 data.xfrc_applied[:] = 0.0
-                world.pushed = False
+                world.has_pushes = False
             if touches is not None:
-                touches.look()
+                touches.update()
 
     def before_substep(self, act: Callable[[], object]) -> None:
-        self._acts.append(act)
+        self._substep_callbacks.append(act)
 
     def require_finite(self) -> None:
         self._world.require_finite()
 
     def snapshot(self) -> object:
-        return self._world.open().keep()
+        return self._world.require_open().snapshot()
 
     def restore(self, snapshot: object) -> None:
         if not isinstance(snapshot, WorldSnapshot):
@@ -114,8 +119,8 @@ class MuJoCoEngine:
         self._world.restore(snapshot)
 
     def close(self) -> None:
-        self._acts.clear()
-        self._pictures.close()
+        self._substep_callbacks.clear()
+        self._renderer.close()
         self._world.close()
 
     # Values of an episode
@@ -126,29 +131,29 @@ class MuJoCoEngine:
         return x, y, z
 
     def place(
-        self, body: str, position: Triple, orientation: Quaternion, velocity: Triple = STILL, angular_velocity: Triple = STILL
+        self, body: str, position: Triple, orientation: Quaternion, velocity: Triple = ZERO_VECTOR, angular_velocity: Triple = ZERO_VECTOR
     ) -> None:
         pool, data = self._pool(body), self._world.data
-        pool.enter()
-        placed = pool.chosen
+        pool.activate()
+        placed = pool.current
         turned = x, y, z, w = frames.normalised(orientation)
-        if placed.mocap >= 0:
-            data.mocap_pos[placed.mocap], data.mocap_quat[placed.mocap] = position, (w, x, y, z)
-        elif placed.position >= 0:
-            data.qpos[placed.position : placed.position + 7] = (*position, w, x, y, z)
-            data.qvel[placed.velocity : placed.velocity + 6] = (*velocity, *frames.rotate_back(turned, angular_velocity))
-        self._world.changed()
+        if placed.mocap_index >= 0:
+            data.mocap_pos[placed.mocap_index], data.mocap_quat[placed.mocap_index] = position, (w, x, y, z)
+        elif placed.position_index >= 0:
+            data.qpos[placed.position_index : placed.position_index + 7] = (*position, w, x, y, z)
+            data.qvel[placed.velocity_index : placed.velocity_index + 6] = (*velocity, *frames.rotate_back(turned, angular_velocity))
+        self._world.invalidate()
 
     def set_joint(self, robot: str, joint: str, position: float, velocity: float) -> None:
         model, data, (number,) = self._world.model, self._world.data, self._joints(robot, (joint,))
         data.qpos[model.jnt_qposadr[number]], data.qvel[model.jnt_dofadr[number]] = position, velocity
-        self._world.changed()
+        self._world.invalidate()
 
     def choose(self, body: str, variant: str) -> None:
         self._pool(body).choose(variant)
 
-    def set_parameter(self, what: EngineParameter, of: tuple[str, ...], *values: float) -> None:
-        self._world.open().set(what, of, values)
+    def set_parameter(self, parameter: EngineParameter, owner: tuple[str, ...], *values: float) -> None:
+        self._world.require_open().set_parameter(parameter, owner, values)
 
     # Motors
 
@@ -170,7 +175,7 @@ class MuJoCoEngine:
         return motor.servo_writer() if stiffness is None else motor.spring_writer(stiffness, damping)
 
     def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
-        return self._pool(part[0]).bound(lambda body: drives.pusher(self._world, _link(body, part[1]), frame))
+        return self._pool(part[0]).bind_current(lambda body: motors.pusher(self._world, _link(body, part[1]), frame))
 
     # Readers of motion
 
@@ -183,7 +188,7 @@ class MuJoCoEngine:
             position, velocity = data.qpos.item, data.qvel.item
             return lambda: ((position(place), velocity(dof)),)
         positions, velocities = (
-            drives.live(*pair) for pair in ((data.qpos, model.jnt_qposadr[numbers]), (data.qvel, model.jnt_dofadr[numbers]))
+            motors.array_reader(*pair) for pair in ((data.qpos, model.jnt_qposadr[numbers]), (data.qvel, model.jnt_dofadr[numbers]))
         )
         return lambda: tuple(zip(positions(), velocities(), strict=True))
 
@@ -191,10 +196,10 @@ class MuJoCoEngine:
         return self._motors.torques(self._joints(robot, joints))
 
     def pose(self, body: str, link: str | None = None) -> PoseReader:
-        return self._pool(body).bound(lambda form: self._pose(form, _link(form, link)))
+        return self._pool(body).bind_current(lambda form: self._pose(form, _link(form, link)))
 
     def velocity(self, body: str, link: str | None = None) -> VelocityReader:
-        return self._pool(body).bound(lambda form: self._velocity(form, _link(form, link)))
+        return self._pool(body).bind_current(lambda form: self._velocity(form, _link(form, link)))
 
     def motion(self, body: str, link: str | None = None) -> MotionReader:
         pose, velocity = self.pose(body, link), self.velocity(body, link)
@@ -207,20 +212,22 @@ class MuJoCoEngine:
     def _pose(self, body: Body, link: int) -> PoseReader:
         """Of a root link from the state, of another from positions that are computed when they are asked for."""
         world, data = self._world, self._world.data
-        if link == body.root and body.position >= 0:
-            numbers = data.qpos[body.position : body.position + 7]
+        if link == body.root_id and body.position_index >= 0:
+            numbers = data.qpos[body.position_index : body.position_index + 7]
 
             def read_free() -> Frame:
                 px, py, pz, w, x, y, z = numbers.tolist()
                 return (px, py, pz), (x, y, z, w)
 
             return read_free
-        at_rest = link == body.root and body.mocap >= 0
-        place, turned = (data.mocap_pos[body.mocap], data.mocap_quat[body.mocap]) if at_rest else (data.xpos[link], data.xquat[link])
+        at_rest = link == body.root_id and body.mocap_index >= 0
+        place, turned = (
+            (data.mocap_pos[body.mocap_index], data.mocap_quat[body.mocap_index]) if at_rest else (data.xpos[link], data.xquat[link])
+        )
 
         def read() -> Frame:
-            if not (at_rest or world.posed):
-                world.pose()
+            if not (at_rest or world.has_positions):
+                world.update_positions()
             w, x, y, z = turned.tolist()
             return tuple(place.tolist()), (x, y, z, w)
 
@@ -228,8 +235,11 @@ class MuJoCoEngine:
 
     def _velocity(self, body: Body, link: int) -> VelocityReader:
         world, model, data = self._world, self._world.model, self._world.data
-        if link == body.root and body.position >= 0:
-            turned, numbers = data.qpos[body.position + 3 : body.position + 7], data.qvel[body.velocity : body.velocity + 6]
+        if link == body.root_id and body.position_index >= 0:
+            turned, numbers = (
+                data.qpos[body.position_index + 3 : body.position_index + 7],
+                data.qvel[body.velocity_index : body.velocity_index + 6],
+            )
 
             def read_free() -> tuple[Triple, Triple]:
                 vx, vy, vz, wx, wy, wz = numbers.tolist()
@@ -241,8 +251,8 @@ class MuJoCoEngine:
         of_centre, centre, place = data.cvel[link], data.subtree_com[model.body_rootid[link]], data.xpos[link]
 
         def read() -> tuple[Triple, Triple]:
-            if not world.timed:
-                world.motion()
+            if not world.has_velocities:
+                world.update_velocities()
             wx, wy, wz, vx, vy, vz = of_centre.tolist()
             (px, py, pz), (cx, cy, cz) = place.tolist(), centre.tolist()
             px, py, pz = px - cx, py - cy, pz - cz
@@ -251,9 +261,9 @@ class MuJoCoEngine:
         return read
 
     def inverse_kinematics(self, part: Part, joints: Sequence[str]) -> Kinematics:
-        model = self._pool(part[0]).chosen.model
+        model = self._pool(part[0]).current.model
         chain = Chain(model, part[1] or model.root, joints)
-        root, read = self.pose(part[0]), self.joint_states(part[0], chain.moving)
+        root, read = self.pose(part[0]), self.joint_states(part[0], chain.moving_joints)
         return lambda position, attitude: chain.solve(root(), [state[0] for state in read()], position, attitude)
 
     # Readers of surfaces
@@ -264,9 +274,9 @@ class MuJoCoEngine:
             pools = self._world.pools
             others = [(name, None) for name in pools if name != one[0] and (ground or name != GROUND)]
         met = [geom for part in others for geom in self._geoms(part)]
-        if self._touches is None:
-            self._touches = surfaces.Touches(self._world)
-        return self._touches.reader(own, met)
+        if self._contact_monitor is None:
+            self._contact_monitor = surfaces.ContactMonitor(self._world)
+        return self._contact_monitor.reader(own, met)
 
     def contact_force(self, one: Part) -> ForceReader:
         return surfaces.force(self._world, self._geoms(one))
@@ -276,18 +286,20 @@ class MuJoCoEngine:
         for geom in (*self._geoms(one), *self._geoms(other)):
             if self._world.model.geom_type[geom] == mj.mjtGeom.mjGEOM_HFIELD:
                 raise EngineError("MuJoCo knows no distances to terrain; measure them with rays, or use the engine 'pybullet'")
-        read = near.bound(lambda body: far.bound(lambda its: surfaces.clearance(self._world, body.of(one[1]), its.of(other[1]))))
+        read = near.bind_current(
+            lambda body: far.bind_current(lambda its: surfaces.clearance(self._world, body.geoms_of(one[1]), its.geoms_of(other[1])))
+        )
         return lambda: read() if near.present and far.present else inf
 
     def rays(self, part: Part, rays: Sequence[Frame], reach: float) -> RayReader:
-        return self._pool(part[0]).bound(lambda body: surfaces.rays(self._world, body, _link(body, part[1]), tuple(rays), reach))
+        return self._pool(part[0]).bind_current(lambda body: surfaces.rays(self._world, body, _link(body, part[1]), tuple(rays), reach))
 
     def overlaps(self) -> list[Overlap]:
         owners = {
             geom: (pool.name, link)
-            for pool in self._world.open().pools.values()
+            for pool in self._world.require_open().pools.values()
             if pool.present
-            for link, geoms in pool.chosen.geoms.items()
+            for link, geoms in pool.current.geoms.items()
             for geom in geoms
         }
         deepest: dict[tuple[str, str], Overlap] = {}
@@ -301,31 +313,31 @@ class MuJoCoEngine:
     # Pictures
 
     def camera(self, part: Part, mount: Frame, width: int, height: int, fov: float) -> CameraReader:
-        return partial(self._pictures.sight, self.pose(*part), mount, width, height, fov)
+        return partial(self._renderer.render_camera, self.pose(*part), mount, width, height, fov)
 
     def render(self, view: View) -> Image:
-        self._world.open()
-        return self._pictures.picture(view)
+        self._world.require_open()
+        return self._renderer.render_view(view)
 
     # Names
 
     def _pool(self, name: str) -> Pool[Body]:
-        return find(self._world.open().pools, name, "the world has no body")
+        return find(self._world.require_open().pools, name, "the world has no body")
 
     def _joints(self, robot: str, names: Sequence[str]) -> tuple[int, ...]:
-        body = self._pool(robot).chosen
+        body = self._pool(robot).current
         return tuple(find(body.joints, name, f"'{body.name}' has no joint") for name in names)
 
-    def _motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> drives.Motor:
-        return drives.Motor(self._motors, self._joints(robot, joints), max_torque)
+    def _motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> motors.Motor:
+        return motors.Motor(self._motors, self._joints(robot, joints), max_torque)
 
     def _geoms(self, part: Part) -> list[int]:
         """Of a body in all its forms, or of one link."""
         pool = self._pool(part[0])
         if part[1] is not None:
-            _link(pool.chosen, part[1])
-        return [geom for body in pool for geom in body.of(part[1])]
+            _link(pool.current, part[1])
+        return [geom for body in pool for geom in body.geoms_of(part[1])]
 
 
 def _link(body: Body, link: str | None) -> int:
-    return body.root if link is None else find(body.links, link, f"'{body.name}' has no link")
+    return body.root_id if link is None else find(body.links, link, f"'{body.name}' has no link")

@@ -13,7 +13,17 @@ import numpy as np
 from deepbots_cli import frames
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.engines.mujoco import mujoco as mj
-from deepbots_cli.engines.objects import PALETTE, ROOT_MASS_FRACTION, Pool, as_robot, forms, moves, rigid_group, walls, with_explicit_masses
+from deepbots_cli.engines.objects import (
+    LINK_COLOURS,
+    ROOT_MASS_FRACTION,
+    Pool,
+    arena_walls,
+    as_robot,
+    forms_of,
+    is_movable,
+    rigid_group,
+    with_explicit_masses,
+)
 from deepbots_cli.errors import EngineError
 from deepbots_cli.geometry import HeightGrid, height_grid, mesh_triangles
 from deepbots_cli.program.world import GROUND, Colour, Line, ObjectBody, Terrain, WorldModel
@@ -22,69 +32,69 @@ from deepbots_cli.robots.model import Box, Capsule, Cylinder, Friction, Geometry
 if TYPE_CHECKING:
     from deepbots_cli.frames import Frame, Matrix
 
-Made = Any
+MjObject = Any
 """An element of a specification, or a compiled model; MuJoCo has no types that a checker could read."""
 
-APART = 1000.0  # m between bodies that are absent
-DEEP = 1.0  # m of ground below the lowest place of a terrain
-SOLID, HIDDEN, SEEN = 0, 5, 1  # groups of geoms: what rays meet, what they do not, what is only drawn
-RESPONSE, RESPONSE_STEPS = 0.01, 3.0
+PARKING_SPACING_M = 1000.0  # m between bodies that are absent
+GROUND_DEPTH_M = 1.0  # m of ground below the lowest place of a terrain
+SOLID_GROUP, HIDDEN_GROUP, VISUAL_GROUP = 0, 5, 1  # groups of geoms: what rays meet, what they do not, what is only drawn
+CONTACT_TIME_CONSTANT_S, MIN_CONTACT_STEPS = 0.01, 3.0
 """Time constant (s) of contacts and joint limits, and the least in engine steps.
 
 MuJoCo's contacts are springs. With these a crate rests 27 um deep at steps of 1 ms and 0.15 mm at 8 ms, and slides as Coulomb's law
 says within 0.4 %. Stiffer ones (2 steps, impedance 0.95 to 0.99) are ten times less deep, and a crate that slides hops: 4 % off.
 """
-IMPEDANCE = (0.9, 0.95, 0.001, 0.5, 2.0)
-TYRE_IMPEDANCE = (2 * 0.9 / (1 + 0.9), 2 * 0.95 / (1 + 0.95), *IMPEDANCE[2:])
+CONTACT_IMPEDANCE = (0.9, 0.95, 0.001, 0.5, 2.0)
+TYRE_IMPEDANCE = (2 * 0.9 / (1 + 0.9), 2 * 0.95 / (1 + 0.95), *CONTACT_IMPEDANCE[2:])
 """A tyre touches in one point where a cylinder touches in two: it gives way half as much as one of them, and sinks as deep as both.
 
 A contact gives way by (1 - impedance) / impedance.
 """
-ALIGNED = 1e-6
+AXLE_TOLERANCE = 1e-6
 """By how much the axis of a wheel may be off that of its joint: as a part of the radius, and in rad."""
-NEAREST, FARTHEST = 0.01, 2000.0  # m; what is drawn
-EARTH = (0.72, 0.63, 0.48, 1.0)
+NEAR_CLIP_M, FAR_CLIP_M = 0.01, 2000.0  # m; what is drawn
+TERRAIN_COLOUR = (0.72, 0.63, 0.48, 1.0)
 
 
 @dataclass(eq=False)
 class Body:
     """A robot or an object in one of its forms: ids of links and of their geoms, and of joints, by name.
 
-    A root link that moves has the first of its 7 `position` and 6 `velocity` numbers in the state; any other has a `mocap` number.
-    `still` holds the links that never move.
+    The state holds the 7 position numbers of a root link that moves from `position_index` on, and its 6 velocity numbers from
+    `velocity_index` on; any other root link has a `mocap_index`. `static_links` holds the links that never move.
     """
 
     name: str
     model: RobotModel
     fixed: bool
-    home: Frame
+    initial_pose: Frame
     links: dict[str, int] = field(default_factory=dict)
     joints: dict[str, int] = field(default_factory=dict)
     geoms: dict[str, list[int]] = field(default_factory=dict)
-    still: frozenset[str] = frozenset()
-    root: int = 0
-    position: int = -1
-    velocity: int = -1
-    mocap: int = -1
-    on_entrance: Callable[[Body], object] | None = None
+    static_links: frozenset[str] = frozenset()
+    root_id: int = 0
+    position_index: int = -1
+    velocity_index: int = -1
+    mocap_index: int = -1
+    on_activate: Callable[[Body], object] | None = None
 
-    def suspend(self) -> None:
+    def deactivate(self) -> None:
         """A reset has put it away."""
 
-    def wake(self) -> None:
-        if self.on_entrance is not None:
-            self.on_entrance(self)
+    def activate(self) -> None:
+        if self.on_activate is not None:
+            self.on_activate(self)
 
-    def of(self, link: str | None) -> list[int]:
+    def geoms_of(self, link: str | None) -> list[int]:
         """The geoms of a link, or of all."""
         return self.geoms[link] if link is not None else [geom for geoms in self.geoms.values() for geom in geoms]
 
 
-class Builder:
+class ModelBuilder:
     """A model of the world, and its bodies. The one for pictures has the same bodies and joints, with what is seen of them as geoms."""
 
-    def __init__(self, world: WorldModel, drawn: bool = False) -> None:
-        self._world, self._drawn = world, drawn
+    def __init__(self, world: WorldModel, for_rendering: bool = False) -> None:
+        self._world, self._for_rendering = world, for_rendering
         self._spec = spec = mj.MjSpec()
         step = world.timestep / world.substeps
         spec.option.timestep = step
@@ -96,32 +106,32 @@ class Builder:
         spec.compiler.autolimits = False
         spec.compiler.alignfree = False
         spec.stat.extent = 1.0
-        spec.visual.map.znear, spec.visual.map.zfar = NEAREST, FARTHEST
-        self._response = (max(RESPONSE, RESPONSE_STEPS * step), 1.0)
-        self._made: list[tuple[Body, dict[str, Made], dict[str, Made], dict[str, list[Made]]]] = []
-        self._flat = world.terrain is None and world.ground is not None and not drawn
+        spec.visual.map.znear, spec.visual.map.zfar = NEAR_CLIP_M, FAR_CLIP_M
+        self._response = (max(CONTACT_TIME_CONSTANT_S, MIN_CONTACT_STEPS * step), 1.0)
+        self._made: list[tuple[Body, dict[str, MjObject], dict[str, MjObject], dict[str, list[MjObject]]]] = []
+        self._flat = world.terrain is None and world.ground is not None and not for_rendering
         self._wheels: set[str] = set()
         self._tyres: set[str] = set()
         self._elements = self._absent = 0
         self.pools: list[Pool[Body]] = []
-        if drawn:
+        if for_rendering:
             self._add_light()
         self._add_ground()
-        for thing in (*(walls(world.arena) if world.arena else ()), *world.objects):
-            variants = [(name, self._object(form, thing.pooled)) for name, form in forms(thing).items()]
+        for thing in (*(arena_walls(world.arena) if world.arena else ()), *world.objects):
+            variants = [(name, self._object(form, thing.pooled)) for name, form in forms_of(thing).items()]
             self.pools.append(Pool(thing.name, variants, thing.pooled))
         for robot in world.robots:
             model = with_explicit_masses(robot.name, robot.model, robot.fixed_base)
             body = self._add(Body(robot.name, model, robot.fixed_base, frames.frame(robot.pose)))
             self.pools.append(Pool(robot.name, [(robot.name, body)], pooled=False))
 
-    def compiled(self) -> Made:
+    def compile(self) -> MjObject:
         """The model; the bodies then know their ids.
 
         Raises:
             EngineError: MuJoCo refuses the world.
         """
-        if not self._drawn:
+        if not self._for_rendering:
             self._add_pairs()
         try:
             model = self._spec.compile()
@@ -135,11 +145,11 @@ class Builder:
             body.links = {name: made.id for name, made in links.items()}
             body.joints = {name: made.id for name, made in joints.items()}
             body.geoms = {name: [geom.id for geom in made] for name, made in geoms.items()}
-            body.root = body.links[body.model.root]
-            body.mocap = int(model.body_mocapid[body.root])
+            body.root_id = body.links[body.model.root]
+            body.mocap_index = int(model.body_mocapid[body.root_id])
             if not body.fixed:
-                first = model.body_jntadr[body.root]
-                body.position, body.velocity = int(model.jnt_qposadr[first]), int(model.jnt_dofadr[first])
+                first = model.body_jntadr[body.root_id]
+                body.position_index, body.velocity_index = int(model.jnt_qposadr[first]), int(model.jnt_dofadr[first])
         return model
 
     # Ground
@@ -151,7 +161,7 @@ class Builder:
         if world.terrain is not None:
             relief = self._relief(world.terrain)
             shape = {"type": mj.mjtGeom.mjGEOM_HFIELD, "hfieldname": GROUND, "pos": (0.0, 0.0, float(relief.heights.min()))}
-            friction, colour = Friction(lateral=world.terrain.friction), world.terrain.colour or EARTH
+            friction, colour = Friction(lateral=world.terrain.friction), world.terrain.colour or TERRAIN_COLOUR
         elif world.ground is not None:
             shape = {"type": mj.mjtGeom.mjGEOM_PLANE, "size": (0.0, 0.0, 1.0)}
             friction, colour = Friction(lateral=world.ground.friction, restitution=world.ground.restitution), world.ground.colour
@@ -162,14 +172,14 @@ class Builder:
             RobotModel(GROUND, (Link(GROUND, friction=friction),), (), GROUND),
             True,
             frames.IDENTITY_FRAME,
-            still=frozenset({GROUND}),
+            static_links=frozenset({GROUND}),
         )
-        if self._drawn:
+        if self._for_rendering:
             shape |= {"rgba": colour} if colour else {"material": self._tiles()}
         geom = self._geom(self._spec.worldbody, **shape)
         self._made.append((body, {GROUND: self._spec.worldbody}, {}, {GROUND: [geom]}))
         self.pools.append(Pool(GROUND, [(GROUND, body)], pooled=False))
-        for line in world.lines if self._drawn else ():
+        for line in world.lines if self._for_rendering else ():
             self._paint(line)
 
     def _relief(self, terrain: Terrain) -> HeightGrid:
@@ -185,7 +195,7 @@ class Builder:
             name=GROUND,
             nrow=rows,
             ncol=columns,
-            size=(relief.size[0] / 2, relief.size[1] / 2, span, DEEP),
+            size=(relief.size[0] / 2, relief.size[1] / 2, span, GROUND_DEPTH_M),
             userdata=((relief.heights - low) / span).ravel().tolist(),
         )
         return relief
@@ -229,8 +239,8 @@ class Builder:
         home = frames.frame(thing.pose)
         if pooled:
             self._absent += 1
-            home = (-self._absent * APART, 0.0, self._absent * APART), frames.IDENTITY_ROTATION
-        return self._add(Body(thing.name, as_robot(thing), not moves(thing), home), pooled)
+            home = (-self._absent * PARKING_SPACING_M, 0.0, self._absent * PARKING_SPACING_M), frames.IDENTITY_ROTATION
+        return self._add(Body(thing.name, as_robot(thing), not is_movable(thing), home), pooled)
 
     def _add(self, body: Body, pooled: bool = False) -> Body:
         """Add the links and joints of a body to the specification."""
@@ -240,14 +250,14 @@ class Builder:
         children: dict[str, list[str]] = {}
         for joint in model.joints:
             children.setdefault(joint.parent, []).append(joint.child)
-        body.still = frozenset(rigid_group(model, model.root)) if body.fixed else frozenset()
-        links: dict[str, Made] = {}
-        joints: dict[str, Made] = {}
-        geoms: dict[str, list[Made]] = {}
+        body.static_links = frozenset(rigid_group(model, model.root)) if body.fixed else frozenset()
+        links: dict[str, MjObject] = {}
+        joints: dict[str, MjObject] = {}
+        geoms: dict[str, list[MjObject]] = {}
         order = [model.root]
         for place, name in enumerate(order):
             link, above = model.link(name), joint_of.get(name)
-            position, turned = body.home if above is None else frames.frame(above.origin)
+            position, turned = body.initial_pose if above is None else frames.frame(above.origin)
             parent = self._spec.worldbody if above is None else links[above.parent]
             links[name] = made = parent.add_body(pos=position, quat=_wxyz(turned), gravcomp=float(pooled and not body.fixed))
             if above is None:
@@ -256,7 +266,7 @@ class Builder:
                     made.add_freejoint()
             elif above.moves:
                 joints[above.name] = self._joint(made, above)
-            self._weigh(made, link, ROOT_MASS_FRACTION * subtree_mass[name] if above is None or above.moves else 0.0)
+            self._set_inertia(made, link, ROOT_MASS_FRACTION * subtree_mass[name] if above is None or above.moves else 0.0)
             geoms[name] = [self._surface(made, piece, place, pooled) for piece in self._pieces(link)]
             if self._flat and above is not None:
                 geoms[name] += self._add_tyres(made, link, above, geoms[name])
@@ -265,9 +275,9 @@ class Builder:
         return body
 
     def _pieces(self, link: Link) -> tuple[Geometry, ...]:
-        return (link.visuals or link.collisions) if self._drawn else link.collisions
+        return (link.visuals or link.collisions) if self._for_rendering else link.collisions
 
-    def _weigh(self, made: Made, link: Link, trace: float) -> None:
+    def _set_inertia(self, made: MjObject, link: Link, trace: float) -> None:
         """Mass and inertia; a link that moves and states none gets a `trace` of what it carries, since MuJoCo takes no such link."""
         known = link.inertial
         mass = known.mass if known else 0.0
@@ -292,7 +302,7 @@ class Builder:
                 return frames.diagonal((mass / 12 * (y + z), mass / 12 * (x + z), mass / 12 * (x + y)))
         return frames.diagonal((ROOT_MASS_FRACTION * mass,) * 3)
 
-    def _joint(self, made: Made, joint: Joint) -> Made:
+    def _joint(self, made: MjObject, joint: Joint) -> MjObject:
         kinds = mj.mjtJoint
         lower, upper = joint.limit.lower, joint.limit.upper
         open_ended = joint.type == "continuous" or (lower is None and upper is None)
@@ -308,9 +318,9 @@ class Builder:
             damping=joint.damping,
             frictionloss=joint.friction,
             solref_limit=self._response,
-            solimp_limit=IMPEDANCE,
+            solimp_limit=CONTACT_IMPEDANCE,
             solref_friction=self._response,
-            solimp_friction=IMPEDANCE,
+            solimp_friction=CONTACT_IMPEDANCE,
         )
         actuator = self._spec.add_actuator(
             name=name, target=name, trntype=mj.mjtTrn.mjTRN_JOINT, biastype=mj.mjtBias.mjBIAS_AFFINE, gaintype=mj.mjtGain.mjGAIN_FIXED
@@ -318,11 +328,11 @@ class Builder:
         actuator.gainprm[0] = 1.0
         return added
 
-    def _surface(self, made: Made, piece: Geometry, place: int, pooled: bool) -> Made:
+    def _surface(self, made: MjObject, piece: Geometry, place: int, pooled: bool) -> MjObject:
         position, turned = frames.frame(piece.origin)
-        colour = piece.colour or PALETTE[place % len(PALETTE)]
-        about: dict[str, Any] = {"pos": position, "quat": _wxyz(turned), "rgba": colour if self._drawn else (1, 1, 1, 1)}
-        group = HIDDEN if pooled and not self._drawn else SOLID
+        colour = piece.colour or LINK_COLOURS[place % len(LINK_COLOURS)]
+        about: dict[str, Any] = {"pos": position, "quat": _wxyz(turned), "rgba": colour if self._for_rendering else (1, 1, 1, 1)}
+        group = HIDDEN_GROUP if pooled and not self._for_rendering else SOLID_GROUP
         kinds = mj.mjtGeom
         match piece.shape:
             case Box(size):
@@ -336,7 +346,7 @@ class Builder:
             case Mesh():
                 return self._geom(made, group, type=kinds.mjGEOM_MESH, meshname=self._mesh(piece.shape), **about)
 
-    def _add_tyres(self, made: Made, link: Link, axle: Joint, cylinders: list[Made]) -> list[Made]:
+    def _add_tyres(self, made: MjObject, link: Link, axle: Joint, cylinders: list[MjObject]) -> list[MjObject]:
         """For each wheel of a link, the surface that meets flat ground: an ellipsoid within the wheel, which touches in the middle of it.
 
         A cylinder touches flat ground at both ends of its width, which doubles the constraints and makes a wheel slip in an arc.
@@ -346,7 +356,7 @@ class Builder:
             if isinstance(piece.shape, Cylinder) and _is_wheel(piece.shape, frames.frame(piece.origin), axle):
                 radius, half = piece.shape.radius, piece.shape.length / 2
                 kind, size = mj.mjtGeom.mjGEOM_ELLIPSOID, (radius, radius, half)
-                tyre = self._geom(made, HIDDEN, type=kind, size=size, pos=cylinder.pos, quat=cylinder.quat)
+                tyre = self._geom(made, HIDDEN_GROUP, type=kind, size=size, pos=cylinder.pos, quat=cylinder.quat)
                 self._wheels.add(cylinder.name)
                 self._tyres.add(tyre.name)
                 tyres.append(tyre)
@@ -362,7 +372,7 @@ class Builder:
         self._spec.add_mesh(name=name, uservert=vertices.ravel().tolist(), userface=faces.ravel().tolist(), inertia=convex)
         return name
 
-    def _geom(self, made: Made, group: int = SOLID, **about: Any) -> Made:
+    def _geom(self, made: MjObject, group: int = SOLID_GROUP, **about: Any) -> MjObject:
         """A geom that touches nothing but by an entry of its own, and has no mass."""
         self._elements += 1
         return made.add_geom(name=f"g{self._elements}", contype=0, conaffinity=0, group=group, mass=0.0, **about)
@@ -384,24 +394,24 @@ class Builder:
                             gap=0.0,
                             solref=self._response,
                             solreffriction=(0.0, 0.0),
-                            solimp=TYRE_IMPEDANCE if self._tyres & {first.name, second.name} else IMPEDANCE,
+                            solimp=TYRE_IMPEDANCE if self._tyres & {first.name, second.name} else CONTACT_IMPEDANCE,
                         )
 
-    def _meet(self, surface: Made, other: Made) -> bool:
+    def _meet(self, surface: MjObject, other: MjObject) -> bool:
         """Whether a surface may touch another: a wheel touches flat ground with its tyre, and anything else with its cylinder."""
         ground = self._flat and other.type == mj.mjtGeom.mjGEOM_PLANE
         return surface.name not in (self._wheels if ground else self._tyres)
 
-    def _surfaces(self, pool: Pool[Body]) -> Iterator[tuple[Made, bool]]:
+    def _surfaces(self, pool: Pool[Body]) -> Iterator[tuple[MjObject, bool]]:
         """The geoms of a body in all its forms, and whether they never move."""
         owned = set(map(id, pool))
         for body, _, _, geoms in self._made:
             if id(body) in owned:
                 for link, made in geoms.items():
-                    yield from ((geom, link in body.still) for geom in made)
+                    yield from ((geom, link in body.static_links) for geom in made)
 
 
-def _branches(model: Made) -> bool:
+def _branches(model: MjObject) -> bool:
     """Whether each link moves by no more than half of the degrees of freedom."""
     moved = [0] * model.nbody
     for body in range(1, model.nbody):  # a parent stands before its children
@@ -416,7 +426,7 @@ def _is_wheel(shape: Cylinder, at: Frame, axle: Joint) -> bool:
     position, turned = at
     axis = frames.rotate(turned, (0.0, 0.0, 1.0))
     off = np.linalg.norm(np.cross(axis, axle.axis)) / np.linalg.norm(axle.axis)
-    return bool(off < ALIGNED and np.linalg.norm(np.cross(axis, position)) < ALIGNED * shape.radius)
+    return bool(off < AXLE_TOLERANCE and np.linalg.norm(np.cross(axis, position)) < AXLE_TOLERANCE * shape.radius)
 
 
 def _wxyz(q: frames.Quaternion) -> tuple[float, float, float, float]:

@@ -10,16 +10,16 @@ import numpy as np
 
 from deepbots_cli import frames
 from deepbots_cli.engines.mujoco.model import limited
-from deepbots_cli.port import SERVO_TIME, STILL
+from deepbots_cli.port import SERVO_TIME, ZERO_VECTOR
 
 if TYPE_CHECKING:
     from deepbots_cli.engines.mujoco.state import World
     from deepbots_cli.frames import Triple
     from deepbots_cli.port import MotorWriter, Pusher, TorqueReader
 
-STIFFEST = 1000.0
+MAX_GAIN = 1000.0
 """Largest gain of a velocity motor, in inertias of its joint per engine step."""
-SLACK = 0.1
+MIN_ERROR_SHARE = 0.1
 """Share of its target by which a velocity motor must be off to exert its limit."""
 
 
@@ -31,46 +31,46 @@ class Motors:
 
     def __init__(self, world: World) -> None:
         self.world = world
-        self._of_joint: dict[int, Motor] = {}
-        self.renewed: dict[Motor, Callable[[], None]] = {}
+        self._motor_of_joint: dict[int, Motor] = {}
+        self.gain_updates: dict[Motor, Callable[[], None]] = {}
         """What to call before each engine step for motors that their limits keep from their targets."""
-        self.usual_armature, self.usual_inverse = world.model.dof_armature.copy(), world.model.dof_invweight0.copy()
+        self.nominal_armature, self.nominal_inverse_inertia = world.model.dof_armature.copy(), world.model.dof_invweight0.copy()
         self.actuators = {joint: actuator for actuator, joint in enumerate(world.model.actuator_trnid[:, 0].tolist())}
-        world.memories.append((lambda: (dict(self._of_joint), dict(self.renewed)), lambda memory: self._remember(*memory)))
+        world.state_accessors.append((lambda: (dict(self._motor_of_joint), dict(self.gain_updates)), lambda memory: self._restore(*memory)))
 
-    def take(self, motor: Motor) -> None:
+    def activate(self, motor: Motor) -> None:
         """Let a motor drive its joints."""
         for joint in motor.joints:
-            before = self._of_joint.get(joint)
+            before = self._motor_of_joint.get(joint)
             if before is not None:
-                before.drives = False
-                self.renewed.pop(before, None)
-            self._of_joint[joint] = motor
-        motor.drives = True
+                before.is_active = False
+                self.gain_updates.pop(before, None)
+            self._motor_of_joint[joint] = motor
+        motor.is_active = True
 
-    def rest(self) -> None:
-        self._remember({}, {})
+    def deactivate_all(self) -> None:
+        self._restore({}, {})
 
-    def _remember(self, of_joint: dict[int, Motor], renewed: dict[Motor, Callable[[], None]]) -> None:
-        for motor in self._of_joint.values():
-            motor.drives = False
-        self._of_joint = dict(of_joint)
-        self.renewed.clear()
-        self.renewed.update(renewed)
+    def _restore(self, of_joint: dict[int, Motor], renewed: dict[Motor, Callable[[], None]]) -> None:
+        for motor in self._motor_of_joint.values():
+            motor.is_active = False
+        self._motor_of_joint = dict(of_joint)
+        self.gain_updates.clear()
+        self.gain_updates.update(renewed)
         for motor in of_joint.values():
-            motor.drives = all(of_joint.get(joint) is motor for joint in motor.joints)
+            motor.is_active = all(of_joint.get(joint) is motor for joint in motor.joints)
             motor.gains = []
 
     def torques(self, joints: Sequence[int]) -> TorqueReader:
         """What motors exerted in the last engine step: without the part that went into the inertia that velocity motors add."""
         world, model = self.world, self.world.model
         dofs = model.jnt_dofadr[list(joints)]
-        exerted, armature, accelerations, usual = world.data.qfrc_actuator, model.dof_armature, world.data.qacc, self.usual_armature[dofs]
+        exerted, armature, accelerations, usual = world.data.qfrc_actuator, model.dof_armature, world.data.qacc, self.nominal_armature[dofs]
         return lambda: (exerted[dofs] - (armature[dofs] - usual) * accelerations[dofs]).tolist()
 
 
 class Motor:
-    """A motor on some joints; `drives` says whether they obey it.
+    """A motor on some joints; `is_active` says whether they obey it.
 
     `gains` and `targets` are those of a velocity motor that the model has; no gains where it has others.
     """
@@ -79,47 +79,47 @@ class Motor:
         world = motors.world
         model = world.model
         self.joints = tuple(joints)
-        self.drives = False
+        self.is_active = False
         self.gains: list[float] = []
         self.targets: tuple[float, ...] = ()
         self._motors, self._world = motors, world
         self._limits = [limited(limit) for limit in max_torque]
-        self._acts = places([motors.actuators[joint] for joint in joints])
-        self._dofs = places(model.jnt_dofadr[list(joints)].tolist())
-        self._places = places(model.jnt_qposadr[list(joints)].tolist())
-        self._bound = places(self.joints)
+        self._actuators = array_index([motors.actuators[joint] for joint in joints])
+        self._dof_index = array_index(model.jnt_dofadr[list(joints)].tolist())
+        self._position_index = array_index(model.jnt_qposadr[list(joints)].tolist())
+        self._joint_index = array_index(self.joints)
 
-    def _take(self, *, soft: bool) -> None:
+    def _activate(self, *, soft: bool) -> None:
         """Drive the joints; `soft` limits are those of the joint, beyond which the damping still acts on the inertia."""
         model = self._world.model
         ranges = [(-limit, limit) for limit in self._limits]
-        model.actuator_biasprm[self._acts] = 0.0
-        model.dof_armature[self._dofs] = self._motors.usual_armature[self._dofs]
-        model.dof_invweight0[self._dofs] = self._motors.usual_inverse[self._dofs]
-        model.actuator_forcelimited[self._acts] = not soft
-        model.actuator_forcerange[self._acts] = ranges
-        model.jnt_actfrclimited[self._bound] = soft
-        model.jnt_actfrcrange[self._bound] = ranges
-        self._motors.take(self)
+        model.actuator_biasprm[self._actuators] = 0.0
+        model.dof_armature[self._dof_index] = self._motors.nominal_armature[self._dof_index]
+        model.dof_invweight0[self._dof_index] = self._motors.nominal_inverse_inertia[self._dof_index]
+        model.actuator_forcelimited[self._actuators] = not soft
+        model.actuator_forcerange[self._actuators] = ranges
+        model.jnt_actfrclimited[self._joint_index] = soft
+        model.jnt_actfrcrange[self._joint_index] = ranges
+        self._motors.activate(self)
 
     def torque_writer(self) -> MotorWriter:
-        ctrl, acts, limits = self._world.data.ctrl, self._acts, self._limits
+        ctrl, acts, limits = self._world.data.ctrl, self._actuators, self._limits
 
         def write(targets: Sequence[float]) -> None:
-            if not self.drives:
-                self._take(soft=False)
+            if not self.is_active:
+                self._activate(soft=False)
             ctrl[acts] = [min(max(target, -limit), limit) for target, limit in zip(targets, limits, strict=True)]
 
         return write
 
     def spring_writer(self, stiffness: Sequence[float], damping: Sequence[float] | None) -> MotorWriter:
         """The torque is `stiffness * (target - position) - damping * velocity`."""
-        ctrl, acts, bias = self._world.data.ctrl, self._acts, self._world.model.actuator_biasprm
+        ctrl, acts, bias = self._world.data.ctrl, self._actuators, self._world.model.actuator_biasprm
         stiffness, damping = list(stiffness), list(damping or [0.0] * len(stiffness))
 
         def write(targets: Sequence[float]) -> None:
-            if not self.drives:
-                self._take(soft=False)
+            if not self.is_active:
+                self._activate(soft=False)
                 bias[acts, 1], bias[acts, 2] = [-k for k in stiffness], [-d for d in damping]
             ctrl[acts] = [k * target for k, target in zip(stiffness, targets, strict=True)]
 
@@ -133,23 +133,23 @@ class Motor:
         a tenth of the target; then the motor does not overshoot. It is renewed in each engine step while the joint needs several of them
         to reach the target: else the torque would fall below the limit as the joint speeds up.
         """
-        return self._pursuit(0.0)
+        return self._tracking_writer(0.0)
 
     def servo_writer(self) -> MotorWriter:
         """A velocity motor whose target is the error over `SERVO_TIME`.
 
         Without renewed gains it would swing.
         """
-        return self._pursuit(1.0 / max(SERVO_TIME, self._world.model.opt.timestep))
+        return self._tracking_writer(1.0 / max(SERVO_TIME, self._world.model.opt.timestep))
 
-    def _pursuit(self, rate: float) -> MotorWriter:
+    def _tracking_writer(self, rate: float) -> MotorWriter:
         """A velocity motor, or a servo with a `rate` (1/s)."""
         data, model = self._world.data, self._world.model
-        step, renewed = model.opt.timestep, self._motors.renewed
-        velocity, position = live(data.qvel, self._dofs), live(data.qpos, self._places)
-        usual, inertias = self._motors.usual_armature[self._dofs].tolist(), model.dof_M0[self._dofs].tolist()
-        moved = [1.0 / inverse for inverse in self._motors.usual_inverse[self._dofs].tolist()]
-        stiff = [STIFFEST * inertia / step for inertia in inertias]
+        step, renewed = model.opt.timestep, self._motors.gain_updates
+        velocity, position = array_reader(data.qvel, self._dof_index), array_reader(data.qpos, self._position_index)
+        usual, inertias = self._motors.nominal_armature[self._dof_index].tolist(), model.dof_M0[self._dof_index].tolist()
+        moved = [1.0 / inverse for inverse in self._motors.nominal_inverse_inertia[self._dof_index].tolist()]
+        stiff = [MAX_GAIN * inertia / step for inertia in inertias]
         bounds = [(stiffest, limit, limit / stiffest) for stiffest, limit in zip(stiff, self._limits, strict=True)]  # the last: an error
         least = [4.0 * inertia * rate if rate else inertia / step for inertia in inertias]  # gains below these are renewed
         # A number is written through a memoryview in 0.04 us, a list into a slice of an array in 0.6 us.
@@ -164,7 +164,7 @@ class Motor:
 
         def aim(targets: Sequence[float]) -> None:
             wanted = [(target - now) * rate for target, now in zip(targets, position(), strict=True)] if rate else targets
-            gains = pursuing(wanted, velocity(), bounds)
+            gains = velocity_gains(wanted, velocity(), bounds)
             targets = tuple(targets)
             if gains == self.gains and targets == self.targets:
                 return
@@ -182,8 +182,8 @@ class Motor:
                 ctrl[act] = gain * (rate or 1.0) * target
 
         def write(targets: Sequence[float]) -> None:
-            if not self.drives:
-                self._take(soft=True)
+            if not self.is_active:
+                self._activate(soft=True)
                 self.gains = []
             aim(targets)
             if any(gain < bound for gain, bound in zip(self.gains, least, strict=True)):
@@ -194,26 +194,26 @@ class Motor:
         return write
 
 
-def pursuing(targets: Sequence[float], velocities: Sequence[float], bounds: Sequence[tuple[float, float, float]]) -> list[float]:
+def velocity_gains(targets: Sequence[float], velocities: Sequence[float], bounds: Sequence[tuple[float, float, float]]) -> list[float]:
     """The gains of a velocity motor; `bounds` are the largest gain, the limit, and the error at which this gain exerts the limit."""
     gains = []
     for target, now, (stiffest, limit, near) in zip(targets, velocities, bounds, strict=True):
-        off, least = abs(target - now), SLACK * abs(target)
+        off, least = abs(target - now), MIN_ERROR_SHARE * abs(target)
         if least > off:
             off = least
         gains.append(limit / off if off > near else stiffest)
     return gains
 
 
-def places(numbers: Sequence[int]) -> Any:
+def array_index(numbers: Sequence[int]) -> Any:
     """An index of these places: a slice where they follow each other, which numpy reads in half the time."""
     first, count = numbers[0], len(numbers)
     return slice(first, first + count) if list(numbers) == list(range(first, first + count)) else np.array(numbers)
 
 
-def live(array: Any, numbers: Any) -> Callable[[], list[float]]:
+def array_reader(array: Any, numbers: Any) -> Callable[[], list[float]]:
     """Reads these places of an array of the state: through a view where they follow each other, which saves making one."""
-    index = numbers if isinstance(numbers, slice) else places(list(numbers))
+    index = numbers if isinstance(numbers, slice) else array_index(list(numbers))
     if isinstance(index, slice):
         return array[index].tolist  # type: ignore[no-any-return]
     return lambda: array[index].tolist()
@@ -224,11 +224,11 @@ def pusher(world: World, link: int, frame: Literal["world", "link"]) -> Pusher:
     model, data = world.model, world.data
     applied, turned = data.xfrc_applied[link], data.xquat[link]
     centre = tuple(model.body_ipos[link].tolist())
-    centred = centre == STILL
+    centred = centre == ZERO_VECTOR
 
     def push(force: Triple, torque: Triple) -> None:
         if frame == "link" or not centred:
-            world.pose()
+            world.update_positions()
             w, x, y, z = turned.tolist()
             if frame == "link":
                 force, torque = frames.rotate((x, y, z, w), force), frames.rotate((x, y, z, w), torque)
@@ -236,6 +236,6 @@ def pusher(world: World, link: int, frame: Literal["world", "link"]) -> Pusher:
                 torque = frames.add(torque, frames.cross(force, frames.rotate((x, y, z, w), centre)))
         applied[:3] += force
         applied[3:] += torque
-        world.pushed = True
+        world.has_pushes = True
 
     return push

@@ -10,7 +10,7 @@ import numpy as np
 
 from deepbots_cli import frames
 from deepbots_cli.engines.mujoco import mujoco as mj
-from deepbots_cli.engines.mujoco.model import HIDDEN
+from deepbots_cli.engines.mujoco.model import HIDDEN_GROUP
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -22,47 +22,47 @@ if TYPE_CHECKING:
 
     FloatArray = NDArray[np.float64]
 
-FAR = 1e6  # m; the distance between surfaces is asked for up to here
+MAX_CLEARANCE_M = 1e6  # m; the distance between surfaces is asked for up to here
 ELLIPSOID = int(mj.mjtGeom.mjGEOM_ELLIPSOID)  # the shape of tyres, and of nothing else
-MET = 1e-9  # m; by how much lines that meet in a point may miss it
+MEETING_TOLERANCE_M = 1e-9  # m; by how much lines that meet in a point may miss it
 
 
-class Touches:
+class ContactMonitor:
     """Looks after every engine step at what touches, for all contact readers of a world."""
 
     def __init__(self, world: World) -> None:
         self._data, self._contacts = world.data, world.data.contact  # which stays that of the last engine step
-        self._marks: dict[tuple[int, int], list[int]] = {}
+        self._readers_by_pair: dict[tuple[int, int], list[int]] = {}
         self._touched: list[bool] = []
-        self._none: list[bool] = []
-        self._dull: list[list[int]] = []
-        world.memories.append((lambda: list(self._touched), self._remember))
+        self._all_false: list[bool] = []
+        self._ignored_pairs: list[list[int]] = []
+        world.state_accessors.append((lambda: list(self._touched), self._restore))
 
-    def forget(self) -> None:
-        self._touched[:] = self._none
+    def reset(self) -> None:
+        self._touched[:] = self._all_false
 
-    def _remember(self, touched: list[bool]) -> None:
+    def _restore(self, touched: list[bool]) -> None:
         self._touched[: len(touched)] = touched
 
-    def look(self) -> None:
-        """Marks the readers of the pairs of geoms in contact; `_dull` are pairs that mean nothing to any of them."""
+    def update(self) -> None:
+        """Marks the readers of the pairs of geoms in contact; `_ignored_pairs` are pairs that mean nothing to any of them."""
         if self._data.ncon:
             pairs = self._contacts.geom.tolist()
-            if pairs != self._dull:
-                met = [place for one, other in pairs for place in self._marks.get((one, other), ())]
+            if pairs != self._ignored_pairs:
+                met = [place for one, other in pairs for place in self._readers_by_pair.get((one, other), ())]
                 for place in met:
                     self._touched[place] = True
-                self._dull = pairs if not met else []
+                self._ignored_pairs = pairs if not met else []
 
     def reader(self, own: Iterable[int], others: Iterable[int]) -> ContactReader:
         place, touched, others = len(self._touched), self._touched, tuple(others)
-        self._dull = []
+        self._ignored_pairs = []
         for one in own:
             for other in others:
-                self._marks.setdefault((one, other), []).append(place)
-                self._marks.setdefault((other, one), []).append(place)
+                self._readers_by_pair.setdefault((one, other), []).append(place)
+                self._readers_by_pair.setdefault((other, one), []).append(place)
         touched.append(False)
-        self._none.append(False)
+        self._all_false.append(False)
         return lambda: touched[place]
 
 
@@ -80,20 +80,20 @@ def clearance(world: World, ones: Sequence[int], others: Sequence[int]) -> Clear
     between = mj.mj_geomDistance
 
     def distance() -> float:
-        world.pose()
-        found = FAR
+        world.update_positions()
+        found = MAX_CLEARANCE_M
         for one, other in pairs:
             apart = between(model, data, one, other, found, None)
             if apart < found:
                 found = apart
-        return max(0.0, found) if found < FAR else inf
+        return max(0.0, found) if found < MAX_CLEARANCE_M else inf
 
     return distance
 
 
 def penetrations(world: World) -> Iterable[tuple[int, int, float]]:
     """Geoms within each other and by how much (m), as the world stands; looked for in a state of its own, so that nothing changes."""
-    model, data, spare = world.model, world.data, world.spare
+    model, data, spare = world.model, world.data, world.scratch_data
     for name in ("qpos", "mocap_pos", "mocap_quat"):
         getattr(spare, name)[:] = getattr(data, name)
     mj.mj_kinematics(model, spare)
@@ -107,16 +107,16 @@ def penetrations(world: World) -> Iterable[tuple[int, int, float]]:
 # Rays
 
 
-def rays(world: World, body: Body, link: int, given: Sequence[Frame], reach: float) -> RayReader:
+def rays(world: World, body: Body, link: int, ray_frames: Sequence[Frame], reach: float) -> RayReader:
     """Rays whose lines meet in a point are cast from there in one call, which costs a quarter of a call for each."""
     model, data = world.model, world.data
-    own = body.of(None)
+    own = body.geoms_of(None)
     groups = model.geom_group[min(own) : max(own) + 1] if own else model.geom_group[:0]
-    starts = np.array([origin for origin, _ in given])
-    directions = np.array([frames.rotate(turned, (1.0, 0.0, 0.0)) for _, turned in given])
+    starts = np.array([origin for origin, _ in ray_frames])
+    directions = np.array([frames.rotate(turned, (1.0, 0.0, 0.0)) for _, turned in ray_frames])
     centre = _meeting_point(starts, directions)
     seen = np.ones(6, np.uint8)
-    seen[HIDDEN] = 0
+    seen[HIDDEN_GROUP] = 0
     position, axes = data.xpos[link], data.xmat[link].reshape(3, 3)
 
     ray, aside = mj.mj_ray, np.ascontiguousarray(directions.T)
@@ -129,9 +129,9 @@ def rays(world: World, body: Body, link: int, given: Sequence[Frame], reach: flo
         each, turned = list(zip(origins, ways, strict=True)), axes.T  # views of arrays that keep their memory
 
         def read_each() -> list[float]:
-            world.pose()
+            world.update_positions()
             kept = groups.copy()
-            groups.fill(HIDDEN)
+            groups.fill(HIDDEN_GROUP)
             np.matmul(starts, turned, origins)
             np.add(origins, position, origins)
             np.matmul(directions, turned, ways)
@@ -141,13 +141,13 @@ def rays(world: World, body: Body, link: int, given: Sequence[Frame], reach: flo
 
         return read_each
 
-    count, ahead = len(given), np.einsum("ij,ij->i", starts - centre, directions).tolist()
+    count, ahead = len(ray_frames), np.einsum("ij,ij->i", starts - centre, directions).tolist()
     far, geoms, met = reach + max(ahead), np.zeros(count, np.int32), np.zeros(count)
 
     def read() -> list[float]:
-        world.pose()
+        world.update_positions()
         kept = groups.copy()
-        groups.fill(HIDDEN)
+        groups.fill(HIDDEN_GROUP)
         mj.mj_multiRay(model, data, position + axes @ centre, (axes @ aside).T.ravel(), seen, True, -1, geoms, met, None, count, far)
         lengths = met.tolist()
         free = [reach if length < 0.0 else min(length - start, reach) for length, start in zip(lengths, ahead, strict=True)]
@@ -173,4 +173,4 @@ def _meeting_point(starts: FloatArray, directions: FloatArray) -> FloatArray | N
     apart = starts - point
     ahead = np.einsum("ij,ij->i", apart, directions)
     off = np.linalg.norm(apart - ahead[:, None] * directions, axis=1).max()
-    return point if off < MET and ahead.min() > -MET else None
+    return point if off < MEETING_TOLERANCE_M and ahead.min() > -MEETING_TOLERANCE_M else None

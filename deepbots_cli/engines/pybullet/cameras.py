@@ -14,7 +14,7 @@ import numpy as np
 
 from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.frames import add, cross, rotate, scaled, subtract
-from deepbots_cli.port import SIGHT, Sight
+from deepbots_cli.port import CAMERA_RANGE_M, CameraImage
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -26,43 +26,43 @@ if TYPE_CHECKING:
     FloatArray = NDArray[np.float32]
     Colour = tuple[float, float, float, float]
 
-TILE = 0.25  # m
-_LIGHT, _DARK = np.array([222, 227, 232], np.float32), np.array([198, 206, 214], np.float32)
-_SHADE = 0.9  # of the darker tiles of a floor that has a colour of its own
-_FINE, _CELLS = 0.002, 2000  # m across a cell of paint, and how many there are along a side before they grow
-_MOST_PAINTS = 255
-_HORIZON, _ZENITH = np.array([236, 241, 246], np.float32), np.array([150, 186, 222], np.float32)
-_HAZE = 12.0  # m; the distance over which the floor fades into the horizon
-NEAREST = 0.01  # m
+TILE_SIZE_M = 0.25  # m
+_LIGHT_TILE, _DARK_TILE = np.array([222, 227, 232], np.float32), np.array([198, 206, 214], np.float32)
+_DARK_TILE_SHARE = 0.9  # of the darker tiles of a floor that has a colour of its own
+_PAINT_CELL_M, _MAX_PAINT_CELLS = 0.002, 2000  # m across a cell of paint, and how many there are along a side before they grow
+_MAX_PAINTS = 255
+_HORIZON_COLOUR, _ZENITH_COLOUR = np.array([236, 241, 246], np.float32), np.array([150, 186, 222], np.float32)
+_HAZE_DISTANCE_M = 12.0  # m; the distance over which the floor fades into the horizon
+NEAR_CLIP_M = 0.01  # m
 # m by which the eye is moved ahead. The renderer counts pixels of corners that lie in the plane of the eye, as those of a flat
 # side do on whose link the camera sits, beyond the range of its integers, and then goes through all of them: minutes a picture.
-AHEAD = 1.7e-5
+EYE_OFFSET_M = 1.7e-5
 
 
 class Floor:
     """Colours of points of the plane z = 0."""
 
     def __init__(self, colour: Colour | None, lines: Sequence[Line]) -> None:
-        self.usual = colour
+        self.default_colour = colour
         self.colour(colour)
-        self._paint = Paint(lines) if lines else None
+        self._paint = PaintMap(lines) if lines else None
 
     def colour(self, colour: Colour | None) -> None:
         """Tiles of this colour, or of two greys for None."""
         self.tiles = colour
-        self._light = _LIGHT if colour is None else np.array(colour[:3], np.float32) * np.float32(255.0)
-        self._dark = _DARK if colour is None else self._light * np.float32(_SHADE)
+        self._light = _LIGHT_TILE if colour is None else np.array(colour[:3], np.float32) * np.float32(255.0)
+        self._dark = _DARK_TILE if colour is None else self._light * np.float32(_DARK_TILE_SHARE)
 
     def __call__(self, x: FloatArray, y: FloatArray, across: FloatArray) -> FloatArray:
         """Shape (n, 3), 0 to 255, seen in pixels `across` m long; tiles too small for a pixel melt into their mean."""
-        sharp = np.clip(1.5 - across * np.float32(1 / TILE), 0.0, 1.0)
-        odd = (np.floor(x * np.float32(1 / TILE)) + np.floor(y * np.float32(1 / TILE))).astype(np.int32) & 1
+        sharp = np.clip(1.5 - across * np.float32(1 / TILE_SIZE_M), 0.0, 1.0)
+        odd = (np.floor(x * np.float32(1 / TILE_SIZE_M)) + np.floor(y * np.float32(1 / TILE_SIZE_M))).astype(np.int32) & 1
         shade = 0.5 + (odd - np.float32(0.5)) * sharp
         colours = self._light + (self._dark - self._light) * shade[:, None]
-        return colours if self._paint is None else self._paint.over(colours, x, y)
+        return colours if self._paint is None else self._paint.paint(colours, x, y)
 
 
-class Paint:
+class PaintMap:
     """Painted lines as a picture from above: cells of 2 mm, or larger for paint that covers more than 4 m."""
 
     def __init__(self, lines: Sequence[Line]) -> None:
@@ -70,11 +70,11 @@ class Paint:
         xs, ys = zip(*edges, strict=True)
         self._corner = min(xs), min(ys)
         size = max(max(xs) - min(xs), max(ys) - min(ys))
-        self._cell = max(_FINE, size / _CELLS)
+        self._cell = max(_PAINT_CELL_M, size / _MAX_PAINT_CELLS)
         shape = tuple(ceil((max(values) - min(values)) / self._cell) + 1 for values in (xs, ys))
         self._cells = np.zeros(shape, np.uint8)
-        self._colours = np.zeros((_MOST_PAINTS + 1, 3), np.float32)
-        for place, line in enumerate(lines[:_MOST_PAINTS], start=1):
+        self._colours = np.zeros((_MAX_PAINTS + 1, 3), np.float32)
+        for place, line in enumerate(lines[:_MAX_PAINTS], start=1):
             self._colours[place] = np.array(line.colour[:3], np.float32) * 255.0
             for start, end in line.pieces:
                 self._stroke(start, end, line.width / 2, place)
@@ -95,7 +95,7 @@ class Paint:
         apart = np.hypot(x[:, None] - start[0] - foot * dx / length, y[None, :] - start[1] - foot * dy / length)
         self._cells[spans[0], spans[1]][apart <= half] = paint
 
-    def over(self, colours: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+    def paint(self, colours: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
         """The colours with the paint at points over them."""
         column, row = ((values - np.float32(low)) * np.float32(1 / self._cell) for values, low in zip((x, y), self._corner, strict=True))
         inside = np.flatnonzero((column >= 0) & (row >= 0) & (column < self._cells.shape[0]) & (row < self._cells.shape[1]))
@@ -105,7 +105,9 @@ class Paint:
         return colours
 
 
-def fill(picture: Image, where: NDArray[np.bool_], eye: Triple, rays: NDArray[np.float32], pixel: float, floor: Floor | None) -> None:
+def fill_background(
+    picture: Image, where: NDArray[np.bool_], eye: Triple, rays: NDArray[np.float32], pixel: float, floor: Floor | None
+) -> None:
     """Draw what is seen where no body is into the pixels `where` of a picture.
 
     `rays` have a length of 1 along the line of sight (world frame), `pixel` is the width of a pixel at a distance of
@@ -115,17 +117,19 @@ def fill(picture: Image, where: NDArray[np.bool_], eye: Triple, rays: NDArray[np
     sky = where & ~down
     if sky.any():
         x, y, z = rays[sky].T
-        picture[sky] = _HORIZON + (_ZENITH - _HORIZON) * np.clip(2.0 * z / np.sqrt(x * x + y * y + z * z), 0.0, 1.0)[:, None]
+        picture[sky] = (
+            _HORIZON_COLOUR + (_ZENITH_COLOUR - _HORIZON_COLOUR) * np.clip(2.0 * z / np.sqrt(x * x + y * y + z * z), 0.0, 1.0)[:, None]
+        )
     ground = where & down
     if floor is not None and ground.any():
         x, y, z = rays[ground].T
         times = np.float32(-eye[2]) / z
         reach = times * np.sqrt(x * x + y * y + z * z)
         colours = floor(np.float32(eye[0]) + x * times, np.float32(eye[1]) + y * times, np.float32(pixel / eye[2]) * reach * reach)
-        picture[ground] = _HORIZON + (colours - _HORIZON) * np.exp(reach * np.float32(-1 / _HAZE))[:, None]
+        picture[ground] = _HORIZON_COLOUR + (colours - _HORIZON_COLOUR) * np.exp(reach * np.float32(-1 / _HAZE_DISTANCE_M))[:, None]
 
 
-def smoothed(picture: Image, samples: int) -> Image:
+def downsampled(picture: Image, samples: int) -> Image:
     """Each block of `samples` x `samples` pixels as one of their mean."""
     if samples == 1:
         return picture
@@ -137,12 +141,12 @@ def smoothed(picture: Image, samples: int) -> Image:
     return np.asarray(total // samples**2, dtype=np.uint8)
 
 
-def lit(picture: Image, brightness: float) -> Image:
+def brightened(picture: Image, brightness: float) -> Image:
     """The picture in another light; 1 leaves it as it is."""
     return picture if brightness == 1.0 else np.asarray(np.clip(picture * np.float32(brightness), 0.0, 255.0), dtype=np.uint8)
 
 
-class Aim(NamedTuple):
+class CameraPose(NamedTuple):
     """From where (m), and unit vectors ahead, left and up."""
 
     eye: Triple
@@ -151,26 +155,26 @@ class Aim(NamedTuple):
     up: Triple
 
 
-def along(frame: Frame) -> Aim:
+def pose_along(frame: Frame) -> CameraPose:
     """Along the x axis of a frame, z up."""
     ahead, left, up = (rotate(frame[1], axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
-    return Aim(frame[0], ahead, left, up)
+    return CameraPose(frame[0], ahead, left, up)
 
 
-def at(view: View) -> Aim:
+def pose_of_view(view: View) -> CameraPose:
     """From the eye of a view at its target; straight down, up is the x axis."""
     ahead = _unit(subtract(view.target, view.eye))
     left = cross((0.0, 0.0, 1.0), ahead)
     left = (0.0, 1.0, 0.0) if _length(left) < 1e-9 else _unit(left)
-    return Aim(view.eye, ahead, left, cross(ahead, left))
+    return CameraPose(view.eye, ahead, left, cross(ahead, left))
 
 
-class Shot(NamedTuple):
-    """`colours` and `depth` as in `Sight`, of bodies alone, whose `numbers` they are (-1 for none), and the rays of the pixels."""
+class BodyImage(NamedTuple):
+    """`colours` and `depth` as in `CameraImage`, of bodies alone; `body_numbers` (-1 for none) and `rays` are those of the pixels."""
 
     colours: Image
     depth: NDArray[np.float32]
-    numbers: NDArray[np.int32]
+    body_numbers: NDArray[np.int32]
     rays: NDArray[np.float32]
 
 
@@ -184,13 +188,13 @@ class Camera:
         self._rays = np.ones((height, width, 3), np.float32)
         self._rays[..., 1] = across - self._pixel * (np.arange(width) + 0.5)[None, :]
         self._rays[..., 2] = upward - self._pixel * (np.arange(height) + 0.5)[:, None]
-        shift, near = self._pixel / 2, NEAREST  # the renderer looks through the upper left corner of a pixel, turned upside down
+        shift, near = self._pixel / 2, NEAR_CLIP_M  # the renderer looks through the upper left corner of a pixel, turned upside down
         frustum = (near * edge for edge in (shift - across, shift + across, shift - upward, shift + upward))
-        self._projection = p.computeProjectionMatrix(*frustum, near, SIGHT)
+        self._projection = p.computeProjectionMatrix(*frustum, near, CAMERA_RANGE_M)
 
-    def shoot(self, aim: Aim) -> Shot:
+    def capture(self, aim: CameraPose) -> BodyImage:
         width, height = self._size
-        eye = add(aim.eye, scaled(aim.ahead, AHEAD))
+        eye = add(aim.eye, scaled(aim.ahead, EYE_OFFSET_M))
         _, _, pixels, buffer, numbers = p.getCameraImage(
             width,
             height,
@@ -206,40 +210,42 @@ class Camera:
             physicsClientId=self._client,
         )
         shape = (height, width)
-        depth = SIGHT * NEAREST / (SIGHT - (SIGHT - NEAREST) * np.asarray(buffer, np.float32).reshape(shape)) + np.float32(AHEAD)
+        depth = CAMERA_RANGE_M * NEAR_CLIP_M / (
+            CAMERA_RANGE_M - (CAMERA_RANGE_M - NEAR_CLIP_M) * np.asarray(buffer, np.float32).reshape(shape)
+        ) + np.float32(EYE_OFFSET_M)
         rays = self._rays.reshape(-1, 3) @ np.array(aim[1:], np.float32)
         colours = np.asarray(pixels, np.uint8).reshape(*shape, 4)[..., :3].copy()
-        return Shot(colours, depth, np.asarray(numbers, np.int32).reshape(shape), rays.reshape(*shape, 3))
+        return BodyImage(colours, depth, np.asarray(numbers, np.int32).reshape(shape), rays.reshape(*shape, 3))
 
-    def picture(self, aim: Aim, behind: Image | None = None) -> Image:
+    def render(self, aim: CameraPose, background: Image | None = None) -> Image:
         """Colours with what is behind all bodies, drawn unless it is given."""
-        shot = self.shoot(aim)
-        bare = shot.numbers < 0
-        if behind is not None:
-            return np.where(bare[..., None], behind, shot.colours)
-        fill(shot.colours, bare, aim.eye, shot.rays, self._pixel, self._floor)
+        shot = self.capture(aim)
+        bare = shot.body_numbers < 0
+        if background is not None:
+            return np.where(bare[..., None], background, shot.colours)
+        fill_background(shot.colours, bare, aim.eye, shot.rays, self._pixel, self._floor)
         return shot.colours
 
-    def behind(self, aim: Aim) -> Image:
+    def background(self, aim: CameraPose) -> Image:
         """Floor and sky."""
         width, height = self._size
         rays = (self._rays.reshape(-1, 3) @ np.array(aim[1:], np.float32)).reshape(height, width, 3)
         picture = np.zeros((height, width, 3), np.uint8)
-        fill(picture, np.ones((height, width), np.bool_), aim.eye, rays, self._pixel, self._floor)
+        fill_background(picture, np.ones((height, width), np.bool_), aim.eye, rays, self._pixel, self._floor)
         return picture
 
-    def sight(self, aim: Aim, places: NDArray[np.int32], ground: int, names: tuple[str, ...]) -> Sight:
+    def camera_image(self, aim: CameraPose, places: NDArray[np.int32], ground: int, names: tuple[str, ...]) -> CameraImage:
         """All that is seen; `places` are those of PyBullet's numbers among `names`, `ground` is that of the floor."""
-        shot = self.shoot(aim)
-        bare = shot.numbers < 0
-        bodies = np.where(bare, np.int32(-1), places[shot.numbers])
-        shot.depth[bare] = SIGHT
+        shot = self.capture(aim)
+        bare = shot.body_numbers < 0
+        bodies = np.where(bare, np.int32(-1), places[shot.body_numbers])
+        shot.depth[bare] = CAMERA_RANGE_M
         if self._floor is not None and aim.eye[2] > 0.0:
             floor = bare & (shot.rays[..., 2] < -1e-6)
             bodies[floor] = ground
-            shot.depth[floor] = np.minimum(np.float32(-aim.eye[2]) / shot.rays[floor][:, 2], SIGHT)
-        fill(shot.colours, bare, aim.eye, shot.rays, self._pixel, self._floor)
-        return Sight(shot.colours, shot.depth, bodies, names)
+            shot.depth[floor] = np.minimum(np.float32(-aim.eye[2]) / shot.rays[floor][:, 2], CAMERA_RANGE_M)
+        fill_background(shot.colours, bare, aim.eye, shot.rays, self._pixel, self._floor)
+        return CameraImage(shot.colours, shot.depth, bodies, names)
 
 
 def _length(v: Triple) -> float:

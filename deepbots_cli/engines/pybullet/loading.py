@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deepbots_cli import frames
-from deepbots_cli.engines.objects import PALETTE, Pool, as_robot, forms, moves, walls, with_explicit_masses
-from deepbots_cli.engines.pybullet import BASE, UNREACHABLE, capture_native_output
+from deepbots_cli.engines.objects import LINK_COLOURS, Pool, arena_walls, as_robot, forms_of, is_movable, with_explicit_masses
+from deepbots_cli.engines.pybullet import BASE_LINK, UNREACHABLE_SPEED, capture_native_output
 from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.engines.pybullet.state import Body, contact_parameters
 from deepbots_cli.errors import EngineError
 from deepbots_cli.geometry import HeightGrid, height_grid, mesh_triangles
-from deepbots_cli.port import STILL
+from deepbots_cli.port import ZERO_VECTOR
 from deepbots_cli.program.world import GROUND
 from deepbots_cli.robots.meshes import read_verified
 from deepbots_cli.robots.model import Friction, Joint, Limit, Link, Mesh, RobotModel, to_urdf
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
     from deepbots_cli.program.world import Ground, ObjectBody, Terrain, WorldModel
 
-PARKING_SPACING = 1000.0  # m between bodies that are parked
+PARKING_SPACING_M = 1000.0  # m between bodies that are parked
 DEFAULT_CONTACT_ERP = 0.08  # that PyBullet by itself takes away in a physics step
-CONTACT_DISTANCE = 1e-4
+CONTACT_DISTANCE_M = 1e-4
 """Surfaces further apart than this (m) are no contact for the solver.
 
 PyBullet keeps a point of contact until its surfaces are 2 % of the size of a link apart, so a wheel that rolls takes along
@@ -38,11 +38,11 @@ did, and its heights differ by 1e-6 m. At 2e-5 m and below, wheels lose the grou
 terrain there is no such limit: with it, two trainings of PitEscape took 1.25 and 1.65 times as many steps. The cause was not
 measured; a ball that rolls over an edge of a triangle may be further away than this for a step.
 """
-EARTH = (0.72, 0.63, 0.48, 1.0)
+TERRAIN_COLOUR = (0.72, 0.63, 0.48, 1.0)
 _MAX_VISUAL_CELLS = 100  # cells of what is drawn along either side; a finer picture would take longer than it shows
 OPEN_JOINT_LIMIT = 1e9  # rad or m; the open end of a range with one end
-MOST_JOINTS = 127  # of one robot; a larger one loads, but its joints cannot be read
-UNLIMITED = (1.0, -1.0)  # the loader reads a missing limit as 0, and lower > upper as unlimited
+MAX_JOINTS = 127  # of one robot; a larger one loads, but its joints cannot be read
+UNLIMITED_RANGE = (1.0, -1.0)  # the loader reads a missing limit as 0, and lower > upper as unlimited
 
 
 def create_client(world: WorldModel) -> int:
@@ -82,10 +82,10 @@ def bodies(client: int, world: WorldModel) -> Iterator[Pool[Body]]:
 
 
 def _limit_contacts(client: int, body: Body) -> None:
-    """Let links that do not bounce have contacts within `CONTACT_DISTANCE` only."""
+    """Let links that do not bounce have contacts within `CONTACT_DISTANCE_M` only."""
     for link in body.model.links:
         if not link.friction.restitution:
-            p.changeDynamics(body.number, body.links[link.name], contactProcessingThreshold=CONTACT_DISTANCE, physicsClientId=client)
+            p.changeDynamics(body.number, body.links[link.name], contactProcessingThreshold=CONTACT_DISTANCE_M, physicsClientId=client)
 
 
 def _loaded(client: int, world: WorldModel) -> Iterator[Pool[Body]]:
@@ -96,19 +96,19 @@ def _loaded(client: int, world: WorldModel) -> Iterator[Pool[Body]]:
     parked = 0
     with tempfile.TemporaryDirectory(prefix="deepbots-") as folder:
         file = Path(folder, "body.urdf")
-        for thing in (*(walls(world.arena) if world.arena else ()), *world.objects):
-            variants = [(name, _object(client, form, file)) for name, form in forms(thing).items()]
+        for thing in (*(arena_walls(world.arena) if world.arena else ()), *world.objects):
+            variants = [(name, _object(client, form, file)) for name, form in forms_of(thing).items()]
             for _, body in variants if thing.pooled else ():
                 parked += 1
-                body.home = ((-parked * PARKING_SPACING, 0.0, -PARKING_SPACING), frames.IDENTITY_ROTATION)
+                body.initial_pose = ((-parked * PARKING_SPACING_M, 0.0, -PARKING_SPACING_M), frames.IDENTITY_ROTATION)
             yield Pool(thing.name, variants, thing.pooled)
         for robot in world.robots:
-            if len(robot.model.joints) > MOST_JOINTS:
+            if len(robot.model.joints) > MAX_JOINTS:
                 count = len(robot.model.joints)
-                raise EngineError(f"'{robot.name}' has {count} joints, and PyBullet holds {MOST_JOINTS} at most, fixed ones included")
+                raise EngineError(f"'{robot.name}' has {count} joints, and PyBullet holds {MAX_JOINTS} at most, fixed ones included")
             model = with_explicit_masses(robot.name, robot.model, robot.fixed_base)
             body = _load(client, robot.name, model, robot.fixed_base, file)
-            body.home = body.of_centre(*frames.frame(robot.pose))
+            body.initial_pose = body.centre_pose(*frames.frame(robot.pose))
             yield Pool(robot.name, [(robot.name, body)], pooled=False)
 
 
@@ -123,14 +123,14 @@ def join_islands(client: int, pools: Iterable[Pool[Body]]) -> None:
     tied = sorted((pool for pool in pools), key=lambda pool: pool.pooled)
     anchors = [(body.number, body.anchor) for pool in tied for body in pool if body.anchor is not None]
     for number, link in anchors[1:]:
-        gear = p.createConstraint(*anchors[0], number, link, p.JOINT_GEAR, (0, 1, 0), STILL, STILL, physicsClientId=client)
+        gear = p.createConstraint(*anchors[0], number, link, p.JOINT_GEAR, (0, 1, 0), ZERO_VECTOR, ZERO_VECTOR, physicsClientId=client)
         p.changeConstraint(gear, maxForce=0.0, physicsClientId=client)
 
 
 def _object(client: int, thing: ObjectBody, file: Path) -> Body:
     known = not isinstance(thing.shape, Mesh)
-    body = _load(client, thing.name, as_robot(thing), not moves(thing), file, inertia_known=known)
-    body.home = body.of_centre(*frames.frame(thing.pose))
+    body = _load(client, thing.name, as_robot(thing), not is_movable(thing), file, inertia_known=known)
+    body.initial_pose = body.centre_pose(*frames.frame(thing.pose))
     return body
 
 
@@ -147,10 +147,10 @@ def _load(client: int, name: str, model: RobotModel, fixed: bool, file: Path, in
     for setting in (
         {"linearDamping": 0.0},
         {"angularDamping": 0.0},
-        {"maxJointVelocity": UNREACHABLE},
+        {"maxJointVelocity": UNREACHABLE_SPEED},
         {"activationState": p.ACTIVATION_STATE_DISABLE_SLEEPING},
     ):
-        p.changeDynamics(number, BASE, **setting, physicsClientId=client)
+        p.changeDynamics(number, BASE_LINK, **setting, physicsClientId=client)
     return body
 
 
@@ -202,7 +202,7 @@ def _terrain(client: int, ground: Terrain) -> Body:
         raise EngineError("PyBullet cannot build the terrain")
     number = p.createMultiBody(0, shape, drawn, basePosition=(0.0, 0.0, middle), physicsClientId=client)
     made = _ground_body(client, number, Friction(lateral=ground.friction))
-    made.home = ((0.0, 0.0, middle), frames.IDENTITY_ROTATION)
+    made.initial_pose = ((0.0, 0.0, middle), frames.IDENTITY_ROTATION)
     return made
 
 
@@ -238,7 +238,7 @@ def _drawn_terrain(client: int, vertices: NDArray[np.float64], faces: NDArray[np
         vertices=(vertices - (0.0, 0.0, middle)).tolist(),
         indices=faces.ravel().tolist(),
         normals=normals.tolist(),
-        rgbaColor=ground.colour or EARTH,
+        rgbaColor=ground.colour or TERRAIN_COLOUR,
         physicsClientId=client,
     )
     return shape
@@ -261,7 +261,7 @@ def for_loader(model: RobotModel) -> RobotModel:
         for geometry in (*link.visuals, *link.collisions):
             if isinstance(geometry.shape, Mesh):
                 read_verified(geometry.shape)
-        colour = PALETTE[index % len(PALETTE)]
+        colour = LINK_COLOURS[index % len(LINK_COLOURS)]
         visuals = tuple(replace(seen, colour=seen.colour or colour) for seen in link.visuals or link.collisions)
         links.append(replace(link, visuals=visuals))
     return replace(model, links=tuple(links), joints=tuple(replace(joint, limit=_explicit_limits(joint)) for joint in model.joints))
@@ -271,7 +271,7 @@ def _explicit_limits(joint: Joint) -> Limit:
     limit = joint.limit
     lower, upper = limit.lower, limit.upper
     if joint.type == "continuous" or (lower is None and upper is None):
-        lower, upper = UNLIMITED
+        lower, upper = UNLIMITED_RANGE
     return Limit(
         lower=-OPEN_JOINT_LIMIT if lower is None else lower,
         upper=OPEN_JOINT_LIMIT if upper is None else upper,

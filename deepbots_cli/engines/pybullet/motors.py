@@ -9,9 +9,9 @@ from operator import add
 from typing import TYPE_CHECKING, Literal
 
 from deepbots_cli import frames
-from deepbots_cli.engines.pybullet import BASE, FAINT, GAINS, STRONGEST, UNREACHABLE
+from deepbots_cli.engines.pybullet import BASE_LINK, DEFAULT_GAINS, NEGLIGIBLE_FORCE, UNLIMITED_FORCE, UNREACHABLE_SPEED
 from deepbots_cli.engines.pybullet import pybullet as p
-from deepbots_cli.port import SERVO_TIME, STILL
+from deepbots_cli.port import SERVO_TIME, ZERO_VECTOR
 
 if TYPE_CHECKING:
     from deepbots_cli.engines.pybullet.state import Body
@@ -23,8 +23,8 @@ def velocity_motor(client: int, body: int, indices: Sequence[int], max_torque: S
     limits, mode = _limits(max_torque), p.VELOCITY_CONTROL
     if len(indices) == 1:
         (index,), (limit,), set_one = indices, limits, p.setJointMotorControl2
-        return lambda targets: set_one(body, index, mode, 0.0, targets[0], limit, *GAINS, client)
-    zeros, gains, set_all = [0.0] * len(indices), [[gain] * len(indices) for gain in GAINS[:2]], p.setJointMotorControlArray
+        return lambda targets: set_one(body, index, mode, 0.0, targets[0], limit, *DEFAULT_GAINS, client)
+    zeros, gains, set_all = [0.0] * len(indices), [[gain] * len(indices) for gain in DEFAULT_GAINS[:2]], p.setJointMotorControlArray
     return lambda targets: set_all(body, indices, mode, zeros, targets, limits, *gains, client)
 
 
@@ -37,7 +37,16 @@ def torque_motor(client: int, body: int, indices: Sequence[int], max_torque: Seq
     mode, set_one = p.VELOCITY_CONTROL, p.setJointMotorControl2
 
     def exert(index: int, limit: float, torque: float) -> None:
-        set_one(body, index, mode, 0.0, copysign(UNREACHABLE, torque), min(max(abs(torque), FAINT), limit), *GAINS, client)
+        set_one(
+            body,
+            index,
+            mode,
+            0.0,
+            copysign(UNREACHABLE_SPEED, torque),
+            min(max(abs(torque), NEGLIGIBLE_FORCE), limit),
+            *DEFAULT_GAINS,
+            client,
+        )
 
     limits = _limits(max_torque)
     if len(indices) == 1:
@@ -59,9 +68,9 @@ def position_motor(client: int, body: int, indices: Sequence[int], max_torque: S
 
 
 class Springs:
-    """Exerts `stiffness * (target - position) - damping * velocity`, limited, once joints have targets; `act` renews it.
+    """Exerts `stiffness * (target - position) - damping * velocity`, limited, once joints have targets; `apply` renews it.
 
-    `exerted` is what the joints got in the last engine step. 12 joints take 5 us of an engine step of 45 us (a walking
+    `torques` is what the joints got in the last engine step. 12 joints take 5 us of an engine step of 45 us (a walking
     robot); PyBullet's own plug-in for the same purpose takes 20, and cannot be stopped.
     """
 
@@ -80,19 +89,19 @@ class Springs:
         self._columns = tuple(stiffness), tuple(damping or (0.0,) * len(stiffness)), tuple(-limit for limit in limits), tuple(limits)
         self._read = read
         self._exert = _plain_torques(client, body, indices)
-        self.exerted = self._nothing = [0.0] * len(indices)
+        self.torques = self._nothing = [0.0] * len(indices)
         self._targets: Sequence[float] | None = None
 
-    def aim(self, targets: Sequence[float]) -> None:
+    def set_targets(self, targets: Sequence[float]) -> None:
         self._targets = tuple(targets)
 
-    def rest(self) -> None:
-        self._targets, self.exerted = None, self._nothing
+    def reset(self) -> None:
+        self._targets, self.torques = None, self._nothing
 
-    def act(self) -> None:
+    def apply(self) -> None:
         targets = self._targets
         if targets is not None:
-            self.exerted = torques = [
+            self.torques = torques = [
                 high if (torque := k * (target - state[0]) - d * state[1]) > high else low if torque < low else torque
                 for k, d, low, high, target, state in zip(*self._columns, targets, self._read(), strict=True)
             ]
@@ -104,13 +113,13 @@ def _plain_torques(client: int, body: int, indices: Sequence[int]) -> Callable[[
     joints, zeros, mode = tuple(indices), [0.0] * len(indices), p.TORQUE_CONTROL
     if len(joints) == 1:
         index, set_one = joints[0], p.setJointMotorControl2
-        return lambda torques: set_one(body, index, mode, 0.0, 0.0, torques[0], *GAINS, client)
+        return lambda torques: set_one(body, index, mode, 0.0, 0.0, torques[0], *DEFAULT_GAINS, client)
     set_all = p.setJointMotorControlArray  # positional arguments, those that mean nothing here included, cost a quarter less
     return lambda torques: set_all(body, joints, mode, zeros, zeros, torques, zeros, zeros, client)
 
 
 def _limits(max_torque: Sequence[float]) -> list[float]:
-    return [min(max(limit, FAINT), STRONGEST) for limit in max_torque]
+    return [min(max(limit, NEGLIGIBLE_FORCE), UNLIMITED_FORCE) for limit in max_torque]
 
 
 def torques(read: JointReader, body: int, indices: Sequence[int], springs: Mapping[tuple[int, tuple[int, ...]], Springs]) -> TorqueReader:
@@ -121,9 +130,9 @@ def torques(read: JointReader, body: int, indices: Sequence[int], springs: Mappi
         for (driven, _), some in springs.items():
             if driven == body:
                 if some.indices == own:
-                    exerted = list(map(add, exerted, some.exerted))
+                    exerted = list(map(add, exerted, some.torques))
                     continue
-                for index, torque in zip(some.indices, some.exerted, strict=True):
+                for index, torque in zip(some.indices, some.torques, strict=True):
                     if index in places:
                         exerted[places[index]] += torque
         return exerted
@@ -149,9 +158,9 @@ def _in_link(client: int, owner: Body, index: int) -> Pusher:
 
     def push(force: Triple, torque: Triple) -> None:
         refresh()
-        if force != STILL:
+        if force != ZERO_VECTOR:
             force_it(number, index, force if straight else frames.rotate(back, force), origin, mode, client)
-        if torque != STILL:
+        if torque != ZERO_VECTOR:
             turn_it(number, index, torque if straight else frames.rotate(back, torque), mode, client)
 
     return push
@@ -163,14 +172,14 @@ def _in_world(client: int, owner: Body, index: int) -> Pusher:
     read_base, read_link = partial(p.getBasePositionAndOrientation, number, client), partial(p.getLinkState, number, index, 0, 1, client)
 
     def push(force: Triple, torque: Triple) -> None:
-        if force != STILL:
-            origin = owner.of_origin(*read_base())[0] if index == BASE else read_link()[4]
+        if force != ZERO_VECTOR:
+            origin = owner.origin_pose(*read_base())[0] if index == BASE_LINK else read_link()[4]
             force_it(number, index, force, origin, mode, client)
-        if torque != STILL:
+        if torque != ZERO_VECTOR:
             turn_it(number, index, torque, mode, client)
 
     return push
 
 
 def _refresher(client: int, number: int, index: int) -> Callable[[], object]:
-    return (lambda: None) if index == BASE else partial(p.getLinkState, number, index, 0, 1, client)
+    return (lambda: None) if index == BASE_LINK else partial(p.getLinkState, number, index, 0, 1, client)

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from deepbots_cli import frames
 from deepbots_cli.engines.objects import find, rigid_group
-from deepbots_cli.engines.pybullet import BASE, GAINS
+from deepbots_cli.engines.pybullet import BASE_LINK, DEFAULT_GAINS
 from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import IDENTITY_FRAME, Frame
-from deepbots_cli.port import STILL
+from deepbots_cli.port import ZERO_VECTOR
 from deepbots_cli.program.world import GROUND
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ class Dynamics:
 class Body:
     """One PyBullet body.
 
-    `brakes` is the friction (N m or N) of each joint by index, `anchor` a link that moves and touches, `still` the links
+    `brakes` is the friction (N m or N) of each joint by index, `anchor` a link that moves and touches, `static_links` the links
     that never move.
     """
 
@@ -50,22 +50,22 @@ class Body:
         self.number = number
         self.model = model
         self.fixed = fixed
-        self.links = {model.root: BASE}
+        self.links = {model.root: BASE_LINK}
         self.joints: dict[str, int] = {}
         for index in range(p.getNumJoints(number, client)):
             info = p.getJointInfo(number, index, client)
             self.joints[info[1].decode()] = index
             self.links[info[12].decode()] = index
         self.brakes = {self.joints[joint.name]: joint.friction for joint in model.moving_joints}
-        self.still = frozenset(rigid_group(model, model.root) if fixed else ())
-        touching = [self.links[link.name] for link in model.links if link.collisions and link.name not in self.still]
+        self.static_links = frozenset(rigid_group(model, model.root) if fixed else ())
+        touching = [self.links[link.name] for link in model.links if link.collisions and link.name not in self.static_links]
         self.anchor = touching[0] if touching else None
         self._client = client
         self._dynamics: dict[int, Dynamics] = {}
-        self.centre, self.principal = self.dynamics(BASE).inertia_frame
+        self.centre, self.principal = self.dynamics(BASE_LINK).inertia_frame
         self._back = frames.inverse(self.principal)
         self._parallel = self.principal == frames.IDENTITY_ROTATION
-        self.home: Frame = IDENTITY_FRAME
+        self.initial_pose: Frame = IDENTITY_FRAME
         self._weights: dict[int, tuple[float, Triple]] = {}
 
     def dynamics(self, index: int) -> Dynamics:
@@ -78,7 +78,7 @@ class Body:
     def link(self, index: int) -> Link:
         return self.model.link(next(name for name, its in self.links.items() if its == index))
 
-    def weigh(self, index: int, factor: float) -> None:
+    def scale_mass(self, index: int, factor: float) -> None:
         """So many times the mass that a link was loaded with, and the inertia."""
         loaded = self.dynamics(index)
         self._weights[index] = loaded.mass * factor, frames.scaled(loaded.moments, factor)
@@ -90,32 +90,32 @@ class Body:
         mass, moments = self._weights[index]
         p.changeDynamics(self.number, index, mass=mass, localInertiaDiagonal=moments, physicsClientId=self._client)
 
-    def suspend(self) -> None:
+    def deactivate(self) -> None:
         """Stay where it is put, at no cost: PyBullet takes a body without mass for a fixed one. Nothing for a fixed body."""
         if not self.fixed and not self.suspended:
             self.suspended = True
-            p.changeDynamics(self.number, BASE, mass=0.0, physicsClientId=self._client)
+            p.changeDynamics(self.number, BASE_LINK, mass=0.0, physicsClientId=self._client)
 
-    def wake(self) -> None:
+    def activate(self) -> None:
         """Move again, with the mass that was set."""
         if self.suspended:
             self.suspended = False
-            if BASE not in self._weights:
-                self.weigh(BASE, 1.0)
-            self._apply_weight(BASE)
+            if BASE_LINK not in self._weights:
+                self.scale_mass(BASE_LINK, 1.0)
+            self._apply_weight(BASE_LINK)
 
     @property
-    def centred(self) -> bool:
+    def is_centred(self) -> bool:
         """Whether the root link's frame is that of its inertia, so that the poses of PyBullet need no conversion."""
-        return self.centre == STILL and self._parallel
+        return self.centre == ZERO_VECTOR and self._parallel
 
-    def of_centre(self, position: Triple, orientation: Quaternion) -> Frame:
+    def centre_pose(self, position: Triple, orientation: Quaternion) -> Frame:
         """The pose of the inertia, from that of the root link."""
-        if self.centred:
+        if self.is_centred:
             return position, orientation
         return frames.add(position, frames.rotate(orientation, self.centre)), frames.multiply(orientation, self.principal)
 
-    def of_origin(self, position: Triple, orientation: Quaternion) -> Frame:
+    def origin_pose(self, position: Triple, orientation: Quaternion) -> Frame:
         """The pose of the root link, from that of the inertia."""
         turned = orientation if self._parallel else frames.multiply(orientation, self._back)
         return frames.subtract(position, frames.rotate(turned, self.centre)), turned
@@ -123,37 +123,37 @@ class Body:
 
 # Readings
 
-Told = TypeVar("Told")
-FEW = 3  # joints, which are read for less than it takes to ask whether they were
+R = TypeVar("R")
+MAX_UNCACHED_JOINTS = 3  # joints, which are read for less than it takes to ask whether they were
 
 
 class ReadCache:
     """Counts the states of a world. Several sensors, a signal and a reward may ask for the same pose in one of them.
 
-    `now` holds the number of the present one as its only item; whatever changes what may be read goes on to the next.
+    `generation` holds the number of the present one as its only item; whatever changes what may be read goes on to the next.
     """
 
     def __init__(self) -> None:
-        self.now = [0]
+        self.generation = [0]
         self._readers: dict[Hashable, Callable[[], Any]] = {}
 
-    def go_on(self) -> None:
-        self.now[0] += 1
+    def invalidate(self) -> None:
+        self.generation[0] += 1
 
-    def kept(self, key: Hashable, read: Callable[[], Told]) -> Callable[[], Told]:
+    def cached(self, key: Hashable, read: Callable[[], R]) -> Callable[[], R]:
         """A reader that calls `read` once per moment, however many ask; all that go by one key are one.
 
         Asking costs 0.07 us, so it is for what takes several times as long.
         """
         if key not in self._readers:
-            self._readers[key] = _keeping(self.now, read)
+            self._readers[key] = _cached_reader(self.generation, read)
         return self._readers[key]
 
 
-def _keeping(now: list[int], read: Callable[[], Told]) -> Callable[[], Told]:
+def _cached_reader(now: list[int], read: Callable[[], R]) -> Callable[[], R]:
     moment, value = -1, None
 
-    def reader() -> Told | None:
+    def reader() -> R | None:
         nonlocal moment, value
         if moment != now[0]:
             value = read()
@@ -165,22 +165,22 @@ def _keeping(now: list[int], read: Callable[[], Told]) -> Callable[[], Told]:
 
 def joints(client: int, number: int, indices: tuple[int, ...], moments: ReadCache) -> JointReader:
     read: JointReader = partial(p.getJointStates, number, indices, client)
-    return read if len(indices) <= FEW else moments.kept(("joints", number, indices), read)
+    return read if len(indices) <= MAX_UNCACHED_JOINTS else moments.cached(("joints", number, indices), read)
 
 
 def pose(client: int, owner: Body, index: int, moments: ReadCache) -> PoseReader:
     number = owner.number
-    if index != BASE:
+    if index != BASE_LINK:
         read_link: Callable[[], tuple[Triple, ...]] = partial(p.getLinkState, number, index, 0, 1, client)
-        return moments.kept(("pose", number, index), lambda: read_link()[4:6])  # type: ignore[return-value, arg-type]
-    if owner.centred:
+        return moments.cached(("pose", number, index), lambda: read_link()[4:6])  # type: ignore[return-value, arg-type]
+    if owner.is_centred:
         return partial(p.getBasePositionAndOrientation, number, client)
-    placed = _placed(client, owner, moments)
+    placed = _root_frames(client, owner, moments)
     return lambda: placed()[1]
 
 
 def velocity(client: int, owner: Body, index: int, moments: ReadCache) -> VelocityReader:
-    if index == BASE and owner.centre == STILL:
+    if index == BASE_LINK and owner.centre == ZERO_VECTOR:
         read: VelocityReader = partial(p.getBaseVelocity, owner.number, client)
         return read
     read_motion = motion(client, owner, index, moments)
@@ -189,31 +189,31 @@ def velocity(client: int, owner: Body, index: int, moments: ReadCache) -> Veloci
 
 def motion(client: int, owner: Body, index: int, moments: ReadCache) -> MotionReader:
     number = owner.number
-    if index != BASE:
-        return moments.kept(("motion", number, index), _link_motion(partial(p.getLinkState, number, index, 1, 1, client)))
+    if index != BASE_LINK:
+        return moments.cached(("motion", number, index), _link_motion(partial(p.getLinkState, number, index, 1, 1, client)))
     read_velocity = partial(p.getBaseVelocity, number, client)
-    if owner.centred:
+    if owner.is_centred:
         read_pose = partial(p.getBasePositionAndOrientation, number, client)
-        return moments.kept(("motion", number, index), lambda: (read_pose(), read_velocity()))
-    placed = _placed(client, owner, moments)
+        return moments.cached(("motion", number, index), lambda: (read_pose(), read_velocity()))
+    placed = _root_frames(client, owner, moments)
 
     def of_origin() -> Motion:
         centre, pose = placed()
         linear, angular = read_velocity()
         return pose, (frames.add(linear, frames.cross(angular, frames.subtract(pose[0], centre))), angular)
 
-    return moments.kept(("motion", number, index), of_origin)
+    return moments.cached(("motion", number, index), of_origin)
 
 
-def _placed(client: int, owner: Body, moments: ReadCache) -> Callable[[], tuple[Triple, Frame]]:
+def _root_frames(client: int, owner: Body, moments: ReadCache) -> Callable[[], tuple[Triple, Frame]]:
     """Where the centre of mass of a root link is, and the pose of the link."""
     read = partial(p.getBasePositionAndOrientation, owner.number, client)
 
     def placed() -> tuple[Triple, Frame]:
         centre, turned = read()
-        return centre, owner.of_origin(centre, turned)
+        return centre, owner.origin_pose(centre, turned)
 
-    return moments.kept(("placed", owner.number), placed)
+    return moments.cached(("placed", owner.number), placed)
 
 
 def _link_motion(read: Callable[[], tuple[Any, ...]]) -> MotionReader:
@@ -226,7 +226,7 @@ def _link_motion(read: Callable[[], tuple[Any, ...]]) -> MotionReader:
 
 # Parameters
 
-_CONTACT = {
+_CONTACT_PARAMETERS = {
     "lateral_friction": "lateralFriction",
     "spinning_friction": "spinningFriction",
     "rolling_friction": "rollingFriction",
@@ -244,27 +244,27 @@ class Parameters:
     def __init__(self, client: int, world: WorldModel, pools: dict[str, Pool[Body]], floor: Floor | None) -> None:
         self.light, self.gravity = world.light, world.gravity
         self._client, self._pools, self._floor = client, pools, floor
-        self._ways_back: dict[object, Callable[[], object]] = {}
+        self._undo: dict[object, Callable[[], object]] = {}
 
     def restore(self) -> None:
         """Bring back every parameter of the world model."""
-        for back in self._ways_back.values():
+        for back in self._undo.values():
             back()
-        self._ways_back.clear()
+        self._undo.clear()
 
-    def set(self, what: EngineParameter, of: tuple[str, ...], values: Sequence[float]) -> None:
+    def set(self, parameter: EngineParameter, owner: tuple[str, ...], values: Sequence[float]) -> None:
         """See `Engine.set_parameter`."""
-        if what in _CONTACT:
-            self._set_contact(_CONTACT[what], *of, *values)  # type: ignore[arg-type]
+        if parameter in _CONTACT_PARAMETERS:
+            self._set_contact(_CONTACT_PARAMETERS[parameter], *owner, *values)  # type: ignore[arg-type]
         else:
-            getattr(self, f"_set_{what}")(*of, *values)
+            getattr(self, f"_set_{parameter}")(*owner, *values)
 
     def _body(self, name: str) -> Body:
-        return find(self._pools, name, "the world has no body").chosen
+        return find(self._pools, name, "the world has no body").current
 
     def _link(self, body: str, link: str) -> tuple[Body, int]:
         owner = self._body(body)
-        return owner, find(owner.links, link, f"'{body}' has no link") if link else BASE
+        return owner, find(owner.links, link, f"'{body}' has no link") if link else BASE_LINK
 
     def _joint(self, robot: str, joint: str) -> tuple[Body, int]:
         owner = self._body(robot)
@@ -273,13 +273,13 @@ class Parameters:
     def _set_mass(self, body: str, link: str, mass: float) -> None:
         """That of the base of a fixed body means nothing, and would set it loose."""
         owner, index = self._link(body, link)
-        if index == BASE and owner.fixed:
+        if index == BASE_LINK and owner.fixed:
             return
         usual = owner.dynamics(index).mass
         if not (usual > 0.0 and mass > 0.0):
             raise EngineError(f"the mass of a link of '{owner.name}' cannot go from {usual:g} kg to {mass:g} kg")
-        owner.weigh(index, mass / usual)
-        self._ways_back["mass", owner.number, index] = partial(owner.weigh, index, 1.0)
+        owner.scale_mass(index, mass / usual)
+        self._undo["mass", owner.number, index] = partial(owner.scale_mass, index, 1.0)
 
     def _set_contact(self, name: str, body: str, link: str, value: float) -> None:
         """One call per property: two in one went to the root link."""
@@ -287,38 +287,38 @@ class Parameters:
         change = partial(p.changeDynamics, owner.number, index, physicsClientId=self._client)
         usual = contact_parameters(owner.model.link(link or owner.model.root).friction)
         change(**{name: value})
-        self._ways_back[name, owner.number, index] = partial(change, **{name: usual[name]})
+        self._undo[name, owner.number, index] = partial(change, **{name: usual[name]})
 
     def _set_joint_damping(self, robot: str, joint: str, damping: float) -> None:
         owner, index = self._joint(robot, joint)
         change = partial(p.changeDynamics, owner.number, index, physicsClientId=self._client)
         change(jointDamping=damping)
-        self._ways_back["damping", owner.number, index] = partial(change, jointDamping=owner.model.joint(joint).damping)
+        self._undo["damping", owner.number, index] = partial(change, jointDamping=owner.model.joint(joint).damping)
 
     def _set_joint_friction(self, robot: str, joint: str, friction: float) -> None:
         """A reset brakes every joint anew, so there is no way back to note."""
         owner, index = self._joint(robot, joint)
-        p.setJointMotorControl2(owner.number, index, p.VELOCITY_CONTROL, 0.0, 0.0, friction, *GAINS, self._client)
+        p.setJointMotorControl2(owner.number, index, p.VELOCITY_CONTROL, 0.0, 0.0, friction, *DEFAULT_GAINS, self._client)
 
     def _set_gravity(self, x: float, y: float, z: float) -> None:
-        self._ways_back.setdefault("gravity", partial(self._pull, self.gravity))
-        self._pull((x, y, z))
+        self._undo.setdefault("gravity", partial(self._apply_gravity, self.gravity))
+        self._apply_gravity((x, y, z))
 
-    def _pull(self, gravity: Triple) -> None:
+    def _apply_gravity(self, gravity: Triple) -> None:
         self.gravity = gravity
         p.setGravity(*gravity, self._client)
 
     def _set_colour(self, body: str, link: str, *colour: float) -> None:
         if body == GROUND and self._floor is not None:
             self._floor.colour(colour)  # type: ignore[arg-type]
-            self._ways_back["floor"] = partial(self._floor.colour, self._floor.usual)
+            self._undo["floor"] = partial(self._floor.colour, self._floor.default_colour)
             return
         owner, index = self._link(body, link)
         key = ("colour", owner.number, index)
-        if key not in self._ways_back:
+        if key not in self._undo:
             shapes = p.getVisualShapeData(owner.number, physicsClientId=self._client)
             usual = [shape[7] for shape in shapes if shape[1] == index]
-            self._ways_back[key] = partial(self._paint, owner.number, index, usual)
+            self._undo[key] = partial(self._paint, owner.number, index, usual)
         p.changeVisualShape(owner.number, index, rgbaColor=colour, physicsClientId=self._client)
 
     def _paint(self, number: int, index: int, colours: list[Colour]) -> None:
@@ -326,7 +326,7 @@ class Parameters:
             p.changeVisualShape(number, index, shapeIndex=place, rgbaColor=colour, physicsClientId=self._client)
 
     def _set_light(self, brightness: float) -> None:
-        self._ways_back.setdefault("light", partial(setattr, self, "light", self.light))
+        self._undo.setdefault("light", partial(setattr, self, "light", self.light))
         self.light = brightness
 
 

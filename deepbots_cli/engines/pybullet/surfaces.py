@@ -9,7 +9,7 @@ from math import inf, sqrt
 from typing import TYPE_CHECKING, Any
 
 from deepbots_cli import frames
-from deepbots_cli.engines.pybullet import BASE, state
+from deepbots_cli.engines.pybullet import BASE_LINK, state
 from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.errors import EngineError
 from deepbots_cli.robots.model import Capsule, Cylinder, Sphere
@@ -21,30 +21,30 @@ if TYPE_CHECKING:
 
 # Contacts and gaps
 
-ANY = -2  # PyBullet's number for all links of a body
-FAR = 1e6  # m; the distance between surfaces is asked for up to here
-FEW = 2  # links; from three on one query for all links costs less than one for each
-Query = Callable[[], Any]
-Place = tuple[int, int]
-"""The number of a body and that of a link, or `ANY`."""
+ANY_LINK = -2  # PyBullet's number for all links of a body
+MAX_CLEARANCE_M = 1e6  # m; the distance between surfaces is asked for up to here
+MAX_LINK_QUERIES = 2  # links; from three on one query for all links costs less than one for each
+ContactQuery = Callable[[], Any]
+LinkKey = tuple[int, int]
+"""The number of a body and that of a link, or `ANY_LINK`."""
 
 
-class Mark:
-    """Whether a link (or `ANY`) touched something that `accepts` names by body and link, since the last `forget`."""
+class ContactFlag:
+    """Whether a link (or `ANY_LINK`) touched something that `is_other` names by body and link, since the last `forget`."""
 
-    __slots__ = ("accepts", "link", "touched")
+    __slots__ = ("is_other", "link", "touched")
 
     def __init__(self, link: int, accepts: Callable[[int, int], bool]) -> None:
         self.link = link
-        self.accepts = accepts
+        self.is_other = accepts
         self.touched = False
 
     def read(self) -> bool:
         return self.touched
 
 
-class Watch:
-    """Looks after every engine step at what the links of one body touch, until nothing is left to learn before the next `forget`.
+class ContactMonitor:
+    """Looks after every engine step at what the links of one body touch, until nothing is left to learn before the next `reset`.
 
     One query for the whole body, or for the links whose marks are still open where these are few: a robot that stands
     on four feet, and must not touch the ground otherwise, costs 2.2 us in the first engine step and 0.7 in each further one.
@@ -52,59 +52,59 @@ class Watch:
 
     def __init__(self, client: int, body: int) -> None:
         self._body, self._client = body, client
-        self._marks: list[Mark] = []
-        self._open: list[Mark] = []
-        self._first: list[Query] = []
+        self._flags: list[ContactFlag] = []
+        self._open_flags: list[ContactFlag] = []
+        self._first_queries: list[ContactQuery] = []
         """The queries with which a step begins."""
-        self._queries: list[Query] = []
+        self._queries: list[ContactQuery] = []
 
-    def forget(self) -> None:
-        for mark in self._marks:
+    def reset(self) -> None:
+        for mark in self._flags:
             mark.touched = False
-        self._open, self._queries = self._marks, self._first
+        self._open_flags, self._queries = self._flags, self._first_queries
 
-    def look(self) -> None:
+    def update(self) -> None:
         """A pair is listed while it is near; it touches if its surfaces overlap, or if it took a force to keep them from it."""
         learned = False
         for query in self._queries:
             for point in query():
                 if point[9] > 0.0 or point[8] <= 0.0:
                     other, own, other_link = point[2:5]
-                    for mark in self._open:
-                        if (mark.link == own or mark.link == ANY) and mark.accepts(other, other_link):
+                    for mark in self._open_flags:
+                        if (mark.link == own or mark.link == ANY_LINK) and mark.is_other(other, other_link):
                             mark.touched = learned = True
         if learned:
-            self._open = [mark for mark in self._open if not mark.touched]
-            self._queries = self._queries_for(self._open)
+            self._open_flags = [mark for mark in self._open_flags if not mark.touched]
+            self._queries = self._queries_for(self._open_flags)
 
-    def _queries_for(self, marks: Sequence[Mark]) -> list[Query]:
+    def _queries_for(self, marks: Sequence[ContactFlag]) -> list[ContactQuery]:
         links = {mark.link for mark in marks}
-        if ANY in links or len(links) > FEW:
-            links = {ANY}
-        return [partial(p.getContactPoints, self._body, -1, link, ANY, self._client) for link in sorted(links)]
+        if ANY_LINK in links or len(links) > MAX_LINK_QUERIES:
+            links = {ANY_LINK}
+        return [partial(p.getContactPoints, self._body, -1, link, ANY_LINK, self._client) for link in sorted(links)]
 
-    def _marked(self, link: int, accepts: Callable[[int, int], bool]) -> ContactReader:
-        mark = Mark(link, accepts)
-        self._marks.append(mark)
-        self._first = self._queries_for(self._marks)
-        self.forget()
+    def _flag(self, link: int, accepts: Callable[[int, int], bool]) -> ContactReader:
+        mark = ContactFlag(link, accepts)
+        self._flags.append(mark)
+        self._first_queries = self._queries_for(self._flags)
+        self.reset()
         return mark.read
 
-    def of_some(self, link: int, others: Collection[Place]) -> ContactReader:
+    def touches_any_of(self, link: int, others: Collection[LinkKey]) -> ContactReader:
         """Whether the link touched one of `others`."""
         known = frozenset(others)
-        return self._marked(link, lambda other, other_link: (other, other_link) in known or (other, ANY) in known)
+        return self._flag(link, lambda other, other_link: (other, other_link) in known or (other, ANY_LINK) in known)
 
-    def of_all_but(self, link: int, without: Collection[int]) -> ContactReader:
+    def touches_any_but(self, link: int, without: Collection[int]) -> ContactReader:
         """Whether the link touched anything but the bodies `without`."""
         left_out = frozenset(without)
-        return self._marked(link, lambda other, other_link: other not in left_out)
+        return self._flag(link, lambda other, other_link: other not in left_out)
 
 
-def penetrations(client: int) -> dict[tuple[Place, Place], float]:
+def penetrations(client: int) -> dict[tuple[LinkKey, LinkKey], float]:
     """How deep (m) links of two bodies lie within each other, as the world stands now; only pairs that do."""
     p.performCollisionDetection(client)
-    found: dict[tuple[Place, Place], float] = {}
+    found: dict[tuple[LinkKey, LinkKey], float] = {}
     for point in p.getContactPoints(physicsClientId=client):
         _, one, other, link, other_link = point[:5]
         pair = ((one, link), (other, other_link))
@@ -114,12 +114,12 @@ def penetrations(client: int) -> dict[tuple[Place, Place], float]:
 
 
 def force(client: int, body: int, link: int) -> ForceReader:
-    read = partial(p.getContactPoints, body, -1, link, ANY, client)
+    read = partial(p.getContactPoints, body, -1, link, ANY_LINK, client)
     return lambda: sum(point[9] for point in read())
 
 
-def clearance(client: int, one: Place, other: Place) -> ClearanceReader:
-    read = partial(p.getClosestPoints, one[0], other[0], FAR, one[1], other[1], physicsClientId=client)
+def clearance(client: int, one: LinkKey, other: LinkKey) -> ClearanceReader:
+    read = partial(p.getClosestPoints, one[0], other[0], MAX_CLEARANCE_M, one[1], other[1], physicsClientId=client)
 
     def distance() -> float:
         return max(0.0, min((point[8] for point in read()), default=inf))
@@ -130,9 +130,9 @@ def clearance(client: int, one: Place, other: Place) -> ClearanceReader:
 # Rays
 
 FIRST_GROUP, LAST_GROUP = 6, 30  # bits of a collision group that the library leaves free
-EVERYTHING, NOT_STATIC = -1, ~2  # masks of what moves, and of what does not
-DOUBT = 0.05  # m; farther from PyBullet's answer a closed form has met another surface
-Round = Sphere | Cylinder | Capsule
+ALL_GROUPS, ALL_BUT_STATIC = -1, ~2  # masks of what moves, and of what does not
+MAX_CORRECTION_M = 0.05  # m; farther from PyBullet's answer a closed form has met another surface
+RoundShape = Sphere | Cylinder | Capsule
 
 
 class Rays:
@@ -140,9 +140,9 @@ class Rays:
 
     def __init__(self, client: int, bodies: Sequence[Body], moments: ReadCache) -> None:
         self._client = client
-        self._moments = moments
+        self._cache = moments
         self._groups: dict[int, int] = {}
-        self._rounded = {
+        self._round_surfaces = {
             (body.number, index): rounded
             for body in bodies
             for index in body.links.values()
@@ -161,8 +161,8 @@ class Rays:
             collisionFilterMask=~self._group(body),
             physicsClientId=self._client,
         )
-        refresh = None if index == BASE else partial(p.getLinkState, body.number, index, 0, 1, self._client)
-        pose, rounded = state.pose(self._client, body, index, self._moments), self._rounded
+        refresh = None if index == BASE_LINK else partial(p.getLinkState, body.number, index, 0, 1, self._client)
+        pose, rounded = state.pose(self._client, body, index, self._cache), self._round_surfaces
 
         def read() -> list[float]:
             if refresh is not None:
@@ -173,7 +173,7 @@ class Rays:
                 for place, hit in enumerate(hits):
                     if (surface := rounded.get(hit[:2])) is not None:
                         ray = frames.compose(pose(), rays[place])
-                        free[place] = surface.met(ray[0], frames.rotate(ray[1], (1.0, 0.0, 0.0)), free[place])
+                        free[place] = surface.hit_distance(ray[0], frames.rotate(ray[1], (1.0, 0.0, 0.0)), free[place])
             return free
 
         return read
@@ -186,7 +186,7 @@ class Rays:
                 raise EngineError(f"PyBullet supports {LAST_GROUP - FIRST_GROUP + 1} robots with rays, and '{body.name}' is one more")
             self._groups[body.number] = 1 << place
             for name, index in body.links.items():
-                mask = NOT_STATIC if name in body.still else EVERYTHING
+                mask = ALL_BUT_STATIC if name in body.static_links else ALL_GROUPS
                 p.setCollisionFilterGroupMask(body.number, index, 1 << place, mask, self._client)
         return self._groups[body.number]
 
@@ -203,14 +203,14 @@ def _in_frame_of_inertia(inertia: Frame, rays: Sequence[Frame], reach: float) ->
 
 
 @dataclass(frozen=True)
-class Surface:
+class RoundSurface:
     """A round surface, where PyBullet's answer is off by 1 mm, and by 7 mm where a ray grazes it: met in closed form."""
 
-    shape: Round
+    shape: RoundShape
     pose: PoseReader
     origin: Frame
 
-    def met(self, start: Triple, direction: Triple, near: float) -> float:
+    def hit_distance(self, start: Triple, direction: Triple, near: float) -> float:
         """How far (m) along a unit direction the surface is met, if that is close to the answer `near`."""
         centre, turned = frames.compose(self.pose(), self.origin)
         back = frames.inverse(turned)
@@ -225,7 +225,7 @@ class Surface:
                 if isinstance(self.shape, Cylinder):
                     return near  # its ends are flat
                 met = min(_ball(s, d, half, r), _ball(s, d, -half, r))
-        return met if abs(met - near) < DOUBT else near
+        return met if abs(met - near) < MAX_CORRECTION_M else near
 
 
 def _ball(s: Triple, d: Triple, height: float, radius: float) -> float:
@@ -239,12 +239,12 @@ def _first(a: float, b: float, c: float) -> float:
     return (-b - sqrt(discriminant)) / a if a > 0.0 and discriminant >= 0.0 else inf
 
 
-def _rounded(client: int, body: Body, index: int, moments: ReadCache) -> Surface | None:
+def _rounded(client: int, body: Body, index: int, moments: ReadCache) -> RoundSurface | None:
     """The surface of a link that collides with one round shape and nothing else."""
     link = body.link(index)
     if len(link.collisions) != 1:
         return None
     geometry = link.collisions[0]
-    if not isinstance(geometry.shape, Round):
+    if not isinstance(geometry.shape, RoundShape):
         return None
-    return Surface(geometry.shape, state.pose(client, body, index, moments), frames.frame(geometry.origin))
+    return RoundSurface(geometry.shape, state.pose(client, body, index, moments), frames.frame(geometry.origin))

@@ -17,9 +17,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 from deepbots_cli import frames
-from deepbots_cli.engines.objects import as_robot, find, moves
+from deepbots_cli.engines.objects import as_robot, find, is_movable
 from deepbots_cli.errors import EngineError
-from deepbots_cli.port import STILL
+from deepbots_cli.port import ZERO_VECTOR
 from deepbots_cli.robots.model import with_mass
 from exact_engine.lump import joined
 from exact_engine.motion import CartPole, Drive, RigidBody
@@ -87,7 +87,7 @@ class ExactEngine:
             if thing.pooled:
                 raise _lacks(f"bodies that come and go, such as '{thing.name}'")
             model = as_robot(thing)
-            motion = RigidBody(joined(model, model.root), world.gravity, moves(thing))
+            motion = RigidBody(joined(model, model.root), world.gravity, is_movable(thing))
             self._add(thing.name, model, motion, frames.frame(thing.pose))
         for robot in world.robots:
             self._add(robot.name, robot.model, _motion(robot, world.gravity), frames.frame(robot.pose))
@@ -111,7 +111,7 @@ class ExactEngine:
                 motion.rest()
 
     def place(
-        self, body: str, position: Triple, orientation: Quaternion, velocity: Triple = STILL, angular_velocity: Triple = STILL
+        self, body: str, position: Triple, orientation: Quaternion, velocity: Triple = ZERO_VECTOR, angular_velocity: Triple = ZERO_VECTOR
     ) -> None:
         motion = self._motion(body)
         motion.place((position, frames.normalised(orientation)))
@@ -124,13 +124,13 @@ class ExactEngine:
     def choose(self, body: str, variant: str) -> None:
         raise _lacks("bodies of several forms")
 
-    def set_parameter(self, what: EngineParameter, of: tuple[str, ...], *values: float) -> None:
-        if what in ("colour", "light"):
+    def set_parameter(self, parameter: EngineParameter, owner: tuple[str, ...], *values: float) -> None:
+        if parameter in ("colour", "light"):
             return  # nothing sees it
-        setter = getattr(self, f"_set_{what}", None)
+        setter = getattr(self, f"_set_{parameter}", None)
         if setter is None:
-            raise _lacks(f"parameters such as {what}")
-        setter(*of, *values)
+            raise _lacks(f"parameters such as {parameter}")
+        setter(*owner, *values)
 
     def _set_mass(self, body: str, link: str, mass: float) -> None:
         motion, name = self._link(body, link or None)
