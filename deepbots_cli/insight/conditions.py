@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -36,7 +37,7 @@ class Comparison:
     """`value operator bound`: both sides by the names of kept values, and as the scenario writes them.
 
     Several components hold together if any of them holds, or all. `unit` is the SI unit of both sides. A truth value without a bound, such
-    as a contact, has no `bound` and is compared with 1.
+    as a contact, has no `bound` and is compared with 1. `lasting` is the condition whose `duration` is the value.
     """
 
     text: str
@@ -46,6 +47,7 @@ class Comparison:
     unit: str = ""
     sides: tuple[str, str] = ("", "")
     joined: Literal["any", "all"] = "any"
+    lasting: Condition | None = None
 
 
 @dataclass(frozen=True)
@@ -148,7 +150,8 @@ class _Builder:
                 used = _NEGATED[written] if negated else written
                 value, bound = self.probe(left, home), self.probe(right, home)
                 sides = (home.text[left.start : left.end], home.text[right.start : right.end])
-                return Comparison(home.text[node.start : node.end], used, value, bound, str(left.type.dimension), sides, joined)
+                text, unit = home.text[node.start : node.end], str(left.type.dimension)
+                return Comparison(text, used, value, bound, unit, sides, joined, self._lasting(left, home))
             case Invocation(function="any" | "all" as function, args=(inner,)) if not inner.type.has_group_components:
                 every: Literal["any", "all"] = "any" if (function == "any") != negated else "all"
                 if isinstance(inner, Operation) and inner.operator in SIGNS:
@@ -160,6 +163,16 @@ class _Builder:
                 if not any(map(is_drawn, other.scalars)):
                     return self._condition(other.typed, other, negated=negated)
         return Comparison(home.text[node.start : node.end], "not_equal" if negated else "equal", self.probe(node, home))
+
+    def _lasting(self, node: Typed, home: Expression) -> Condition | None:
+        """The condition in `duration(...)`, also behind the name of a signal."""
+        match node:
+            case Reference(symbol=symbol) if symbol.name in self._named and node.type.components is None:
+                return self._lasting(self._named[symbol.name].typed, self._named[symbol.name])
+            case Invocation(function="duration", args=(inner,)) if inner.type.components is None:
+                with suppress(_UnmeasuredError):
+                    return self._condition(inner, home, negated=False)
+        return None
 
     def probe(self, node: Typed, home: Expression) -> str:
         """The name of a signal that has the value of a part of an expression."""

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from deepbots_cli.insight.conditions import SIGNS, holds, leaves, measure
+from deepbots_cli.insight.conditions import SIGNS, Comparison, Measured, holds, leaves, measure
 from deepbots_cli.insight.statements import SHOWN, Finder, Numbers, Statement, listed, quantity, state_all
 from deepbots_cli.insight.trace import Trace
 from deepbots_cli.program.task import ActionRange, Choices
@@ -114,19 +114,48 @@ def approach(trace: Trace) -> Numbers | None:
 
 def nearest(trace: Trace) -> Numbers | None:
     """'{ending}' needs {side} {sign} {limit}; the nearest was {best}, at {seconds} (step {step})."""
-    if trace.outcome in ("success", "error"):
+    name, conditions = _missed(trace)
+    leaf = next((leaf for leaf in conditions if leaf.bound is not None), None)
+    if leaf is None:
         return None
-    for name in [*(each.name for each in trace.program.endings if each.outcome == "success"), "goal_reached"]:
-        condition = trace.watch.conditions.get(name)
-        for leaf in leaves(condition) if condition else []:
-            if leaf.bound is not None:
-                past = [measure(leaf, values) for values in trace.values]
-                best = max(range(len(past)), key=lambda step: past[step].margin or 0.0)
-                found = past[best]
-                return {**found.as_json(), "ending": name, "side": leaf.sides[0], "sign": SIGNS[leaf.operator], "step": best,
-                        "limit": quantity(found.bound or 0.0, leaf.unit), "best": quantity(found.value, leaf.unit),
-                        "seconds": _seconds(trace.at(best))}  # fmt: skip
-    return None
+    step, found = _nearest(trace, leaf)
+    return {**found.as_json(), "ending": name, "side": leaf.sides[0], "sign": SIGNS[leaf.operator], "step": step,
+            "limit": quantity(found.bound or 0.0, leaf.unit), "best": quantity(found.value, leaf.unit),
+            "seconds": _seconds(trace.at(step))}  # fmt: skip
+
+
+def conditions(trace: Trace) -> Numbers | None:
+    """Of the conditions in '{ending}', {parts}."""
+    name, outer = _missed(trace)
+    inner = [part for leaf in outer for part in (leaves(leaf.lasting) if leaf.lasting else [leaf])]
+    if len(inner) < 2 and not any(leaf.lasting for leaf in outer):
+        return None
+    found, said = [], []
+    for leaf in inner:
+        steps = sum(measure(leaf, values).holds for values in trace.values)
+        beside = [k for k, values in enumerate(trace.values) if steps and all(measure(o, values).holds for o in inner if o is not leaf)]
+        step, best = _nearest(trace, leaf, beside)
+        found.append({**best.as_json(), "step": step, "time": trace.at(step), "steps": steps, "beside_others": bool(beside)})
+        came = f"came to {quantity(best.value, leaf.unit)} of {quantity(best.bound or 0.0, leaf.unit)} at {_seconds(trace.at(step))}"
+        came = f" and{', while the others held,' if beside and len(inner) > 1 else ''} {came}" if leaf.bound else ""
+        said.append(f"`{leaf.text}` held in {steps} of {len(trace.values)} moments{came}")
+    return {"ending": name, "conditions": found, "parts": "; ".join(said)}
+
+
+def _missed(trace: Trace) -> tuple[str, list[Comparison]]:
+    """The first success that an episode without one missed, and its comparisons."""
+    if trace.outcome not in ("success", "error"):
+        for name in [*(each.name for each in trace.program.endings if each.outcome == "success"), "goal_reached"]:
+            if (condition := trace.watch.conditions.get(name)) is not None:
+                return name, leaves(condition)
+    return "", []
+
+
+def _nearest(trace: Trace, leaf: Comparison, moments: Sequence[int] = ()) -> tuple[int, Measured]:
+    """The first of the moments in which a comparison came nearest to its bound, or beyond it by most."""
+    past = {step: measure(leaf, trace.values[step]) for step in moments or range(len(trace.values))}
+    step = max(past, key=lambda step: float(past[step].holds if (margin := past[step].margin) is None else margin))
+    return step, past[step]
 
 
 def terms(trace: Trace) -> Numbers | None:
@@ -138,6 +167,21 @@ def terms(trace: Trace) -> Numbers | None:
     shares = {name: abs(sums[name]) / whole if whole else 0.0 for name in sorted(sums, key=lambda name: -abs(sums[name]))}
     return {"return": trace.returns, "total": f"{trace.returns:.4g}", "terms": sums, "shares": shares,
             "parts": listed([f"{name} {sums[name]:+.4g} ({share:.0%})" for name, share in shares.items()])}  # fmt: skip
+
+
+def moments(trace: Trace) -> Numbers | None:
+    """At least 80% of a large reward term arose in a part of the episode: {parts}."""
+    whole, found = sum(abs(float(np.nansum(values))) for values in trace.terms.values()), {}
+    for name, values in trace.terms.items():
+        total = float(np.nansum(values))
+        grown = np.concatenate([[0.0], np.cumsum(np.maximum(0.0, np.nan_to_num(values) * np.sign(total)))])
+        ends = np.searchsorted(grown, grown[:-1] + 0.8 * grown[-1] - 1e-12)
+        lengths = np.where(ends <= trace.steps, ends - np.arange(len(ends)), trace.steps + 1)
+        first = int(np.argmin(lengths)) if trace.steps else 0
+        if whole and abs(total) >= 0.25 * whole and lengths[first] <= 0.78 * trace.steps:
+            found[name] = [trace.at(first), trace.at(int(ends[first]))]
+    parts = [f"{name} from {_seconds(begin)} to {_seconds(end)}" for name, (begin, end) in found.items()]
+    return {"spans": found, "parts": listed(parts)} if found else None
 
 
 def critic(trace: Trace) -> Numbers | None:
@@ -156,11 +200,6 @@ def unforeseen(trace: Trace) -> Numbers | None:
     if trace.outcome != "failure" or known is None or len(known) < 2 or np.diff(known).min() < 0:
         return None
     return {"steps": trace.steps, "first": float(known[0]), "last": float(known[-1])}
-
-
-def no_critic(trace: Trace) -> Numbers | None:
-    """The critic's value is known in {known} of {steps} steps: {reason}."""
-    return {"steps": trace.steps, "reason": trace.critic_absent, "known": 0} if trace.critic is None else None
 
 
 def saturation(trace: Trace) -> Numbers | None:
@@ -203,7 +242,7 @@ def several(trace: Trace) -> Numbers | None:
 
 
 ROWS: tuple[Finder[Trace], ...] = (
-    ending, error, not_ended, margin, fact, limit, several, approach, nearest, terms, critic, unforeseen, no_critic, saturation, choices,
-    limits,
+    ending, error, not_ended, margin, fact, limit, several, approach, nearest, conditions, terms, moments, critic, unforeseen, saturation,
+    choices, limits,
 )  # fmt: skip
 """What is said of an episode, in this order."""

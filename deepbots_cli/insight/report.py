@@ -29,11 +29,11 @@ from deepbots_cli.files import atomic_write
 from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.insight import figures
 from deepbots_cli.insight.card import rendered, result_text
-from deepbots_cli.insight.trace import KeptEpisodes, last_evaluation
+from deepbots_cli.insight.trace import last_evaluation
 from deepbots_cli.insight.training import findings
 from deepbots_cli.learning.episodes import UNBOUNDED, Episode
 from deepbots_cli.learning.group import Group, is_group
-from deepbots_cli.learning.run import Run, is_training
+from deepbots_cli.learning.run import KeptEpisodes, Run, is_training
 from deepbots_cli.view import pictures, plots
 from deepbots_cli.view.episodes import Player, Source
 from deepbots_cli.view.frames import LinkName

@@ -16,14 +16,12 @@ from typing import Any, Literal
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ConfigDict, Field, field_validator
 
 from deepbots_cli import api
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.insight.conditions import Measured, Values, Watch, deciding, measured
 from deepbots_cli.learning import failures, listing
-from deepbots_cli.learning.episodes import Episode
-from deepbots_cli.learning.run import EvaluationRecord, ModelName, Run, read_json
+from deepbots_cli.learning.run import KeptEpisodes, ModelName, Run, read_json
 from deepbots_cli.program import Program
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.streams import derive_seed
@@ -42,8 +40,8 @@ class Trace:
 
     Step k lies between moment k - 1 and moment k; moment 0 is the reset. `observations` (moments, numbers) holds the newest value of each
     number as the policy sees it, `values` what the conditions of the endings compare in each moment. `terms` (steps) are the reward terms,
-    and `actions` the actions in the action space. `critic` holds the critic's value of each moment but the last, None where there is no
-    critic, and `critic_absent` says why.
+    and `actions` the actions in the action space. `critic` holds the critic's value of each moment but the last; None for a policy without
+    a critic or with a memory, and for recordings and failures.
     """
 
     what: str
@@ -58,7 +56,6 @@ class Trace:
     error: str = ""
     agent: str = ""
     critic: Array | None = None
-    critic_absent: str = ""
     notes: Sequence[str] = ()
 
     @property
@@ -151,34 +148,6 @@ class Traced(gym.Wrapper[Any, Any, Any, Any]):
 # Runs
 
 
-class KeptEpisodes(EvaluationRecord):
-    """An evaluation that a run keeps, with its episodes."""
-
-    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
-
-    outcomes: tuple[Episode, ...] = Field(min_length=1)
-
-    @field_validator("outcomes")
-    @classmethod
-    def _comparable(cls, outcomes: tuple[Episode, ...]) -> tuple[Episode, ...]:
-        """Figures sort episodes by each drawn value."""
-        kinds: dict[str, type] = {}
-        for episode in outcomes:
-            if any(kinds.setdefault(name, type(value)) is not type(value) for name, value in episode.drawn.items()):
-                raise ValueError("a drawn value is a number in one episode and a name in another")
-        return outcomes
-
-    def failed(self, program: Program) -> list[int]:
-        """The numbers of the episodes that failed: without a success, or where none is defined, ended by a failure."""
-        bad = [not each.is_success if self.success_defined else each.ended_by in program.failures for each in self.outcomes]
-        return [number for number, is_bad in enumerate(bad) if is_bad]
-
-    @property
-    def circumstances(self) -> dict[str, Any]:
-        """What `trace_episodes` needs to repeat its episodes."""
-        return {"seed": self.seed, "model": self.model, "deterministic": self.deterministic}
-
-
 def last_evaluation(run: Run, *, plain: bool = True) -> tuple[Path, KeptEpisodes] | None:
     """The file and content of the last evaluation in the scenario of a run since its training ended; None without one.
 
@@ -223,33 +192,8 @@ def trace_episodes(
                 evaluation.repeat_episode(policy, acted, begin, number, deterministic=deterministic)
             trace = world.trace(f"episode {number} of {run.path}", notes=run.notes())
             row = list(world.world.agents).index(trace.agent) if trace.agent else None
-            trace.critic = _critic_values(policy, [seen if row is None else row_of(seen, row) for seen in world.seen[:-1]])
-            absent = "the critic has a memory" if hasattr(policy.policy, "lstm_actor") else "the critic is no network of torch"
-            trace.critic_absent = "" if trace.critic is not None else absent
+            trace.critic = evaluation.critic_values(policy, [seen if row is None else row_of(seen, row) for seen in world.seen[:-1]])
             yield trace
-
-
-def _critic_values(model: Any, observations: Sequence[Any]) -> Array | None:
-    """The critic's value of each observation: V, or Q of the action of the policy, the smaller one of two critics."""
-    import torch
-    from stable_baselines3.common.policies import ActorCriticPolicy
-
-    policy = model.policy
-    if not observations or hasattr(policy, "lstm_actor") or next(policy.parameters(), None) is None:
-        return None
-    parts = observations[0].keys() if isinstance(observations[0], dict) else None
-    stacked = {key: np.stack([each[key] for each in observations]) for key in parts} if parts else np.stack(observations)
-    with torch.no_grad():
-        seen, _ = policy.obs_to_tensor(stacked)
-        if isinstance(policy, ActorCriticPolicy):
-            values = policy.predict_values(seen).reshape(len(observations), -1)
-        elif hasattr(policy, "q_net"):
-            values = policy.q_net(seen).max(dim=1, keepdim=True).values
-        else:
-            found = policy.critic(seen, policy._predict(seen, deterministic=True))  # the actor of SAC and TQC would sample
-            # TQC has an array of quantiles (rows, critics, quantiles), others a tuple of columns.
-            values = found.mean(dim=2) if isinstance(found, torch.Tensor) else torch.cat(found, dim=1)
-        return np.asarray(values.min(dim=1).values.cpu().numpy(), float)
 
 
 def _world(watch: Watch, engine: str | None, allow_code: bool, *, draw: bool = False) -> Traced:
@@ -282,9 +226,7 @@ def trace_recorded(opened: Opened, episodes: Sequence[Recorded]) -> Iterator[Tra
                     reason = "; ".join(changes(recording)) or "it was made on another machine, or changed since then"
                     what = f"{recording.path}: the episode differs from its recording at step {place}"
                     raise UsageError(f"{what}, so it cannot be explained here: {reason}")
-            trace = world.trace(f"episode {recorded.number} of {recording.path}")
-            trace.critic_absent = "a recording keeps no critic"
-            yield trace
+            yield world.trace(f"episode {recorded.number} of {recording.path}")
 
 
 def trace_failure(path: Path, *, allow_code: bool = False) -> Trace:
@@ -303,6 +245,4 @@ def trace_failure(path: Path, *, allow_code: bool = False) -> Trace:
             raise
         except DeepbotsError as found:
             error = str(found)
-        trace = world.trace(f"episode {failure.episode} of {path}", error=error)
-    trace.critic_absent = "a failure keeps no critic"
-    return trace
+        return world.trace(f"episode {failure.episode} of {path}", error=error)

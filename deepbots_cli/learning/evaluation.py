@@ -20,7 +20,9 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.policies import ActorCriticPolicy
 
 from deepbots_cli.api import Compiled, build_batch
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
@@ -567,3 +569,26 @@ class _WorldInRow:
         self._accumulator.add(float(reward), info)
         forward.put(self.row, observation, self._world)
         return self._accumulator.close(info) if terminated or truncated else None
+
+
+def critic_values(model: Any, observations: Sequence[Any]) -> NDArray[np.float64] | None:
+    """The critic's value of each observation: V, or Q of the action of the policy, the smaller one of two critics.
+
+    None for a policy without a network of torch, or with a memory.
+    """
+    policy = model.policy
+    if not observations or hasattr(policy, "lstm_actor") or next(policy.parameters(), None) is None:
+        return None
+    parts = observations[0].keys() if isinstance(observations[0], dict) else None
+    stacked = {key: np.stack([each[key] for each in observations]) for key in parts} if parts else np.stack(observations)
+    with torch.no_grad():
+        seen, _ = policy.obs_to_tensor(stacked)
+        if isinstance(policy, ActorCriticPolicy):
+            values = policy.predict_values(seen).reshape(len(observations), -1)
+        elif hasattr(policy, "q_net"):
+            values = policy.q_net(seen).max(dim=1, keepdim=True).values
+        else:
+            found = policy.critic(seen, policy._predict(seen, deterministic=True))  # the actor of SAC and TQC would sample
+            # TQC has an array of quantiles (rows, critics, quantiles), others a tuple of columns.
+            values = found.mean(dim=2) if isinstance(found, torch.Tensor) else torch.cat(found, dim=1)
+        return np.asarray(values.min(dim=1).values.cpu().numpy(), float)

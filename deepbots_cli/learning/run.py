@@ -30,7 +30,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, Self, TypedDict, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 import deepbots_cli
 from deepbots_cli import api
@@ -39,7 +39,7 @@ from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME, write_cop
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.files import atomic_write, unwritable_message
 from deepbots_cli.learning.curriculum import CompletedStage
-from deepbots_cli.learning.episodes import SolvedAt
+from deepbots_cli.learning.episodes import Episode, SolvedAt
 from deepbots_cli.program import Program, identity
 
 FORMAT = 3
@@ -343,6 +343,34 @@ class EvaluationRecord(BaseModel):
     set: tuple[str, ...] = ()
     elsewhere: str | None = None
     engine: str | None = None
+
+
+class KeptEpisodes(EvaluationRecord):
+    """An evaluation that a run keeps, with its episodes."""
+
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+
+    outcomes: tuple[Episode, ...] = Field(min_length=1)
+
+    @field_validator("outcomes")
+    @classmethod
+    def _comparable(cls, outcomes: tuple[Episode, ...]) -> tuple[Episode, ...]:
+        """Figures sort episodes by each drawn value."""
+        kinds: dict[str, type] = {}
+        for episode in outcomes:
+            if any(kinds.setdefault(name, type(value)) is not type(value) for name, value in episode.drawn.items()):
+                raise ValueError("a drawn value is a number in one episode and a name in another")
+        return outcomes
+
+    def failed(self, program: Program) -> list[int]:
+        """The numbers of the episodes that failed: without a success, or where none is defined, ended by a failure."""
+        bad = [not each.is_success if self.success_defined else each.ended_by in program.failures for each in self.outcomes]
+        return [number for number, is_bad in enumerate(bad) if is_bad]
+
+    @property
+    def circumstances(self) -> dict[str, Any]:
+        """What `trace_episodes` needs to repeat its episodes."""
+        return {"seed": self.seed, "model": self.model, "deterministic": self.deterministic}
 
 
 def changed_settings(command: Sequence[str]) -> tuple[str, ...]:

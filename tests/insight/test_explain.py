@@ -122,7 +122,7 @@ def _traced(path: Path, number: int = 0) -> Trace:
 
 def test_every_sentence_has_a_number(recording):
     statements = explain(_traced(recording, 1))
-    assert {"ending", "margin", "terms", "no_critic", "choices"} <= {each.cause for each in statements}
+    assert {"ending", "margin", "terms", "choices"} <= {each.cause for each in statements}
     assert all(any(sign.isdigit() for sign in each.text) for each in statements)
 
 
@@ -169,3 +169,28 @@ def test_json_holds_the_same_statements(recording, capsys):
     data = json.loads(capsys.readouterr().out)
     assert [each["text"] for each in data["statements"]] == [each.text for each in explain(_traced(recording))]
     assert data["end"]["margin"] > 0
+
+
+def test_a_missed_duration_is_explained_by_the_comparisons_inside_it(tmp_path):
+    sets = ["signals={rest: duration(abs(x) < 1 mm and abs(speed) < 0.001 mm/s)}", "termination.success={rested: rest > 0.3 s}"]
+    with player(Source("cartpole", sets=sets), "random") as world:
+        recordings.record(world, tmp_path / "one.mcap", 3, [0])
+    trace = _traced(tmp_path / "one.mcap")
+    (found,) = [each for each in explain(trace) if each.cause == "conditions"]
+    near, slow = found.evidence["conditions"]
+    assert (near["condition"], near["bound"], near["step"]) == ("abs(x) < 1 mm", pytest.approx(1e-3), 0)
+    assert (slow["condition"], slow["bound"]) == ("abs(speed) < 0.001 mm/s", pytest.approx(1e-6))
+    assert near["steps"] > 0
+    assert "`abs(x) < 1 mm` held in" in found.text
+    assert "of 0.001 m at 0.00 s" in found.text
+
+
+def test_the_time_in_which_a_cost_arose_is_told(tmp_path):
+    sets = ["reward={alive: 0.01, late: -1 when step > 5 and step < 9}"]
+    with player(Source("cartpole", sets=sets), "random") as world:
+        recordings.record(world, tmp_path / "one.mcap", 3, [0])
+    trace = _traced(tmp_path / "one.mcap")
+    (found,) = [each for each in explain(trace) if each.cause == "moments"]
+    begin, end = found.evidence["spans"]["late"]
+    assert end - begin == pytest.approx(3 * trace.program.period)
+    assert f"late from {begin:.2f} s to {end:.2f} s" in found.text
