@@ -48,7 +48,7 @@ def diagnose(training: Training) -> list[Statement]:
     succeeds = program.solved is None and program.defines_success and len(late) >= _ENOUGH and float(late.mean()) >= 0.8
     if training.solved_while_exploring or succeeds:
         return []
-    causes = (exploration_too_large,) if training.solved else CAUSES
+    causes = (exploration_hides_success, exploration_too_large) if training.solved else CAUSES
     found = sorted(state_all(causes, training), key=lambda statement: -statement.evidence["likelihood"])
     unlikely = [statement for statement in found if statement.evidence["likelihood"] < _CERTAIN]
     left_out = (_SYMPTOMS if len(unlikely) < len(found) else set()) | (_NOT_YET if _length(training)["share"] < 0.5 else set())
@@ -260,17 +260,25 @@ def standing_still_pays(t: Training) -> Numbers | None:
 
 
 def success_never_seen(t: Training) -> Numbers | None:
-    """None of {episodes} episodes is a success ('{ending}'); their returns differ by {spread} (standard deviation).
+    """None of {episodes} episodes is a success ('{ending}'){though}; their returns differ by {spread} (standard deviation).
 
-    Try: Add a term that pays for coming nearer, start nearer to the success, or loosen its condition; a curriculum can do the latter
-    two.
+    Try: {remedy} start nearer to the success, or loosen its condition; a curriculum can do the latter two.
     """
     if not t.program.defines_success or len(t.episodes) < _ENOUGH or t.episodes.successes.any():
         return None
     flat = float(np.ptp(t.episodes.returns)) < 1e-9
     names = [ending.name for ending in t.program.endings if ending.outcome == "success"] or ["goal_reached"]
-    return {"likelihood": 0.93 if flat else 0.45, "episodes": len(t.episodes), "ending": " or ".join(names),
-            "spread": float(t.episodes.returns.std()), "mean": float(t.episodes.returns.mean())}  # fmt: skip
+    late = {term.name: t.curve(f"reward/{term.name}") for term in t.program.policy.reward}
+    paid = {name: max(0.0, float(curve[-max(1, len(curve) // 4) :].mean())) for name, curve in late.items() if len(curve)}
+    name, whole = max(paid, key=lambda each: paid[each], default=""), sum(paid.values())
+    share = paid[name] / whole if whole else 0.0
+    though, remedy = "", "Add a term that pays for coming nearer,"
+    if share >= 0.8 and too_few_steps(t) is None:
+        though = f", and '{name}' pays {share:.0%} of what late episodes gain: the policy stays at a local optimum of this term"
+        remedy = f"Let '{name}' lead around obstacles, such as with path_distance in place of a straight distance;"
+    return {"likelihood": 0.93 if flat else 0.7 if _length(t)["share"] >= 0.5 else 0.45, "episodes": len(t.episodes),
+            "ending": " or ".join(names), "spread": float(t.episodes.returns.std()), "mean": float(t.episodes.returns.mean()),
+            "term": name if whole else None, "term_share": share, "though": though, "remedy": remedy}  # fmt: skip
 
 
 def silent_terms(t: Training) -> Numbers | None:
@@ -331,6 +339,19 @@ def exploration_too_large(t: Training) -> Numbers | None:
             "evaluated": "" if last is None else f", and the last evaluation, without exploration, one of {last:.3g}"}  # fmt: skip
 
 
+def exploration_hides_success(t: Training) -> Numbers | None:
+    """Without exploration the policy succeeds in {without} of {episodes} episodes of its last evaluation, and while it explored in {with}
+    of the last {late} episodes of the training: the noise of the exploration prevents the success.
+
+    Try: Use the policy as it is, since `deepbots view`, `eval` and `export` do not explore. To let the training succeed too, lower
+    `train.ent_coef`, or loosen what the success requires.
+    """
+    late, last = t.part(0.75, 1.0).successes[-100:], t.evaluations[-1]["successes"] if t.evaluations else ()
+    if min(len(late), len(last)) < _ENOUGH or not t.program.defines_success or fmean(last) < max(0.5, late.mean() + 0.3):
+        return None
+    return {"likelihood": 0.94, "without": Share(fmean(last)), "episodes": len(last), "with": Share(late.mean()), "late": len(late)}
+
+
 def _random_entropy(t: Training) -> float | None:
     """The entropy of a random policy; None where not all parts of the action are choices."""
     parts = t.program.policy.action
@@ -371,8 +392,8 @@ def one_ending(t: Training) -> Numbers | None:
 
 
 def too_few_steps(t: Training) -> Numbers | None:
-    """The policy still learns: the mean return of the last quarter of the training is {last}, {gain} above that of the first half, and the
-    {steps} steps are {share} of the {planned} of the scenario.
+    """The policy still learns: the mean return of the last quarter of the training is {last}, {gain} above that of the first half, after
+    {steps} steps; the scenario plans {planned}.
 
     Try: Train on: deepbots train --resume {run} --timesteps {more}
     """
@@ -410,7 +431,7 @@ def _length(t: Training) -> dict[str, Any]:
 
 CAUSES: tuple[Finder[Training], ...] = (
     ending_at_reset, not_finite, action_without_effect, ending_at_once, lint_warns, constant_observation, saturated_observation,
-    term_dominates, ending_early_pays, standing_still_pays, success_never_seen, silent_terms, learning_rate_too_high, exploration_too_large,
-    exploration_collapsed, one_ending, too_few_steps, short_training,
+    term_dominates, ending_early_pays, standing_still_pays, success_never_seen, silent_terms, learning_rate_too_high,
+    exploration_hides_success, exploration_too_large, exploration_collapsed, one_ending, too_few_steps, short_training,
 )  # fmt: skip
 """Why a training does not learn."""

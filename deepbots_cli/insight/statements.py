@@ -59,7 +59,8 @@ def state_all(finders: Sequence[Finder[T]], about: T) -> list[Statement]:
 def _shown(value: Any) -> str:
     match value:
         case Share():
-            return f"{value:.0%}" if value in (0.0, 1.0) or 0.005 <= value < 0.995 else "less than 1%" if value < 0.5 else "more than 99%"
+            rounded = 0 < value < 0.005 or 0.995 <= value < 1
+            return f"{value:.0%}" if not rounded else "less than 1%" if value < 0.5 else "more than 99%"
         case float():
             return f"{value:.3g}" if abs(value) < 1000 else f"{value:,.0f}"
         case int() if not isinstance(value, bool):

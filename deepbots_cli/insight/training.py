@@ -21,7 +21,7 @@ from deepbots_cli.diagnostics import Finding
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.insight.conditions import measured
-from deepbots_cli.insight.trace import Array, Trace, Traced
+from deepbots_cli.insight.trace import Array, Trace, Traced, last_evaluation
 from deepbots_cli.learning import failures
 from deepbots_cli.learning.defaults import effective_hyperparameters
 from deepbots_cli.learning.episodes import meets_solved
@@ -42,10 +42,10 @@ EPISODES, STEPS, FEW_STEPS = 4, 300, 40
 class Training:
     """A training as its files tell it, and short episodes.
 
-    `episodes` and `evaluations` are those of `logs_of`, `scalars` are curves of TensorBoard by tag: steps and values. `failure` is the
-    error that ended the training. The short episodes have the same starts: `policy` those of the last policy, `random` those of random
-    actions, `still` those of an action that commands zeros, and `constant` one for each constant action, by the part of the action that
-    alone differs.
+    `episodes` and `evaluations` are those of `logs_of`, with the last evaluation since the training as the last one. `scalars` are curves
+    of TensorBoard by tag: steps and values. `failure` is the error that ended the training. The short episodes have the same starts:
+    `policy` those of the last policy, `random` those of random actions, `still` those of an action that commands zeros, and `constant`
+    one for each constant action, by the part of the action that alone differs.
     """
 
     run: Run
@@ -136,7 +136,12 @@ def read(run: Run) -> Training:
     files = sorted((run.path / failures.FAILURES_FOLDER).glob("[0-9][0-9][0-9][0-9].json"))
     failure = failures.read_failure(files[-1])[0] if files else None
     error = "" if failure is None else f"episode {failure.episode:,}, {failure.error}"
-    return Training(run, *logs_of(run.path), scalars_of(run.tensorboard), error)
+    episodes, evaluations = logs_of(run.path)
+    if (last := last_evaluation(run)) is not None:
+        outcomes = last[1].outcomes
+        kept = {"returns": [each.total_return for each in outcomes], "successes": [each.is_success for each in outcomes]}
+        evaluations = [*evaluations, kept]
+    return Training(run, episodes, evaluations, scalars_of(run.tensorboard), error)
 
 
 def probe(training: Training, *, allow_code: bool = False, on_episode: Callable[[int, int], object] | None = None) -> None:

@@ -61,6 +61,46 @@ def test_logs_alone_tell_some_causes(short):
     assert "exploration_collapsed" in _causes(_logs(short, 30 + noise, train__entropy_loss=[-0.6] * 4 + [-0.001] * 10))
 
 
+@pytest.fixture(scope="session")
+def aiming(tmp_path_factory) -> Path:
+    """A training of all its timesteps in a task with a success; not to be changed."""
+    sets = ["termination.success={there: x > 0.3 m}", "train.total_timesteps=512"]
+    compiled = api.compile(api.load("cartpole", sets=sets))
+    return train(compiled, total_timesteps=512, seed=2, run=tmp_path_factory.mktemp("runs") / "aiming").run
+
+
+def test_a_training_that_stays_at_a_local_optimum_is_told_the_term_that_pays_it(aiming):
+    returns = 100 - 70 * np.exp(-np.arange(200) / 20) + np.random.default_rng(0).normal(0, 3, 200)
+    first = diagnose(_logs(aiming, returns, np.full(200, 100), reward__alive=returns))[0]
+    assert (first.cause, first.evidence["term"], first.evidence["term_share"]) == ("success_never_seen", "alive", 1.0)
+    assert "'alive' pays 100% of what late episodes gain" in first.text
+    assert "a term that pays for coming nearer" not in first.advice
+    assert "path_distance" in first.advice
+
+
+def test_a_training_without_a_success_is_not_first_told_to_train_on(aiming):
+    rising = 30 + np.arange(200) / 4 + np.random.default_rng(0).normal(0, 3, 200)
+    causes = _causes(_logs(aiming, rising, np.full(200, 100), reward__alive=rising))
+    assert causes.index("success_never_seen") < causes.index("too_few_steps")
+
+
+def test_a_policy_that_succeeds_in_a_later_evaluation_is_not_told_to_train_on(aiming, tmp_path, capsys):
+    training = _logs(aiming, 30 + np.arange(200) / 4, np.full(200, 100))
+    evaluation = {"returns": [300.0] * 30, "successes": [True] * 29 + [False]}
+    first = diagnose(replace(training, evaluations=[evaluation]))[0]
+    assert first.cause == "exploration_hides_success"
+    assert "in 97% of 30 episodes" in first.text
+    run = shutil.copytree(aiming, tmp_path / "run")
+    assert main(["eval", str(run), "--episodes", "9"]) == 0
+    assert len(read(Run.open(run)).evaluations[-1]["successes"]) == 9
+
+
+def test_steps_beyond_the_plan_read_sensibly(short):
+    training = _logs(short, 30 + np.arange(200) / 4 + np.random.default_rng(0).normal(0, 3, 200))
+    (found,) = [cause for cause in diagnose(training) if cause.cause == "too_few_steps"]
+    assert "after 1,024 steps; the scenario plans 100,000" in found.text
+
+
 def test_a_training_that_stops_at_a_reset_has_this_cause_alone(tmp_path, capsys):
     with pytest.raises(EvaluationError):
         train(api.compile(api.load("cartpole", sets=["fall_angle=0.15 deg"])), total_timesteps=64, run=tmp_path / "run")
