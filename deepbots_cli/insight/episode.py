@@ -114,8 +114,8 @@ def approach(trace: Trace) -> Numbers | None:
 
 def nearest(trace: Trace) -> Numbers | None:
     """'{ending}' needs {side} {sign} {limit}; the nearest was {best}, at {seconds} (step {step})."""
-    name, conditions = _missed(trace)
-    leaf = next((leaf for leaf in conditions if leaf.bound is not None), None)
+    name, outer = _missed(trace)
+    leaf = next((leaf for leaf in outer if leaf.bound is not None), None)
     if leaf is None:
         return None
     step, found = _nearest(trace, leaf)
@@ -143,10 +143,11 @@ def conditions(trace: Trace) -> Numbers | None:
 
 
 def _missed(trace: Trace) -> tuple[str, list[Comparison]]:
-    """The first success that an episode without one missed, and its comparisons."""
+    """The first success with a bound that an episode without a success missed, and its comparisons."""
     if trace.outcome not in ("success", "error"):
         for name in [*(each.name for each in trace.program.endings if each.outcome == "success"), "goal_reached"]:
-            if (condition := trace.watch.conditions.get(name)) is not None:
+            condition = trace.watch.conditions.get(name)
+            if condition is not None and any(leaf.bound is not None for leaf in leaves(condition)):
                 return name, leaves(condition)
     return "", []
 
