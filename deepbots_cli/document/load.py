@@ -343,7 +343,7 @@ def _differ(base: Node | None, over: Node | None) -> bool:
 
 # Assignments: `--set path=value`, and settings in a file (`set: {reset.layout: paper}`)
 
-_NOTHING = re.compile(r"\s*(?:#.*)?")
+_BLANK_OR_COMMENT = re.compile(r"\s*(?:#.*)?")
 _CUTOFF = 0.75
 
 
@@ -360,7 +360,7 @@ def apply_assignment(root: MappingNode, assignment: str, findings: Findings, bud
     whole = Span(source, 0, len(assignment))
     if not path.strip():
         findings.add("DB102", whole, "there is no path before the `=`", help="write --set path=value")
-    elif not equals or _NOTHING.fullmatch(text):
+    elif not equals or _BLANK_OR_COMMENT.fullmatch(text):
         help = "put a value that starts with `#` in quotes" if "#" in text else "write --set path=value"
         findings.add("DB107", whole, f"`{path}` is set to nothing", help=help)
     else:

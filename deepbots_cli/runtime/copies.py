@@ -29,7 +29,7 @@ from deepbots_cli.runtime.spaces import canonical_action, is_canonical
 from deepbots_cli.runtime.streams import Streams
 from deepbots_cli.runtime.supervisor import Info, Supervisor
 
-_FINISHED = object()
+_END = object()
 _BODY_PARAMETERS = ("body", "robot", "part", "owner", "one", "other")
 """Parameters of the port that hold a body, or a tuple that begins with one."""
 
@@ -205,7 +205,7 @@ class CopiesSupervisor(Supervisor):
         running = True
         while running:
             self.engine.step(self.scenario.world.substeps)
-            running = not [turn for turn in turns if next(turn, _FINISHED) is _FINISHED]
+            running = not [turn for turn in turns if next(turn, _END) is _END]
         for turn in turns:
             turn.close()
         self._gather()

@@ -44,12 +44,12 @@ def _engines(names: list[str] | None) -> list[str] | None:
     return found or None
 
 
-FAILED_ONES = "failed"
+FAILED_EPISODES = "failed"
 
 
 def _episodes(text: str) -> int | str:
     """A parser: a number of episodes, or `failed`."""
-    return text if text == FAILED_ONES else whole_number()(text)
+    return text if text == FAILED_EPISODES else whole_number()(text)
 
 
 def command(
@@ -173,7 +173,7 @@ def command(
     Next: `deepbots compare RUN RUN` compares policies on the same starts, `deepbots runs RUN` lists its evaluations, and
     `deepbots train --resume RUN --timesteps N --full` continues the training.
     """
-    if episodes == FAILED_ONES:
+    if episodes == FAILED_EPISODES:
         refused: dict[str, Any] = {
             "scenario": scenario,
             "set": sets,
@@ -229,7 +229,7 @@ def command(
             learning.evaluate_cases,
             learning.evaluate_baselines,
         )  # imports torch
-    found: list[_Found] = []
+    found: list[_EngineEvaluations] = []
     requirements: list[Requirement] = []
     for name in several:
         compiled = _judged(run, known.record.engine, scenario, sets, name, allow_paths, allow_code)
@@ -247,7 +247,7 @@ def command(
                 options = {key: value for key, value in options.items() if key not in ("model", "deterministic")}
                 others = evaluate_baselines(known, case=case, stage=stage, **options | {"episodes": result.episodes})
         elsewhere = _elsewhere(known, scenario, sets or (), compiled) if scenario is not None or sets else None
-        found.append(_Found(result, cases, others, elsewhere, tuple(sets or ())))
+        found.append(_EngineEvaluations(result, cases, others, elsewhere, tuple(sets or ())))
         results.keep_evaluation(known, found[-1].as_json())
         of = f"{result.engine}: " if len(several) > 1 else ""
         requirements += [(f"{of}{words}", met, reason) for words, met, reason in gates.requirements(result, episodes or usual)]
@@ -263,7 +263,7 @@ def command(
 
 
 @dataclass(frozen=True)
-class _Found:
+class _EngineEvaluations:
     """The evaluations of a run in one engine; `elsewhere` is a scenario in words that replaces the scenario of the run."""
 
     result: EvaluationResult
@@ -293,7 +293,7 @@ def _refuse(reason: str, **options: object) -> None:
             raise UsageError(f"--{option} {reason}")
 
 
-def _show_engines(run: Run, found: Sequence[_Found], *, as_json: bool) -> None:
+def _show_engines(run: Run, found: Sequence[_EngineEvaluations], *, as_json: bool) -> None:
     """The evaluations in several engines side by side, and the difference of each from the first, from the same starts."""
     from deepbots_cli.learning.comparison import compare_engines
 

@@ -71,9 +71,9 @@ def command(
     with terminal.transient_line("exporting the policy ..."):
         from deepbots_cli.insight import card  # torch, which exporting imports, takes a second
 
-        files = card.bundle(run, "last" if last else "best")
+        files = card.bundle_files(run, "last" if last else "best")
     write_new(files, folder)
-    known = card.read(folder)
+    known = card.read_card(folder)
     if as_json:
         terminal.show_json({"bundle": folder, **known.model_dump(mode="json")})
         return
@@ -92,7 +92,7 @@ def _check(
 
     if writes:
         raise UsageError("--check writes nothing; leave out --out and --last")
-    known = card.read(folder)
+    known = card.read_card(folder)
     compiled = api.compile(scenario, sets=sets, allow_paths=allow_paths, allow_code=True)
     words = ("bundle", "scenario")
     differ = identity.compare_interfaces(known.interface, identity.interface(compiled.program), words=words)

@@ -43,7 +43,7 @@ class FailOn(StrEnum):
     never = "never"
 
 
-_FAILING: dict[str, tuple[Severity, ...]] = {"error": ("error",), "warning": ("error", "warning"), "never": ()}
+_FAILING_SEVERITIES: dict[str, tuple[Severity, ...]] = {"error": ("error",), "warning": ("error", "warning"), "never": ()}
 
 Codes = list[str] | None
 
@@ -128,7 +128,7 @@ def lint(
     if stdin_name and STDIN not in names:
         raise UsageError("--stdin-filename needs - (standard input) as a scenario")
     format_ = Format.json if as_json else format or Format(project.format or Format.full)
-    failing = _FAILING["never" if exit_zero else fail_on or project.fail_on or "error"]
+    failing = _FAILING_SEVERITIES["never" if exit_zero else fail_on or project.fail_on or "error"]
     changes = False
     if fix or diff or unsafe_fixes:
         _check_fixing(fix, diff, sets, names)

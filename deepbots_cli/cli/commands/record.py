@@ -52,13 +52,13 @@ def command(
     Next: `deepbots view RECORDING` plays it in the browser.
     """
     from deepbots_cli.view import pictures
-    from deepbots_cli.view.episodes import Source, player
+    from deepbots_cli.view.episodes import Source, closing_player
     from deepbots_cli.view.recordings import SUFFIX, record
 
     if shown.endswith(SUFFIX):
         raise UsageError(f"{shown} is already a recording; `deepbots clip {shown}` makes a video of it")
     source = Source(shown, sets or (), allow_paths or (), allow_code, engine, case, stage)
-    with player(source, driver) as world, terminal.progress(always=False) as show:
+    with closing_player(source, driver) as world, terminal.progress(always=False) as show:
         path = out or Path(f"{Path(shown).stem}-{seed}-{episode}{SUFFIX}")
         pictures.check_target(path, (SUFFIX,))
         if out is None and path.exists():

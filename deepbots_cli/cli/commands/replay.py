@@ -20,7 +20,7 @@ from deepbots_cli.errors import ScenarioError, UsageError
 from deepbots_cli.program import identity
 
 if TYPE_CHECKING:
-    from deepbots_cli.view.episodes import Opened
+    from deepbots_cli.view.episodes import SourceState
 
 
 def command(
@@ -60,16 +60,16 @@ def command(
     """
     from deepbots_cli.view.episodes import Player
     from deepbots_cli.view.episodes import Source as Shown
-    from deepbots_cli.view.replay import Replayed, changes, verify
+    from deepbots_cli.view.replay import ReplayPlayer, verify, version_changes
 
     opened = Shown(recording if recording.endswith(".mcap") else f"{recording}.mcap", allow_code=allow_code).open()
-    found, notes = opened.recording, changes(opened.recording)
+    found, notes = opened.recording, version_changes(opened.recording)
     if not to_verify and (tolerance or scenario):
         raise UsageError("--tolerance and --scenario are for --verify")
     if sets and not scenario:
         raise UsageError("--set needs --scenario: it changes a scenario, and not the recording; add --scenario and its name")
     if not to_verify:
-        with closing(Replayed(opened)) as player:
+        with closing(ReplayPlayer(opened)) as player:
             ends = [(each.number, player.begin(0, each.number), player.seek(len(each.steps))) for each in found.episodes]
         rows = [
             {"episode": number, "steps": last.step, "ending": last.ending, "return": next(iter(last.agents.values())).episode_return}
@@ -113,8 +113,8 @@ def command(
 
 
 def _elsewhere(
-    opened: Opened, scenario: str, sets: Sequence[str], allow_paths: Sequence[Path], *, allow_code: bool
-) -> tuple[Opened, list[str]]:
+    opened: SourceState, scenario: str, sets: Sequence[str], allow_paths: Sequence[Path], *, allow_code: bool
+) -> tuple[SourceState, list[str]]:
     """Another scenario for the episodes of a recording, and a line for each setting that differs.
 
     Raises:

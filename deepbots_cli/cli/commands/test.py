@@ -27,7 +27,7 @@ from deepbots_cli.runtime.streams import derive_seed
 
 
 @dataclass(frozen=True)
-class _Tested:
+class _ScenarioResults:
     """The results of one scenario; with errors in its file there are `findings` instead."""
 
     scenario: str
@@ -89,21 +89,21 @@ def command(
         raise typer.Exit(FAILED)
 
 
-def _tested(name: str, only: str | None, engine: str | None, options: dict[str, Any]) -> _Tested:
+def _tested(name: str, only: str | None, engine: str | None, options: dict[str, Any]) -> _ScenarioResults:
     checked = api.load(name, **options)
     try:
         compiled = api.compile(checked)
     except ScenarioError as error:
-        return _Tested(name, findings=tuple(error.findings))
+        return _ScenarioResults(name, findings=tuple(error.findings))
     tests = [test for test in checked.tests if only is None or only in test.name]
     if tests:
         terminal.note_warnings(compiled.findings, name)
     with terminal.progress(f"episodes of {name}", always=False) as show:
         found = run_tests(compiled.program, tests, engine=engine, allow_code=compiled.allow_code, on_episode=show)
-        return _Tested(name, tuple(sorted(found, key=lambda result: tests.index(result.test))))
+        return _ScenarioResults(name, tuple(sorted(found, key=lambda result: tests.index(result.test))))
 
 
-def _show(found: _Tested, given: Sequence[str]) -> None:
+def _show(found: _ScenarioResults, given: Sequence[str]) -> None:
     if found.findings:
         terminal.show_findings(found.findings)
         terminal.print_result(f"{found.scenario}: not tested, because the file has errors\n")
@@ -134,7 +134,7 @@ def _command(scenario: str, result: TestResult, miss: UnmetExpectation, given: S
     return f"deepbots run {where} --actions={actions} --steps {len(test.policy)} --episodes 1 --seed {seed}"
 
 
-def _sum_up(done: Sequence[_Tested], seconds: float) -> None:
+def _sum_up(done: Sequence[_ScenarioResults], seconds: float) -> None:
     every = [result for found in done for result in found.results]
     failed, broken = sum(not result.passed for result in every), sum(bool(found.findings) for found in done)
     untested = [found.scenario for found in done if not found.results and not found.findings]
@@ -145,7 +145,7 @@ def _sum_up(done: Sequence[_Tested], seconds: float) -> None:
     terminal.print_result(f"{', '.join(words)} in {seconds:.1f} s")
 
 
-def _junit(found: _Tested) -> list[results.JUnitCase]:
+def _junit(found: _ScenarioResults) -> list[results.JUnitCase]:
     cases = [results.JUnitCase("the scenario has no errors", False, finding.headline) for finding in found.findings[:1]]
     for result in found.results:
         reason = "; ".join(f"{miss.expected} ({miss.where}): {miss.measured}" for miss in result.misses)
@@ -153,7 +153,7 @@ def _junit(found: _Tested) -> list[results.JUnitCase]:
     return cases
 
 
-def _data(found: _Tested, given: Sequence[str]) -> dict[str, Any]:
+def _data(found: _ScenarioResults, given: Sequence[str]) -> dict[str, Any]:
     tests = [
         {
             "test": result.test.name,

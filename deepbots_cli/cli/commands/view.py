@@ -1,4 +1,4 @@
-"""What people see of a world: `view` and `play` serve a page in the browser, `picture` and `clip` write files."""
+"""What people see of a world: `view` and `play` serve a page in the browser, `render_picture` and `write_clip` write files."""
 
 from __future__ import annotations
 
@@ -240,14 +240,14 @@ def picture(
     Next: `deepbots clip SCENARIO` writes a video.
     """
     from deepbots_cli.view import pictures
-    from deepbots_cli.view.episodes import player
+    from deepbots_cli.view.episodes import closing_player
 
     pictures.check_target(out, (".png",))
     source = _source(shown, sets, case, stage, engine, allow_paths, allow_code)
-    shot = pictures.Shot(size[0], size[1], eye, target)
-    with player(source, driver) as world:
+    shot = pictures.Viewpoint(size[0], size[1], eye, target)
+    with closing_player(source, driver) as world:
         trace = list(world.episode(seed, episode, None if path and not steps else steps))
-        image = pictures.picture(world, shot, labels=labels, rays=rays, path=trace if path else ())
+        image = pictures.render_picture(world, shot, labels=labels, rays=rays, path=trace if path else ())
     with atomic_write(out) as draft:
         image.save(draft, "PNG")
     terminal.print_result(str(out))
@@ -292,13 +292,13 @@ def clip(
     Next: `deepbots view SCENARIO` shows it live.
     """
     from deepbots_cli.view import pictures
-    from deepbots_cli.view.episodes import player
+    from deepbots_cli.view.episodes import closing_player
 
     pictures.check_target(out, pictures.SUFFIXES)
     source = _source(shown, sets, case, stage, engine, allow_paths, allow_code)
-    with player(source, driver) as world, terminal.transient_line("running the episode ..."):
-        frame = pictures.clip(
-            world, out, pictures.Shot(size[0], size[1], eye, target), seed=seed, episode=episode, seconds=seconds, speed=speed
+    with closing_player(source, driver) as world, terminal.transient_line("running the episode ..."):
+        frame = pictures.write_clip(
+            world, out, pictures.Viewpoint(size[0], size[1], eye, target), seed=seed, episode=episode, seconds=seconds, speed=speed
         )
     agent = next(iter(frame.agents.values()))
     state = frame.ending or "not ended"
