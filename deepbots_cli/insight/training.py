@@ -120,12 +120,12 @@ def lint_findings(run: Run) -> tuple[str, list[Finding]]:
     `resolved.yaml` takes their place if they give another scenario, as after a change in Python.
     """
     record, resolved = run.record, run.path / RESOLVED_NAME
-    sets, folder = changed_settings(record.command), run.path / INPUTS_FOLDER
+    overrides, folder = changed_settings(record.command), run.path / INPUTS_FOLDER
     own = folder / next(iter(record.inputs), RESOLVED_NAME)
     try:
-        checked = api.load(own, sets=with_engine(sets, record.engine), allow_code=True, project=folder)
+        checked = api.load(own, overrides=with_engine(overrides, record.engine), allow_code=True, project=folder)
         if api.compile(checked).digest == run.digest:
-            return join([str(own), "--allow-path", str(folder), *(f"--set={text}" for text in sets)]), all_findings(checked)
+            return join([str(own), "--allow-path", str(folder), *(f"--set={text}" for text in overrides)]), all_findings(checked)
     except DeepbotsError:
         pass
     return quote(str(resolved)), all_findings(api.load(resolved, allow_code=True, project=run.path))

@@ -119,8 +119,8 @@ class EngineOfCopy:
         places = _BODY_ARGUMENTS.get(name, ())
         own = tuple(self._exchanged(value) if place in places else value for place, value in enumerate(given))
         own_named = {key: self._exchanged(value) if key in _BODY_PARAMETERS else value for key, value in named.items()}
-        sets = name.startswith("set") or name == "choose"
-        if sets and not self._is_first and own == given and own_named == named:  # nothing of this copy
+        is_setter = name.startswith("set") or name == "choose"
+        if is_setter and not self._is_first and own == given and own_named == named:  # nothing of this copy
             return None
         return method(*own, **own_named)
 

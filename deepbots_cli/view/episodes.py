@@ -36,7 +36,7 @@ class Source:
     """A scenario, a run or a recording on the command line, with what its compilation needs."""
 
     reference: str
-    sets: Sequence[str] = ()
+    overrides: Sequence[str] = ()
     allow_paths: Sequence[Path] = ()
     allow_code: bool = False
     engine: str | None = None
@@ -64,8 +64,8 @@ class Source:
             run = Run.open(self.reference)
             checked, files = self._kept(Path(self.reference)), frozenset[Path]()
         else:
-            sets = with_engine(self.sets, self.engine)
-            checked = api.load(self.reference, sets=sets, allow_paths=self.allow_paths, allow_code=self.allow_code)
+            overrides = with_engine(self.overrides, self.engine)
+            checked = api.load(self.reference, overrides=overrides, allow_paths=self.allow_paths, allow_code=self.allow_code)
             files = frozenset({checked.document.path, *checked.document.files})
         try:
             compiled = api.compile(checked)
@@ -78,12 +78,12 @@ class Source:
     def _kept(self, folder: Path) -> CheckedScenario:
         """The scenario of a run or a recording, which reads only files of its folder."""
         # The functions of Python that it names are not called before a world is built, which asks again whether they may.
-        return api.load(folder / "resolved.yaml", project=folder, sets=self.sets, allow_paths=self.allow_paths, allow_code=True)
+        return api.load(folder / "resolved.yaml", project=folder, overrides=self.overrides, allow_paths=self.allow_paths, allow_code=True)
 
     def _open_recording(self) -> SourceState:
         from deepbots_cli.view.recordings import Recording
 
-        if self.sets or self.case or self.stage or self.engine or self.worlds:
+        if self.overrides or self.case or self.stage or self.engine or self.worlds:
             raise UsageError(
                 "a recording keeps its scenario, case, stage and engine; leave out --set, --case, --stage, --engine and --worlds"
             )

@@ -190,8 +190,8 @@ class Page:
 
     def _reload(self) -> None:
         """Read the files again; a world without errors begins at the same seed and episode."""
-        sets = [f"parameters.{name}={text}" for name, text in self._changed.items()]
-        opened = dataclasses.replace(self._source, sets=(*self._source.sets, *sets)).open()
+        overrides = [f"parameters.{name}={text}" for name, text in self._changed.items()]
+        opened = dataclasses.replace(self._source, overrides=(*self._source.overrides, *overrides)).open()
         self._files = opened.files | self._files if opened.program is None else opened.files
         paused, self._message = self.paused and not self._message, ""
         self._show(opened)

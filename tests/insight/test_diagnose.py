@@ -62,7 +62,7 @@ def test_logs_alone_tell_some_causes(short):
 
 def test_a_training_that_stops_at_a_reset_has_this_cause_alone(tmp_path, capsys):
     with pytest.raises(EvaluationError):
-        train(api.compile(api.load("cartpole", sets=["fall_angle=0.15 deg"])), total_timesteps=64, run=tmp_path / "run")
+        train(api.compile(api.load("cartpole", overrides=["fall_angle=0.15 deg"])), total_timesteps=64, run=tmp_path / "run")
     training = read_training(Run.open(tmp_path / "run"))
     run_probes(training)
     assert _causes(training) == ["ending_at_reset"]
@@ -78,9 +78,9 @@ def test_a_training_that_solves_its_task_has_no_causes(short):
 
 
 def test_an_action_without_effect_and_useless_ranges_are_found_in_short_episodes(short, tmp_path):
-    sets = ["robots.cart.apply.wheels=0 * drive * wheel_speed", "observation.x=-1e-6 .. 1e-6 m", "reward.alive=-1", "train.ent_coef=5"]
-    sets += ["augment.tilt=max(abs(cart.pole_angle) / rad, 0.19)", "observation.tilt=0.2 .. 0.4"]
-    compiled = api.compile(api.load("cartpole", sets=sets))
+    overrides = ["robots.cart.apply.wheels=0 * drive * wheel_speed", "observation.x=-1e-6 .. 1e-6 m", "reward.alive=-1", "train.ent_coef=5"]
+    overrides += ["augment.tilt=max(abs(cart.pole_angle) / rad, 0.19)", "observation.tilt=0.2 .. 0.4"]
+    compiled = api.compile(api.load("cartpole", overrides=overrides))
     training = read_training(Run.open(train(compiled, total_timesteps=512, seed=2, run=tmp_path / "dead").run))
     assert "action_without_effect" not in _causes(training)
     run_probes(training)
@@ -250,7 +250,7 @@ def test_the_planted_cause_comes_first_in_nine_of_twelve(tmp_path):
     first = {}
     for entry in BROKEN:
         run = tmp_path / entry["name"]
-        compiled = api.compile(api.load(entry["scenario"], sets=entry["set"]))
+        compiled = api.compile(api.load(entry["scenario"], overrides=entry["set"]))
         try:
             train(compiled, total_timesteps=entry["timesteps"], seed=SEED, run=run)
         except DeepbotsError:

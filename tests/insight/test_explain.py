@@ -129,7 +129,7 @@ def test_every_sentence_has_a_number(recording):
 def test_endings_with_and_or_and_not(tmp_path):
     """Of a condition with several comparisons, the one that has just become true is named, with `not` taken into its sign."""
     ending = "not (abs(x) <= track) or (abs(cart.pole_angle) > fall_angle and step >= 3)"
-    with closing_player(Source("cartpole", sets=[f"termination.failure={{over: {ending}}}"]), "random") as world:
+    with closing_player(Source("cartpole", overrides=[f"termination.failure={{over: {ending}}}"]), "random") as world:
         recordings.record(world, tmp_path / "one.mcap", 3, [0])
     trace = _traced(tmp_path / "one.mcap")
     end = explanation_json(trace, explain(trace))["end"]

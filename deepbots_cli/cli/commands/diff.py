@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Sets
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Overrides
 from deepbots_cli.cli.exits import FAILED, WRONG_USAGE
 from deepbots_cli.cli.sources import OpenedSource, open_source
 from deepbots_cli.cli.tables import cell_text, formula_text
@@ -56,7 +56,7 @@ _Side = Annotated[str, typer.Argument(metavar="SCENARIO|RUN", help="A scenario f
 def command(
     one: _Side,
     other: _Side,
-    sets: Sets = None,
+    overrides: Overrides = None,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
@@ -75,7 +75,9 @@ def command(
       deepbots diff runs/cartpole-0-1 cartpole.yaml
     """
     try:
-        sides = [open_source(name, given, allow_paths or (), allow_code=allow_code) for name, given in ((one, ()), (other, sets or ()))]
+        sides = [
+            open_source(name, given, allow_paths or (), allow_code=allow_code) for name, given in ((one, ()), (other, overrides or ()))
+        ]
     except ScenarioError as error:
         terminal.show_findings(error.findings)
         raise typer.Exit(WRONG_USAGE) from None

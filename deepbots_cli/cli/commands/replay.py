@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deepbots_cli.cli import sources, terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Sets
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Overrides
 from deepbots_cli.cli.commands.diff import Change, Group
 from deepbots_cli.cli.commands.diff import scenario_changes as changes_of_meaning
 from deepbots_cli.cli.exits import FAILED
@@ -35,7 +35,7 @@ def command(
     scenario: Annotated[
         str | None, typer.Option("--scenario", metavar="SCENARIO", help="With --verify, run the episodes in this scenario instead.")
     ] = None,
-    sets: Sets = None,
+    overrides: Overrides = None,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
@@ -66,7 +66,7 @@ def command(
     found, notes = opened.recording, version_changes(opened.recording)
     if not to_verify and (tolerance or scenario):
         raise UsageError("--tolerance and --scenario are for --verify")
-    if sets and not scenario:
+    if overrides and not scenario:
         raise UsageError("--set needs --scenario: it changes a scenario, and not the recording; add --scenario and its name")
     if not to_verify:
         with closing(ReplayPlayer(opened)) as player:
@@ -88,7 +88,7 @@ def command(
         return
     shown = opened
     if scenario is not None:
-        shown, changed = _elsewhere(opened, scenario, sets or (), allow_paths or (), allow_code=allow_code)
+        shown, changed = _elsewhere(opened, scenario, overrides or (), allow_paths or (), allow_code=allow_code)
         notes += changed
     elif opened.checked().digest != found.metadata.get("digest"):
         notes.append("the scenario in the recording means something else than when it was recorded; it or deepbots has changed")
@@ -113,7 +113,7 @@ def command(
 
 
 def _elsewhere(
-    opened: SourceState, scenario: str, sets: Sequence[str], allow_paths: Sequence[Path], *, allow_code: bool
+    opened: SourceState, scenario: str, overrides: Sequence[str], allow_paths: Sequence[Path], *, allow_code: bool
 ) -> tuple[SourceState, list[str]]:
     """Another scenario for the episodes of a recording, and a line for each setting that differs.
 
@@ -123,7 +123,7 @@ def _elsewhere(
     from deepbots_cli.view.episodes import Source as Shown
 
     recorded = opened.source
-    other = Shown(scenario, sets, allow_paths, allow_code, recorded.engine, recorded.case, recorded.stage).open()
+    other = Shown(scenario, overrides, allow_paths, allow_code, recorded.engine, recorded.case, recorded.stage).open()
     if other.program is None or opened.program is None:
         raise ScenarioError(other.findings)
     differ = identity.differences(opened.program, other.program, words=("recording", "scenario"))

@@ -13,7 +13,7 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import results, terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Engine, Json, Sets
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Engine, Json, Overrides
 from deepbots_cli.cli.commands.lint import scenario_names
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import Row, table
@@ -44,7 +44,7 @@ def command(
         list[str], typer.Argument(metavar="SCENARIO", help="Scenario files, folders, or names of scenarios that come with deepbots.")
     ],
     only: Annotated[str | None, typer.Option("-k", metavar="NAME", help="Run only the tests whose names contain this text.")] = None,
-    sets: Sets = None,
+    overrides: Overrides = None,
     engine: Engine = None,
     junit: Annotated[Path | None, typer.Option("--junit", metavar="FILE", help="Write the results as JUnit XML.")] = None,
     as_json: Json = False,
@@ -68,9 +68,14 @@ def command(
     if junit is not None:
         check_writable(junit)
     began, names = time.perf_counter(), scenario_names(scenarios, settings())
-    options: dict[str, Any] = {"sets": with_engine(sets, engine), "allow_paths": allow_paths or (), "allow_code": allow_code, "tests": True}
+    options: dict[str, Any] = {
+        "overrides": with_engine(overrides, engine),
+        "allow_paths": allow_paths or (),
+        "allow_code": allow_code,
+        "tests": True,
+    }
     given = [f"--engine {engine}"] if engine else []
-    given += [f"--set {quote(text)}" for text in sets or ()]
+    given += [f"--set {quote(text)}" for text in overrides or ()]
     done = []
     for name in names:
         done.append(_tested(name, only, engine, options))
