@@ -250,7 +250,7 @@ def command(
                 others = evaluate_baselines(known, case=case, stage=stage, **options | {"episodes": result.episodes})
         elsewhere = _elsewhere(known, scenario, overrides or (), compiled) if scenario is not None or overrides else None
         found.append(_EngineEvaluations(result, cases, others, elsewhere, tuple(overrides or ())))
-        results.keep_evaluation(known, found[-1].as_json())
+        results.write_evaluation(known, found[-1].as_json())
         of = f"{result.engine}: " if len(several) > 1 else ""
         requirements += [(f"{of}{words}", met, reason) for words, met, reason in gates.requirements(result, episodes or usual)]
     if csv is not None:

@@ -227,7 +227,7 @@ def _finish_group(group: GroupTraining, *, quiet: bool, as_json: bool, allow_cod
     with terminal.progress("runs", always=False) as show_run:
         evaluation = learning.evaluate_group(group.group, allow_code=allow_code, on_run=show_run)
     for found in evaluation.evaluations:
-        results.keep_evaluation(Run.open(found.run), {**with_cases(found, ()), "engine": Group.open(group.group).record.engine})
+        results.write_evaluation(Run.open(found.run), {**with_cases(found, ()), "engine": Group.open(group.group).record.engine})
     if as_json:
         terminal.show_json({"training": results.group_training_json(group), "evaluation": results.group_json(evaluation)})
     else:
@@ -257,7 +257,7 @@ def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, allow_code: b
     with terminal.progress(always=False) as show_episode:
         evaluation = learning.evaluate(trained, allow_code=allow_code, on_episode=show_episode)
         cases = learning.evaluate_cases(trained, allow_code=allow_code, on_episode=show_episode)
-    results.keep_evaluation(trained, with_cases(evaluation, cases))
+    results.write_evaluation(trained, with_cases(evaluation, cases))
     if as_json:
         terminal.show_json({"training": report.to_json(result), "evaluation": with_cases(evaluation, cases)})
         return
