@@ -390,7 +390,7 @@ def too_few_steps(t: TrainingEvidence) -> Numbers | None:
     gain = float(late.mean() - early.mean())
     chance = 2 * float(np.hypot(early.std() / np.sqrt(len(early)), late.std() / np.sqrt(len(late))))
     # A return that rises evenly gains a third of its total rise in the last quarter; below half of that it levels off.
-    start, before = (float(t.part(share, share + 0.25).returns.mean()) for share in (0.0, 0.5))
+    start, before = (float(t.episodes_between(share, share + 0.25).returns.mean()) for share in (0.0, 0.5))
     if not gain > chance > 0 or late.mean() - before < (late.mean() - start) / 6:
         return None
     length = _length(t)
