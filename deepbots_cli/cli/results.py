@@ -225,7 +225,7 @@ def _over(interval: str, count: int) -> str:
 
 def group_json(group: GroupResult) -> dict[str, Any]:
     """A group as a dictionary: its statistics over seeds, and the evaluation of each run."""
-    names = ("name", "waiting", "mean_return", "return_interval", "interquartile_mean")
+    names = ("name", "waiting", "mean_return", "return_interval", "interquartile_mean", "solved_after")
     success = ("success_rate", "success_interval") if group.success_defined else ()
     return {**{name: getattr(group, name) for name in (*names, *success)}, "runs": [to_json(result) for result in group.evaluations]}
 
@@ -312,7 +312,7 @@ def write_csv(path: Path, results: Iterable[EvaluationResult]) -> None:
             row: dict[str, object] = {"run": result.run, "model": result.model, "engine": result.engine or ""}
             row |= {"case": result.case or "", "stage": result.stage or ""}
             row |= {"episode": index, "seed": episode.seed, "return": episode.total_return, "length": episode.length}
-            row |= {"success": int(episode.is_success), "ended_by": episode.ended_by or ""}
+            row |= {"success": int(episode.is_success) if result.success_defined else "", "ended_by": episode.ended_by or ""}
             row |= {f"reward.{name}": value for name, value in episode.terms.items()}
             rows.append(row | {f"drawn.{name}": value for name, value in episode.drawn.items()})
     columns = {name: None for row in rows for name in row}

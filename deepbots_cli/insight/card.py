@@ -91,9 +91,10 @@ class Card(BaseModel):
 
 def result_text(found: EvaluationRecord) -> str:
     """Mean return and success rate with their intervals, and what they are of."""
-    low, high = found.return_interval or (found.mean_return, found.mean_return)
-    text = f"mean return {found.mean_return:.4g} (95 % interval {low:.4g} .. {high:.4g})"
-    if found.success_defined:
+    text = f"mean return {found.mean_return:.4g}"
+    if found.return_interval is not None:
+        text += " (95 % interval {:.4g} .. {:.4g})".format(*found.return_interval)
+    if found.success_rate is not None and found.success_interval is not None:
         low, high = found.success_interval
         text += f", success rate {found.success_rate:.1%} (95 % interval {low:.1%} .. {high:.1%})"
     solved = {True: "; solved", False: "; not solved", None: ""}[found.solved]

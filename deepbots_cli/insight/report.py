@@ -142,11 +142,9 @@ class Report:
         found = [member.evaluation for member in self.runs]
         if not is_group(self.path):
             return result_text(found[0])
-        rates, text = (
-            [each.success_rate for each in found],
-            "mean return " + _seed_statistics("{:.4g}", [each.mean_return for each in found]),
-        )
-        if all(each.success_defined for each in found):
+        text = "mean return " + _seed_statistics("{:.4g}", [each.mean_return for each in found])
+        rates = [each.success_rate for each in found if each.success_rate is not None]
+        if len(rates) == len(found):
             text += ", success rate " + _seed_statistics("{:.1%}", rates, (0.0, 1.0))
         solved = f"; {sum(bool(each.solved) for each in found)} solved" if None not in [each.solved for each in found] else ""
         fewest, most = min(each.episodes for each in found), max(each.episodes for each in found)

@@ -337,8 +337,8 @@ class EvaluationRecord(BaseModel):
     mean_return: float
     return_interval: tuple[float, float] | None
     success_defined: bool
-    success_rate: float
-    success_interval: tuple[float, float]
+    success_rate: float | None
+    success_interval: tuple[float, float] | None
     solved: bool | None
     set: tuple[str, ...] = ()
     elsewhere: str | None = None

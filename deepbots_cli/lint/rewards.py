@@ -14,6 +14,7 @@ from deepbots_cli.expressions.types import Constant, Invocation, Operation, Refe
 from deepbots_cli.lint.analysis import Analysis, RewardTerms, RuleContext, Threshold, is_clock, thresholds, total_range
 from deepbots_cli.lint.ranges import Ranges
 from deepbots_cli.lint.simulation import IDLE, Episode, Simulation
+from deepbots_cli.program import Program
 from deepbots_cli.program.task import Ending
 from deepbots_cli.program.values import Expression
 
@@ -542,6 +543,12 @@ def _wanted_returns(context: RuleContext) -> Iterator[tuple[Analysis, float, Nod
     for place, (stage, analysis) in enumerate(zip(program.curriculum, stages, strict=True)):
         if stage.until is not None and stage.until.metric == "mean_return":
             yield analysis, stage.until.threshold, ("curriculum", place, "until")
+
+
+def possible_returns(program: Program) -> tuple[float, float]:
+    """The least and the largest return of an episode that rewards and time limit allow; infinite where they imply none."""
+    known = return_range(Analysis(program))
+    return known.low, known.high
 
 
 def return_range(analysis: Analysis) -> Interval:

@@ -110,9 +110,12 @@ def test_a_demanded_result_that_is_not_met_ends_with_1(deepbots, trained):
     assert "not met: mean return of at least 1000" in ran.err
     ran = deepbots("eval", "mine", "--episodes", "40", "--min-return", "1", "--json")
     assert (ran.code, "met: mean return of at least 1 (" in ran.err) == (0, True)
-    assert 2 <= json.loads(ran.out)["episodes"] < 40
+    found = json.loads(ran.out)
+    assert found["episodes"] == 1, "no return is below 1"
+    assert (found["success_rate"], found["success_interval"]) == (None, None), "the scenario defines no success"
     refused = deepbots("eval", "mine", "--min-success", "90%")
     assert (refused.code, "CartPole defines no success; use --min-return" in refused.err) == (2, True)
+    assert "write" not in deepbots("eval", "mine", "--min-success", "101%").err
     refused = deepbots("eval", "mine", "--min-success", "90")
     assert (refused.code, "write 90% for a percentage" in refused.err) == (2, True)
 

@@ -13,7 +13,17 @@ import typer
 
 from deepbots_cli import api, learning
 from deepbots_cli.cli import results, terminal
-from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Json, Overrides, fraction, known_engine, whole_number
+from deepbots_cli.cli.command import (
+    MAX_SEED,
+    AllowCode,
+    AllowPaths,
+    Json,
+    Overrides,
+    fraction,
+    known_engine,
+    whole_number,
+    with_case_or_stage,
+)
 from deepbots_cli.cli.commands.insight import repeat_failed
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import table
@@ -24,12 +34,13 @@ from deepbots_cli.files import check_writable
 from deepbots_cli.learning import report
 from deepbots_cli.learning.group import Group, is_group
 from deepbots_cli.learning.run import Run
+from deepbots_cli.lint.rewards import possible_returns
 from deepbots_cli.program.identity import task_digest
 
 if TYPE_CHECKING:
     from deepbots_cli.api import Compiled
     from deepbots_cli.learning import EvaluationResult, GroupResult
-    from deepbots_cli.learning.episodes import Episode
+    from deepbots_cli.learning.episodes import Episode, Interval
     from deepbots_cli.learning.statistics import Verdict
     from deepbots_cli.program import Program
 
@@ -238,7 +249,10 @@ def command(
         program = known.program if compiled is None else compiled.program
         gates.check(program)
         usual = program.evaluation.episodes if case is None else program.case(case).episodes
-        until = None if require_solved or len(several) > 1 else partial(gates.decided, planned=episodes or usual)
+        until = None
+        if not require_solved and len(several) == 1:
+            bounds = possible_returns(with_case_or_stage(program, case, stage))
+            until = partial(gates.decided, planned=episodes or usual, bounds=bounds)
         with terminal.progress("episodes" if name is None else f"episodes in {name}", always=False) as show_episode:
             options = chosen | {"scenario": compiled, "engine": name, "on_episode": show_episode}
             result = evaluate(known, case=case, stage=stage, video_to=video, until=until, **options)
@@ -382,8 +396,8 @@ class Gates:
                 " or add `termination.success` or a `goal` to the scenario"
             )
 
-    def verdicts(self, episodes: Sequence[Episode], planned: int) -> Iterator[tuple[str, Verdict]]:
-        """Each requirement of a number in words, and its answer after these of `planned` episodes."""
+    def verdicts(self, episodes: Sequence[Episode], planned: int, bounds: Interval) -> Iterator[tuple[str, Verdict]]:
+        """Each requirement of a number in words, and its answer after these of `planned` episodes; `bounds` are those of a return."""
         from deepbots_cli.learning.statistics import gate_mean, gate_rate
 
         if self.min_success is not None:
@@ -391,17 +405,17 @@ class Gates:
             yield f"success rate of at least {self.min_success:g}", gate_rate(self.min_success, successes, len(episodes), planned)
         if self.min_return is not None:
             returns = [episode.total_return for episode in episodes]
-            yield f"mean return of at least {self.min_return:g}", gate_mean(self.min_return, returns, planned)
+            yield f"mean return of at least {self.min_return:g}", gate_mean(self.min_return, returns, planned, bounds)
 
-    def decided(self, episodes: Sequence[Episode], planned: int) -> bool:
+    def decided(self, episodes: Sequence[Episode], planned: int, bounds: Interval) -> bool:
         """Whether every requirement is certainly met, or one certainly not."""
-        answers = [verdict.met for _, verdict in self.verdicts(episodes, planned)]
+        answers = [verdict.met for _, verdict in self.verdicts(episodes, planned, bounds)]
         return bool(answers) and (False in answers or None not in answers)
 
     def requirements(self, result: EvaluationResult, planned: int) -> list[Requirement]:
         """The answers for a run; a requirement that another one has left undecided is left out."""
         found = [("the task is solved", bool(result.solved), result.verdict)] if self.solved else []
-        answers = self.verdicts(result.outcomes, planned)
+        answers = self.verdicts(result.outcomes, planned, result.possible_returns)
         return found + [(words, verdict.met, verdict.reason) for words, verdict in answers if verdict.met is not None]
 
     def decided_of_group(self, episodes: Sequence[Episode], planned: int) -> bool:

@@ -32,6 +32,7 @@ from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.episodes import Episode, EpisodeAccumulator, Summary, zero_action
+from deepbots_cli.lint.rewards import possible_returns
 from deepbots_cli.program.task import ActionRange, Choices
 
 if TYPE_CHECKING:
@@ -128,7 +129,7 @@ def command(
                 done.append(episode)
                 if show and episodes > MAX_SHOWN:
                     show(len(done), episodes)
-    summary = Summary.of_episodes(done)
+    summary = Summary.of_episodes(done, possible_returns(program))
     if as_json:
         totals = {"success_defined": program.defines_success, **vars(summary)}
         known = {

@@ -266,6 +266,6 @@ def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, allow_code: b
     run, film, logs = (quote(str(path)) for path in (result.run, f"{result.run.name}.mp4", result.run / "tensorboard"))
     terminal.note(
         "\nnext:\n" + (f"  deepbots diagnose {run}\n" if evaluation.solved is False else "") + f"  deepbots eval {run} --video {film}\n"
-        f"  deepbots train --resume {run} --timesteps {2 * result.total_timesteps} --full\n"
+        f"  deepbots train --resume {run} --timesteps {2 * max(result.steps, result.total_timesteps)} --full\n"
         f"  tensorboard --logdir {logs}"
     )
