@@ -115,9 +115,9 @@ ENGINES = Engines(
 )
 
 
-def with_engine(sets: Iterable[str] | None, engine: str | None) -> list[str]:
+def with_engine(overrides: Iterable[str] | None, engine: str | None) -> list[str]:
     """Assignments of `--set`, and after them that of `--engine`: the scenario is then checked for this engine."""
-    return [*(sets or ()), *([] if engine is None else [f"world.engine={engine}"])]
+    return [*(overrides or ()), *([] if engine is None else [f"world.engine={engine}"])]
 
 
 def chosen(name: str | None) -> str:

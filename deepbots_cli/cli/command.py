@@ -122,7 +122,7 @@ def fraction(text: str) -> float:
 
 
 Scenario = Annotated[str, typer.Argument(metavar="SCENARIO", help="A scenario file, or the name of a scenario that comes with deepbots.")]
-Sets = Annotated[
+Overrides = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="PATH=VALUE", help="Override a value of the scenario, such as fall_angle=10deg; may be repeated."),
 ]

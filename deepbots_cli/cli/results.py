@@ -296,7 +296,7 @@ def robustness_json(found: Robustness) -> dict[str, Any]:
 # Files
 
 
-def keep_evaluation(run: Run, evaluation: dict[str, Any]) -> None:
+def write_evaluation(run: Run, evaluation: dict[str, Any]) -> None:
     """Keep an evaluation in its run, or say why it is not kept; it is shown all the same."""
     try:
         run.write_evaluation(evaluation)

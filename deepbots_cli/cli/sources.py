@@ -61,7 +61,7 @@ def text_at(root: Node | None, *path: str | int) -> str:
 
 
 def open_source(
-    source: str, sets: Sequence[str], allow_paths: Iterable[Path], *, allow_code: bool, engine: str | None = None
+    source: str, overrides: Sequence[str], allow_paths: Iterable[Path], *, allow_code: bool, engine: str | None = None
 ) -> OpenedSource:
     """The scenario of a file or of a shipped name, checked for the engine if one is given, or that of a run directory.
 
@@ -71,11 +71,11 @@ def open_source(
     """
     path = Path(source)
     if path.is_dir() and ((path / "run.json").exists() or shipped.scenario_path(source) is None):
-        if sets:
+        if overrides:
             raise UsageError(f"--set changes a scenario, and {source} is a run, which stays as it was trained")
         run, resolved = Run.open(path), path / RESOLVED_NAME
         return OpenedSource(run.program, parse(Source(str(resolved), resolved.read_text(encoding="utf-8-sig")), Findings()), run)
-    checked = api.load(source, sets=with_engine(sets, engine), allow_paths=allow_paths, allow_code=allow_code)
+    checked = api.load(source, overrides=with_engine(overrides, engine), allow_paths=allow_paths, allow_code=allow_code)
     compiled = api.compile(checked)
     return OpenedSource(compiled.program, checked.document.root, findings=compiled.findings)
 

@@ -50,9 +50,9 @@ def assert_same(mine: Any, other: Any) -> None:
     np.testing.assert_array_equal(rows(mine), rows(other))
 
 
-def compare(name: str, worlds: int, steps: int, sets: tuple[str, ...] = ()) -> int:
+def compare(name: str, worlds: int, steps: int, overrides: tuple[str, ...] = ()) -> int:
     """Step a batch beside single worlds; the number of episodes that ended."""
-    compiled = api.compile(name, sets=sets)
+    compiled = api.compile(name, overrides=overrides)
     seeds = [100 + world for world in range(worlds)]
     singles = [api.make(compiled, engine="mujoco") for _ in seeds]
     ended = 0
@@ -88,7 +88,7 @@ def test_a_world_of_a_batch_lives_the_episodes_of_a_single_world(name: str) -> N
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [*FAST, *OTHERS], ids=stem)
 def test_many_worlds_for_long(name: str) -> None:
-    assert compare(name, worlds=32, steps=500, sets=SHORTER.get(name, ())) > 0
+    assert compare(name, worlds=32, steps=500, overrides=SHORTER.get(name, ())) > 0
 
 
 @pytest.fixture(scope="module")

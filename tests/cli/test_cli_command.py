@@ -264,7 +264,7 @@ def test_the_doctor_finds_this_installation_in_order(deepbots):
 
 
 def test_printed_findings_can_be_read():
-    found = api.load("cartpole", sets=["fall_angle=1lm"]).findings
+    found = api.load("cartpole", overrides=["fall_angle=1lm"]).findings
     assert repr(found) == "Findings(['--set fall_angle:1:13: DB501 unknown unit `lm`'])"
 
 

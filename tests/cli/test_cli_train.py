@@ -255,7 +255,9 @@ def test_engines_are_compared_from_the_same_starts(deepbots, trained):
 
 def test_settings_of_an_evaluation_apply_to_the_scenario_that_it_names(deepbots, trained):
     elsewhere = ("--scenario", "cartpole", "--episodes", "2", "--json")
-    lengths = [json.loads(deepbots("eval", "mine", *elsewhere, *sets).out)["mean_length"] for sets in ((), ("--set", "fall_angle=3 deg"))]
+    lengths = [
+        json.loads(deepbots("eval", "mine", *elsewhere, *overrides).out)["mean_length"] for overrides in ((), ("--set", "fall_angle=3 deg"))
+    ]
     assert lengths[1] < lengths[0]
 
 
@@ -276,8 +278,8 @@ def test_inspect_shows_what_a_run_is_and_the_scenario_that_it_was_trained_with(d
 
 
 def test_the_list_tells_runs_of_different_scenarios_with_one_name_apart(deepbots, tmp_path):
-    for name, sets in (("one", ()), ("same", ()), ("other", ("--set", "fall_angle=3 deg"))):
-        words = ("train", "cartpole", "--timesteps", "1", *FAST, *sets, "--set", "evaluation={episodes: 1}", "--run", f"runs/{name}")
+    for name, overrides in (("one", ()), ("same", ()), ("other", ("--set", "fall_angle=3 deg"))):
+        words = ("train", "cartpole", "--timesteps", "1", *FAST, *overrides, "--set", "evaluation={episodes: 1}", "--run", f"runs/{name}")
         assert deepbots(*words).code == 0
     rows = {row["name"]: row["digest"] for row in json.loads(deepbots("runs", "--json").out)}
     assert rows["one"] == rows["same"] != rows["other"]

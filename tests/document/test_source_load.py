@@ -269,14 +269,14 @@ BASE = "parameters: {pole: 1, track: 2 m}\nworld: {timestep: 32 ms, arena: {size
     ],
 )
 def test_an_assignment_replaces_the_value_at_its_path(assignment: str, path: tuple[str | int, ...], expected: object) -> None:
-    found: object = data(loads(BASE, sets=[assignment]))
+    found: object = data(loads(BASE, overrides=[assignment]))
     for step in path:
         found = found[step]  # type: ignore[index]
     assert found == expected
 
 
 def test_an_assigned_value_has_its_place_in_the_assignment() -> None:
-    document = loads(BASE, sets=["world.timestep=8 ms"])
+    document = loads(BASE, overrides=["world.timestep=8 ms"])
     world = document.root.get("world") if document.root else None
     assert isinstance(world, MappingNode)
     span = world.entries["timestep"].value.span
@@ -304,7 +304,7 @@ def test_an_assigned_value_has_its_place_in_the_assignment() -> None:
     ],
 )
 def test_an_assignment_that_cannot_be_made_is_reported_in_its_own_text(assignment: str, code: str, marked: str, hint: str) -> None:
-    document = loads(BASE, sets=[assignment])
+    document = loads(BASE, overrides=[assignment])
     (finding,) = document.findings
     assert (finding.code, finding.span.text) == (code, marked)
     assert finding.span.source.name == f"--set {assignment.partition('=')[0] or assignment}"
@@ -314,7 +314,7 @@ def test_an_assignment_that_cannot_be_made_is_reported_in_its_own_text(assignmen
 
 
 def test_a_section_that_the_file_leaves_out_is_begun_by_an_assignment() -> None:
-    document = loads("deepbots: 1\nname: X\n", sets=["messages.format=none", "train.policy.hidden=[8]"])
+    document = loads("deepbots: 1\nname: X\n", overrides=["messages.format=none", "train.policy.hidden=[8]"])
     assert document.root is not None
     assert to_data(document.root) == {
         "deepbots": 1,
@@ -325,7 +325,7 @@ def test_a_section_that_the_file_leaves_out_is_begun_by_an_assignment() -> None:
 
 
 def test_a_misspelt_section_in_an_assignment_is_not_begun() -> None:
-    document = loads("deepbots: 1\nname: X\nmessages: {format: csv}\n", sets=["mesages.format=none"])
+    document = loads("deepbots: 1\nname: X\nmessages: {format: csv}\n", overrides=["mesages.format=none"])
     assert [finding.code for finding in document.findings] == ["DB201"]
 
 

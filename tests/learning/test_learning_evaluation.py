@@ -229,8 +229,8 @@ def test_success_by_drawn_value_counts_every_episode_once() -> None:
 
 def test_baselines_and_the_policy_have_the_same_starts(tmp_path: Path) -> None:
     run = train("pit_escape", run=tmp_path / "run", total_timesteps=1).run
-    results = evaluate_baselines(run, episodes=2, seed=5, scenario=compile("pit_escape", sets=["truncation.max_steps=20"]))
+    results = evaluate_baselines(run, episodes=2, seed=5, scenario=compile("pit_escape", overrides=["truncation.max_steps=20"]))
     assert [result.model for result in results] == ["random", "zero", "script forward_only", "script rocking"]
-    policy = evaluate(run, episodes=2, seed=5, scenario=compile("pit_escape", sets=["truncation.max_steps=20"]))
+    policy = evaluate(run, episodes=2, seed=5, scenario=compile("pit_escape", overrides=["truncation.max_steps=20"]))
     for result in results:
         assert [episode.drawn for episode in result.outcomes] == [episode.drawn for episode in policy.outcomes]

@@ -54,10 +54,10 @@ def test_a_pose_out_of_reach_is_reported_where_only_a_script_commands_it() -> No
         "scripts={away: {reach: 1, open: 0}, stay: {reach: 0, open: 1}}",
         "truncation.max_steps=5",
     ]
-    (found,) = simulate(api.load(str(ARM), sets=far)).findings
+    (found,) = simulate(api.load(str(ARM), overrides=far)).findings
     assert found.code == "DB315"
     assert "the script `away`" in found.notes[0]
-    assert simulate(api.load(str(ARM), sets=[far[0], "scripts={stay: {reach: 0, open: 1}}", far[2]])).findings == []
+    assert simulate(api.load(str(ARM), overrides=[far[0], "scripts={stay: {reach: 0, open: 1}}", far[2]])).findings == []
 
 
 def test_a_pose_out_of_reach_is_reported_beside_the_error_that_it_may_explain(probed: Probed) -> None:
@@ -101,6 +101,6 @@ def test_doing_nothing_is_the_option_of_zeros_or_the_value_that_is_nearest_to_ze
 
 
 def test_costly_scenarios_are_given_fewer_steps() -> None:
-    usual, costly = (simulation_plan(api.load("pit_escape", sets=sets).program) for sets in ([], ["world.substeps=100"]))
+    usual, costly = (simulation_plan(api.load("pit_escape", overrides=overrides).program) for overrides in ([], ["world.substeps=100"]))
     assert costly.enough < usual.enough
     assert max(rollout.steps for rollout in costly.rollouts) < max(rollout.steps for rollout in usual.rollouts)

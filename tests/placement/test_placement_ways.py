@@ -148,9 +148,9 @@ reset: {place: {cart: {x: -0.5 m, y: 0 m}, goal: {x: 0.5 m, y: 0 m}, wall: {x: 0
 def make(tmp_path: Path) -> Iterator[Callable[..., Supervisor]]:
     opened: list[Supervisor] = []
 
-    def make_one(*sets: str) -> Supervisor:
+    def make_one(*overrides: str) -> Supervisor:
         (tmp_path / "scenario.yaml").write_text(WORLD, encoding="utf-8")
-        opened.append(api.make(tmp_path / "scenario.yaml", sets=sets))
+        opened.append(api.make(tmp_path / "scenario.yaml", overrides=overrides))
         return opened[-1]
 
     yield make_one

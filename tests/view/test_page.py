@@ -18,7 +18,7 @@ import deepbots_cli.codegen
 from deepbots_cli.cli import main
 from deepbots_cli.errors import UsageError
 from deepbots_cli.view.episodes import HAND, Source
-from deepbots_cli.view.frames import Field
+from deepbots_cli.view.frames import PlottedField
 from deepbots_cli.view.manual_input import ManualInput
 from deepbots_cli.view.page import Page
 
@@ -72,13 +72,13 @@ def test_time_goes_on_stands_still_and_begins_again():
 def test_keys_drive_and_let_go():
     with closing(Page(Source("find_ball"), port=0, playing=True)) as page:
         assert page.player.driver_name == HAND
-        page._hand.hold(frozenset({"KeyW", "KeyD"}), ())
+        page._manual_input.hold(frozenset({"KeyW", "KeyD"}), ())
         page.step_once()
         assert page.player.frame.agents["agent"].action == pytest.approx((1.0, 1.0))
         time.sleep(0.3)
         page.step_once()
         assert page.player.frame.agents["agent"].action == pytest.approx((0.625, 0.0))
-        assert "onward" in page._banner.content or page._rival.driver_name == "onward"
+        assert "onward" in page._banner.content or page._compared_player.driver_name == "onward"
 
 
 def test_an_episode_that_was_driven_is_recorded_to_the_bit(tmp_path, monkeypatch):
@@ -87,7 +87,7 @@ def test_an_episode_that_was_driven_is_recorded_to_the_bit(tmp_path, monkeypatch
     with closing(Page(Source("find_ball"), port=0, playing=True, seed=4)) as page:
         assert "press a key to begin" in page._banner.content
         for keys in ({"KeyW"}, {"KeyW", "KeyD"}, {"KeyA"}):
-            page._hand.hold(frozenset(keys), ())
+            page._manual_input.hold(frozenset(keys), ())
             page.step_once()
         page._record(None)
         page._record(None)
@@ -99,7 +99,7 @@ def test_an_episode_that_was_driven_is_recorded_to_the_bit(tmp_path, monkeypatch
 
 
 def test_hands_know_options_by_their_names():
-    hand = ManualInput([Field("move", "move", 0, 2, "", ("left", "right", "stop"))])
+    hand = ManualInput([PlottedField("move", "move", 0, 2, "", ("left", "right", "stop"))])
     assert hand.values() == {"move": 2.0}
     hand.hold(frozenset({"ArrowLeft"}), ())
     assert hand.values() == {"move": 0.0}
@@ -178,9 +178,9 @@ def test_a_recording_is_played_and_scrubbed(tmp_path):
     with closing(Page(Source(str(path)), port=0)) as page:
         page.play(False)
         page.seek(7)
-        assert [frame.step for frame in page.shown[0].past] == list(range(8))
+        assert [frame.step for frame in page.panels[0].frames] == list(range(8))
         assert "step 7," in page._banner.content
-        page._tell()
+        page._update_texts()
         assert page._slider.value == 7
         page.play(True)
         _run(page, lambda: page.player.frame.ended_by is not None)
@@ -192,11 +192,11 @@ def test_a_recording_is_played_and_scrubbed(tmp_path):
 
 def test_two_worlds_begin_alike_and_go_on_until_both_have_ended():
     with closing(Page(Source("cartpole"), compare=Source("cartpole"), port=0, driver="zero")) as page:
-        one, other = page.shown
+        one, other = page.panels
         page.speed = 5.0
         assert one.player.frame.links == other.player.frame.links
         assert one.player.seed == other.player.seed
-        _run(page, lambda: one.ended and other.ended)
+        _run(page, lambda: one.has_ended and other.has_ended)
         assert "A: cartpole" in page._banner.content
         assert "B: cartpole" in page._banner.content
 
@@ -212,7 +212,7 @@ def test_a_page_shows_one_world_of_a_batch_after_another():
         third = page.player.frame
         page._choose_world(1)
         assert page.player.frame.links != third.links
-        assert len(page.shown[0].past) == 1
+        assert len(page.panels[0].frames) == 1
         _run(page, lambda: page.player.frame.step > 3)
         assert page.player.batch.step_count.min() > 3
         page._begin(1)
@@ -225,7 +225,7 @@ def test_a_changed_parameter_counts_at_the_same_seed():
         page._change("goal", "31 cm")
         old = page.player
         _run(page, lambda: page.player is not old)
-        assert page.shown[0].past[0].links == start
+        assert page.panels[0].frames[0].links == start
         assert page._values is panel  # and the panel stays as it is
         assert "0.31" in deepbots_cli.codegen.generate_module(page.player.program)
         page._change("goal", "31 kg")
@@ -237,6 +237,6 @@ def test_a_changed_parameter_counts_at_the_same_seed():
 def test_messages_are_shown_with_their_age():
     with closing(Page(Source("cartpole_wireless"), port=0)) as page:
         page.step_once()
-        page._tell()
+        page._update_texts()
         assert "message to cart" in page._values.content
         assert "32 ms old" in page._values.content or "64 ms old" in page._values.content

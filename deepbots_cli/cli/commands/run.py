@@ -21,9 +21,9 @@ from deepbots_cli.cli.command import (
     Case,
     Engine,
     Json,
+    Overrides,
     Scenario,
     Seed,
-    Sets,
     Stage,
     whole_number,
     with_case_or_stage,
@@ -50,7 +50,7 @@ class Policy(StrEnum):
 
 def command(
     scenario: Scenario,
-    sets: Sets = None,
+    overrides: Overrides = None,
     case: Case = None,
     stage: Stage = None,
     policy: Annotated[
@@ -104,11 +104,11 @@ def command(
     if len(given) > 1:
         raise UsageError(f"{' and '.join(given)} exclude each other")
     if scenario.endswith(".json") and Path(scenario).parent.name == "failures":
-        if given or any((sets, case, stage, engine, allow_paths, steps, seed)) or episodes != EPISODES:
+        if given or any((overrides, case, stage, engine, allow_paths, steps, seed)) or episodes != EPISODES:
             raise UsageError("the file of a failed episode keeps its scenario, start and actions; it takes only --json and --allow-code")
         _reproduce(Path(scenario), allow_code=allow_code, as_json=as_json)
         return
-    compiled = api.compile(scenario, sets=with_engine(sets, engine), allow_paths=allow_paths or (), allow_code=allow_code)
+    compiled = api.compile(scenario, overrides=with_engine(overrides, engine), allow_paths=allow_paths or (), allow_code=allow_code)
     terminal.note_warnings(compiled.findings, scenario)
     program = with_case_or_stage(compiled.program, case, stage)
     if script is not None:

@@ -16,7 +16,7 @@ import typer
 
 from deepbots_cli import api, learning
 from deepbots_cli.cli import results, terminal
-from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Engine, Json, Sets, seed_list, whole_number
+from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Engine, Json, Overrides, seed_list, whole_number
 from deepbots_cli.cli.commands.eval import show, with_cases
 from deepbots_cli.cli.exits import FAILED, INTERRUPTED
 from deepbots_cli.engine_kinds import with_engine
@@ -35,7 +35,7 @@ def command(
     scenario: Annotated[
         str | None, typer.Argument(metavar="SCENARIO", help="A scenario file, or the name of a scenario that comes with deepbots.")
     ] = None,
-    sets: Sets = None,
+    overrides: Overrides = None,
     seed: Annotated[
         int | None,
         typer.Option("--seed", metavar="N", parser=whole_number(0, MAX_SEED), help="Root seed of all random numbers; 0 by default."),
@@ -122,7 +122,7 @@ def command(
     """
     progress = not quiet
     if resume is not None:
-        made_with = (scenario, sets, seed, seeds, run, stage, engine, allow_paths, keep_checkpoints, initialize_from)
+        made_with = (scenario, overrides, seed, seeds, run, stage, engine, allow_paths, keep_checkpoints, initialize_from)
         if any(option is not None for option in made_with):
             raise UsageError(
                 "a resumed run keeps its scenario and options;"
@@ -145,7 +145,7 @@ def command(
         raise UsageError(f"--run: {run} already exists; choose another directory, because runs are not overwritten")
     else:
         listed = None if seeds is None else seed_list(seeds)
-        compiled = api.compile(scenario, sets=with_engine(sets, engine), allow_paths=allow_paths or (), allow_code=allow_code)
+        compiled = api.compile(scenario, overrides=with_engine(overrides, engine), allow_paths=allow_paths or (), allow_code=allow_code)
         terminal.note_warnings(compiled.findings, scenario)
         settings: dict[str, Any] = {
             "total_timesteps": timesteps,
@@ -227,7 +227,7 @@ def _finish_group(group: GroupTraining, *, quiet: bool, as_json: bool, allow_cod
     with terminal.progress("runs", always=False) as show_run:
         evaluation = learning.evaluate_group(group.group, allow_code=allow_code, on_run=show_run)
     for found in evaluation.evaluations:
-        results.keep_evaluation(Run.open(found.run), {**with_cases(found, ()), "engine": Group.open(group.group).record.engine})
+        results.write_evaluation(Run.open(found.run), {**with_cases(found, ()), "engine": Group.open(group.group).record.engine})
     if as_json:
         terminal.show_json({"training": results.group_training_json(group), "evaluation": results.group_json(evaluation)})
     else:
@@ -257,7 +257,7 @@ def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, allow_code: b
     with terminal.progress(always=False) as show_episode:
         evaluation = learning.evaluate(trained, allow_code=allow_code, on_episode=show_episode)
         cases = learning.evaluate_cases(trained, allow_code=allow_code, on_episode=show_episode)
-    results.keep_evaluation(trained, with_cases(evaluation, cases))
+    results.write_evaluation(trained, with_cases(evaluation, cases))
     if as_json:
         terminal.show_json({"training": report.to_json(result), "evaluation": with_cases(evaluation, cases)})
         return
