@@ -239,6 +239,8 @@ def command(
         gates.check(program)
         usual = program.evaluation.episodes if case is None else program.case(case).episodes
         until = None if require_solved or len(several) > 1 else partial(gates.decided, planned=episodes or usual)
+        if video is not None and not as_json:
+            terminal.note(f"{video} will show episode 0, which is drawn after the evaluation")
         with terminal.progress("episodes" if name is None else f"episodes in {name}", always=False) as show_episode:
             options = chosen | {"scenario": compiled, "engine": name, "on_episode": show_episode}
             result = evaluate(known, case=case, stage=stage, video_to=video, until=until, **options)
