@@ -12,6 +12,7 @@ import pytest
 
 pytest.importorskip("viser")
 import msgspec
+import numpy as np
 import viser
 from websockets.sync.client import connect
 
@@ -112,6 +113,22 @@ def test_released_keys_give_zero_where_the_range_holds_it():
     ):
         hand.hold(frozenset(keys), axes)
         assert tuple(hand.values().values()) == pytest.approx(values)
+
+
+def test_rays_are_drawn_between_two_steps_as_the_robot_is():
+    with closing(Page(Source("find_ball"), port=0, driver="around")) as page:
+        ends = []
+        for _ in range(2):
+            page.step_once()
+            page.world.draw(1.0)
+            ends.append(page.world._rays.points.copy())
+        assert np.abs(ends[1] - ends[0]).max() > 1e-3
+        page.world.draw(0.25)
+        assert page.world._rays.points == pytest.approx(0.75 * ends[0] + 0.25 * ends[1], abs=1e-6)
+        frame, layout = page.player.frame, page.player.reader.layout
+        key = next(iter(layout.sensor_rays))
+        lines = layout.sensor_rays[key].lines(frame, key)
+        assert np.linalg.norm(lines[:, 1, :3] - lines[:, 0, :3], axis=1) == pytest.approx(frame.rays[key], abs=1e-6)
 
 
 def test_an_episode_that_was_driven_is_recorded_to_the_bit(tmp_path, monkeypatch):
