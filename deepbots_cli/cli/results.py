@@ -41,7 +41,7 @@ def training_text(result: TrainingResult) -> str:
     rows["last stage"] = result.stage
     if result.mean_return is not None:
         rows["mean return"] = f"{result.mean_return:.1f} over the most recent training episodes, with exploration"
-    if result.success_rate:
+    if result.success_rate is not None:
         rows["success rate"] = f"{result.success_rate:.0%}"
     at = result.solved_at
     if at is not None:

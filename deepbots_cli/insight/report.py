@@ -214,7 +214,7 @@ class Report:
         yield "returns", f"{mean}{seeds}", figures.returns(logs, theme)
         yield "successes", f"{mean}{seeds}", figures.successes(logs, theme)
         yield "shares", "The absolute sum of each term over an episode, as a share of all.", figures.shares(logs, theme)
-        yield "endings", "How episodes of the training end, in 40 equal parts of it.", figures.endings(logs, theme)
+        yield "endings", f"How episodes of the training end. {mean}", figures.endings(logs, theme)
         colours = "green: success, orange: no success; " if defined else ""
         caption = (
             f"Each point is an evaluation episode ({colours}{len(outcomes):,} in all). Bars are means over parts of the range, with 95 % "

@@ -219,7 +219,7 @@ def trace_episodes(
         policy = evaluation.load_model(run, model, world)
         for number in numbers:
             film, begin = films.get(number), derive_seed(seed, "evaluation", number)
-            with video.recording_video(world, film, 1 / watch.program.period) if film is not None else nullcontext(world) as acted:
+            with video.recording_video(world, film, watch.program.period) if film is not None else nullcontext(world) as acted:
                 evaluation.repeat_episode(policy, acted, begin, number, deterministic=deterministic)
             trace = world.trace(f"episode {number} of {run.path}", notes=run.notes())
             row = list(world.world.agents).index(trace.agent) if trace.agent else None

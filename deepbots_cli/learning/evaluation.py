@@ -175,7 +175,7 @@ def evaluate(
             done = rollout(policy, worlds, seeds, deterministic=deterministic, on_episode=on_episode, until=until)
         if video_to is not None:
             world = stack.enter_context(closing(make(program, render_mode="rgb_array")))
-            filmed = stack.enter_context(video.recording_video(world, video_to, 1 / program.period))
+            filmed = stack.enter_context(video.recording_video(world, video_to, program.period))
             rollout(policy, [filmed], seeds[:1], deterministic=deterministic)
     where = {"case": case, "stage": stage, "seed": root, "deterministic": deterministic, "video": video_to}
     return _result(known, program, model, done, engine=None if build else engine, **where)

@@ -321,7 +321,7 @@ def _learn(run: Run, training: Training, checkpoints: Checkpoints, build: WorldF
             total_timesteps=training.total_timesteps,
             episodes=statistics.episodes,
             mean_return=statistics.mean_return,
-            success_rate=statistics.success_rate,
+            success_rate=statistics.success_rate if run.program.defines_success else None,
             best_return=callback.best.mean_return if callback.best else None,
             simulated_hours=statistics.simulated_hours,
             evaluation_steps=callback.evaluator.steps,

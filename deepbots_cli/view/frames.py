@@ -60,6 +60,18 @@ class SensorRays(NamedTuple):
     directions: NDArray[np.float64]
     reach: float
 
+    def lines(self, frame: WorldFrame, key: str) -> NDArray[np.float32]:
+        """Each ray from its start to where it is no longer free: x, y, z (world frame) and red, green, blue of both ends, shape (n, 2, 6).
+
+        Rays are green where nothing is near, and red where something is.
+        """
+        free, (origin, turn) = np.array(frame.rays[key])[:, None], frame.links[self.part]
+        axes = np.array([frames.rotate(turn, axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))])
+        near = np.clip(1 - free / self.reach, 0.0, 1.0)
+        colours = np.concatenate([20 + 200 * near, 150 - 110 * near, 60 - 20 * near], axis=1)
+        ends = (self.starts, self.starts + free * self.directions)
+        return np.stack([np.concatenate([origin + end @ axes, colours], axis=1) for end in ends], axis=1).astype(np.float32)
+
 
 @dataclass(frozen=True, eq=False)
 class FrameLayout:

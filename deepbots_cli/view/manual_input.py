@@ -14,7 +14,7 @@ RELEASE_TIMEOUT_S = 0.25  # s; keys and gamepads are sent 20 times a second whil
 
 
 class Binding(NamedTuple):
-    """The keys that push a range up and down, and an axis of a gamepad with its sign: up and right are positive."""
+    """The keys that push a range up and down, and an axis of a gamepad with its sign."""
 
     positive_keys: tuple[str, ...]
     negative_keys: tuple[str, ...]
@@ -42,17 +42,20 @@ KEYS = sorted({*_DIGITS, *(key for binding in _RANGE_BINDINGS for key in (*bindi
 
 
 class ManualInput:
-    """What a person commands: sliders and buttons as a base, over which keys and gamepads have precedence while they are held."""
+    """What a person commands: sliders and buttons as a base, in the units of the fields, from which keys and gamepads push to the ends of
+    ranges while they are held."""
 
-    def __init__(self, fields: Sequence[PlottedField]) -> None:
-        ranges = [field for field in fields if not field.options]
-        self.bindings = {
-            field.name: _RANGE_BINDINGS[:2] if len(ranges) == 1 else _RANGE_BINDINGS[place : place + 1]
-            for place, field in enumerate(ranges)
-        }
+    def __init__(self, fields: Sequence[PlottedField], *, turns_left: bool = False) -> None:
+        """`turns_left` says that a larger value of the range of A and D turns the robot to the left, so that A pushes it up."""
+        self._ranges = {field.name: field for field in fields if not field.options}
+        ahead, aside, *others = _RANGE_BINDINGS
+        if turns_left:
+            aside = Binding(aside.negative_keys, aside.positive_keys, aside.axis, -aside.sign)
+        pairs = [[ahead, aside]] if len(self._ranges) == 1 else [[binding] for binding in (ahead, aside, *others)]
+        self.bindings = dict(zip(self._ranges, pairs, strict=False))
         self._choices = [field for field in fields if field.options]
         self._held: tuple[Keys, Axes, float] = (frozenset(), (), 0.0)
-        self.base_values = {field.name: float(_option(field, _IDLE_WORDS) or 0) for field in fields}
+        self.base_values = {field.name: _rest_value(field) for field in fields}
 
     def hold(self, keys: Keys, axes: Axes) -> None:
         """Take what is held now; nothing is once no message came for `RELEASE_TIMEOUT_S`."""
@@ -66,15 +69,15 @@ class ManualInput:
     def values(self) -> dict[str, float]:
         """By the names of action fields: an option by its index, or a number from -1 to 1."""
         values = dict(self.base_values)
-        if not self.is_held:
-            return values
-        keys, axes, _ = self._held
+        keys, axes, _ = self._held if self.is_held else (frozenset[str](), (), 0.0)
         for name, bindings in self.bindings.items():
             pushed = 0.0
             for more, less, axis, sign in bindings:
                 pushed += bool(keys & {*more}) - bool(keys & {*less}) + (sign * axes[axis] if axis < len(axes) else 0.0)
-            if pushed:
-                values[name] = min(1.0, max(-1.0, pushed))
+            pushed, end = min(1.0, max(-1.0, pushed)), self._ranges[name].high if pushed > 0.0 else self._ranges[name].low
+            values[name] += abs(pushed) * (end - values[name])
+        for name, field in self._ranges.items():
+            values[name] = (2 * values[name] - field.low - field.high) / ((field.high - field.low) or 1.0)
         for field in self._choices:
             wanted = next((option for codes, option in self._keys_of(field) if keys & {*codes}), None)
             if wanted is not None:
@@ -91,11 +94,23 @@ class ManualInput:
         """Which keys drive what, in a line."""
         parts = []
         for name, bindings in self.bindings.items():
-            pairs = ", ".join(f"{more[0][-1]}/{less[0][-1]}" for more, less, *_ in bindings)
-            parts += [f"{pairs}{' or arrows' if bindings[0] in _RANGE_BINDINGS[:2] else ''}: {name}"] if bindings else []
+            for more, less, *_ in bindings:
+                effects = sorted([(more, "more"), (less, "less")], key=lambda effect: "KeyA" not in effect[0])  # from left to right
+                parts += [f"{' / '.join(map(_key_name, keys))}: {word} {name}" for keys, word in effects]
         for field in self._choices:
             parts += [f"{codes[0][-1]}: {field.options[option]}" for codes, option in self._keys_of(field)]
         return "; ".join(parts)
+
+
+def _key_name(code: str) -> str:
+    return f"{code[5:].lower()} arrow" if code.startswith("Arrow") else code[-1]
+
+
+def _rest_value(field: PlottedField) -> float:
+    """What nobody commands: an option that does nothing, or else the first; 0 where the range holds it, or else its middle."""
+    if field.options:
+        return float(_option(field, _IDLE_WORDS) or 0)
+    return 0.0 if field.low <= 0.0 <= field.high else (field.low + field.high) / 2
 
 
 def _option(field: PlottedField, words: Sequence[str]) -> int | None:

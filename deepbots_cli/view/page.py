@@ -22,7 +22,7 @@ import numpy as np
 
 from deepbots_cli.diagnostics.render import render
 from deepbots_cli.errors import DeepbotsError, UsageError
-from deepbots_cli.frames import Triple, add, scaled
+from deepbots_cli.frames import Triple, add, roll_pitch_yaw, scaled
 from deepbots_cli.port import ZERO_VECTOR
 from deepbots_cli.runtime.overview import extent, follows_robot, shift_beside, view_around
 from deepbots_cli.view import panel, server
@@ -43,6 +43,7 @@ _PAUSE_AT_END_S = 1.5  # s of real time between the end of an episode and the ne
 _MAX_STEPPING_S = 0.1  # s; a world that is slower than real time still answers
 _WATCH_INTERVAL_S = 0.25  # s
 _DEBOUNCE_S = 0.3  # s without a change, after which the value of a parameter counts
+_STEERING_TIME = 0.3  # s of the episode, in which the effect of a key on the yaw is measured
 _MAX_SERIES = 8
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#8a8a8a", "#a58b00")
 """Of Okabe and Ito, which colour-blind people can tell apart; grey for black."""
@@ -257,7 +258,7 @@ class Page:
                 self._set_visible(what, box.value)
             return
         self._controls = controls
-        self._manual_input = ManualInput(layout.action)
+        self._manual_input = ManualInput(layout.action, turns_left=not isinstance(player, ReplayPlayer) and self._turns_left(player))
         self._agents = {
             f"{self._title(number)}: {name}" if len(players) > 1 else name: (number, name)
             for number, each in enumerate(players)
@@ -394,6 +395,21 @@ class Page:
         plot = self.server.gui.add_uplot((np.zeros(1),) * len(series), series, scales=scales, height=height, padding=room)
         return plot, values, worlds
 
+    def _turns_left(self, player: Player) -> bool:
+        """Whether a larger value of the range of A and D turns the robot to the left; begins the episode anew."""
+        robot = next(iter(player.env.world.robots), None)
+        ranges = [field.name for field in player.reader.layout.action if not field.options][:2]
+        if robot is None or not ranges:
+            return False
+        yaws = []
+        for value in (1.0, -1.0):
+            frame, player.manual_values = player.begin(self.seed, self.episode), {ranges[0]: 1.0, ranges[-1]: value}
+            while frame.ended_by is None and frame.time < _STEERING_TIME:
+                frame = player.step(by_hand=True)
+            yaws.append(roll_pitch_yaw(frame.links[robot.name, robot.model.root][1])[2])
+        player.begin(self.seed, self.episode)
+        return math.remainder(yaws[0] - yaws[1], math.tau) > 0.01
+
     def _add_drive(self) -> None:
         gui, layout, hand = self.server.gui, self.panels[0].player.reader.layout, self._manual_input
         gui.add_html(f"<div style='padding:0.3em 1em;font-size:0.85em'>Keys: {html.escape(hand.help())}. A gamepad works too.</div>")
@@ -405,8 +421,9 @@ class Page:
                 group = gui.add_button_group(field.name, field.options)
                 group.on_click(lambda event, f=field: self._command(f.name, f.options.index(event.target.value)))
             else:
-                ends = f"{field.text(field.low)} .. {field.text(field.high)}"
-                slider = gui.add_slider(field.name, min=-1.0, max=1.0, step=0.01, initial_value=0.0, hint=ends)
+                label = field.name if field.unit in ("", "1") else f"{field.name} ({field.unit})"
+                low, high, value = field.low, field.high, hand.base_values[field.name]
+                slider = gui.add_slider(label, min=low, max=high, step=(high - low) / 200, initial_value=value)
                 slider.on_update(lambda event, f=field: self._command(f.name, event.target.value))
         for name, bindings in list(hand.bindings.items())[:2]:
             for keys, sign in ((bindings[0].positive_keys, "+"), (bindings[0].negative_keys, "−")):

@@ -181,14 +181,10 @@ def _paint_path(draw: ImageDraw, project: Callable[[Triple], Point | None], play
 
 def _paint_rays(draw: ImageDraw, project: Callable[[Triple], Point | None], player: Player) -> None:
     for key, beams in player.reader.layout.sensor_rays.items():
-        origin, turn = player.frame.links[beams.part]
-        for start, way, free in zip(beams.starts, beams.directions, player.frame.rays[key], strict=True):
-            ends = [project(frames.add(origin, frames.rotate(turn, tuple(point)))) for point in (start, start + free * way)]
-            near = int(255 * max(0.0, 1.0 - free / beams.reach))
-            if None not in ends:
-                draw.line(
-                    [end for end in ends if end is not None], fill=(40 + near * 3 // 4, 150 - near // 2, 60, 230), width=_SUPERSAMPLING
-                )
+        for start, end in beams.lines(player.frame, key).tolist():
+            pixels = [pixel for pixel in (project(start[:3]), project(end[:3])) if pixel is not None]
+            if len(pixels) == 2:
+                draw.line(pixels, fill=(*map(int, start[3:]), 230), width=2 * _SUPERSAMPLING)
 
 
 def _paint_labels(draw: ImageDraw, project: Callable[[Triple], Point | None], player: Player, shot: Viewpoint) -> None:

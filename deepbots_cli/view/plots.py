@@ -18,7 +18,8 @@ from deepbots_cli.errors import MissingExtraError, RunError, UsageError
 from deepbots_cli.files import read_at_most
 from deepbots_cli.learning.episodes import read_log
 from deepbots_cli.learning.group import is_group
-from deepbots_cli.learning.run import RECORD_NAME, RunRecord, changed_settings, run_folders, short_settings
+from deepbots_cli.learning.listing import last_evaluation
+from deepbots_cli.learning.run import RECORD_NAME, EvaluationRecord, RunRecord, changed_settings, run_folders, short_settings
 from deepbots_cli.view.page import COLOURS
 
 if TYPE_CHECKING:
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
 
 SUFFIXES = (".png", ".svg")
 _MAX_CURVE_POINTS = 200  # of a curve
-_ENDING_BINS = 40  # of the endings
 _MAX_COLOURED_ENDINGS = 20  # that have a colour of their own
 _MAX_LOG_BYTES = 1 << 28  # of a log
 _LINE_STYLES = ("-", "--", "-.", ":")
@@ -40,7 +40,7 @@ Curve = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 @dataclass
 class TrainingLog:
-    """What is known of one training: curves; reward terms by name; the step and the ending of each episode. `group` is the scenario with
+    """What is known of one training: curves; reward terms and shares of endings by name. `group` is the scenario with
     its digest, `settings` are the values that `--set` changed, and `name` is what its line is called."""
 
     path: Path
@@ -51,7 +51,8 @@ class TrainingLog:
     successes: Curve | None = None
     evaluations: Curve | None = None
     terms: dict[str, Curve] = field(default_factory=dict)
-    endings: list[tuple[float, str]] = field(default_factory=list)
+    endings: dict[str, Curve] = field(default_factory=dict)
+    last_evaluation: EvaluationRecord | None = None
 
 
 def read_logs(paths: Sequence[str | Path], window: int = 100) -> list[TrainingLog]:
@@ -87,7 +88,12 @@ def _read_run(path: Path, window: int) -> TrainingLog:
         raise RunError(f"{path} holds no finished episode yet; plot it later")
     steps, successes = episodes.steps, episodes.successes
     log.returns = _averaged(steps, episodes.returns, window)
-    log.endings = list(zip(steps, episodes.endings, strict=True))
+    endings = episodes.endings.astype(str)
+    common = [name for name, _ in Counter(endings.tolist()).most_common(_MAX_COLOURED_ENDINGS)]
+    shares = {name or "unknown": endings == name for name in common} | {"others": ~np.isin(endings, common)}
+    log.endings = {name: _averaged(steps, share.astype(float), window) for name, share in shares.items() if share.any()}
+    if found := last_evaluation(path, record):
+        log.last_evaluation = found[1]
     log.successes = _averaged(steps, successes, window) if successes.any() else None
     if evaluations:
         log.evaluations = (np.array([line["steps"] for line in evaluations]), np.array([fmean(line["returns"]) for line in evaluations]))
@@ -209,8 +215,11 @@ def plot(logs: Sequence[TrainingLog], *, theme: str = "light") -> Figure:
         for log in members:
             if log.evaluations is not None:
                 returns.plot(*log.evaluations, "o", color=COLOURS[number], markersize=3, alpha=0.7)
-    for panel, title in ((returns, "return of training episodes; dots: evaluations"), (successes, "success rate of training episodes")):
-        style_panel(panel, title, theme, legend=panel is returns)
+            plot_last_evaluation(returns, successes, log, COLOURS[number])
+    marks = {"dots": any(log.evaluations for log in logs), "diamond": any(log.last_evaluation for log in logs)}
+    named = ", ".join(mark for mark, is_there in marks.items() if is_there)
+    style_panel(returns, f"return of training episodes{f'; {named}: evaluations' if named else ''}", theme)
+    style_panel(successes, "success rate of training episodes", theme, legend=False)
     successes.set_ylim(-0.03, 1.03)
     if not successes.lines:
         successes.remove()
@@ -225,7 +234,7 @@ def plot(logs: Sequence[TrainingLog], *, theme: str = "light") -> Figure:
             }
             plot_band(left, [log.terms[term] for log in members if term in log.terms], style)
         style_panel(left, f"{name}reward terms of an episode", theme)
-        plot_endings(right, [ending for log in members for ending in log.endings])
+        plot_endings(right, members)
         style_panel(right, f"{name}endings, share of episodes", theme)
     return figure
 
@@ -235,29 +244,42 @@ def plot_band(panel: Axes, curves: Sequence[Curve], style: Mapping[str, Any]) ->
     curves = [(steps, values) for steps, values in curves if len(steps)]
     if not curves:
         return
-    at = np.linspace(
-        max(steps[0] for steps, _ in curves), max(min(steps[-1] for steps, _ in curves), curves[0][0][0] + 1), _MAX_CURVE_POINTS
-    )
+    at = _common_steps(curves)
     rows = np.stack([np.interp(at, steps, values) for steps, values in curves])
     panel.plot(at, rows.mean(axis=0), linewidth=1.8, **style)
     if len(rows) > 1:
         panel.fill_between(at, rows.min(axis=0), rows.max(axis=0), color=style["color"], alpha=0.22, linewidth=0)
 
 
-def plot_endings(panel: Axes, endings: Sequence[tuple[float, str]]) -> None:
-    """How episodes end, as shares of those in equal parts of the training."""
-    if not endings:
+def plot_last_evaluation(returns: Axes | None, successes: Axes | None, log: TrainingLog, colour: str) -> None:
+    """A diamond at the end of the training, in the panel of returns and of success rates."""
+    last = log.last_evaluation
+    if last is None or log.returns is None:
         return
-    last = max(step for step, _ in endings)
-    common = {name for name, _ in Counter(ending for _, ending in endings).most_common(_MAX_COLOURED_ENDINGS)}
-    endings = [(step, ending if ending in common else "others") for step, ending in endings]
-    parts = [Counter[str]() for _ in range(_ENDING_BINS)]
-    for step, ending in endings:
-        parts[min(_ENDING_BINS - 1, int(_ENDING_BINS * step / max(last, 1.0)))][ending or "unknown"] += 1
-    names = [name for name, _ in Counter(ending or "unknown" for _, ending in endings).most_common()]
-    middles = [(number + 0.5) / _ENDING_BINS * last for number, part in enumerate(parts) if part]
-    shares = [[part[name] / part.total() for part in parts if part] for name in names]
-    panel.stackplot(middles, shares, labels=names, colors=[COLOURS[n % len(COLOURS)] for n in range(len(names))], alpha=0.85, linewidth=0)
+    for panel, value in ((returns, last.mean_return), (successes, last.success_rate if last.success_defined else None)):
+        if panel is not None and value is not None:
+            panel.plot(log.returns[0][-1], value, "D", color=colour, markersize=6, markeredgecolor="white", clip_on=False, zorder=3)
+
+
+def _common_steps(curves: Sequence[Curve]) -> NDArray[np.float64]:
+    """Timesteps at equal distances, as far as all curves go."""
+    first, last = max(steps[0] for steps, _ in curves), min(steps[-1] for steps, _ in curves)
+    return np.linspace(first, max(last, curves[0][0][0] + 1), _MAX_CURVE_POINTS)
+
+
+def plot_endings(panel: Axes, logs: Sequence[TrainingLog]) -> None:
+    """How episodes end, as moving shares, means over seeds."""
+    curves = [curve for log in logs for curve in log.endings.values()]
+    if not curves:
+        return
+    at, members = _common_steps(curves), [log.endings for log in logs if log.endings]
+    found = {
+        name: np.mean([np.interp(at, *endings[name]) if name in endings else np.zeros(len(at)) for endings in members], axis=0)
+        for name in {name: None for endings in members for name in endings}
+    }
+    names = sorted(found, key=lambda name: -found[name].sum())
+    colours = [COLOURS[number % len(COLOURS)] for number in range(len(names))]
+    panel.stackplot(at, [found[name] for name in names], labels=names, colors=colours, alpha=0.85, linewidth=0)
     panel.set_ylim(0, 1)
 
 

@@ -27,7 +27,7 @@ from deepbots_cli.port import ZERO_VECTOR, View
 from deepbots_cli.program.world import Colour, Line, WorldModel
 from deepbots_cli.robots.meshes import read_verified
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Geometry, Mesh, Pose, RobotModel, Sphere
-from deepbots_cli.view.frames import FrameLayout, LinkName, SensorRays, WorldFrame
+from deepbots_cli.view.frames import FrameLayout, LinkName, WorldFrame
 
 if TYPE_CHECKING:
     import viser
@@ -151,7 +151,6 @@ class WorldScene:
         self._nodes: dict[LinkName, Any] = {}
         self._variants: dict[tuple[str, str], Any] = {}
         self._labels: list[Any] = []
-        self._beams: dict[str, tuple[SensorRays, Any]] = {}
         self._dots: dict[LinkName, Any] = {}
         self._goals: dict[tuple[str, str], Any] = {}
         self.visible_parts = {
@@ -169,8 +168,6 @@ class WorldScene:
             self._build_robot(robot.name, robot.model)
         for thing in world.objects:
             self._build_object(thing.name, objects.forms_of(thing))
-        for key, beams in layout.sensor_rays.items():
-            self._build_beams(key, beams)
         line = np.zeros((1, 2, 3), np.float32)
         self._arrows = scene.add_arrows(
             f"{root}/pushes", line, np.array([[230, 120, 0]], np.uint8), shaft_radius=0.006 * size, head_radius=0.016 * size,
@@ -178,10 +175,12 @@ class WorldScene:
         )  # fmt: skip
         self._path = self._add_lines(f"{root}/path", line, thickness=3.0, visible=False)
         self._ways = self._add_lines(f"{root}/ways", line, visible=False)
+        self._rays = self._add_lines(f"{root}/rays", line, visible=len(layout.sensor_rays) > 0)
         self._followed = next((r.name for r in world.robots if not r.fixed_base), world.robots[0].name if world.robots else None)
         self._trail: list[tuple[float, float, float]] = []
         self._parts = list(self._nodes)
         self._now = self._before = self._sent = np.full((len(self._parts), 7), np.nan)
+        self._rays_now = self._rays_before = self._rays_sent = np.zeros((0, 2, 6), np.float32)
         self._frame: WorldFrame | None = None
 
     # Made once
@@ -234,14 +233,6 @@ class WorldScene:
             )
         self._label(part, name)
 
-    def _build_beams(self, key: str, beams: SensorRays) -> None:
-        body, link = beams.part
-        head, pose = rigid_groups(self._layout.robots[body])[link]
-        points = np.stack([beams.starts, beams.starts + beams.reach * beams.directions], 1).astype(np.float32)
-        name = f"{self._path_of((body, head))}/rays_{key.rpartition('.')[2]}"
-        lines = self._add_lines(name, points, position=pose[0], wxyz=wxyz(pose[1]))
-        self._beams[key] = (beams, lines)
-
     def _add_lines(self, name: str, points: Points, colour: int = 0, *, thickness: float = 2.0, **options: Any) -> Any:
         """Line segments (n, 2, 3), `thickness` in pixels."""
         colours = np.full(points.shape, colour, np.uint8)  # one colour for all lines, later replaced by an array, would hide them
@@ -291,8 +282,7 @@ class WorldScene:
             label.visible = self.visible_parts["names"]
         for (body, _), node in self._nodes.items():
             node.show_axes = self.visible_parts["axes"] and body in self._layout.robots
-        for _, lines in self._beams.values():
-            lines.visible = self.visible_parts["rays"]
+        self._rays.visible = self.visible_parts["rays"] and len(self._rays_now) > 0
         if self._frame is not None:
             self._mark(self._frame)
 
@@ -305,8 +295,11 @@ class WorldScene:
             found = frame.links.get(part)
             if found is not None:
                 rows[row, :3], rows[row, 3:] = found[0], wxyz(found[1])
+        self._rays_before = self._rays_now
+        if self._layout.sensor_rays:
+            self._rays_now = np.concatenate([beams.lines(frame, key) for key, beams in self._layout.sensor_rays.items()])
         if after_reset or self._frame is None:
-            self._before, self._trail = rows, []
+            self._before, self._trail, self._rays_before = rows, [], self._rays_now
         else:
             self._before = np.where(np.isnan(self._now) | np.isnan(rows), rows, self._now)
             opposite = (self._before[:, 3:] * rows[:, 3:]).sum(axis=1) < 0.0
@@ -329,6 +322,10 @@ class WorldScene:
             node = self._nodes[self._parts[row]]
             node.position, node.wxyz = rows[row, :3], rows[row, 3:]
         self._sent = rows
+        # In the world frame, and not in that of the link: a busy browser shows new lines late, and then rays would reach through walls.
+        rays = self._rays_before + share * (self._rays_now - self._rays_before)
+        if self._rays.visible and not np.array_equal(rays, self._rays_sent):
+            self._rays.points, self._rays.colors, self._rays_sent = rays[..., :3], rays[..., 3:].astype(np.uint8), rays
         if self._followed is not None:
             x, y, _ = rows[self._parts.index((self._followed, self._layout.robots[self._followed].root)), :3] - self._trail[0]
             shift = frames.add(self._place, (-x, -y, 0.0)) if self.follows else self._place
@@ -347,14 +344,7 @@ class WorldScene:
         lines.visible = bool(pieces)
 
     def _mark(self, frame: WorldFrame) -> None:
-        """Rays, contacts, pushes and the path."""
-        if self.visible_parts["rays"]:
-            for key, (beams, lines) in self._beams.items():
-                free = np.array(frame.rays[key])[:, None]
-                lines.points = np.stack([beams.starts, beams.starts + free * beams.directions], 1).astype(np.float32)
-                near = np.clip(1 - free / beams.reach, 0.0, 1.0)  # green where nothing is near, red where something is
-                colours = np.concatenate([20 + 200 * near, 150 - 110 * near, 60 - 20 * near], 1).astype(np.uint8)
-                lines.colors = np.repeat(colours[:, None], 2, axis=1)
+        """Contacts, pushes and the path."""
         self._mark_contacts(frame)
         self._mark_goal(frame)
         force = next(iter(frame.pushes), None)

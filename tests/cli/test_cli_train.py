@@ -7,12 +7,14 @@ import csv
 import json
 import os
 import pty
+import re
 import shutil
 import signal
 import subprocess
 import sys
 import threading
 import time
+import urllib.request
 from importlib.util import find_spec
 from io import StringIO
 from xml.etree import ElementTree
@@ -20,6 +22,7 @@ from xml.etree import ElementTree
 import pytest
 
 from deepbots_cli.cli import main
+from deepbots_cli.cli.commands.train import _page
 from tests.cli.conftest import Ran
 
 FAST = ("--set", "train.n_epochs=1")
@@ -65,6 +68,19 @@ def test_a_run_is_never_overwritten(deepbots, trained):
     ran = deepbots(*TINY, "--run", "mine")
     assert ran.code == 2
     assert "not overwritten" in ran.err
+
+
+def test_the_address_of_the_page_of_a_training_is_shown_once_it_can_be_opened(trained, tmp_path, capfd):
+    pytest.importorskip("viser")
+    with _page(wanted=True, allow_code=False) as show_page:
+        show_page(tmp_path / "mine")
+        found, end = None, time.monotonic() + 120
+        while found is None and time.monotonic() < end:
+            time.sleep(0.1)
+            found = re.search(r"http://\S+", capfd.readouterr().err)
+        assert found is not None
+        with urllib.request.urlopen(found[0]) as answer:
+            assert answer.status == 200
 
 
 def test_a_trained_run_can_be_evaluated_listed_filmed_and_gone_on_with(deepbots, trained, tmp_path):

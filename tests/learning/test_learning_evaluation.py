@@ -16,7 +16,7 @@ from deepbots_cli.api import Compiled, compile, make
 from deepbots_cli.cli.results import case_rows, evaluation_text, summary_text
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.expressions.dimensions import LENGTH
-from deepbots_cli.learning import TrainingResult, evaluate, evaluate_baselines, evaluate_cases, train
+from deepbots_cli.learning import TrainingResult, evaluate, evaluate_baselines, evaluate_cases, train, video
 from deepbots_cli.learning.episodes import Episode, Summary, by_drawn_value
 from deepbots_cli.learning.evaluation import solved_verdict
 from deepbots_cli.learning.report import to_json
@@ -127,6 +127,19 @@ def test_a_video_shows_the_first_episode(trained: TrainingResult, tmp_path: Path
     with imageio.get_reader(path) as reader:
         assert reader.get_meta_data()["fps"] == pytest.approx(31.25)
         assert reader.count_frames() == result.mean_length + 1
+
+
+def test_a_video_of_short_steps_shows_about_thirty_pictures_a_second(tmp_path: Path) -> None:
+    imageio = pytest.importorskip("imageio.v2")
+    world = stand_in.build(stand_in.compiled(max_steps=100).program, render_mode="rgb_array")
+    with video.recording_video(world, tmp_path / "out.mp4", 0.008) as filmed:
+        filmed.reset(seed=0)
+        for _ in range(7):
+            filmed.step(filmed.action_space.sample())
+    world.close()
+    with imageio.get_reader(tmp_path / "out.mp4") as reader:
+        assert reader.get_meta_data()["fps"] == pytest.approx(31.25)
+        assert reader.count_frames() == 1 + 7 // 4
 
 
 @pytest.mark.parametrize(("name", "reason"), [("out.avi", "mp4"), ("missing/out.mp4", "no directory")])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from contextlib import closing
@@ -11,12 +12,14 @@ import pytest
 
 pytest.importorskip("viser")
 import msgspec
+import numpy as np
 import viser
 from websockets.sync.client import connect
 
 import deepbots_cli.codegen
 from deepbots_cli.cli import main
 from deepbots_cli.errors import UsageError
+from deepbots_cli.frames import roll_pitch_yaw
 from deepbots_cli.view.episodes import HAND, Source
 from deepbots_cli.view.frames import PlottedField
 from deepbots_cli.view.manual_input import ManualInput
@@ -79,6 +82,53 @@ def test_keys_drive_and_let_go():
         page.step_once()
         assert page.player.frame.agents["agent"].action == pytest.approx((0.625, 0.0))
         assert "onward" in page._banner.content or page._compared_player.driver_name == "onward"
+
+
+@pytest.mark.parametrize("name", ["find_ball", "mine.yaml"])  # to the right is positive in one, and to the left in the other
+def test_the_right_arrow_turns_the_robot_to_the_right(tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", "mine", "--template", "wheeled"]) == 0
+    with closing(Page(Source(name), port=0, playing=True)) as page:
+        yaws = []
+        for key in ("ArrowRight", "ArrowLeft"):
+            page._begin()
+            (robot,), before = page.player.env.world.robots, page.player.frame.links
+            for _ in range(5):
+                page._manual_input.hold(frozenset({key}), ())
+                page.step_once()
+            one, other = (roll_pitch_yaw(links[robot.name, robot.model.root][1])[2] for links in (before, page.player.frame.links))
+            yaws.append(math.remainder(other - one, math.tau))
+        assert yaws[0] < -0.05
+        assert yaws[1] > 0.05
+
+
+def test_released_keys_give_zero_where_the_range_holds_it():
+    hand = ManualInput([PlottedField("gas", "gas", -0.3, 1.0, ""), PlottedField("turn", "turn", 0.5, 1.0, "rad")], turns_left=True)
+    assert hand.values() == pytest.approx({"gas": -0.35 / 0.65, "turn": 0.0})
+    assert hand.help() == "W / up arrow: more gas; S / down arrow: less gas; A / left arrow: more turn; D / right arrow: less turn"
+    for keys, axes, values in (
+        ({"KeyW", "KeyD"}, (), (1.0, -1.0)),
+        ({"KeyS", "KeyA"}, (), (-1.0, 1.0)),
+        (set(), (-0.5,), (-0.35 / 0.65, 0.5)),
+    ):
+        hand.hold(frozenset(keys), axes)
+        assert tuple(hand.values().values()) == pytest.approx(values)
+
+
+def test_rays_are_drawn_between_two_steps_as_the_robot_is():
+    with closing(Page(Source("find_ball"), port=0, driver="around")) as page:
+        ends = []
+        for _ in range(2):
+            page.step_once()
+            page.world.draw(1.0)
+            ends.append(page.world._rays.points.copy())
+        assert np.abs(ends[1] - ends[0]).max() > 1e-3
+        page.world.draw(0.25)
+        assert page.world._rays.points == pytest.approx(0.75 * ends[0] + 0.25 * ends[1], abs=1e-6)
+        frame, layout = page.player.frame, page.player.reader.layout
+        key = next(iter(layout.sensor_rays))
+        lines = layout.sensor_rays[key].lines(frame, key)
+        assert np.linalg.norm(lines[:, 1, :3] - lines[:, 0, :3], axis=1) == pytest.approx(frame.rays[key], abs=1e-6)
 
 
 def test_an_episode_that_was_driven_is_recorded_to_the_bit(tmp_path, monkeypatch):

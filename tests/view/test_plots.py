@@ -103,8 +103,32 @@ def test_reward_terms_of_scenarios_share_their_scale_and_no_place_is_left_for_un
 def test_endings_are_shares_of_episodes(runs):
     figure = plots.plot(plots.read_logs([runs / "a0"]))
     tops = [area.get_paths()[0].vertices[:, 1].max() for area in figure.axes[3].collections]
-    assert tops == [1.0, 1.0]
+    assert tops == pytest.approx([0.75, 1.0])
     assert [area.get_label() for area in figure.axes[3].collections] == ["crashed", "found"]
+
+
+def test_a_part_of_the_training_with_one_episode_is_no_spike_of_endings(runs):
+    lines = [f"1,10,0.1,{n},{n if n < 99 else 900 + n},0.1,{int(n == 99)},{'found' if n == 99 else 'crashed'}," for n in range(100)]
+    head = "r,l,t,episode,steps,simulated_hours,is_success,ended_by,stage"
+    (runs / "a0" / "monitor.csv").write_text("\n".join(['#{"t_start": 0}', head, *lines, ""]))
+    areas = plots.plot(plots.read_logs([runs / "a0"])).axes[3].collections
+    crashed = areas[0].get_paths()[0].vertices[:, 1]
+    assert [area.get_label() for area in areas] == ["crashed", "found"]
+    assert crashed[crashed > 0].min() == pytest.approx(0.99)
+
+
+def test_an_evaluation_after_the_training_is_a_diamond_and_dots_are_named_where_there_are_some(runs):
+    figure = plots.plot(plots.read_logs([runs / "a0"]))
+    assert figure.axes[0].get_title("left") == "return of training episodes; dots: evaluations"
+    (runs / "a0" / "evaluations" / "training.jsonl").unlink()
+    found = {"evaluated": "9", "model": "best", "seed": 0, "episodes": 9, "mean_return": 3.5, "return_interval": None,
+             "success_defined": True, "success_rate": 0.5, "success_interval": [0.1, 0.9], "solved": None}  # fmt: skip
+    (runs / "a0" / "evaluations" / "0001.json").write_text(json.dumps(found))
+    figure = plots.plot(plots.read_logs([runs / "a0"]))
+    returns, successes = figure.axes[:2]
+    assert returns.get_title("left") == "return of training episodes; diamond: evaluations"
+    assert returns.lines[-1].get_xydata().tolist() == [[40, 3.5]]
+    assert successes.lines[-1].get_xydata().tolist() == [[40, 0.5]]
 
 
 def test_files_of_other_programs_are_plotted(tmp_path, capsys):

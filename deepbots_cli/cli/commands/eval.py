@@ -253,6 +253,8 @@ def command(
         if not require_solved and len(several) == 1:
             bounds = possible_returns(with_case_or_stage(program, case, stage))
             until = partial(gates.decided, planned=episodes or usual, bounds=bounds)
+        if video is not None and not as_json:
+            terminal.note(f"{video} will show episode 0, which is drawn after the evaluation")
         with terminal.progress("episodes" if name is None else f"episodes in {name}", always=False) as show_episode:
             options = chosen | {"scenario": compiled, "engine": name, "on_episode": show_episode}
             result = evaluate(known, case=case, stage=stage, video_to=video, until=until, **options)

@@ -6,10 +6,11 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from shlex import quote
+from threading import Thread
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -189,18 +190,18 @@ def _announce(program: Program, seeds: str, timesteps: int | None, *, full: bool
 def _page(*, wanted: bool, allow_code: bool) -> Iterator[Callable[[Path], None]]:
     """Yield a function that shows a run in the browser, where this is wanted; the page ends with the block.
 
-    It is a process of its own with a low priority, so that the training does not wait for it.
+    It is a process of its own, so that the training does not wait for it, and has a low priority once it serves its address: on a busy
+    machine, a page that began with a low priority served none for 40 s.
     """
     if wanted and find_spec("viser") is None:
         raise MissingExtraError("view", "a page in the browser")
-    started: list[subprocess.Popen[bytes]] = []
+    started: list[subprocess.Popen[str]] = []
 
     def show(run: Path) -> None:
         if wanted:
             command = [sys.executable, "-m", "deepbots_cli", "view", str(run), *(["--allow-code"] if allow_code else [])]
-            started.append(subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=sys.stderr))
-            if hasattr(os, "setpriority"):
-                os.setpriority(os.PRIO_PROCESS, started[0].pid, 15)
+            started.append(subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True))
+            Thread(target=_await_page, args=(started[0],), daemon=True).start()
 
     try:
         yield show
@@ -208,6 +209,17 @@ def _page(*, wanted: bool, allow_code: bool) -> Iterator[Callable[[Path], None]]
         for process in started:
             process.kill()  # which, unlike SIGTERM, it does not report
             process.wait()
+
+
+def _await_page(page: subprocess.Popen[str]) -> None:
+    """Show the address of a page once it serves it, and lower its priority."""
+    assert page.stdout is not None
+    print(page.stdout.readline(), end="", file=sys.stderr, flush=True)
+    if hasattr(os, "setpriority"):
+        threads = Path(f"/proc/{page.pid}/task")  # in Linux, the priority of a process is that of its first thread
+        with suppress(OSError):  # it has ended
+            for thread in [int(each.name) for each in threads.iterdir()] if threads.is_dir() else [page.pid]:
+                os.setpriority(os.PRIO_PROCESS, thread, 15)
 
 
 def _announce_seed(seed: int, number: int, count: int) -> None:
