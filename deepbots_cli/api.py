@@ -88,6 +88,10 @@ def locate(source: str | Path) -> tuple[Path, str]:
         return path, str(source)
     if found is not None:
         return found, found.name
+    written = [path.with_name(path.name + ending) for ending in (".yaml", ".yml")]
+    beside = next((str(file) for file in written if file.is_file()), None)
+    if beside is not None:
+        raise UsageError(f"no file or shipped scenario is called '{source}'; did you mean {beside}?")
     names = shipped.scenario_names()
     near = nearest_word(Path(source).stem, names)
     hint = f"did you mean {near}? (`deepbots list` shows all)" if near else f"the shipped scenarios are: {', '.join(names)}"

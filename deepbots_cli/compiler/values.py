@@ -202,7 +202,15 @@ class ValueReader:
     def report(self, text: SourceText) -> FindingReporter:
         """A function that takes findings at offsets of `text`."""
 
-        def report(code: str, start: int, end: int, headline: str, help: str | None = None, replacement: Replacement | None = None) -> None:
+        def report(
+            code: str,
+            start: int,
+            end: int,
+            headline: str,
+            help: str | None = None,
+            replacement: Replacement | None = None,
+            names: Sequence[str] = (),
+        ) -> None:
             span, piece = text.part(start, end), text.text[start:end]
             if code == "DB502" and any(found.code == "DB106" and found.span == span for found in self.findings):
                 return  # what to write instead of too few numbers shows the unit
@@ -210,7 +218,9 @@ class ValueReader:
             if word and not (help or "").startswith("did you mean"):
                 help, replacement = f"did you mean `{word}`? {help}", Replacement(word, safe=False)
             fix = Fix.replacing(span, piece, replacement.text, safe=replacement.safe) if replacement else None
-            self.findings.add(code, span, headline, help=help, fix=fix)
+            written = [("parameters", name) for name in names if self.is_present(("parameters", name))]
+            labels = tuple(Label(self.span(path), f"`{path[1]}` is set here") for path in written)
+            self.findings.add(code, span, headline, help=help, labels=labels, fix=fix)
 
         return report
 

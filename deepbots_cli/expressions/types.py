@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from enum import Enum, IntEnum, StrEnum
 from typing import NamedTuple, Protocol
 
@@ -172,10 +172,20 @@ class Scope(Protocol):
 
 
 class FindingReporter(Protocol):
-    """Takes a finding at the offsets `[start, end)` of the text; `meant` is the text to write there instead."""
+    """Takes a finding at the offsets `[start, end)` of the text.
+
+    `replacement` is the text to write there instead, `names` are the named values that probably cause the finding.
+    """
 
     def __call__(
-        self, code: str, start: int, end: int, headline: str, help: str | None = None, replacement: Replacement | None = None
+        self,
+        code: str,
+        start: int,
+        end: int,
+        headline: str,
+        help: str | None = None,
+        replacement: Replacement | None = None,
+        names: Sequence[str] = (),
     ) -> None: ...
 
 

@@ -6,7 +6,7 @@ Truth with truth, dimension with dimension, component with component. What does 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import wraps
 from typing import ParamSpec, TypeVar
 
@@ -43,10 +43,16 @@ class StopChecking(Exception):  # noqa: N818 - no error: it carries nothing
 
 
 def report_at(
-    report: FindingReporter, code: str, place: Place, headline: str, help: str | None = None, replacement: Replacement | None = None
+    report: FindingReporter,
+    code: str,
+    place: Place,
+    headline: str,
+    help: str | None = None,
+    replacement: Replacement | None = None,
+    names: Sequence[str] = (),
 ) -> StopChecking:
     """Report a finding about a node; the caller raises the result."""
-    report(code, place.start, place.end, headline, help, replacement)
+    report(code, place.start, place.end, headline, help, replacement, names)
     return StopChecking()
 
 
@@ -101,10 +107,10 @@ def dimension_of(values: Sequence[Typed], place: Place, report: FindingReporter)
             continue
         if is_bare_number(value):
             raise missing_unit(value, first.type.dimension, report)
-        help = "both sides need the same dimension; divide by a unit to get a plain number"
-        raise report_at(
-            report, "DB503", place, f"{first.type.description} is combined with {value.type.description}", _plain_name(first, value) or help
-        )
+        help, names = _plain_names(first, value)
+        help = help or "both sides need the same dimension; divide by a unit to get a plain number"
+        headline = f"{first.type.description} is combined with {value.type.description}"
+        raise report_at(report, "DB503", place, headline, help, names=names)
     return first.type.dimension
 
 
@@ -114,8 +120,9 @@ def require_dimension(value: Typed, dimension: Dimension, what: str, report: Fin
         return
     if is_bare_number(value):
         raise missing_unit(value, dimension, report, unit)
-    help = _plain_name(value) or _remedy(value, dimension)
-    raise report_at(report, "DB503", value, f"{what} must be {dimension.description}; this is {value.type.description}", help)
+    help, names = _plain_names(value)
+    headline = f"{what} must be {dimension.description}; this is {value.type.description}"
+    raise report_at(report, "DB503", value, headline, help or _remedy(value, dimension), names=names)
 
 
 def missing_unit(value: Typed | TypedRange, dimension: Dimension, report: FindingReporter, unit: str | None = None) -> StopChecking:
@@ -133,13 +140,23 @@ def missing_unit(value: Typed | TypedRange, dimension: Dimension, report: Findin
     return report_at(report, "DB502", value, f"a number without unit where {dimension.description} is needed", help)
 
 
-def _plain_name(*values: Typed) -> str | None:
-    """A hint for a plain number that comes from a name: its definition probably lacks a unit."""
-    for value in values:
-        if isinstance(value, Reference) and value.symbol.value is not None and value.type.dimension == NUMBER:
-            known = " ".join(f"{number:g}" for number in value.symbol.value)
-            return f"`{value.symbol.name}` is {known}, a plain number; if it has a unit, write the unit where you set it (file or `--set`)"
-    return None
+def _plain_names(*values: Typed) -> tuple[str | None, list[str]]:
+    """A hint for plain numbers that come from names, and the names: a definition probably lacks a unit."""
+    found = {name: text for value in values if value.type.dimension == NUMBER for name, text in _plain_parts(value)}
+    if not found:
+        return None, []
+    known = " and ".join(f"`{name}` is {text}, a plain number" for name, text in found.items())
+    it = "it has" if len(found) == 1 else "one of them has"
+    return f"{known}; if {it} a unit, write the unit where you set it (file or `--set`)", list(found)
+
+
+def _plain_parts(value: Typed) -> Iterator[tuple[str, str]]:
+    """The named fixed numbers in a sum or product of plain numbers."""
+    if isinstance(value, Reference) and value.symbol.value is not None and value.type.dimension == NUMBER:
+        yield value.symbol.name, " ".join(f"{number:g}" for number in value.symbol.value)
+    elif isinstance(value, Operation) and value.operator in ("add", "sub", "mul", "div", "neg"):
+        for part in value.args:
+            yield from _plain_parts(part)
 
 
 def _remedy(value: Typed, needed: Dimension) -> str:

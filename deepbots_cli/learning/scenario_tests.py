@@ -197,7 +197,8 @@ def _over_episodes(program: Program, test: ScenarioTest, done: Sequence[Episode]
                 ]
                 share = sum(counted) / len(done)
                 if not expected.low <= share <= expected.high:
-                    yield _miss(expected, f"{sum(counted)} of {len(done)} episodes ({share:.4g})", counted.index(share > expected.high))
+                    words = f"{sum(counted)} of {len(done)} episodes ({100 * share:.3g} %)"
+                    yield _miss(expected, words, counted.index(share > expected.high))
             case "mean_return":
                 mean = fmean(returns)
                 if not expected.low <= mean <= expected.high:

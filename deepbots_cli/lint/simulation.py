@@ -441,6 +441,8 @@ class Simulation(RuleContext):
         self.is_complete = report.done and report.stop is None
         """Whether nothing stopped the simulation, so that absence of an event means something."""
         self.robot_names = tuple(robot.name for robot in program.robots)
+        self.walls = {piece: name for name, pieces in namespace.walls.items() if pieces != ARENA_WALLS for piece in pieces}
+        """The name of the wall that each piece, such as `bay 1`, belongs to."""
 
     @cached_property
     def numbers(self) -> tuple[MeasuredNumber, ...]:
@@ -468,6 +470,8 @@ class Simulation(RuleContext):
             path = ("world", "arena")
         elif base == GROUND:
             path = ("world", "terrain" if self.program.world.terrain else "ground")
+        elif wall := self.walls.get(base):
+            path = ("world", "walls", wall)
         else:
             path = ("world",) if name else ("robots", next(iter(self.robot_names), ""))
         return self.values.key_span(path)
@@ -481,6 +485,11 @@ class Simulation(RuleContext):
         return self.values.key_span(tuple((place.owner or f"reset.place.{place.body}").split(".")))
 
     # Words
+
+    def called(self, body: str) -> str:
+        """The name of a body in a sentence; a wall of one piece has the name that the scenario gives it."""
+        wall = self.walls.get(body, body)
+        return wall if list(self.walls.values()).count(wall) == 1 else body
 
     def when(self, where: SimulationPosition | None = None) -> str:
         """The progress of the simulation, for a note."""

@@ -391,18 +391,20 @@ def spawn_overlap(simulation: Simulation) -> Iterator[Finding]:
 def _overlapping(simulation: Simulation, found: Overlap) -> Finding:
     """Reported at the body that the scenario places, a robot first."""
     one, other = sorted((found.one, found.other), key=lambda part: _order(simulation, part[0]))
+    first, second = simulation.called(one[0]), simulation.called(other[0])
     depth = f"{found.depth * 1000:.3g} mm"
     span = simulation.placement(one[0]) or simulation.body_span(one[0])
-    notes = (f"link `{one[1]}` meets `{other[1]}`, in the reset with seed {found.seed}; {simulation.plan.resets} seeds were simulated",)
+    met = f"link `{one[1]}` meets `{simulation.called(other[1])}`"
+    notes = (f"{met}, in the reset with seed {found.seed}; {simulation.plan.resets} seeds were simulated",)
     if other[0] == GROUND:
-        headline = f"`{one[0]}` begins {depth} below the surface of the ground"
+        headline = f"`{first}` begins {depth} below the surface of the ground"
         help = f"place it {depth} higher, or leave `z` out to let it rest on the ground"
         also = (Label(simulation.body_span(other[0]), "the ground"),) if simulation.program.world.terrain else ()
     else:
-        headline = f"`{one[0]}` and `{other[0]}` overlap by {depth} at the start"
+        headline = f"`{first}` and `{second}` overlap by {depth} at the start"
         help = "place them apart, or in a `region`, which finds free positions"
         there = simulation.placement(other[0]) or simulation.body_span(other[0])
-        also = (Label(there, f"`{other[0]}` begins here"),)
+        also = (Label(there, f"`{second}` begins here"),)
     return Finding("DB310", span, headline, help=help, notes=notes, labels=also)
 
 

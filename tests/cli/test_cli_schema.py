@@ -68,6 +68,12 @@ def test_a_scenario_that_there_is_not_is_wrong_usage(deepbots):
     assert ran.err.startswith("error: no file or shipped scenario is called")
 
 
+def test_a_scenario_file_without_its_ending_is_suggested(deepbots):
+    Path("park.yaml").write_text("deepbots: 1\n")
+    for verb in ("run", "lint", "schema --for"):
+        assert "; did you mean park.yaml?" in deepbots(*verb.split(), "park").err
+
+
 def test_of_a_scenario_that_comes_with_deepbots_no_line_is_to_be_changed(deepbots):
     ran = deepbots("schema", "--for", "cartpole", "-o", "s.json")
     assert (ran.code, ran.out, ran.err) == (0, "", "")

@@ -89,8 +89,8 @@ def test_an_expectation_that_is_met_passes(small, test: str) -> None:
         ("eventually: driven < -1 mm", "never in 8 steps (0.16 s); at the end, driven is 0.00"),
         ("ends_by: back", "ended by `there` after 8 steps (0.16 s); in 2 of 2 episodes; seed 0, episode 0"),
         ("ends_by: max_steps", "ended by `there` after 8 steps"),
-        ("failure_rate: 50 %", "0 of 2 episodes (0)"),
-        ("success_rate: 0 .. 0.5", "2 of 2 episodes (1)"),
+        ("failure_rate: 50 %", "0 of 2 episodes (0 %)"),
+        ("success_rate: 0 .. 0.5", "2 of 2 episodes (100 %)"),
         ("mean_return: 17 .. 20", "16 over 2 episodes, the lowest is 16; seed 0, episode 0"),
     ],
 )

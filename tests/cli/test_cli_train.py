@@ -55,6 +55,12 @@ def test_a_training_ends_with_a_verdict_and_what_to_do_next(trained, tmp_path):
     assert json.loads((tmp_path / "mine" / "run.json").read_text())["status"] == "finished"
 
 
+def test_a_solved_task_is_to_be_seen_and_used_and_not_trained_twice_as_long(deepbots):
+    ran = deepbots(*TINY, "--run", "mine", "--set", "solved={mean_return: 1, episodes: 4}")
+    assert ran.err.split("next:")[1].split("\n")[1:4] == ["  deepbots view mine", "  deepbots report mine", "  deepbots export mine"]
+    assert "--resume" not in ran.err
+
+
 def test_the_next_commands_can_be_pasted_though_the_path_has_blanks(deepbots, tmp_path):
     ran = deepbots(*TINY, "--run", "my läufe/a b")
     assert "deepbots eval 'my läufe/a b' --video 'a b.mp4'" in ran.err

@@ -149,3 +149,13 @@ def test_a_pose_with_a_wrong_value_is_one_finding_and_not_an_unknown_name_wherev
     with pytest.raises(ScenarioError) as refused:
         api.compile("quadruped", overrides=['robots.dog.poses.stand={"*_joint": 45 cm}'])
     assert [finding.headline for finding in refused.value.findings] == ["`*_joint` must be an angle (rad); this is a length (m)"]
+
+
+def test_a_parameter_without_unit_in_a_product_is_named_with_the_line_that_sets_it(workshop, cartpole) -> None:
+    (finding,) = workshop.lint(cartpole(("wheel_speed: 5 rad/s", "wheel_speed: 5")))
+    assert finding.code == "DB503"
+    assert finding.help is not None
+    assert finding.help.startswith("`wheel_speed` is 5, a plain number")
+    (label,) = finding.labels
+    assert label.text == "`wheel_speed` is set here"
+    assert label.span.text == "5"

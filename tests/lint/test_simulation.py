@@ -104,3 +104,10 @@ def test_costly_scenarios_are_given_fewer_steps() -> None:
     usual, costly = (simulation_plan(api.load("pit_escape", overrides=overrides).program) for overrides in ([], ["world.substeps=100"]))
     assert costly.enough < usual.enough
     assert max(rollout.steps for rollout in costly.rollouts) < max(rollout.steps for rollout in usual.rollouts)
+
+
+def test_a_wall_of_one_piece_goes_by_its_own_name(probed: Probed) -> None:
+    (found,) = probed("world: {walls: {barrier: {points: [0 -0.3 m, 0 0.3 m], height: 15 cm}}}\n")
+    assert found.code == "DB310"
+    assert found.headline.startswith("`cart` and `barrier` overlap")
+    assert [label.span.text for label in found.labels] == ["barrier"]

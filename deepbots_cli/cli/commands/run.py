@@ -85,6 +85,9 @@ def command(
 
     The result shows the returns, the reward terms and the endings of a scenario before any training.
 
+    For the same seed, episode K starts differently in `run` than in `test`, `eval`, `view`, `picture` and `record`, which use held-out
+    starts. `deepbots view SCENARIO --script NAME --seed N --episode K` shows held-out episode K.
+
     \b
       deepbots run cartpole
       deepbots run cartpole --policy zero --episodes 1

@@ -276,6 +276,9 @@ def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, allow_code: b
     terminal.print_result("")
     show(evaluation, cases)
     run, film, logs = (quote(str(path)) for path in (result.run, f"{result.run.name}.mp4", result.run / "tensorboard"))
+    if evaluation.solved:
+        terminal.note(f"\nnext:\n  deepbots view {run}\n  deepbots report {run}\n  deepbots export {run}")
+        return
     terminal.note(
         "\nnext:\n" + (f"  deepbots diagnose {run}\n" if evaluation.solved is False else "") + f"  deepbots eval {run} --video {film}\n"
         f"  deepbots train --resume {run} --timesteps {2 * max(result.steps, result.total_timesteps)} --full\n"
