@@ -56,9 +56,10 @@ def beyond_engine(context: RuleContext) -> Iterator[Finding]:
     """DB316: the physics engine is not installed, or does not support a part of the world.
 
     The rule applies if `world.engine` or `--engine` names the engine. PyBullet has builds up to Python 3.11; later versions of Python use
-    MuJoCo. MuJoCo uses the convex hull of a mesh, so a mesh cannot be the ground.
+    MuJoCo. MuJoCo uses the convex hull of a mesh, so a mesh cannot be the ground. MuJoCo refuses an inertia that no rigid body can have.
     """
-    terrain, kind = context.program.world.terrain, ENGINES.get(context.program.engine or "")
+    world, kind = context.program.world, ENGINES.get(context.program.engine or "")
+    terrain = world.terrain
     if kind is None:
         return
     if not kind.is_installed and any(other.is_installed for other in ENGINES.own.values()):
@@ -66,6 +67,13 @@ def beyond_engine(context: RuleContext) -> Iterator[Finding]:
         yield Finding("DB316", context.values.span(("world", "engine")), headline, help=kind.remedy)
     if kind.mesh_terrain is not None and terrain is not None and isinstance(terrain.shape, Mesh):
         yield Finding("DB316", context.values.span(("world", "terrain", "file")), kind.mesh_terrain.reason, help=kind.mesh_terrain.help)
+    if kind.implausible_inertia is not None:
+        reason, help = kind.implausible_inertia
+        for robot in world.robots:
+            for link in robot.model.links:
+                if link.inertial is not None and link.inertial.is_stated and not link.inertial.is_plausible:
+                    span = context.values.key_span(("robots", robot.name))
+                    yield Finding("DB316", span, f"link `{link.name}` {reason}", help=help)
 
 
 def odd_scale(context: RuleContext) -> Iterator[Finding]:
