@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from deepbots_cli.api import Compiled
     from deepbots_cli.learning import EvaluationResult, GroupResult
     from deepbots_cli.learning.episodes import Episode, Interval
+    from deepbots_cli.learning.evaluation import StopCondition
     from deepbots_cli.learning.statistics import Verdict
     from deepbots_cli.program import Program
 
@@ -249,10 +250,7 @@ def command(
         program = known.program if compiled is None else compiled.program
         gates.check(program)
         usual = program.evaluation.episodes if case is None else program.case(case).episodes
-        until = None
-        if not require_solved and len(several) == 1:
-            bounds = possible_returns(with_case_or_stage(program, case, stage))
-            until = partial(gates.decided, planned=episodes or usual, bounds=bounds)
+        until = gates.stop_condition(with_case_or_stage(program, case, stage), episodes or usual) if len(several) == 1 else None
         if video is not None and not as_json:
             terminal.note(f"{video} will show episode 0, which is drawn after the evaluation")
         with terminal.progress("episodes" if name is None else f"episodes in {name}", always=False) as show_episode:
@@ -413,6 +411,10 @@ class Gates:
         """Whether every requirement is certainly met, or one certainly not."""
         answers = [verdict.met for _, verdict in self.verdicts(episodes, planned, bounds)]
         return bool(answers) and (False in answers or None not in answers)
+
+    def stop_condition(self, program: Program, planned: int) -> StopCondition | None:
+        """Whether the episodes so far decide every requirement of a number; None if all planned episodes are needed."""
+        return None if self.solved else partial(self.decided, planned=planned, bounds=possible_returns(program))
 
     def requirements(self, result: EvaluationResult, planned: int) -> list[Requirement]:
         """The answers for a run; a requirement that another one has left undecided is left out."""
