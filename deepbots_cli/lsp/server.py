@@ -490,7 +490,7 @@ class Server(LanguageServer):
 
     def shutdown(self) -> None:
         """Close the connection too: pygls leaves it open, and asyncio waits for it from Python 3.12 on."""
-        super().shutdown()
+        super().shutdown()  # type: ignore[no-untyped-call]
         if isinstance(self.protocol.writer, asyncio.StreamWriter):
             self.protocol.writer.close()
 
