@@ -192,6 +192,7 @@ class DistanceField:
         blocked = self._outside.copy()
         for patch in solids:
             self._block(blocked, patch, radius)
+        self._goal = goal
         away = np.hypot(self._x - goal[0], (self._y - goal[1])[:, None])
         self._unit = max(1.0, self.cell * MAX_CELLS / _WIDE_AREA_M)
         self._step = self.cell / self._unit
@@ -250,7 +251,7 @@ class DistanceField:
         return length * self._unit + self.cell * hypot(column - inside_column, row - inside_row)
 
     def path(self, x: float, y: float) -> list[Spot]:
-        """A place and the nodes of a shortest way from it to the goal, m; the place alone if no way begins there."""
+        """A place, the nodes of a shortest way from it, and the goal, m; the place alone if no way begins there."""
         points = [(x, y)]
         column = min(max(round((x - self._left) / self.cell), 0), self._columns - 1) + MARGIN_CELLS
         row = min(max(round((y - self._low) / self.cell), 0), self._rows - 1) + MARGIN_CELLS
@@ -261,7 +262,7 @@ class DistanceField:
             nodes = [(row + sign * up, column + sign * aside, hypot(up, aside)) for up, aside in _MOVES for sign in (1, -1)]
             misfit, row, column = min((abs(self._found[i, j] + self._step * LENGTH_SCALE * move - here), i, j) for i, j, move in nodes)
             if misfit > 1e-6 or self._found[row, column] >= here:
-                break
+                return [*points, self._goal]
         return points
 
     def reaches(self, x: float, y: float) -> bool:

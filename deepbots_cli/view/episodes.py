@@ -45,10 +45,6 @@ class Source:
     worlds: int = 0
     """Of a batch; 0 for a single world."""
 
-    @property
-    def is_run(self) -> bool:
-        return (Path(self.reference) / "run.json").exists()
-
     def open(self) -> SourceState:
         """Compile it; findings are returned and not raised.
 
@@ -58,7 +54,7 @@ class Source:
         if self.reference.endswith(".mcap"):
             return self._open_recording()
         run: Run | None = None
-        if self.is_run:
+        if (Path(self.reference) / "run.json").exists():
             from deepbots_cli.learning.run import Run
 
             run = Run.open(self.reference)

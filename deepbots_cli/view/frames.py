@@ -276,6 +276,7 @@ class FrameReader:
             seen, done = (value_of_row(observation, row), value_of_row(action, row)) if several else (observation, action)
             self._returns[name] = self._returns.get(name, 0.0) + agent.reward if env.step_count else 0.0
             agents[name] = self._agent(agent, seen, done, self._returns[name])
+        images = {key: camera.reading for key, camera in self._cameras.items()}
         return WorldFrame(
             step=env.step_count,
             time=env.step_count * env.scenario.period,
@@ -287,7 +288,7 @@ class FrameReader:
             pushes=tuple((part, force) for part, push in self._pushes if (force := push.acting) != ZERO_VECTOR),
             variants=self._variants | {body: variant.name for body, variant in chosen.items() if body in self._variants},
             messages={key: tap.message(channel) for key, (channel, tap) in self._message_recorders.items()},
-            cameras={key: _image(camera.reading) for key, camera in self._cameras.items()},
+            cameras={key: np.asarray(seen[0] if isinstance(seen, list | tuple) else seen) for key, seen in images.items()},
             drawn={
                 f"{name}/{key}" if several else key: value
                 for name, agent in env.agents.items()
@@ -328,10 +329,6 @@ class FrameReader:
             float(next(choices)) if f.options else (f.low + f.high) / 2 + (f.high - f.low) / 2 * min(1.0, max(-1.0, next(ranges)))
             for f in self.layout.action
         )
-
-
-def _image(reading: Any) -> Image:
-    return np.asarray(reading[0] if isinstance(reading, list | tuple) else reading)
 
 
 def value_of_row(value: Any, row: int) -> Any:

@@ -200,9 +200,8 @@ def _paint_labels(draw: ImageDraw, project: Callable[[Triple], Point | None], pl
     for side, column in enumerate(columns):
         column.sort(key=lambda entry: entry[0][1])
         line = min(_LABEL_SPACING_PX, (shot.height - 10) / max(1, len(column)))
-        top = min(
-            max(5.0, float(np.mean([y for (_, y), _ in column] or [0.0])) - line * len(column) / 2), shot.height - 5 - line * len(column)
-        )
+        middle = float(np.mean([y for (_, y), _ in column] or [0.0]))
+        top = min(max(5.0, middle - line * len(column) / 2), shot.height - 5 - line * len(column))
         for row, (pixel, text) in enumerate(column):
             y = top + row * line
             width = draw.textlength(text, font=_font())

@@ -93,13 +93,10 @@ def _hash(*parts: bytes) -> str:
     return digest.hexdigest()[:32]
 
 
-def _arrays(value: Any) -> list[bytes]:
-    return [np.asarray(part).tobytes() for part in (value.values() if isinstance(value, dict) else [value])]
-
-
 def observation_hash(observation: Any) -> str:
     """What `/step` keeps of an observation."""
-    return _hash(*_arrays(observation))
+    parts = observation.values() if isinstance(observation, dict) else [observation]
+    return _hash(*(np.asarray(part).tobytes() for part in parts))
 
 
 class TopicEncoder:

@@ -153,15 +153,8 @@ class WorldScene:
         self._labels: list[Any] = []
         self._dots: dict[LinkName, Any] = {}
         self._goals: dict[tuple[str, str], Any] = {}
-        self.visible_parts = {
-            "rays": True,
-            "contacts": True,
-            "goal": True,
-            "shortest path": True,
-            "path": False,
-            "names": False,
-            "axes": False,
-        }
+        shown, hidden = ("rays", "contacts", "goal", "shortest path"), ("path", "names", "axes")
+        self.visible_parts = dict.fromkeys(shown, True) | dict.fromkeys(hidden, False)
         """What a person may show and hide. `shortest path` is that of `path_distance`, `path` the one that the robot took."""
         self._build_surroundings(world)
         for robot in world.robots:
