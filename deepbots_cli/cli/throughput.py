@@ -16,6 +16,7 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.tables import table
 from deepbots_cli.errors import UsageError
+from deepbots_cli.scenario.fields import counted_noun
 
 BATCH = "batch"
 MIN_STEPS = 60
@@ -70,7 +71,7 @@ def measure(compiled: Compiled, engines: list[str], worlds: list[int], *, steps:
     """Time about `steps` steps of worlds with random actions, resets included, for each engine in turn, `rounds` times."""
     cases = [(name, count) for name in engines for count in (worlds if name == BATCH else [1])]
     found: dict[tuple[str, int], list[Row]] = {case: [] for case in cases}
-    terminal.note(f"measuring {rounds} rounds of {steps:,} steps, and at least {MIN_STEPS} of each world of a batch")
+    terminal.note(f"measuring {counted_noun(rounds, 'round')} of {steps:,} steps, and at least {MIN_STEPS} of each world of a batch")
     with terminal.progress("measurements") as show:
         tell = show or (lambda _done, _all: None)
         for number in range(rounds):
@@ -100,7 +101,8 @@ def text(name: str, rows: list[Row], rounds: int) -> str:
         }
         for row in rows
     ]
-    return f"{name}, random actions, medians of {rounds} rounds; CPU times are per step of one world\n{table(shown)}"
+    measured = "one round" if rounds == 1 else f"medians of {rounds} rounds"
+    return f"{name}, random actions, {measured}; CPU times are per step of one world\n{table(shown)}"
 
 
 def _single(compiled: Compiled, engine: str, steps: int, seed: int) -> Row:

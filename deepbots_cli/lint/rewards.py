@@ -116,10 +116,16 @@ class _PoleSearch:
         return [self.ranges.of(part) for part in self._analysis.lowered(node, value.owner)]
 
     def _may_be_zero(self, value: Expression, node: Typed) -> bool:
-        """Whether a divisor may be zero; one between two finite bounds is DB405."""
+        """Whether a divisor may be zero; one whose type has two finite bounds is DB405.
+
+        The ranges known here are narrower than that of the type: `step` ends at the time limit.
+        """
         for part in self._analysis.lowered(node, value.owner):
-            known = self.ranges.of(part)
-            if 0.0 in known and not known.is_finite and self._guarded.isdisjoint(map(self._analysis.identity, walk(part))):
+            if (
+                0.0 in self.ranges.of(part)
+                and not node.type.interval.is_finite
+                and self._guarded.isdisjoint(map(self._analysis.identity, walk(part)))
+            ):
                 return True
         return False
 

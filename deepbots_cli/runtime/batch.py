@@ -1,8 +1,9 @@
 """The supervisor of a batch: many worlds of one scenario, acted on, observed and scored as arrays.
 
-Each world of a batch is a single world with its supervisor, which begins its episodes. Generated code for a batch does what
-happens in each step over columns, one number per world in each. It takes over what an episode begins with from the single world: what
-functions remember, drawn parameters, readings. What has no form over columns is asked of the single worlds in turn (`PerWorldCall`).
+Each world of a batch is a single world with its supervisor, which resets it. Generated code for a batch computes each step over
+columns, arrays with one number per world. When an episode begins, the batch copies the state of the single world into the columns:
+memories of functions, drawn parameters, readings. A function without a form over columns is called in each single world in turn
+(`PerWorldCall`).
 """
 
 from __future__ import annotations

@@ -174,6 +174,17 @@ def test_no_reference_leads_out_of_the_project(tmp_path: Path, reference: str) -
     assert len(document.sources) == 1
 
 
+def test_a_symbolic_link_that_leads_outside_is_called_one(tmp_path: Path) -> None:
+    (tmp_path / "secret.yaml").write_text("password: 1\n")
+    path = write(tmp_path / "project", main="extends: link.yaml\n")
+    (tmp_path / "project" / "link.yaml").symlink_to(tmp_path / "secret.yaml")
+    (finding,) = load(path).findings
+    assert finding.headline == "`link.yaml` leads outside the project through a symbolic link"
+    path.write_text("extends: ../secret.yaml\n")
+    (finding,) = load(path).findings
+    assert finding.headline == "`../secret.yaml` lies outside the project"
+
+
 def test_an_allowed_path_may_be_read(tmp_path: Path) -> None:
     path = write(tmp_path / "project", main="extends: ../shared/base.yaml\n")
     write(tmp_path / "shared", base="a: 1\n")

@@ -14,7 +14,9 @@ import pytest
 import stand_in
 
 from deepbots_cli.cli import main
+from deepbots_cli.cli.commands.diff import scenario_changes
 from deepbots_cli.cli.commands.eval import Gates
+from deepbots_cli.cli.sources import open_source
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import TrainingResult, compare, evaluate, evaluate_group, resume_group, train, train_group
 from deepbots_cli.learning.comparison import GroupDifference
@@ -34,6 +36,14 @@ SCENARIO = stand_in.compiled(training=SHORT, solved=Solved(10, mean_return=195.0
 def trained_group(tmp_path_factory: pytest.TempPathFactory) -> GroupTraining:
     """Three short trainings; not to be changed."""
     return train_group(SCENARIO, (0, 1, 4), runs=tmp_path_factory.mktemp("runs"), build=stand_in.build)
+
+
+def test_the_scenario_of_a_group_is_opened_like_that_of_its_runs(trained_group: GroupTraining) -> None:
+    group = open_source(str(trained_group.group), (), (), allow_code=False)
+    run = open_source(str(trained_group.group / "seed-0"), (), (), allow_code=False)
+    assert scenario_changes(group, run) == []
+    with pytest.raises(UsageError, match="is a group, which stays as it was trained"):
+        open_source(str(trained_group.group), ("track=1 m",), (), allow_code=False)
 
 
 class InterruptsSeed(Reporter):

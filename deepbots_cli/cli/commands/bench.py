@@ -48,7 +48,13 @@ def command(
             help="Number of pairs of measurements, one with and one without the environment; 9 by default.",
         ),
     ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Measure 3 pairs of 600 steps, which takes a tenth of the time.")] = False,
+    quick: Annotated[
+        bool,
+        typer.Option(
+            "--quick",
+            help="Measure 3 pairs of 600 steps, which takes a tenth of the time; with several engines or batch, one round instead of 3.",
+        ),
+    ] = False,
     seed: Seed = 0,
     engine: Annotated[
         str | None,

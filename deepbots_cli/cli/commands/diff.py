@@ -50,7 +50,12 @@ _HEADINGS = {
     Group.training: "training or evaluation differs",
     Group.cosmetic: "names, colours, order of keys or last digits differ; the meaning is the same",
 }
-_Side = Annotated[str, typer.Argument(metavar="SCENARIO|RUN", help="A scenario file, the name of a shipped scenario, or a run directory.")]
+_Side = Annotated[
+    str,
+    typer.Argument(
+        metavar="SCENARIO|RUN|GROUP", help="A scenario file, the name of a shipped scenario, or the directory of a run or a group."
+    ),
+]
 
 
 def command(
@@ -63,8 +68,8 @@ def command(
 ) -> None:
     """Compare the meaning of two scenarios.
 
-    The command compiles both scenarios and compares the values, so layout, comments and units make no difference. For a run directory
-    it uses the scenario of the training. --set overrides values of the second scenario.
+    The command compiles both scenarios and compares the values, so layout, comments and units make no difference. For a run or a
+    group it uses the scenario of the training. --set overrides values of the second scenario.
 
     Differences in names, summary, colours, order of keys or last digits are cosmetic. The exit code is 0 if there are no other
     differences, 1 if there are, and 2 if a scenario cannot be compiled.
