@@ -93,13 +93,14 @@ class GroupDifference:
 
     @property
     def verdict(self) -> str:
-        """The result in a sentence, and which group was solved first in another."""
+        """The result in a sentence: the returns, and the steps until the task was solved."""
         steps = self.solved_after
-        if steps is None or not steps.certain:
+        if steps is None or steps.interval is None:
             return self._verdict_on_returns
-        low, high = sorted(abs(bound) for bound in steps.interval or ())
-        sooner = f"solved after {abs(steps.mean):,.0f} {'fewer' if steps.mean < 0 else 'more'} steps of training"
-        return f"{self._verdict_on_returns}; {self.group} is {sooner} (95 % interval: {low:,.0f} .. {high:,.0f})"
+        difference = f"{abs(steps.mean):,.0f} {'fewer' if steps.mean < 0 else 'more'} steps of training"
+        interval = "(95 % interval of the difference: {:,.0f} .. {:,.0f})".format(*steps.interval)
+        sooner = f"it is solved after {difference}" if steps.certain else f"it is solved after {difference}, and 0 is possible"
+        return f"{self._verdict_on_returns}; {sooner} {interval}"
 
     @property
     def _verdict_on_returns(self) -> str:
