@@ -164,7 +164,7 @@ def test_groups_of_equal_returns_differ_by_the_steps_until_they_are_solved() -> 
     equal, steps = compare_seeds([200.0] * 3, [200.0] * 3), compare_seeds([26_900, 26_300, 27_400], [46_400, 44_200, 48_800])
     verdict = GroupDifference("wide", "narrow", equal, None, between_seeds=True, solved_after=steps).verdict
     assert verdict.startswith(
-        "narrow: the same mean return in every run; narrow is solved after 19,600 more steps of training (95 % interval: "
+        "narrow: the same mean return in every run; it is solved after 19,600 more steps of training (95 % interval "
     )
 
 
