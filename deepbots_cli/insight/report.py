@@ -211,8 +211,9 @@ class Report:
         defined = self.runs[0].evaluation.success_defined
         seeds = "" if len(logs) == 1 else f" The line is the mean of {len(logs)} seeds, the band reaches from the lowest to the highest."
         mean = "Moving means over 100 episodes of the training, in which the policy explores."
-        yield "returns", f"{mean}{seeds}", figures.returns(logs, theme)
-        yield "successes", f"{mean}{seeds}", figures.successes(logs, theme)
+        diamond = " The diamond is the last evaluation after the training." if any(log.last_evaluation for log in logs) else ""
+        yield "returns", f"{mean}{seeds}{diamond}", figures.returns(logs, theme)
+        yield "successes", f"{mean}{seeds}{diamond if defined else ''}", figures.successes(logs, theme)
         yield "shares", "The absolute sum of each term over an episode, as a share of all.", figures.shares(logs, theme)
         yield "endings", f"How episodes of the training end. {mean}", figures.endings(logs, theme)
         colours = "green: success, orange: no success; " if defined else ""
