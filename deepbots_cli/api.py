@@ -101,7 +101,7 @@ def locate(source: str | Path) -> tuple[Path, str]:
 def load(
     source: str | Path | Scenario,
     *,
-    sets: Sequence[str] = (),
+    overrides: Sequence[str] = (),
     allow_paths: Iterable[str | Path] = (),
     allow_code: bool = False,
     drafts: Drafts = NO_DRAFTS,
@@ -112,23 +112,23 @@ def load(
 
     Args:
         source: A path, the name of a shipped scenario, or a `Scenario`.
-        sets: Assignments `path=value`, as for `--set`.
+        overrides: Assignments `path=value`, as for `--set`.
         allow_paths: Folders outside the project that the scenario may read from.
         allow_code: Whether it may name functions of installed packages, which run when an environment is made of it.
         drafts: What to read in the place of files, by their absolute paths.
         project: The folder that the scenario may read from; by default the nearest one above that looks like a project.
-        tests: Whether to read `tests` also with `sets`, which may change what the tests name.
+        tests: Whether to read `tests` also with `overrides`, which may change what the tests name.
 
     Raises:
         UsageError: There is no such file.
     """
     if isinstance(source, Scenario):
-        document = loads(source.to_yaml(), f"<Scenario {source.name}>", sets=sets, allow_paths=allow_paths)
+        document = loads(source.to_yaml(), f"<Scenario {source.name}>", overrides=overrides, allow_paths=allow_paths)
     else:
         path, name = locate(source)
-        document = read(path, sets, display=name, allow_paths=allow_paths, drafts=drafts, project=project)
+        document = read(path, overrides, display=name, allow_paths=allow_paths, drafts=drafts, project=project)
     root = document.root
-    if sets and not tests and root is not None:
+    if overrides and not tests and root is not None:
         root = replace(root, entries={key: entry for key, entry in root.entries.items() if key != TESTS})
     return check(replace(document, root=root, allow_code=allow_code))
 
@@ -136,7 +136,7 @@ def load(
 def lint(
     source: str | Path | Scenario,
     *,
-    sets: Sequence[str] = (),
+    overrides: Sequence[str] = (),
     allow_paths: Iterable[str | Path] = (),
     allow_code: bool = False,
     preview: bool = False,
@@ -146,7 +146,7 @@ def lint(
     Raises:
         UsageError: There is no such file.
     """
-    checked = load(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code)
+    checked = load(source, overrides=overrides, allow_paths=allow_paths, allow_code=allow_code)
     try:
         return all_findings(checked, preview=preview)
     finally:
@@ -156,7 +156,7 @@ def lint(
 def compile(
     source: str | Path | Scenario | CheckedScenario,
     *,
-    sets: Sequence[str] = (),
+    overrides: Sequence[str] = (),
     allow_paths: Iterable[str | Path] = (),
     allow_code: bool = False,
 ) -> Compiled:
@@ -166,7 +166,9 @@ def compile(
         ScenarioError: The scenario has findings at error level.
         UsageError: There is no such file.
     """
-    checked = source if isinstance(source, CheckedScenario) else load(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code)
+    checked = (
+        source if isinstance(source, CheckedScenario) else load(source, overrides=overrides, allow_paths=allow_paths, allow_code=allow_code)
+    )
     findings = all_findings(checked)
     if checked.program is None or any(finding.severity == "error" and not finding.is_internal_error for finding in findings):
         raise ScenarioError(findings)
@@ -187,7 +189,7 @@ def compile(
 def make(
     source: str | Path | Scenario | CheckedScenario | Compiled | Program,
     *,
-    sets: Sequence[str] = (),
+    overrides: Sequence[str] = (),
     allow_paths: Iterable[str | Path] = (),
     allow_code: bool = False,
     engine: str | None = None,
@@ -207,7 +209,7 @@ def make(
         EngineError: The engine cannot build this world.
     """
     if isinstance(source, (str, Path, Scenario, CheckedScenario)):
-        source = compile(source, sets=sets, allow_paths=allow_paths, allow_code=allow_code)
+        source = compile(source, overrides=overrides, allow_paths=allow_paths, allow_code=allow_code)
     if isinstance(source, Compiled):
         allowed = allow_code or source.allow_code
         return build(source.program, engine=engine, render_mode=render_mode, allow_code=allowed, fixed=source.fixed)
@@ -218,7 +220,7 @@ def make_vec(
     source: str | Path | Scenario | CheckedScenario | Compiled | Program,
     num_envs: int = 256,
     *,
-    sets: Sequence[str] = (),
+    overrides: Sequence[str] = (),
     allow_paths: Iterable[str | Path] = (),
     engine: str = "mujoco",
 ) -> BatchEnvironment:
@@ -238,7 +240,7 @@ def make_vec(
         MissingExtraError: The simulator is not installed.
     """
     if isinstance(source, (str, Path, Scenario, CheckedScenario)):
-        source = compile(source, sets=sets, allow_paths=allow_paths)
+        source = compile(source, overrides=overrides, allow_paths=allow_paths)
     program, fixed = (source.program, source.fixed) if isinstance(source, Compiled) else (source, ())
     batch = build_batch(program, num_envs, engine=engine, fixed=fixed)
     from deepbots_cli.runtime.vector import BatchEnvironment

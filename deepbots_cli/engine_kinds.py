@@ -28,6 +28,7 @@ class EngineKind(NamedTuple):
     """`factory` is the `module:attribute` of a `port.EngineFactory`, `library` the module that it imports.
 
     `last_python` is the last Python that the library is built for. `mesh_terrain` says why a mesh cannot be the ground, None if it can.
+    `implausible_inertia` says why a link cannot have an inertia that no rigid body can have.
     """
 
     summary: str
@@ -36,6 +37,7 @@ class EngineKind(NamedTuple):
     library: str | None = None
     last_python: tuple[int, int] | None = None
     mesh_terrain: Limitation | None = None
+    implausible_inertia: Limitation | None = None
 
     @property
     def is_installed(self) -> bool:
@@ -110,14 +112,18 @@ ENGINES = Engines(
                 "a mesh cannot be the ground in MuJoCo, which uses the convex hull of a mesh",
                 "use a terrain of heights (heightfield, formula or pit), or the engine `pybullet`",
             ),
+            implausible_inertia=Limitation(
+                "has an inertia that no rigid body can have, which MuJoCo refuses",
+                "in its <inertia>, make each principal moment above 0 and at most the sum of the other two, or use the engine `pybullet`",
+            ),
         ),
     }
 )
 
 
-def with_engine(sets: Iterable[str] | None, engine: str | None) -> list[str]:
+def with_engine(overrides: Iterable[str] | None, engine: str | None) -> list[str]:
     """Assignments of `--set`, and after them that of `--engine`: the scenario is then checked for this engine."""
-    return [*(sets or ()), *([] if engine is None else [f"world.engine={engine}"])]
+    return [*(overrides or ()), *([] if engine is None else [f"world.engine={engine}"])]
 
 
 def chosen(name: str | None) -> str:

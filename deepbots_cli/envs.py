@@ -1,7 +1,7 @@
 """Registers scenarios with Gymnasium: the shipped ones by their names, and any other by its path.
 
     gymnasium.make("deepbots_cli.envs:deepbots/CartPole-v1")
-    gymnasium.make("deepbots_cli.envs:deepbots/Scenario-v1", scenario="my.yaml", sets=["fall_angle=10deg"])
+    gymnasium.make("deepbots_cli.envs:deepbots/Scenario-v1", scenario="my.yaml", overrides=["fall_angle=10deg"])
 
 Importing this module is all it takes. A scenario limits its own episodes, so no time limit is wrapped
 around it.

@@ -47,7 +47,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Skip what has the engine `pybullet` or a file of pybullet_data as a parameter, where it is not installed."""
     for item in items if WITHOUT else ():
         values = getattr(getattr(item, "callspec", None), "params", {}).values()
-        if any(value == "pybullet" or "pybullet_data/" in value for value in values if isinstance(value, str)):
+        texts = [value.read_text("utf-8") if isinstance(value, Path) and value.suffix == ".yaml" else str(value) for value in values]
+        if any(text == "pybullet" or "pybullet_data/" in text for text in texts):
             item.add_marker(pytest.mark.skip(reason=str(WITHOUT)))
 
 

@@ -116,13 +116,13 @@ def fraction(text: str) -> float:
     except ValueError:
         value = -1.0
     if not 0 <= value <= 1:
-        hint = f"; write {text}% for a percentage" if 1 < value <= 100 else ""
+        hint = f"; write {text}% for a percentage" if 1 < value <= 100 and "%" not in text else ""
         raise typer.BadParameter(f"'{text}' is not a number from 0 to 1 or a percentage{hint}")
     return value
 
 
 Scenario = Annotated[str, typer.Argument(metavar="SCENARIO", help="A scenario file, or the name of a scenario that comes with deepbots.")]
-Sets = Annotated[
+Overrides = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="PATH=VALUE", help="Override a value of the scenario, such as fall_angle=10deg; may be repeated."),
 ]

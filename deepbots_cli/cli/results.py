@@ -41,7 +41,7 @@ def training_text(result: TrainingResult) -> str:
     rows["last stage"] = result.stage
     if result.mean_return is not None:
         rows["mean return"] = f"{result.mean_return:.1f} over the most recent training episodes, with exploration"
-    if result.success_rate:
+    if result.success_rate is not None:
         rows["success rate"] = f"{result.success_rate:.0%}"
     at = result.solved_at
     if at is not None:
@@ -225,7 +225,7 @@ def _over(interval: str, count: int) -> str:
 
 def group_json(group: GroupResult) -> dict[str, Any]:
     """A group as a dictionary: its statistics over seeds, and the evaluation of each run."""
-    names = ("name", "waiting", "mean_return", "return_interval", "interquartile_mean")
+    names = ("name", "waiting", "mean_return", "return_interval", "interquartile_mean", "solved_after")
     success = ("success_rate", "success_interval") if group.success_defined else ()
     return {**{name: getattr(group, name) for name in (*names, *success)}, "runs": [to_json(result) for result in group.evaluations]}
 
@@ -296,7 +296,7 @@ def robustness_json(found: Robustness) -> dict[str, Any]:
 # Files
 
 
-def keep_evaluation(run: Run, evaluation: dict[str, Any]) -> None:
+def write_evaluation(run: Run, evaluation: dict[str, Any]) -> None:
     """Keep an evaluation in its run, or say why it is not kept; it is shown all the same."""
     try:
         run.write_evaluation(evaluation)
@@ -312,7 +312,7 @@ def write_csv(path: Path, results: Iterable[EvaluationResult]) -> None:
             row: dict[str, object] = {"run": result.run, "model": result.model, "engine": result.engine or ""}
             row |= {"case": result.case or "", "stage": result.stage or ""}
             row |= {"episode": index, "seed": episode.seed, "return": episode.total_return, "length": episode.length}
-            row |= {"success": int(episode.is_success), "ended_by": episode.ended_by or ""}
+            row |= {"success": int(episode.is_success) if result.success_defined else "", "ended_by": episode.ended_by or ""}
             row |= {f"reward.{name}": value for name, value in episode.terms.items()}
             rows.append(row | {f"drawn.{name}": value for name, value in episode.drawn.items()})
     columns = {name: None for row in rows for name in row}

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deepbots_cli import api
+from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.diagnostics import Finding, Findings, Source
 from deepbots_cli.diagnostics.nearest import nearest_word
@@ -14,6 +15,7 @@ from deepbots_cli.document import MappingNode, Node, descend, files, inline_text
 from deepbots_cli.document.parse import parse
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import ScenarioError, UsageError
+from deepbots_cli.learning.group import is_group
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.robots import meshes
@@ -61,9 +63,9 @@ def text_at(root: Node | None, *path: str | int) -> str:
 
 
 def open_source(
-    source: str, sets: Sequence[str], allow_paths: Iterable[Path], *, allow_code: bool, engine: str | None = None
+    source: str, overrides: Sequence[str], allow_paths: Iterable[Path], *, allow_code: bool, engine: str | None = None
 ) -> OpenedSource:
-    """The scenario of a file or of a shipped name, checked for the engine if one is given, or that of a run directory.
+    """The scenario of a file or of a shipped name, checked for the engine if one is given, or that of the directory of a run or a group.
 
     Raises:
         UsageError: There is no such file or run.
@@ -71,11 +73,17 @@ def open_source(
     """
     path = Path(source)
     if path.is_dir() and ((path / "run.json").exists() or shipped.scenario_path(source) is None):
-        if sets:
-            raise UsageError(f"--set changes a scenario, and {source} is a run, which stays as it was trained")
+        kind = "a group" if is_group(path) else "a run"
+        if overrides:
+            raise UsageError(f"--set changes a scenario, and {source} is {kind}, which stays as it was trained")
+        if is_group(path):
+            return _compiled(api.load(path / RESOLVED_NAME, allow_code=True, project=path))
         run, resolved = Run.open(path), path / RESOLVED_NAME
         return OpenedSource(run.program, parse(Source(str(resolved), resolved.read_text(encoding="utf-8-sig")), Findings()), run)
-    checked = api.load(source, sets=with_engine(sets, engine), allow_paths=allow_paths, allow_code=allow_code)
+    return _compiled(api.load(source, overrides=with_engine(overrides, engine), allow_paths=allow_paths, allow_code=allow_code))
+
+
+def _compiled(checked: CheckedScenario) -> OpenedSource:
     compiled = api.compile(checked)
     return OpenedSource(compiled.program, checked.document.root, findings=compiled.findings)
 

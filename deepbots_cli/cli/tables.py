@@ -20,8 +20,8 @@ Row = Mapping[str, object]
 _READABLE = 12
 """The width that a column of text keeps at least: in a narrower one words fall apart."""
 _NUMBERS = (int, float, type(None))
-_LISTED = 4  # items of a list in one cell, beyond which there are too many to read
-_NOTHING: tuple[object, ...] = (None, "", [], ())
+_MAX_LISTED = 4  # items of a list in one cell, beyond which there are too many to read
+_EMPTY_VALUES: tuple[object, ...] = (None, "", [], ())
 
 
 def table(rows: Sequence[Row], indent: str = "  ") -> str:
@@ -31,7 +31,7 @@ def table(rows: Sequence[Row], indent: str = "  ") -> str:
     long cells continue on further lines.
     """
     columns = [*rows[0]] if rows else []
-    names = [name for name in columns if any(row.get(name) not in _NOTHING for row in rows)] or columns
+    names = [name for name in columns if any(row.get(name) not in _EMPTY_VALUES for row in rows)] or columns
     cells = [[cell_text(row.get(name)) for name in names] for row in rows]
     right = [all(type(row.get(name)) in _NUMBERS for row in rows) for name in names]
     widths = [max(map(cell_len, column)) for column in zip(names, *cells, strict=True)]
@@ -48,7 +48,7 @@ def table(rows: Sequence[Row], indent: str = "  ") -> str:
 
 def row_as_lines(row: Row, indent: str = "  ") -> str:
     """One row as lines of name and value; empty values are left out."""
-    shown = {name: cell_text(value) for name, value in row.items() if value not in _NOTHING}
+    shown = {name: cell_text(value) for name, value in row.items() if value not in _EMPTY_VALUES}
     grid = Table.grid(padding=(0, 2))
     grid.add_column(no_wrap=True)
     grid.add_column(overflow="fold")
@@ -81,7 +81,7 @@ def cell_text(value: object) -> str:
         case float():
             return f"{value:.5g}"
         case list() | tuple():
-            shown = value if len(value) <= _LISTED + 1 else value[:_LISTED]
+            shown = value if len(value) <= _MAX_LISTED + 1 else value[:_MAX_LISTED]
             rest = [] if len(shown) == len(value) else [f"... {len(value)} in all"]
             return ", ".join([*map(cell_text, shown), *rest]) or "-"
         case _:
@@ -104,7 +104,7 @@ def _rounded(scalar: Scalar, digits: int) -> Scalar:
             return scalar
 
 
-_BETWEEN = {"uniform": " .. ", "integer": " .. ", "normal": " +- ", "choice": " | "}
+_DRAW_SIGNS = {"uniform": " .. ", "integer": " .. ", "normal": " +- ", "choice": " | "}
 
 
 def _read(leaf: Name | World | State | Draw) -> str:
@@ -114,5 +114,5 @@ def _read(leaf: Name | World | State | Draw) -> str:
         case World(function, subjects, component):
             return f"{function}({', '.join(subjects)})" + (f".{component}" if component else "")
         case State(name, args) | Draw(name, args):
-            between = _BETWEEN.get(name, ", ") if isinstance(leaf, Draw) else ", "
+            between = _DRAW_SIGNS.get(name, ", ") if isinstance(leaf, Draw) else ", "
             return f"{name}({between.join(to_python(arg, _read) for arg in args)})"

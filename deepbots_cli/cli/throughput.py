@@ -16,9 +16,10 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.tables import table
 from deepbots_cli.errors import UsageError
+from deepbots_cli.scenario.fields import counted_noun
 
 BATCH = "batch"
-LEAST = 60
+MIN_STEPS = 60
 """Steps of each world of a batch, in which some episodes end."""
 
 
@@ -39,7 +40,7 @@ class Row:
     clock_share: float
 
 
-class Watch:
+class CallTimer:
     """Adds up CPU time of the process, and time by the clock, of calls of a function."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
@@ -70,7 +71,7 @@ def measure(compiled: Compiled, engines: list[str], worlds: list[int], *, steps:
     """Time about `steps` steps of worlds with random actions, resets included, for each engine in turn, `rounds` times."""
     cases = [(name, count) for name in engines for count in (worlds if name == BATCH else [1])]
     found: dict[tuple[str, int], list[Row]] = {case: [] for case in cases}
-    terminal.note(f"measuring {rounds} rounds of {steps:,} steps, and at least {LEAST} of each world of a batch")
+    terminal.note(f"measuring {counted_noun(rounds, 'round')} of {steps:,} steps, and at least {MIN_STEPS} of each world of a batch")
     with terminal.progress("measurements") as show:
         tell = show or (lambda _done, _all: None)
         for number in range(rounds):
@@ -100,12 +101,13 @@ def text(name: str, rows: list[Row], rounds: int) -> str:
         }
         for row in rows
     ]
-    return f"{name}, random actions, medians of {rounds} rounds; CPU times are per step of one world\n{table(shown)}"
+    measured = "one round" if rounds == 1 else f"medians of {rounds} rounds"
+    return f"{name}, random actions, {measured}; CPU times are per step of one world\n{table(shown)}"
 
 
 def _single(compiled: Compiled, engine: str, steps: int, seed: int) -> Row:
     with closing(api.make(compiled, engine=engine)) as world:
-        physics = Watch(world.physics)
+        physics = CallTimer(world.physics)
         world.physics = physics
 
         def begin() -> None:
@@ -114,7 +116,7 @@ def _single(compiled: Compiled, engine: str, steps: int, seed: int) -> Row:
             world.reset()
             physics.cpu, physics.clock = before
 
-        reset = Watch(begin)
+        reset = CallTimer(begin)
         world.reset(seed=seed)
         world.action_space.seed(seed)
         actions = [world.action_space.sample() for _ in range(steps)]
@@ -132,10 +134,10 @@ def _single(compiled: Compiled, engine: str, steps: int, seed: int) -> Row:
 def _batch(compiled: Compiled, count: int, steps: int, seed: int) -> Row:
     with closing(api.make_vec(compiled, count)) as worlds:
         batch = worlds.batch
-        physics, begin = Watch(batch.engine.step), Watch(batch.begin)
+        physics, begin = CallTimer(batch.engine.step), CallTimer(batch.begin)
         worlds.reset(seed=seed)
         worlds.action_space.seed(seed)
-        number = max(LEAST, steps // count)
+        number = max(MIN_STEPS, steps // count)
         actions = [worlds.action_space.sample() for _ in range(number)]
         batch.engine.step, batch.begin = physics, begin  # type: ignore[method-assign]
 
@@ -146,9 +148,9 @@ def _batch(compiled: Compiled, count: int, steps: int, seed: int) -> Row:
         return _row(BATCH, count, number * count, run, physics, begin)
 
 
-def _row(engine: str, worlds: int, steps: int, run: Callable[[], None], physics: Watch, reset: Watch) -> Row:
+def _row(engine: str, worlds: int, steps: int, run: Callable[[], None], physics: CallTimer, reset: CallTimer) -> Row:
     """Time a run."""
-    whole = Watch(run)
+    whole = CallTimer(run)
     whole()
     per_step = 1e6 / steps
     return Row(

@@ -56,9 +56,10 @@ supervisor is a Gymnasium environment. Its `reset` calls `_begin` and `_start`, 
 both observe. The methods after `_observe` read what that left and change nothing.
 """
 _OF_BATCH = """
-SI units. Each number is a column: an array with one number per world. A vector is a sequence of columns. Episodes
-begin in single worlds, and what they begin with is taken over. `step` calls `_advance`, which observes. What is bound
-by `each` is asked of the single worlds in turn.
+SI units. A value is a column, an array with one number per world, or a plain number if it is the same in all worlds.
+A vector is a sequence of columns. `reset` resets the single worlds and copies their state into the columns; `step`
+calls `_advance`, which observes. `add` does not change worlds whose episode has ended. `each` calls a function
+of each single world in turn.
 """
 _NAME = re.compile(r"[a-z_][a-z0-9_]*", re.ASCII)
 

@@ -22,13 +22,13 @@ if TYPE_CHECKING:
 NO_SETTABLE: Mapping[int, str] = MappingProxyType({})
 NO_RENAMED: Mapping[str, str] = MappingProxyType({})
 
-_JOINED = {
+_VECTOR_FUNCTIONS = {
     "scalar": {"add": "total", "min": "min", "max": "max", "or": "any", "and": "all"},
     "batch": {"add": "total", "min": "minimum", "max": "maximum", "or": "any_of", "and": "all_of"},
 }
 """By target, the function that an operation on many arguments of the same form is printed as; it takes one vector."""
-_MANY = 4
-_NEUTRAL = {"add": 0.0, "sub": 0.0, "mul": 1.0}
+_MIN_LOOP_ITEMS = 4
+_NEUTRAL_VALUES = {"add": 0.0, "sub": 0.0, "mul": 1.0}
 
 
 class Column(NamedTuple):
@@ -194,8 +194,8 @@ class Printer:
         """An operation on many arguments of the same form, as one operation on a vector."""
         if tree.op == "hypot" and (column := self._column(tree.args)) is not None:
             return Code(f"hypot(*{column.elements})")
-        joined = _JOINED[self.scope.target.name].get(tree.op)
-        if joined is None or len(tree.args) < _MANY:
+        joined = _VECTOR_FUNCTIONS[self.scope.target.name].get(tree.op)
+        if joined is None or len(tree.args) < _MIN_LOOP_ITEMS:
             return None
         column = self._column(tree.args)
         try:
@@ -346,11 +346,11 @@ def _with_same_operation(operations: Sequence[Op], trees: Sequence[Scalar]) -> S
     if len(operations) == len(trees) and len(names) == 1:
         return operations
     constant = [next((at for at, arg in enumerate(tree.args) if isinstance(arg, Const)), None) for tree in operations]
-    lifting = {(tree.op, at) for tree, at in zip(operations, constant, strict=True) if at is not None and tree.op in _NEUTRAL}
+    lifting = {(tree.op, at) for tree, at in zip(operations, constant, strict=True) if at is not None and tree.op in _NEUTRAL_VALUES}
     for name, at in sorted(lifting):
         if (name, at) == ("sub", 0):
             continue
-        neutral = Const(_NEUTRAL[name])
+        neutral = Const(_NEUTRAL_VALUES[name])
         return [
             tree if isinstance(tree, Op) and tree.op == name else Op(name, (neutral, tree) if at == 0 else (tree, neutral))
             for tree in trees

@@ -37,7 +37,7 @@ COLUMN_NAMES = (
 LOOP_VARIABLES = "abcdefgh"
 """The variables of comprehensions."""
 
-_TAKEN = frozenset(
+_RESERVED_NAMES = frozenset(
     {*keyword.kwlist, *keyword.softkwlist, *dir(builtins), *(n for n in dir(math) if not n.startswith("_"))}
     | {"self", "engine", "action", "message", "reward", "terminated", "truncated", "ended", "Any", "Iterator", "previous_reward"}
     | {*RUNTIME_NAMES, *LOOP_VARIABLES, "copysign", "ranges"}
@@ -50,7 +50,7 @@ class Names:
 
     def __init__(self) -> None:
         self._given: dict[str, str] = {}
-        self._used: set[str] = set(_TAKEN)
+        self._used: set[str] = set(_RESERVED_NAMES)
 
     def __call__(self, *parts: str | None) -> str:
         """The identifier of a dotted name, such as `cart_pole_angle` for ("cart.pole_angle",)."""

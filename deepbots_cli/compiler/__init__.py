@@ -54,7 +54,7 @@ from deepbots_cli.scenario.validate import validate, with_new_names
 
 __all__ = ["CheckedScenario", "check"]
 
-_SPELLING = frozenset({"DB003", "DB004"})  # warnings about how a value is spelt
+_SPELLING_CODES = frozenset({"DB003", "DB004"})  # warnings about how a value is spelt
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,5 +210,5 @@ def _absorbs(error: Finding, warning: Finding) -> bool:
     inner, outer = error.span, warning.span
     if inner.source.name != outer.source.name:
         return False
-    within = warning.code in _SPELLING and outer.start <= inner.start and inner.end <= outer.end
+    within = warning.code in _SPELLING_CODES and outer.start <= inner.start and inner.end <= outer.end
     return within or (inner.start, inner.end) == (outer.start, outer.end)

@@ -138,7 +138,7 @@ def _has_period(redraw: Redraw | None, text: SourceText, values: ValueReader) ->
     return False
 
 
-_PUSHED = frozenset({Kind.ROBOT, Kind.LINK, Kind.OBJECT})
+_PUSHABLE_KINDS = frozenset({Kind.ROBOT, Kind.LINK, Kind.OBJECT})
 
 
 def disturbances(namespace: Namespace) -> tuple[Disturbance, ...]:
@@ -169,7 +169,7 @@ def _pushed(spec: DisturbanceSpec, namespace: Namespace) -> tuple[str, str | Non
     if subject.kind is Kind.BROKEN:
         return None
     body, _, link = called.partition(".")
-    if subject.kind not in _PUSHED:
+    if subject.kind not in _PUSHABLE_KINDS:
         values.findings.add("DB203", span, f"`{called}` is {subject.kind.description}", help="a push acts on a robot, a link or an object")
         return None
     if _is_fixed(body, link, namespace):
@@ -251,7 +251,7 @@ def _start_value(
 
 
 # Before the first step nothing has touched or acted, and no picture was taken.
-_UNMOVED = {
+_HELP_BEFORE_FIRST_STEP = {
     **dict.fromkeys(("contact", "collided"), "before the first step nothing has touched; ask for `clearance(...) > 1 cm`"),
     "joint_torque": "before the first step no motor has acted; remove it",
     "visible": "the start is chosen before the first picture is taken; use the position of the body, as in `abs(bearing(...)) < 30 deg`",
@@ -309,10 +309,10 @@ def _requirement(namespace: Namespace) -> Expression | None:
     if typed is None:
         return None
     for call in walk(typed):
-        if isinstance(call, Invocation) and call.function in _UNMOVED:
+        if isinstance(call, Invocation) and call.function in _HELP_BEFORE_FIRST_STEP:
             span = text.part(call.start, call.start + len(call.function))
             headline = f"`{call.function}` in a requirement on the start"
-            values.findings.add("DB407", span, headline, help=_UNMOVED[call.function])
+            values.findings.add("DB407", span, headline, help=_HELP_BEFORE_FIRST_STEP[call.function])
     if constant_values(typed) == (False,):
         values.findings.add("DB105", text.span, "no start can meet this requirement", help="use a condition on positions or distances")
     return text.expression(typed)
@@ -349,7 +349,7 @@ def python_term(name: str, given: PythonTerm, namespace: Namespace, *, boolean: 
     return Expression(name, text.span, text.text, nothing, ".".join(map(str, given.path)), foreign=Foreign(module, function))
 
 
-_SHOWN = 60
+_MAX_SHOWN_CHARACTERS = 60
 MAX_ENDINGS = 200
 """Whatever is paid is held against every one of them."""
 NO_SUCCESS_DEFINED = "a success rate, but the scenario defines no success"
@@ -445,7 +445,7 @@ def _amount(text: SourceText, namespace: Namespace) -> Typed | None:
     report = namespace.values.report(text)
     typed = namespace.values.expression(text, SupervisorScope(namespace, Context.REWARD))
     if typed is not None and typed.type.boolean:
-        help = f"give it a value, as in `1 when {text.text if len(text.text) <= _SHOWN else '...'}`"
+        help = f"give it a value, as in `1 when {text.text if len(text.text) <= _MAX_SHOWN_CHARACTERS else '...'}`"
         worth = "a truth value where a number belongs"
         report("DB403", 0, len(text.text), worth, help, Replacement(f"1 when {text.text}", safe=False))
         return None

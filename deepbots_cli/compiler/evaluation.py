@@ -140,8 +140,8 @@ MAX_VARIANTS = 64
 MAX_VALUES = 40_000
 """Of all of them together. The largest scenario that comes with deepbots has 500, of which all 64 would take 32 000."""
 
-_FIXED = ("deepbots", "name", "summary", "agent", "action", "observation", "goal", "curriculum", "evaluation", "solved", "train")
-_OTHERS: tuple[NodePath, ...] = (("curriculum",), ("evaluation", "cases"))
+_FIXED_SECTIONS = ("deepbots", "name", "summary", "agent", "action", "observation", "goal", "curriculum", "evaluation", "solved", "train")
+_VARIANT_SECTIONS: tuple[NodePath, ...] = (("curriculum",), ("evaluation", "cases"))
 
 Check = Callable[[Document], "CheckedScenario"]
 VariantKind = Literal["case", "stage"]
@@ -224,7 +224,7 @@ class _Maker:
         if [entry for entry in entries if self._is_fixed(entry, word)]:
             return None
         findings = Findings(self._document.findings.limit)
-        root = without_paths(self._root, (*_OTHERS, *self._tests(word, name)))
+        root = without_paths(self._root, (*_VARIANT_SECTIONS, *self._tests(word, name)))
         assert isinstance(root, MappingNode)  # as it was
         for entry in entries:
             root = apply_setting(root, entry, findings)
@@ -255,7 +255,7 @@ class _Maker:
         steps, _, rest = follow_dotted(self._root, entry.key.text.strip())
         head = str(steps[0]) if steps else rest.split(".")[0]
         parameters = self._root.get("parameters")
-        if head not in _FIXED or (isinstance(parameters, MappingNode) and entry.key.text in parameters.entries):
+        if head not in _FIXED_SECTIONS or (isinstance(parameters, MappingNode) and entry.key.text in parameters.entries):
             return False
         help = "it may change the world, the reset, the reward, the endings and the parameters"
         self._findings.add("DB407", entry.key.span, f"a {word} that changes `{head}`", help=help)
@@ -286,7 +286,7 @@ MAX_STEPS = 1_000_000
 """Timesteps of a test: a few minutes in a light world."""
 PLAIN_POLICIES = ("random", "zero")
 _COMPARISONS = frozenset({"less", "less_equal", "greater", "greater_equal", "equal", "not_equal"})
-_RATES: tuple[ExpectedKey, ...] = ("success_rate", "failure_rate", "mean_return")
+_RATE_KEYS: tuple[ExpectedKey, ...] = ("success_rate", "failure_rate", "mean_return")
 _CONDITIONS: tuple[ExpectedKey, ...] = ("always", "eventually")
 _COMPARED = 4
 """Values that a failed condition shows."""
@@ -391,7 +391,7 @@ class _Reader:
     def _expected(self, spec: Expectation) -> Iterator[ExpectedResult]:
         ends = self._scenario.termination
         endings = {"success_rate": ends.success or self._scenario.goal, "failure_rate": ends.failure}
-        for key in _RATES:
+        for key in _RATE_KEYS:
             if getattr(spec, key) is not None:
                 text = self._values.field(spec, key)
                 bounds = self._bounds(spec, key)

@@ -26,7 +26,7 @@ from deepbots_cli.scenario.scenario import Placement as PlacementSpec
 from deepbots_cli.scenario.scenario import Region as RegionSpec
 from deepbots_cli.scenario.world import Pose
 
-_DWARFS = 16.0
+_MAX_AREA_RATIO = 16.0
 """Times the area of a top that a body covers whose unit has slipped."""
 
 
@@ -116,7 +116,7 @@ class PlacementChecker:
                 *(["another `yaw`"] if any(_fits(top, kind, None, margin) for kind in kinds) else []),
             ]
             help = " or ".join(["give a larger top", *ways])
-            if min(kind.area for kind in kinds) > _DWARFS * top.area:
+            if min(kind.area for kind in kinds) > _MAX_AREA_RATIO * top.area:
                 help = f"check the size of `{place.body}`: a length without a unit is in metres"
             add("DB105", span, f"{covers} does not fit on the top of `{spot.of}` ({_size(top)}){turned}", help=help)
         elif kinds and not _is_tilted(place) and copies * (area := min(kind.area for kind in kinds)) > top.area:
@@ -232,7 +232,7 @@ def _size(covered: Footprint) -> str:
     return f"{2 * covered.half[0]:.3g} by {2 * covered.half[1]:.3g} m" if covered.half else f"{2 * covered.radius:.3g} m across"
 
 
-_TURNS = ("roll", "pitch", "yaw")
+_ROTATION_KEYS = ("roll", "pitch", "yaw")
 
 
 def _fixed(value: float, dimension: Dimension) -> Constant:
@@ -240,7 +240,7 @@ def _fixed(value: float, dimension: Dimension) -> Constant:
     return Constant(Type(dimension, interval=single(value)), 0, 0, (value,))
 
 
-_ANYWHERE = Invocation(Type(ANGLE, interval=TURN, stage=Stage.EPISODE), 0, 0, "uniform", (), (_fixed(-pi, ANGLE), _fixed(pi, ANGLE)), 0)
+_ANY_ANGLE = Invocation(Type(ANGLE, interval=TURN, stage=Stage.EPISODE), 0, 0, "uniform", (), (_fixed(-pi, ANGLE), _fixed(pi, ANGLE)), 0)
 """`any`: a turn drawn from the whole circle."""
 
 
@@ -301,10 +301,10 @@ class Places:
     def coordinates(self, pose: Pose) -> dict[str, Expression]:
         """The coordinates x, y, z, roll, pitch and yaw of a pose, given singly or as components of `xyz` or `rpy`."""
         found: dict[str, Expression | None] = {}
-        for whole, parts in (("xyz", SPACE), ("rpy", _TURNS)):
+        for whole, parts in (("xyz", SPACE), ("rpy", _ROTATION_KEYS)):
             for part in parts:
                 if getattr(pose, part) == "any":
-                    found[part] = self._values.field(pose, part).expression(_ANYWHERE)
+                    found[part] = self._values.field(pose, part).expression(_ANY_ANGLE)
                 else:
                     found[part] = self._namespace.expression(pose, part, scope=self._scope)
             vector = self._namespace.expression(pose, whole, scope=self._scope)
@@ -407,8 +407,8 @@ def draws_owner(path: NodePath) -> str:
     return ".".join(map(str, path))
 
 
-_NOTHING = "."
-_WALL = "wall"
+_EMPTY_CELL = "."
+_WALL_CELL = "wall"
 _MAX_CELLS = 250_000
 
 
@@ -470,8 +470,8 @@ class Layouts:
             for column, (letter, span) in enumerate(row):
                 if letter in spots:
                     spots[letter].append(((column - (len(row) - 1) / 2) * cell, ((len(rows) - 1) / 2 - number) * cell))
-                elif letter != _NOTHING and letter not in layout.legend:
-                    self._values.report_unknown(span, "letter", letter, [_NOTHING, *layout.legend])
+                elif letter != _EMPTY_CELL and letter not in layout.legend:
+                    self._values.report_unknown(span, "letter", letter, [_EMPTY_CELL, *layout.legend])
         bodies: dict[str, list[tuple[float, float]]] = {}
         for letter, body in legend.items():
             bodies.setdefault(body, []).extend(spots[letter])
@@ -481,10 +481,10 @@ class Layouts:
         """The letters whose bodies are known."""
         found = {}
         for letter, body in layout.legend.items():
-            if body == _WALL or self._namespace.origin(body) in (Origin.ROBOT, Origin.OBJECT):
+            if body == _WALL_CELL or self._namespace.origin(body) in (Origin.ROBOT, Origin.OBJECT):
                 found[letter] = body
             else:
-                known = [*self._namespace.names_of(Origin.ROBOT, Origin.OBJECT), _WALL]
+                known = [*self._namespace.names_of(Origin.ROBOT, Origin.OBJECT), _WALL_CELL]
                 self._values.report_unknown(self._values.field(layout, "legend", letter).span, "robot or object", body, known)
         return found
 
@@ -512,11 +512,11 @@ class Layouts:
         self, layout: str, body: str, cell: float, spots: tuple[tuple[float, float], ...], path: NodePath, *, used: bool
     ) -> Placement:
         """The body on the spots of its letters, in the attitude of its own `pose`."""
-        if body == _WALL and self._namespace.origin(_WALL) not in (Origin.ROBOT, Origin.OBJECT):
+        if body == _WALL_CELL and self._namespace.origin(_WALL_CELL) not in (Origin.ROBOT, Origin.OBJECT):
             name = f"{layout} wall"
             if used:
                 self._build(name, cell, len(spots))
-            return Placement(name, {}, rests=True, spot=Cells(spots), owner=draws_owner((*path, _WALL)))
+            return Placement(name, {}, rests=True, spot=Cells(spots), owner=draws_owner((*path, _WALL_CELL)))
         home = self._places.at_own_pose(body)
         turned = {key: coordinate for key, coordinate in home.coordinates.items() if key not in ("x", "y")}
         return replace(home, coordinates=turned, spot=Cells(spots), owner=draws_owner((*path, body)))

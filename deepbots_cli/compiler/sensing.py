@@ -25,7 +25,7 @@ from deepbots_cli.scenario.sensors import Sensor as SensorSpec
 from deepbots_cli.scenario.world import SensorFrame
 
 _LINKS = frozenset({Kind.LINK})
-_FELT = frozenset({Kind.GROUND, Kind.ROBOT, Kind.OBJECT, Kind.OBJECTS, Kind.LINK, Kind.LINKS, Kind.WALL, Kind.WALLS})
+_CONTACT_KINDS = frozenset({Kind.GROUND, Kind.ROBOT, Kind.OBJECT, Kind.OBJECTS, Kind.LINK, Kind.LINKS, Kind.WALL, Kind.WALLS})
 
 
 class SensorsCompiler:
@@ -133,7 +133,7 @@ class SensorsCompiler:
         found: list[str] = []
         for index, name in enumerate([given] if isinstance(given, str) else given):
             subject = self._namespace.subject(name, _LINKS)
-            if subject is not None and subject.kind in _FELT:
+            if subject is not None and subject.kind in _CONTACT_KINDS:
                 found += subject.members or subject.pieces or (subject.name,)
             elif subject is None or subject.kind is not Kind.BROKEN:
                 steps = ("against",) if isinstance(given, str) else ("against", index)
@@ -143,7 +143,7 @@ class SensorsCompiler:
     def _felt(self) -> list[str]:
         """Every body and link that a touch sensor may feel."""
         subjects = {name: self._namespace.subject(name, _LINKS) for name in self._namespace.subjects()}
-        return [name for name, subject in subjects.items() if subject is not None and subject.kind in _FELT]
+        return [name for name, subject in subjects.items() if subject is not None and subject.kind in _CONTACT_KINDS]
 
 
 # Frames, cameras and rays

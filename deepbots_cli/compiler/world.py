@@ -72,7 +72,7 @@ def define_bodies(namespace: Namespace) -> None:
         namespace.define(name, Origin.LINE, ("world", "lines", name))
 
 
-def _group(name: str, thing: world_spec.Placed, namespace: Namespace) -> Group | None:
+def _group(name: str, thing: world_spec.PlacedBody, namespace: Namespace) -> Group | None:
     """The group that an object with a `count` is; None after a finding.
 
     There are as many bodies as the greatest count asks for, and one at least; an episode without copies leaves them absent.
@@ -92,7 +92,7 @@ def _group(name: str, thing: world_spec.Placed, namespace: Namespace) -> Group |
 
 
 MAX_TRIANGLES = 200_000
-_SMALLEST, _SMALL, _LARGE, _LARGEST = 1e-5, 1e-4, 1e3, 1e6  # m; beyond the inner two a mesh is probably in another unit
+_MIN_MESH_M, _SMALL_MESH_M, _LARGE_MESH_M, _MAX_MESH_M = 1e-5, 1e-4, 1e3, 1e6  # m; beyond the inner two a mesh is probably in another unit
 
 
 def mesh(namespace: Namespace, spec: world_spec.Mesh | world_spec.MeshTerrain) -> Mesh | None:
@@ -127,7 +127,7 @@ def _is_sensible(namespace: Namespace, place: NodePath, file: FilePath, mesh: Me
         findings.add("DB005", span, headline, help="simplify it")
         return False
     size = [abs(factor) * (high - low) for factor, low, high in zip(mesh.scale, measured.lower, measured.upper, strict=True)]
-    code = None if _SMALL <= max(size) <= _LARGE else "DB505" if _SMALLEST <= max(size) <= _LARGEST else "DB105"
+    code = None if _SMALL_MESH_M <= max(size) <= _LARGE_MESH_M else "DB505" if _MIN_MESH_M <= max(size) <= _MAX_MESH_M else "DB105"
     if code is not None:
         shown = " x ".join(f"{side:.3g}" for side in size)
         findings.add(code, span, f"the mesh is {shown} m in size", help="a mesh in millimetres needs `scale: 0.001 0.001 0.001`")
@@ -216,9 +216,9 @@ def _wall(name: str, spec: world_spec.Wall, namespace: Namespace) -> Sequence[Ob
     return boxes
 
 
-_RIM = 2.7 * math.sqrt(2.0 * math.log(2.0))  # m; where that of a pit of 20 m is
-_HIGHEST = 1e4  # m
-_TRIED = 8  # places along either side at which a formula is tried
+_PIT_RIM_M = 2.7 * math.sqrt(2.0 * math.log(2.0))  # m; where that of a pit of 20 m is
+_MAX_HEIGHT_M = 1e4  # m
+_FORMULA_SAMPLES = 8  # places along either side at which a formula is tried
 
 
 def terrain(given: world_spec.Terrain, namespace: Namespace) -> Terrain | None:
@@ -233,7 +233,7 @@ def _relief(given: world_spec.Terrain, namespace: Namespace) -> TerrainShape | N
     values, fixed = namespace.values, namespace.fixed
     match given:
         case world_spec.Pit():
-            height, radius = fixed(given, "height"), _RIM if given.radius is None else fixed(given, "radius")
+            height, radius = fixed(given, "height"), _PIT_RIM_M if given.radius is None else fixed(given, "radius")
             noise = fixed(given, "noise")
             return None if height is None or radius is None or noise is None else Pit(height, radius, noise)
         case world_spec.MeshTerrain():
@@ -261,10 +261,10 @@ def _formula(given: world_spec.Formula, size: tuple[float, float], namespace: Na
     if typed is None:
         return None
     (heights,) = lower(typed, text.owner)
-    steps = [step / _TRIED - 0.5 for step in range(_TRIED + 1)]
+    steps = [step / _FORMULA_SAMPLES - 0.5 for step in range(_FORMULA_SAMPLES + 1)]
     for x, y in ((along_x * size[0], along_y * size[1]) for along_y in steps for along_x in steps):
         found = _at(heights, {"x": x, "y": y})
-        if not (isinstance(found, Const) and abs(found.value) < _HIGHEST):
+        if not (isinstance(found, Const) and abs(found.value) < _MAX_HEIGHT_M):
             place = f"at x = {x:g} m, y = {y:g} m"
             if isinstance(found, Const) and math.isfinite(found.value):
                 headline, help = f"the ground is {found.value:g} m high {place}", "give heights between -10 km and 10 km"
@@ -287,12 +287,12 @@ def _at(heights: Scalar, place: dict[str, float]) -> Scalar:
             return heights
 
 
-_WATER = 1000.0  # kg/m^3, the default density of objects
-_GREY: Colour = (*COLOURS["grey"], 1.0)
+_WATER_DENSITY = 1000.0  # kg/m^3, the default density of objects
+_DEFAULT_COLOUR: Colour = (*COLOURS["grey"], 1.0)
 _OF_ALL = ("solid", "spinning_friction", "rolling_friction", "restitution")
 
 
-def bodies(name: str, thing: world_spec.Placed, namespace: Namespace) -> list[ObjectBody]:
+def bodies(name: str, thing: world_spec.PlacedBody, namespace: Namespace) -> list[ObjectBody]:
     """The object, or every copy of a group; none after a finding about its shape. Figures that are drawn become variations."""
     group = namespace.groups.get(name)
     names = group.copies if group else (name,)
@@ -314,7 +314,7 @@ def _body(name: str, thing: world_spec.Material, made: Shape, namespace: Namespa
         name,
         made,
         mass=variants[0].mass if variants else _mass(thing, made, of, namespace),
-        colour=(None if variants else namespace.colour(thing, of)) or _GREY,
+        colour=(None if variants else namespace.colour(thing, of)) or _DEFAULT_COLOUR,
         fixed=bool(thing.fixed),
         solid=thing.solid is not False,
         friction=1.0 if variants else value(thing, "friction", "lateral_friction", of, 1.0),
@@ -326,7 +326,7 @@ def _body(name: str, thing: world_spec.Material, made: Shape, namespace: Namespa
     )
 
 
-def _variant(kind: str, given: world_spec.Shaped, thing: world_spec.VariedObject, namespace: Namespace) -> Variant | None:
+def _variant(kind: str, given: world_spec.ShapedBody, thing: world_spec.VariedObject, namespace: Namespace) -> Variant | None:
     """A form that a body may take: what it does not say of itself, the object says for all; its values are fixed."""
     for key in _OF_ALL:
         if getattr(given, key) is not None:
@@ -345,13 +345,13 @@ def _variant(kind: str, given: world_spec.Shaped, thing: world_spec.VariedObject
         kind,
         made,
         mass=_usual_mass(made, given, namespace, still=stays or thing.solid is False) if massive.mass is None else weight or 0.0,
-        colour=namespace.colour(painted) or _GREY,
+        colour=namespace.colour(painted) or _DEFAULT_COLOUR,
         friction=1.0 if grip is None else grip,
         fixed=stays,
     )
 
 
-def shape(thing: world_spec.Material | world_spec.Placed, namespace: Namespace) -> Shape | None:
+def shape(thing: world_spec.Material | world_spec.PlacedBody, namespace: Namespace) -> Shape | None:
     """The shape of an object or of a variant; None after a finding."""
     match thing:
         case world_spec.Box():
@@ -384,11 +384,11 @@ def _usual_mass(made: Shape, thing: world_spec.Material, namespace: Namespace, *
     if isinstance(made, Mesh) and not still:
         help = "give its `mass`, or write `fixed: true`"
         namespace.values.findings.add("DB102", namespace.values.key_span(thing.path), "a mesh that can move has no `mass`", help=help)
-    return _WATER * (volume(made) or 0.0)
+    return _WATER_DENSITY * (volume(made) or 0.0)
 
 
 # Seconds: a timestep beyond the outer two cannot be run, one beyond the inner two is hardly meant.
-_SHORTEST, _SHORT, _LONG, _LONGEST = 1e-6, 1e-4, 1.0, 60.0
+_MIN_TIMESTEP_S, _SHORT_TIMESTEP_S, _LONG_TIMESTEP_S, _MAX_TIMESTEP_S = 1e-6, 1e-4, 1.0, 60.0
 
 
 def world(namespace: Namespace, robots: list[ResolvedRobot], painted: tuple[Line, ...]) -> WorldModel:
@@ -429,7 +429,13 @@ def _parameters(spec: world_spec.World, namespace: Namespace) -> dict[str, Any]:
 
 
 def _check_timestep(timestep: float, spec: world_spec.World, namespace: Namespace) -> None:
-    code = None if _SHORT <= timestep <= _LONG else "DB505" if _SHORTEST <= timestep <= _LONGEST else "DB105"
+    code = (
+        None
+        if _SHORT_TIMESTEP_S <= timestep <= _LONG_TIMESTEP_S
+        else "DB505"
+        if _MIN_TIMESTEP_S <= timestep <= _MAX_TIMESTEP_S
+        else "DB105"
+    )
     if code:
         span = namespace.values.field(spec, "timestep").span
         namespace.values.findings.add(code, span, f"the timestep is {timestep:g} s", help="10 to 100 ms are usual")

@@ -38,16 +38,20 @@ class UnusableFile:
     reference: str
     path: Path
     roots: tuple[Path, ...] = ()
+    through_link: bool = False
+    """Whether the file is outside only because a symbolic link leads there."""
 
     @property
     def headline(self) -> str:
-        problem = {"missing": "does not exist", "outside": "lies outside the project", "irregular": "is not a regular file"}
+        outside = "leads outside the project through a symbolic link" if self.through_link else "lies outside the project"
+        problem = {"missing": "does not exist", "outside": outside, "irregular": "is not a regular file"}
         return f"`{self.reference}` {problem[self.reason]}"
 
     @property
     def help(self) -> str:
         if self.reason == "outside":
-            return f"move it into {self.roots[0] if self.roots else 'the project'}, or allow its folder with --allow-path"
+            it = "the file" if self.through_link else "it"
+            return f"move {it} into {self.roots[0] if self.roots else 'the project'}, or allow its folder with --allow-path"
         if self.reason == "irregular":
             return "write the path of a file"
         near = _similar(self.path)
@@ -71,9 +75,10 @@ def resolve_reference(reference: str, base: Path, roots: Iterable[Path]) -> Path
     roots = tuple(roots)
     path = base / reference.replace("\0", "\ufffd")
     try:
-        path = path.resolve()
+        written, path = Path(os.path.normpath(base.resolve() / path)), path.resolve()
         if not any(path.is_relative_to(root) for root in roots):
-            return UnusableFile("outside", reference, path, roots)
+            through_link = any(written.is_relative_to(root) for root in roots)
+            return UnusableFile("outside", reference, path, roots, through_link)
         if path.is_file():
             return path
         return UnusableFile("irregular" if path.exists() else "missing", reference, path, roots)

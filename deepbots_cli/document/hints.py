@@ -217,7 +217,7 @@ def _quoted(text: str) -> str:
 
 _QUOTABLE = re.compile(r"""[^"\\#\n]*""")
 _DRAW = re.compile(r"(uniform|normal|choice|integer)\(\s*([^(),]{1,40}?)\s*,\s*([^(),]{1,40}?)\s*\)")
-_JOINED = {"uniform": "..", "integer": "..", "normal": "+-", "choice": "|"}
+_DRAW_SIGNS = {"uniform": "..", "integer": "..", "normal": "+-", "choice": "|"}
 _HAS_COLON = re.compile(r"\s*:")
 _HIDDEN = re.compile(r":?[ \t]+(#[^\s#]\S*)")
 _COLOUR = re.compile(r"#[0-9A-Fa-f]{6}")
@@ -250,7 +250,7 @@ def report_values_cut_by_commas(scalars: Iterable[ScalarNode], findings: Finding
         help = f"put the value in quotes{quoted}, or on a line of its own"
         fix = Fix((Edit(span, f'"{text}"'),), safe=True) if _QUOTABLE.fullmatch(span.text) else None
         if draw := _DRAW.fullmatch(text):
-            better = f"{draw[1]}({draw[2]} {_JOINED[draw[1]]} {draw[3]})"
+            better = f"{draw[1]}({draw[2]} {_DRAW_SIGNS[draw[1]]} {draw[3]})"
             help, fix = f"a draw needs no comma: `{better}`", Fix((Edit(span, better),), safe=True)
         findings.add("DB001", span, "a comma inside brackets cuts this value in two", help=help, fix=fix)
     return cut

@@ -77,14 +77,14 @@ class Document:
 
 def load(
     path: Path | str,
-    sets: Texts[str] = (),
+    overrides: Texts[str] = (),
     *,
     display: str | None = None,
     allow_paths: Iterable[str | Path] = (),
     drafts: Drafts = NO_DRAFTS,
     project: Path | None = None,
 ) -> Document:
-    """Read the scenario at `path` and apply the assignments `sets` (`path=value`).
+    """Read the scenario at `path` and apply the assignments `overrides` (`path=value`).
 
     Problems in the files are findings of the document, reported under the name `display`. `drafts` replace the contents
     of files. `project` is the folder that the scenario may read from; by default it is found by its markers.
@@ -105,30 +105,30 @@ def load(
     except (OSError, ValueError, RuntimeError) as error:
         reason = error.strerror if isinstance(error, OSError) else None
         raise UsageError(f"{name} cannot be read: {(reason or 'not a usable file name').lower()}") from None
-    reader = _Reader(_roots(file.parent, sets, allow_paths, project), drafts)
+    reader = _Reader(_roots(file.parent, overrides, allow_paths, project), drafts)
     source, readable = files.decode(data, name, reader.findings)
     reader.files[file] = source
-    return reader.document(source, Path.cwd(), sets, file.parent, (file,), readable=readable)
+    return reader.document(source, Path.cwd(), overrides, file.parent, (file,), readable=readable)
 
 
 def loads(
     text: str,
     name: str = "<text>",
     base: str | Path | None = None,
-    sets: Texts[str] = (),
+    overrides: Texts[str] = (),
     *,
     allow_paths: Iterable[str | Path] = (),
 ) -> Document:
     """Read a scenario from a text; paths in it are relative to `base`, by default the working directory."""
     base = Path(base or Path.cwd()).resolve()
-    reader = _Reader(_roots(base, sets, allow_paths))
+    reader = _Reader(_roots(base, overrides, allow_paths))
     source, readable = files.decode(text.encode("utf-8", "surrogatepass"), name, reader.findings)
-    return reader.document(source, base, sets, base, (), readable=readable)
+    return reader.document(source, base, overrides, base, (), readable=readable)
 
 
-def _roots(folder: Path, sets: Texts[str], allowed: Iterable[str | Path], project: Path | None = None) -> tuple[Path, ...]:
+def _roots(folder: Path, overrides: Texts[str], allowed: Iterable[str | Path], project: Path | None = None) -> tuple[Path, ...]:
     # A path in an assignment is the user's own, and relative to the working directory.
-    own = [project.resolve() if project else files.project_root(folder), *([files.project_root(Path.cwd())] if sets else [])]
+    own = [project.resolve() if project else files.project_root(folder), *([files.project_root(Path.cwd())] if overrides else [])]
     return tuple(dict.fromkeys((*own, *shipped.data_roots(), *allowed_folders(allowed))))
 
 
@@ -157,12 +157,14 @@ class _Reader:
         self.trees: dict[Path, MappingNode | None] = {}
         self.size = 0  # bytes of the files that others name
 
-    def document(self, source: Source, base: Path, sets: Texts[str], folder: Path, chain: tuple[Path, ...], *, readable: bool) -> Document:
+    def document(
+        self, source: Source, base: Path, overrides: Texts[str], folder: Path, chain: tuple[Path, ...], *, readable: bool
+    ) -> Document:
         """The whole scenario in `source`, which lies in `folder`."""
         root = None
         try:
             root = self.scenario(source, folder, chain) if readable else None
-            for assignment in sets:
+            for assignment in overrides:
                 if root is not None:
                     root = apply_assignment(root, assignment, self.findings, self.budget)
         except TooManyFindings as too_many:
@@ -343,7 +345,7 @@ def _differ(base: Node | None, over: Node | None) -> bool:
 
 # Assignments: `--set path=value`, and settings in a file (`set: {reset.layout: paper}`)
 
-_NOTHING = re.compile(r"\s*(?:#.*)?")
+_BLANK_OR_COMMENT = re.compile(r"\s*(?:#.*)?")
 _CUTOFF = 0.75
 
 
@@ -360,7 +362,7 @@ def apply_assignment(root: MappingNode, assignment: str, findings: Findings, bud
     whole = Span(source, 0, len(assignment))
     if not path.strip():
         findings.add("DB102", whole, "there is no path before the `=`", help="write --set path=value")
-    elif not equals or _NOTHING.fullmatch(text):
+    elif not equals or _BLANK_OR_COMMENT.fullmatch(text):
         help = "put a value that starts with `#` in quotes" if "#" in text else "write --set path=value"
         findings.add("DB107", whole, f"`{path}` is set to nothing", help=help)
     else:

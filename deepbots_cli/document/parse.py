@@ -298,7 +298,7 @@ def resolve_plain_scalar(text: str) -> Value:
 # The place of each character of a quoted or folded scalar
 
 _ESCAPE = re.compile(r"\\(?:x[0-9A-Fa-f]{2}|u[0-9A-Fa-f]{4}|U[0-9A-Fa-f]{8}|\r\n|[\s\S])")
-_NAMED = dict(zip("0abt\tnvfreN_LP", "\0\a\b\t\t\n\v\f\r\x1b\x85\xa0\u2028\u2029", strict=True))
+_ESCAPE_CHARACTERS = dict(zip("0abt\tnvfreN_LP", "\0\a\b\t\t\n\v\f\r\x1b\x85\xa0\u2028\u2029", strict=True))
 
 
 def _offsets(raw: str, start: int, text: str, style: Style) -> abc.Sequence[int]:
@@ -337,7 +337,7 @@ def _characters(raw: str, position: int, end: int, style: Style) -> Iterator[tup
             if len(code) > 1 and code[0] in "xuU":
                 character = chr(int(code[1:], 16))
             else:
-                character = "" if code in ("\n", "\r\n") else _NAMED.get(code, code)
+                character = "" if code in ("\n", "\r\n") else _ESCAPE_CHARACTERS.get(code, code)
         if character:
             yield position, character
         position += width

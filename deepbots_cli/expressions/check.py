@@ -60,7 +60,7 @@ COMPARISONS = {"<": "less", "<=": "less_equal", ">": "greater", ">=": "greater_e
 _MAX_EXPONENT = 12
 # Roots that physics meets: halves, thirds and quarters. A float stands for one if it is the nearest.
 _MAX_DENOMINATOR = 4
-_KEEP_ABOVE = "keep it above a minimum with `max(x, ...)`"
+_KEEP_ABOVE_HELP = "keep it above a minimum with `max(x, ...)`"
 _FAMILY_HELP = {
     Family.DRAW: "draw it as a parameter, and use the parameter here",
     Family.STATEFUL: "define it as a signal, and use the signal where signals are known",
@@ -75,7 +75,7 @@ _CONTEXT_HELP = {
     (Context.TEST, Family.MESSAGE): "define it as a signal, and use the signal here",
 }
 # A common question about a part of the world that has no position.
-_ASKED = {
+_FUNCTION_OF_KIND = {
     Kind.JOINT: "joint_position",
     Kind.JOINTS: "joint_position",
     Kind.WALLS: "collided",
@@ -84,10 +84,10 @@ _ASKED = {
     Kind.CAMERA: "age",
 }
 # Hints for unknown names besides the known ones.
-_NAMED = {"pi": "half a turn is `180 deg`"}
-_ELSEWHERE = {Context.APPLY: "the choices of the agent are defined under `action`"}
+_NAME_HELP = {"pi": "half a turn is `180 deg`"}
+_CONTEXT_NAME_HELP = {Context.APPLY: "the choices of the agent are defined under `action`"}
 # Functions that other languages have.
-_CALLED_ELSEWHERE = {
+_CONTEXT_CALL_HELP = {
     "random": "a draw is `uniform(low .. high)`, or `normal(mean +- std)`",
     "rand": "a draw is `uniform(low .. high)`",
     "randn": "a draw is `normal(mean +- std)`",
@@ -269,7 +269,7 @@ class _Checker:
         scope, name = self._scope, node.dotted
         subject = scope.subject(name)
         if subject is not None:
-            help = f"use one of its values, as in `{_ASKED.get(subject.kind, 'position')}({name})`"
+            help = f"use one of its values, as in `{_FUNCTION_OF_KIND.get(subject.kind, 'position')}({name})`"
             is_invalid = subject.kind is Kind.BROKEN
             return (
                 StopChecking() if is_invalid else self._fault("DB203", node, f"`{name}` is {subject.kind.description}, not a value", help)
@@ -279,7 +279,7 @@ class _Checker:
         if asked := self._asked_of_a_body(node):
             help = f"functions give the values of the world: `{asked}`"
             return self._fault("DB402", node, f"unknown name `{name}`", help, Replacement(asked, safe=False))
-        return self._unknown("name", name, scope.names(), node, also=_NAMED.get(name.lower(), _ELSEWHERE.get(scope.context)))
+        return self._unknown("name", name, scope.names(), node, also=_NAME_HELP.get(name.lower(), _CONTEXT_NAME_HELP.get(scope.context)))
 
     def _asked_of_a_body(self, node: syntax.Name) -> str | None:
         """`position(cart).x` for `cart.position.x` and for `cart.x`."""
@@ -432,7 +432,7 @@ class _Checker:
             self._fault("DB405", node.right, "a division by zero" if b.is_single else between, _no_zero(right))
         if operator == "^" and a.is_finite:
             if a.low < 0.0 and b.is_single and not b.low.is_integer():
-                self._fault("DB406", node.left, f"a fractional power of a value that can be as low as {a.low:g}", _KEEP_ABOVE)
+                self._fault("DB406", node.left, f"a fractional power of a value that can be as low as {a.low:g}", _KEEP_ABOVE_HELP)
             if 0.0 in a and b.high < 0.0:
                 self._fault("DB405", node.left, "a negative power of a value that can be zero", _no_zero(left))
 
@@ -445,7 +445,7 @@ class _Checker:
             self._fault("DB109", called, rename.headline, f"write `{rename.new}`", Replacement(rename.new, safe=True))
             function = FUNCTIONS[rename.new]
         if function is None:
-            if help := _CALLED_ELSEWHERE.get(node.function):
+            if help := _CONTEXT_CALL_HELP.get(node.function):
                 raise self._fault("DB402", called, f"unknown function `{node.function}`", help)
             raise self._unknown("function", node.function, FUNCTIONS, called)
         occurrence = None
@@ -566,7 +566,7 @@ class _Checker:
         interval = values[0].type.interval if values else TRUTH
         if interval.is_finite and interval.low < function.domain.low:
             headline = f"the argument of `{function.name}` can be as low as {interval.low:g}"
-            self._fault("DB406", values[0], headline, _KEEP_ABOVE)
+            self._fault("DB406", values[0], headline, _KEEP_ABOVE_HELP)
         if function.family is Family.DRAW and function.params[0].form is Form.RANGE:
             low, high = values
             with suppress(StopChecking):

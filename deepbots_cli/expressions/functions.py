@@ -472,7 +472,7 @@ _ENTRIES = (
 )  # fmt: skip
 
 _A, _B = Param("a"), Param("b")
-_MANY = (_A, Param("b", variadic=True))
+_VARIADIC_PARAMS = (_A, Param("b", variadic=True))
 
 
 def _operator(name: str, params: tuple[Param, ...], python: str, interval: Callable[..., Interval], array: str = "") -> Function:
@@ -483,7 +483,7 @@ OPERATORS: Mapping[str, Function] = {
     function.name: function
     for function in (
         _operator("neg", (_A,), "-a", iv.negate),
-        _operator("add", _MANY, "a + b", iv.add),
+        _operator("add", _VARIADIC_PARAMS, "a + b", iv.add),
         _operator("sub", (_A, _B), "a - b", iv.subtract),
         _operator("mul", (_A, _B), "a * b", iv.multiply),
         _operator("div", (_A, _B), "a / b", iv.divide, "np.true_divide(a, b)"),
@@ -495,8 +495,8 @@ OPERATORS: Mapping[str, Function] = {
         _operator("equal", (_A, _B), "a == b", iv.equal),
         _operator("not_equal", (_A, _B), "a != b", lambda a, b: iv.subtract(iv.ALWAYS, iv.equal(a, b))),
         _operator("not", (_A,), "not a", lambda a: iv.subtract(iv.ALWAYS, a), "np.logical_not(a)"),
-        _operator("and", _MANY, "a and b", iv.minimum, "np.logical_and(a, b)"),
-        _operator("or", _MANY, "a or b", iv.maximum, "np.logical_or(a, b)"),
+        _operator("and", _VARIADIC_PARAMS, "a and b", iv.minimum, "np.logical_and(a, b)"),
+        _operator("or", _VARIADIC_PARAMS, "a or b", iv.maximum, "np.logical_or(a, b)"),
     )
 }
 """The operators of scalar trees; they are no functions of the language."""

@@ -54,7 +54,7 @@ def _times(a: float, b: float) -> float:
     return 0.0 if a == 0.0 or b == 0.0 else a * b
 
 
-def evaluate_or(function: Callable[..., float], *args: float, beyond: float = INF) -> float:
+def evaluate_with_default(function: Callable[..., float], *args: float, beyond: float = INF) -> float:
     """The value of a math function; `beyond` where it overflows or is not defined."""
     try:
         return function(*args)
@@ -109,8 +109,8 @@ def power(a: Interval, exponent: Interval) -> Interval:
     if n % 2.0 == 0.0:
         a = absolute(a)
     return Interval(
-        evaluate_or(math.pow, a.low, n, beyond=-INF if a.low < 0.0 else INF),
-        evaluate_or(math.pow, a.high, n, beyond=INF if a.high > 0.0 else -INF),
+        evaluate_with_default(math.pow, a.low, n, beyond=-INF if a.low < 0.0 else INF),
+        evaluate_with_default(math.pow, a.high, n, beyond=INF if a.high > 0.0 else -INF),
     )
 
 
@@ -122,7 +122,7 @@ def absolute(a: Interval) -> Interval:
 
 def apply_monotone(function: Callable[[float], float], a: Interval) -> Interval:
     """The image under a function that never falls; infinite where the function overflows."""
-    return Interval(evaluate_or(function, a.low, beyond=-INF if a.low < 0.0 else INF), evaluate_or(function, a.high))
+    return Interval(evaluate_with_default(function, a.low, beyond=-INF if a.low < 0.0 else INF), evaluate_with_default(function, a.high))
 
 
 def square_root(a: Interval) -> Interval:
@@ -183,7 +183,7 @@ def multiply_by_count(a: Interval, count: int) -> Interval:
 def hypot(*parts: Interval) -> Interval:
     """The square root of a sum of squares."""
     sizes = [absolute(part) for part in parts]
-    return Interval(evaluate_or(math.hypot, *(s.low for s in sizes)), evaluate_or(math.hypot, *(s.high for s in sizes)))
+    return Interval(evaluate_with_default(math.hypot, *(s.low for s in sizes)), evaluate_with_default(math.hypot, *(s.high for s in sizes)))
 
 
 def atan2(y: Interval, x: Interval) -> Interval:

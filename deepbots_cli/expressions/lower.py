@@ -44,7 +44,7 @@ Scalars = tuple[Scalar, ...]
 # The right or left argument that leaves the other as it is: x + 0, x - 0, x * 1, x / 1, x ^ 1. Units become such factors.
 _NEUTRAL_RIGHT = {"add": 0.0, "sub": 0.0, "mul": 1.0, "div": 1.0, "pow": 1.0}
 _NEUTRAL_LEFT = {"add": 0.0, "mul": 1.0}
-_SAME_OF_ONE = frozenset({"add", "min", "max", "and", "or"})
+_IDENTITY_OF_ONE = frozenset({"add", "min", "max", "and", "or"})
 
 
 def fold_operation(name: str, *args: Scalar) -> Scalar:
@@ -53,7 +53,7 @@ def fold_operation(name: str, *args: Scalar) -> Scalar:
     An operation without a value (a division by zero, an overflow, an argument out of the domain) stays, and fails where
     it runs.
     """
-    if len(args) == 1 and name in _SAME_OF_ONE:
+    if len(args) == 1 and name in _IDENTITY_OF_ONE:
         return args[0]
     values = [arg.value for arg in args if isinstance(arg, Const)]
     if len(values) == len(args):

@@ -42,15 +42,15 @@ KEYWORDS = frozenset({"and", "or", "not", "when", "every", "each", "if", "else",
 MAX_NESTING = 64
 MAX_DEPTH = 128
 _MAX_DOTS = 8
-_SHORT = 80
+_MAX_SHOWN_CHARACTERS = 80
 _MAX_FACTORS = 8
 
 _PRECEDENCE = {"or": 1, "and": 2, "<": 4, "<=": 4, ">": 4, ">=": 4, "==": 4, "!=": 4, "+": 5, "-": 5, "*": 6, "/": 6}
 _NOT, _COMPARISON, _MINUS = 3, 4, 7
 _NEVER_CLOSED = "a parenthesis that is not closed"
-_SMALLER = "define parts of the expression as signals or parameters"
+_TOO_DEEP_HELP = "define parts of the expression as signals or parameters"
 _SLOT_ENDS = {"", ",", ")", "..", "+-", "|", "when", "every", "each"}  # the first is the end of the text
-_WANT_VALUE = {"when", "and", "or", "not", "every"}
+_OPERATOR_WORDS = {"when", "and", "or", "not", "every"}
 
 
 def parse(text: str, report: FindingReporter) -> Node | None:
@@ -59,14 +59,14 @@ def parse(text: str, report: FindingReporter) -> Node | None:
         report("DB005", 0, len(text), f"an expression of {len(text)} characters", f"the limit is {MAX_LENGTH} characters")
         return None
     try:
-        if len(text) <= _SHORT:
+        if len(text) <= _MAX_SHOWN_CHARACTERS:
             return _parse_cached(text)  # each level takes a character at least, so that it cannot be too deep
         tree = _Parser(text).text()
     except _SyntaxError as fault:
         report(*fault.finding)
         return None
     if depth(tree) > MAX_DEPTH:
-        report("DB005", tree.start, tree.end, f"more than {MAX_DEPTH} nested operations", _SMALLER)
+        report("DB005", tree.start, tree.end, f"more than {MAX_DEPTH} nested operations", _TOO_DEEP_HELP)
         return None
     return tree
 
@@ -356,7 +356,7 @@ class _Parser:
     def _deeper(self, token: Token) -> None:
         self._nesting += 1
         if self._nesting > MAX_NESTING:
-            raise _SyntaxError(token.start, token.end, f"more than {MAX_NESTING} levels of nesting", _SMALLER, code="DB005")
+            raise _SyntaxError(token.start, token.end, f"more than {MAX_NESTING} levels of nesting", _TOO_DEEP_HELP, code="DB005")
 
     def _close(self, opening: Token) -> int:
         """The end of the parenthesis that closes `opening`."""
@@ -392,13 +392,13 @@ class _Hint(NamedTuple):
     text: str | None = None
 
 
-_SAME = {
+_FOREIGN_SIGNS = {
     "&&": "and", "||": "or", "=>": ">=", "<>": "!=", "≤": "<=", "≥": ">=", "≠": "!=", "×": "*", "·": "*", "÷": "/",
     "±": "+-", "²": "^2", "³": "^3", "…": "..", "°": " deg",
 }  # fmt: skip
 _CONDITIONAL = _Hint("write `where(condition, a, b)`, or `a when condition`")
 _NO_TEXT = _Hint("expressions contain numbers and names, but no text")
-_HINTS = {sign: _Hint(f"write `{text.strip()}`", text) for sign, text in _SAME.items()} | {
+_HINTS = {sign: _Hint(f"write `{text.strip()}`", text) for sign, text in _FOREIGN_SIGNS.items()} | {
     "**": _Hint("a power is `a ^ b`", "^"),
     "−": _Hint("write the plain minus `-`", "-"),
     "–": _Hint("write the plain minus `-`", "-"),
@@ -478,7 +478,7 @@ def _about_comma(tokens: list[Token], at: int) -> tuple[str, str | None, Replace
 
 def _missing_end(tokens: list[Token]) -> str | None:
     last = tokens[-2]
-    if last.text == ")" or (last.kind != "SIGN" and last.text not in _WANT_VALUE):
+    if last.text == ")" or (last.kind != "SIGN" and last.text not in _OPERATOR_WORDS):
         return None
     missing = "a value and the closing `)` are" if _unclosed(tokens) else "a value is"
     return f"{missing} missing after `{last.text}`"

@@ -34,8 +34,8 @@ Place = syntax.Node | Typed | TypedRange
 """A node, for its place in the text."""
 
 ANY_SHAPE: Components = ("*",)
-_BEYOND = 10  # times what is plausible: an engine's sums lose their digits
-_LARGEST = 1e30  # of a dimension without a plausible limit
+_PLAUSIBLE_LIMIT_FACTOR = 10  # times what is plausible: an engine's sums lose their digits
+_MAX_VALUE = 1e30  # of a dimension without a plausible limit
 
 
 class StopChecking(Exception):  # noqa: N818 - no error: it carries nothing
@@ -292,7 +292,7 @@ def _require_size(value: Typed, stage: Stage, what: str, report: FindingReporter
     farthest = max(interval, key=abs)
     largest, is_or_reaches = abs(farthest), "is" if interval.is_single else "reaches"
     plausible = physical_quantity(dimension).plausible_limit
-    limit = _LARGEST if plausible == math.inf else _BEYOND * plausible
+    limit = _MAX_VALUE if plausible == math.inf else _PLAUSIBLE_LIMIT_FACTOR * plausible
     if largest > limit and stage is not Stage.STEP:
         unit = "" if dimension == NUMBER else f" {dimension}"
         help = f"give at most {limit:g}{unit}" if farthest > 0.0 else f"give at least {-limit:g}{unit}"

@@ -28,21 +28,21 @@ from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import ActionRange, Choices, ObservedValue
 
 FORMAT = 2
-NAME = "card.json"
-GRAPHS = ("policy.onnx", "policy_si.onnx")
-_LIMIT = 10_000_000
-_GRAPH_LIMIT = 1 << 31  # bytes, that of a protobuf message
+CARD_NAME = "card.json"
+GRAPH_FILES = ("policy.onnx", "policy_si.onnx")
+_MAX_CARD_BYTES = 10_000_000
+_MAX_GRAPH_BYTES = 1 << 31  # bytes, that of a protobuf message
 _LICENCE = re.compile(r"SPDX-License-Identifier:\s*([A-Za-z0-9][\w.+() -]*)")
 
 
-class Picture(BaseModel):
+class CardImage(BaseModel):
     """A picture: uint8 of `shape` (rows, columns, channels)."""
 
     name: str
     shape: tuple[int, ...]
 
 
-class Acted(BaseModel):
+class CardAction(BaseModel):
     """A part of the action: a choice, with the values that each option sets by variable, or a number, of which -1 and 1 mean a range."""
 
     name: str
@@ -73,8 +73,8 @@ class Card(BaseModel):
     control_rate_hz: float
     observation: tuple[ObservedValue, ...]
     achieved_and_desired_goal: tuple[ObservedValue, ...]
-    pictures: tuple[Picture, ...]
-    action: tuple[Acted, ...]
+    pictures: tuple[CardImage, ...]
+    action: tuple[CardAction, ...]
     action_mask: tuple[str, ...] | None
     memory: tuple[int, int] | None
     """Layers and units of a recurrent policy."""
@@ -91,16 +91,17 @@ class Card(BaseModel):
 
 def result_text(found: EvaluationRecord) -> str:
     """Mean return and success rate with their intervals, and what they are of."""
-    low, high = found.return_interval or (found.mean_return, found.mean_return)
-    text = f"mean return {found.mean_return:.4g} (95 % interval {low:.4g} .. {high:.4g})"
-    if found.success_defined:
+    text = f"mean return {found.mean_return:.4g}"
+    if found.return_interval is not None:
+        text += " (95 % interval {:.4g} .. {:.4g})".format(*found.return_interval)
+    if found.success_rate is not None and found.success_interval is not None:
         low, high = found.success_interval
         text += f", success rate {found.success_rate:.1%} (95 % interval {low:.1%} .. {high:.1%})"
     solved = {True: "; solved", False: "; not solved", None: ""}[found.solved]
     return f"{text}, over {found.episodes:,} held-out episodes from seed {found.seed}{solved}"
 
 
-def bundle(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
+def bundle_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
     """The files of the bundle of a run.
 
     Raises:
@@ -137,8 +138,8 @@ def bundle(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
         control_rate_hz=round(1 / program.period, 6),
         observation=program.policy.inputs,
         achieved_and_desired_goal=_goal(program),
-        pictures=tuple(Picture(name=each.key, shape=space[each.key].shape) for each in program.policy.images),
-        action=tuple(_acted(program)),
+        pictures=tuple(CardImage(name=each.key, shape=space[each.key].shape) for each in program.policy.images),
+        action=tuple(_card_actions(program)),
         action_mask=tuple(masks) if export.takes_masks(model, program) else None,
         memory=(lstm.num_layers, lstm.hidden_size) if lstm is not None else None,
         result=evaluated[1] if evaluated else None,
@@ -148,12 +149,12 @@ def bundle(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
     )
     goal = card.achieved_and_desired_goal
     vectors = {"observation": card.observation, "achieved_goal": goal, "desired_goal": goal}
-    readme = rendered("bundle.md.j2", card=card, vectors={name: numbers for name, numbers in vectors.items() if numbers})
+    readme = render_template("bundle.md.j2", card=card, vectors={name: numbers for name, numbers in vectors.items() if numbers})
     # The scenario names the copies of its robot files; the YAML files that it was put together from are in it.
     robots = [name for name in record.inputs if not name.endswith((".yaml", ".yml"))]
     files = {
         **graphs,
-        NAME: (card.model_dump_json(indent=2) + "\n").encode(),
+        CARD_NAME: (card.model_dump_json(indent=2) + "\n").encode(),
         "README.md": readme.encode(),
         "scenario.yaml": (run.path / RESOLVED_NAME).read_bytes(),
         **{f"{INPUTS_FOLDER}/{name}": (run.path / INPUTS_FOLDER / name).read_bytes() for name in robots},
@@ -169,14 +170,14 @@ def _goal(program: Program) -> tuple[ObservedValue, ...]:
     return tuple(ObservedValue(name, goal.unit, low, high) for name, low, high in rows)
 
 
-def _acted(program: Program) -> list[Acted]:
+def _card_actions(program: Program) -> list[CardAction]:
     found = []
     for part in program.policy.action:
         if isinstance(part, ActionRange):
-            found += [Acted(name=name, unit=part.unit.removeprefix("1"), low=part.low, high=part.high) for name in part.names]
+            found += [CardAction(name=name, unit=part.unit.removeprefix("1"), low=part.low, high=part.high) for name in part.names]
         else:
             options = {option.name: dict(zip(part.variables, option.values, strict=True)) for option in part.options}
-            found.append(Acted(name=part.name, options=options))
+            found.append(CardAction(name=part.name, options=options))
     return found
 
 
@@ -189,7 +190,7 @@ def _licences(inputs: Path) -> dict[str, str]:
     return found
 
 
-def rendered(template: str, *, html: bool = False, **values: Any) -> str:
+def render_template(template: str, *, html: bool = False, **values: Any) -> str:
     """The text of a template of this package."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
@@ -203,24 +204,24 @@ def rendered(template: str, *, html: bool = False, **values: Any) -> str:
 # Whether it fits
 
 
-def read(folder: Path) -> Card:
+def read_card(folder: Path) -> Card:
     """The card of a bundle whose graphs are as they were exported.
 
     Raises:
         RunError: The folder is no bundle, its card is damaged or of another format, or a graph has changed.
     """
-    if not (folder / NAME).is_file() or (folder / NAME).is_symlink():
-        raise RunError(f"{folder} is not a bundle of `deepbots export`: it holds no {NAME}")
-    found = read_json(folder / NAME, RecordFormat, _LIMIT).format
+    if not (folder / CARD_NAME).is_file() or (folder / CARD_NAME).is_symlink():
+        raise RunError(f"{folder} is not a bundle of `deepbots export`: it holds no {CARD_NAME}")
+    found = read_json(folder / CARD_NAME, RecordFormat, _MAX_CARD_BYTES).format
     if found != FORMAT:
         raise RunError(f"{folder} is a bundle of format {found}, this deepbots reads {FORMAT}; use the deepbots that wrote it")
-    card = read_json(folder / NAME, Card, _LIMIT)
-    for name in GRAPHS:
+    card = read_json(folder / CARD_NAME, Card, _MAX_CARD_BYTES)
+    for name in GRAPH_FILES:
         path = folder / name
         if path.is_symlink() or not path.is_file():
             raise RunError(f"{path} is {'missing' if not os.path.lexists(path) else 'no regular file'}; export the run again")
         with path.open("rb") as file:
-            if path.stat().st_size > _GRAPH_LIMIT or hashlib.file_digest(file, "sha256").hexdigest() != card.files.get(name):
+            if path.stat().st_size > _MAX_GRAPH_BYTES or hashlib.file_digest(file, "sha256").hexdigest() != card.files.get(name):
                 raise RunError(f"{path} is not the file that was exported; export the run again")
     return card
 

@@ -1,7 +1,7 @@
 """The endings of a scenario as comparisons whose values an episode keeps.
 
-`measured` gives a program whose supervisor keeps both sides of each comparison. Everything else of an episode stays the same to the bit:
-the added signals read what the endings read, and share their memories.
+`instrument_program` gives a program whose supervisor keeps both sides of each comparison. Everything else of an episode stays the same to
+the bit: the added signals read what the endings read, and share their memories.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from deepbots_cli.program.task import Ending, Goal
 from deepbots_cli.program.values import Expression
 from deepbots_cli.runtime import Supervisor
 
-Values = Mapping[str, Sequence[float]]
+StepValues = Mapping[str, Sequence[float]]
 """What the supervisor kept in a step: the components of each value, by its name."""
 
-_PROBE = "insight_"
-_GOAL = f"{_PROBE}goal"
-SIGNS = {name: sign for sign, name in COMPARISONS.items()}
+_SIGNAL_PREFIX = "insight_"
+_GOAL_SIGNAL = f"{_SIGNAL_PREFIX}goal"
+SIGN_OF_OPERATOR = {name: sign for sign, name in COMPARISONS.items()}
 _NEGATED = {"less": "greater_equal", "less_equal": "greater", "equal": "not_equal"}
 _NEGATED |= {negated: name for name, negated in _NEGATED.items()}
 _FUNCTIONS = dict(zip(COMPARISONS, (operator.lt, operator.le, operator.gt, operator.ge, operator.eq, operator.ne), strict=True))
@@ -46,23 +46,23 @@ class Comparison:
     bound: str | None = None
     unit: str = ""
     sides: tuple[str, str] = ("", "")
-    joined: Literal["any", "all"] = "any"
+    reduction: Literal["any", "all"] = "any"
     lasting: Condition | None = None
 
 
 @dataclass(frozen=True)
-class Junction:
+class CompoundCondition:
     """Conditions of which all must hold (`and`), or one (`or`)."""
 
     operator: Literal["and", "or"]
     parts: tuple[Condition, ...]
 
 
-Condition = Comparison | Junction
+Condition = Comparison | CompoundCondition
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredComparison:
     """A comparison at one moment, in SI units.
 
     `margin` is how far the value is beyond the bound: from 0 on the condition holds, below 0 this much is missing. A truth value has
@@ -80,53 +80,53 @@ class Measured:
         known = self.condition
         data: dict[str, Any] = {"condition": known.text, "holds": self.holds, "value": self.value}
         if known.bound is not None:
-            data |= {"operator": SIGNS[known.operator], "bound": self.bound, "margin": self.margin, "unit": known.unit}
+            data |= {"operator": SIGN_OF_OPERATOR[known.operator], "bound": self.bound, "margin": self.margin, "unit": known.unit}
         return data
 
 
 @dataclass(frozen=True, eq=False)
-class Watch:
+class InstrumentedProgram:
     """A program that measures its endings, and the condition of each; None for one that has no tree, or draws random numbers.
 
-    `observed` holds the kept value of each entry of the observation, before noise and clipping, by its name.
+    `observed_signals` holds the kept value of each entry of the observation, before noise and clipping, by its name.
     """
 
     program: Program
     conditions: Mapping[str, Condition | None]
-    observed: Mapping[str, str]
+    observed_signals: Mapping[str, str]
 
-    def read(self, agent: Supervisor) -> Values:
+    def read(self, agent: Supervisor) -> StepValues:
         """What this step left in a supervisor of the program."""
         found = {name: getattr(agent, f"last_{name}") for name in self.program.stored_signals}
         goal = self.program.policy.goal
         values = {name: tuple(value) if isinstance(value, list | tuple) else (float(value),) for name, value in found.items()}
-        return values if goal is None else {**values, _GOAL: (_distance(goal, agent),), f"{_GOAL}_bound": (goal.tolerance,)}
+        return values if goal is None else {**values, _GOAL_SIGNAL: (_distance(goal, agent),), f"{_GOAL_SIGNAL}_bound": (goal.tolerance,)}
 
 
-def measured(program: Program, *, observed: bool = False) -> Watch:
-    """The program with kept values for each comparison of its endings, and for the observation too if that is `observed`."""
-    made = _Builder(program)
-    conditions = {ending.name: made.of_ending(ending) for ending in program.endings}
+def instrument_program(program: Program, *, include_observation: bool = False) -> InstrumentedProgram:
+    """The program with kept values for each comparison of its endings, and for the observation too with `include_observation`."""
+    made = _ConditionBuilder(program)
+    conditions = {ending.name: made.ending_condition(ending) for ending in program.endings}
     if program.policy.goal is not None:
         conditions.setdefault("goal_reached", made.goal(program.policy.goal, negated=False))
-    seen = [entry.value for entry in program.policy.observation if observed and entry.numbers and entry.value.foreign is None]
+    seen = [entry.value for entry in program.policy.observation if include_observation and entry.numbers and entry.value.foreign is None]
     kept = {value.name: made.probe(value.typed, value) for value in seen if made.is_measurable(value)}
     signals = (*program.signals, *made.probes.values())
-    return Watch(replace(program, signals=signals, stored_signals=frozenset(made.probes)), conditions, kept)
+    return InstrumentedProgram(replace(program, signals=signals, stored_signals=frozenset(made.probes)), conditions, kept)
 
 
 class _UnmeasuredError(Exception):
     """A condition whose value an episode cannot keep: a random draw, or the goal as the policy sees it."""
 
 
-class _Builder:
+class _ConditionBuilder:
     def __init__(self, program: Program) -> None:
         self.probes: dict[str, Expression] = {}
         self._program = program
         self._named: dict[str, Expression] = {signal.name: signal for signal in program.signals}
         self._named |= {ending.name: ending.value for ending in program.endings if ending.foreign is None}
 
-    def of_ending(self, ending: Ending) -> Condition | None:
+    def ending_condition(self, ending: Ending) -> Condition | None:
         if ending.foreign is not None:
             return None
         try:
@@ -136,7 +136,7 @@ class _Builder:
 
     def goal(self, goal: Goal, *, negated: bool) -> Comparison:
         sides = ("the distance from achieved to desired", "goal.tolerance")
-        return Comparison("goal_reached", "greater" if negated else "less_equal", _GOAL, f"{_GOAL}_bound", goal.unit, sides)
+        return Comparison("goal_reached", "greater" if negated else "less_equal", _GOAL_SIGNAL, f"{_GOAL_SIGNAL}_bound", goal.unit, sides)
 
     def _condition(self, node: Typed, home: Expression, *, negated: bool, joined: Literal["any", "all"] = "any") -> Condition:
         """The condition of a truth value in the text of `home`, with `not` pushed down to the comparisons."""
@@ -145,8 +145,8 @@ class _Builder:
                 return self._condition(inner, home, negated=not negated, joined=joined)
             case Operation(operator="and" | "or" as joining, args=args) if node.type.components is None:
                 both: Literal["and", "or"] = "or" if (joining == "or") != negated else "and"
-                return Junction(both, tuple(self._condition(arg, home, negated=negated) for arg in args))
-            case Operation(operator=written, args=(left, right)) if written in SIGNS and not left.type.boolean:
+                return CompoundCondition(both, tuple(self._condition(arg, home, negated=negated) for arg in args))
+            case Operation(operator=written, args=(left, right)) if written in SIGN_OF_OPERATOR and not left.type.boolean:
                 used = _NEGATED[written] if negated else written
                 value, bound = self.probe(left, home), self.probe(right, home)
                 sides = (home.text[left.start : left.end], home.text[right.start : right.end])
@@ -154,7 +154,7 @@ class _Builder:
                 return Comparison(text, used, value, bound, unit, sides, joined, self._lasting(left, home))
             case Invocation(function="any" | "all" as function, args=(inner,)) if not inner.type.has_group_components:
                 every: Literal["any", "all"] = "any" if (function == "any") != negated else "all"
-                if isinstance(inner, Operation) and inner.operator in SIGNS:
+                if isinstance(inner, Operation) and inner.operator in SIGN_OF_OPERATOR:
                     return self._condition(inner, home, negated=negated, joined=every)
             case Reference(symbol=symbol) if symbol.name == "goal_reached" and self._program.policy.goal is not None:
                 return self.goal(self._program.policy.goal, negated=negated)
@@ -179,7 +179,7 @@ class _Builder:
         made = Expression("", home.span, home.text[node.start : node.end], node, home.owner, home.per_component)
         if not self.is_measurable(made):
             raise _UnmeasuredError
-        name = f"{_PROBE}{len(self.probes)}"
+        name = f"{_SIGNAL_PREFIX}{len(self.probes)}"
         self.probes[name] = replace(made, name=name)
         return name
 
@@ -202,35 +202,35 @@ def _margin(comparison: str, value: float, bound: float) -> float:
     return bound - value if comparison in ("less", "less_equal") else value - bound
 
 
-def leaves(condition: Condition) -> list[Comparison]:
-    if isinstance(condition, Junction):
-        return [leaf for part in condition.parts for leaf in leaves(part)]
+def comparisons_in(condition: Condition) -> list[Comparison]:
+    if isinstance(condition, CompoundCondition):
+        return [leaf for part in condition.parts for leaf in comparisons_in(part)]
     return [condition]
 
 
-def measure(condition: Comparison, values: Values) -> Measured:
+def measure(condition: Comparison, values: StepValues) -> MeasuredComparison:
     """A comparison in one step. Of several components, the one that decides counts."""
     sides, bounds = values[condition.value], (1.0,) if condition.bound is None else values[condition.bound]
     pairs = [(sides[index % len(sides)], bounds[index % len(bounds)]) for index in range(max(len(sides), len(bounds)))]
-    chosen = max if condition.joined == "any" else min
+    chosen = max if condition.reduction == "any" else min
     value, bound = chosen(pairs, key=lambda pair: _margin(condition.operator, *pair))
-    holds = _FUNCTIONS[SIGNS[condition.operator]](value, bound)
+    holds = _FUNCTIONS[SIGN_OF_OPERATOR[condition.operator]](value, bound)
     if condition.bound is None:
-        return Measured(condition, holds, float(value))
-    return Measured(condition, holds, float(value), float(bound), _margin(condition.operator, value, bound))
+        return MeasuredComparison(condition, holds, float(value))
+    return MeasuredComparison(condition, holds, float(value), float(bound), _margin(condition.operator, value, bound))
 
 
-def holds(condition: Condition, values: Values) -> bool:
-    if isinstance(condition, Junction):
+def holds(condition: Condition, values: StepValues) -> bool:
+    if isinstance(condition, CompoundCondition):
         return (all if condition.operator == "and" else any)(holds(part, values) for part in condition.parts)
     return measure(condition, values).holds
 
 
-def deciding(condition: Condition, before: Values | None, now: Values) -> Measured:
+def deciding_comparison(condition: Condition, before: StepValues | None, now: StepValues) -> MeasuredComparison:
     """The comparison that made a condition hold: one that holds now and did not in the step before, one with a bound first."""
-    if not isinstance(condition, Junction):
+    if not isinstance(condition, CompoundCondition):
         return measure(condition, now)
     parts = [part for part in condition.parts if holds(part, now)] or list(condition.parts)
     new = [part for part in parts if before is not None and not holds(part, before)] or parts
-    found = [deciding(part, before, now) for part in new]
+    found = [deciding_comparison(part, before, now) for part in new]
     return next((each for each in found if each.margin is not None), found[0])

@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from deepbots_cli.insight.conditions import SIGNS, Comparison, Measured, holds, leaves, measure
-from deepbots_cli.insight.statements import SHOWN, Finder, Numbers, Statement, listed, quantity, state_all
+from deepbots_cli.insight.conditions import SIGN_OF_OPERATOR, Comparison, MeasuredComparison, comparisons_in, holds, measure
+from deepbots_cli.insight.statements import MAX_LISTED, Numbers, Statement, StatementRule, list_text, quantity_text, statements_about
 from deepbots_cli.insight.trace import Trace
 from deepbots_cli.program.task import ActionRange, Choices
 
 
 def explain(trace: Trace) -> list[Statement]:
     """Every row of the table that applies."""
-    return state_all(ROWS, trace)
+    return statements_about(ROWS, trace)
 
 
 def explanation_json(trace: Trace, statements: Sequence[Statement]) -> dict[str, Any]:
@@ -24,7 +24,7 @@ def explanation_json(trace: Trace, statements: Sequence[Statement]) -> dict[str,
     said = {each.cause: each.evidence for each in statements}
     limit, drop = said.get("limit"), said.get("critic")
     return {
-        "episode": trace.what,
+        "episode": trace.title,
         "scenario": trace.program.name,
         "agent": trace.agent or None,
         "outcome": trace.outcome,
@@ -51,18 +51,18 @@ def ending(trace: Trace) -> Numbers | None:
     if trace.outcome not in _WORDS:
         return None
     of = f" (agent {trace.agent})" if trace.agent else ""
-    return {"what": f"{trace.what[0].upper()}{trace.what[1:]}{of}", "outcome": _WORDS[trace.outcome], "ending": trace.ended_by or "",
+    return {"what": f"{trace.title[0].upper()}{trace.title[1:]}{of}", "outcome": _WORDS[trace.outcome], "ending": trace.ended_by or "",
             "steps": trace.steps, "time": trace.time, "seconds": _seconds(trace.time)}  # fmt: skip
 
 
 def error(trace: Trace) -> Numbers | None:
     """After {steps} steps, at {seconds}, {what} stopped with an error: {error}."""
-    return {"what": trace.what, "error": trace.error, "steps": trace.steps, "seconds": _seconds(trace.time)} if trace.error else None
+    return {"what": trace.title, "error": trace.error, "steps": trace.steps, "seconds": _seconds(trace.time)} if trace.error else None
 
 
 def not_ended(trace: Trace) -> Numbers | None:
     """The actions of {what} last for {steps} steps ({seconds}), and the episode does not end in them."""
-    found = {"what": trace.what, "steps": trace.steps, "seconds": _seconds(trace.time)}
+    found = {"what": trace.title, "steps": trace.steps, "seconds": _seconds(trace.time)}
     return found if trace.outcome == "not ended" else None
 
 
@@ -74,8 +74,8 @@ def margin(trace: Trace) -> Numbers | None:
     unit, (value, bound) = end.condition.unit, end.condition.sides
     named = f" ({bound})" if not bound[:1].isdigit() else ""
     where = "over" if end.value > end.bound else "under" if end.value < end.bound else "away from"
-    return {**end.as_json(), "side": value, "shown": quantity(end.value, unit), "limit": quantity(end.bound, unit) + named,
-            "by": quantity(abs(end.margin), unit, 3), "where": where}  # fmt: skip
+    return {**end.as_json(), "side": value, "shown": quantity_text(end.value, unit), "limit": quantity_text(end.bound, unit) + named,
+            "by": quantity_text(abs(end.margin), unit, 3), "where": where}  # fmt: skip
 
 
 def fact(trace: Trace) -> Numbers | None:
@@ -93,7 +93,7 @@ def limit(trace: Trace) -> Numbers | None:
         return None
     value, bound, unit = (trace.steps, limits.max_steps, "") if trace.ended_by == "max_steps" else (trace.time, limits.max_time, "s")
     return {"condition": trace.ended_by, "value": value, "bound": bound, "margin": value - (bound or 0), "unit": unit,
-            "shown": quantity(value, unit), "limit": quantity(bound or 0, unit)}  # fmt: skip
+            "shown": quantity_text(value, unit), "limit": quantity_text(bound or 0, unit)}  # fmt: skip
 
 
 def approach(trace: Trace) -> Numbers | None:
@@ -108,8 +108,8 @@ def approach(trace: Trace) -> Numbers | None:
         start -= 1
     if start >= len(margins) - 2:
         return None
-    return {"step": start, "steps": len(margins) - 1 - start, "at": trace.at(start), "seconds": _seconds(trace.at(start)),
-            "from": quantity(past[start].value, leaf.unit), "side": leaf.sides[0]}  # fmt: skip
+    return {"step": start, "steps": len(margins) - 1 - start, "at": trace.time_at(start), "seconds": _seconds(trace.time_at(start)),
+            "from": quantity_text(past[start].value, leaf.unit), "side": leaf.sides[0]}  # fmt: skip
 
 
 def nearest(trace: Trace) -> Numbers | None:
@@ -119,15 +119,15 @@ def nearest(trace: Trace) -> Numbers | None:
     if leaf is None:
         return None
     step, found = _nearest(trace, leaf)
-    return {**found.as_json(), "ending": name, "side": leaf.sides[0], "sign": SIGNS[leaf.operator], "step": step,
-            "limit": quantity(found.bound or 0.0, leaf.unit), "best": quantity(found.value, leaf.unit),
-            "seconds": _seconds(trace.at(step))}  # fmt: skip
+    return {**found.as_json(), "ending": name, "side": leaf.sides[0], "sign": SIGN_OF_OPERATOR[leaf.operator], "step": step,
+            "limit": quantity_text(found.bound or 0.0, leaf.unit), "best": quantity_text(found.value, leaf.unit),
+            "seconds": _seconds(trace.time_at(step))}  # fmt: skip
 
 
 def conditions(trace: Trace) -> Numbers | None:
     """Of the conditions in '{ending}', {parts}."""
     name, outer = _missed(trace)
-    inner = [part for leaf in outer for part in (leaves(leaf.lasting) if leaf.lasting else [leaf])]
+    inner = [part for leaf in outer for part in (comparisons_in(leaf.lasting) if leaf.lasting else [leaf])]
     if len(inner) < 2 and not any(leaf.lasting for leaf in outer):
         return None
     found, said = [], []
@@ -135,8 +135,9 @@ def conditions(trace: Trace) -> Numbers | None:
         steps = sum(measure(leaf, values).holds for values in trace.values)
         beside = [k for k, values in enumerate(trace.values) if steps and all(measure(o, values).holds for o in inner if o is not leaf)]
         step, best = _nearest(trace, leaf, beside)
-        found.append({**best.as_json(), "step": step, "time": trace.at(step), "steps": steps, "beside_others": bool(beside)})
-        came = f"came to {quantity(best.value, leaf.unit)} of {quantity(best.bound or 0.0, leaf.unit)} at {_seconds(trace.at(step))}"
+        found.append({**best.as_json(), "step": step, "time": trace.time_at(step), "steps": steps, "beside_others": bool(beside)})
+        value, bound = quantity_text(best.value, leaf.unit), quantity_text(best.bound or 0.0, leaf.unit)
+        came = f"came to {value} of {bound} at {_seconds(trace.time_at(step))}"
         came = f" and{', while the others held,' if beside and len(inner) > 1 else ''} {came}" if leaf.bound else ""
         said.append(f"`{leaf.text}` held in {steps} of {len(trace.values)} moments{came}")
     return {"ending": name, "conditions": found, "parts": "; ".join(said)}
@@ -146,13 +147,13 @@ def _missed(trace: Trace) -> tuple[str, list[Comparison]]:
     """The first success with a bound that an episode without a success missed, and its comparisons."""
     if trace.outcome not in ("success", "error"):
         for name in [*(each.name for each in trace.program.endings if each.outcome == "success"), "goal_reached"]:
-            condition = trace.watch.conditions.get(name)
-            if condition is not None and any(leaf.bound is not None for leaf in leaves(condition)):
-                return name, leaves(condition)
+            condition = trace.instrumented.conditions.get(name)
+            if condition is not None and any(leaf.bound is not None for leaf in comparisons_in(condition)):
+                return name, comparisons_in(condition)
     return "", []
 
 
-def _nearest(trace: Trace, leaf: Comparison, moments: Sequence[int] = ()) -> tuple[int, Measured]:
+def _nearest(trace: Trace, leaf: Comparison, moments: Sequence[int] = ()) -> tuple[int, MeasuredComparison]:
     """The first of the moments in which a comparison came nearest to its bound, or beyond it by most."""
     past = {step: measure(leaf, trace.values[step]) for step in moments or range(len(trace.values))}
     step = max(past, key=lambda step: float(past[step].holds if (margin := past[step].margin) is None else margin))
@@ -167,7 +168,7 @@ def terms(trace: Trace) -> Numbers | None:
     whole = sum(map(abs, sums.values()))
     shares = {name: abs(sums[name]) / whole if whole else 0.0 for name in sorted(sums, key=lambda name: -abs(sums[name]))}
     return {"return": trace.returns, "total": f"{trace.returns:.4g}", "terms": sums, "shares": shares,
-            "parts": listed([f"{name} {sums[name]:+.4g} ({share:.0%})" for name, share in shares.items()])}  # fmt: skip
+            "parts": list_text([f"{name} {sums[name]:+.4g} ({share:.0%})" for name, share in shares.items()])}  # fmt: skip
 
 
 def moments(trace: Trace) -> Numbers | None:
@@ -180,9 +181,9 @@ def moments(trace: Trace) -> Numbers | None:
         lengths = np.where(ends <= trace.steps, ends - np.arange(len(ends)), trace.steps + 1)
         first = int(np.argmin(lengths)) if trace.steps else 0
         if whole and abs(total) >= 0.25 * whole and lengths[first] <= 0.78 * trace.steps:
-            found[name] = [trace.at(first), trace.at(int(ends[first]))]
+            found[name] = [trace.time_at(first), trace.time_at(int(ends[first]))]
     parts = [f"{name} from {_seconds(begin)} to {_seconds(end)}" for name, (begin, end) in found.items()]
-    return {"spans": found, "parts": listed(parts)} if found else None
+    return {"spans": found, "parts": list_text(parts)} if found else None
 
 
 def critic(trace: Trace) -> Numbers | None:
@@ -191,7 +192,7 @@ def critic(trace: Trace) -> Numbers | None:
         return None
     step = int(np.argmin(np.diff(trace.critic))) + 1
     before, after = (float(trace.critic[place]) for place in (step - 1, step))
-    return {"step": step, "at": trace.at(step), "seconds": _seconds(trace.at(step)), "before": before, "after": after,
+    return {"step": step, "at": trace.time_at(step), "seconds": _seconds(trace.time_at(step)), "before": before, "after": after,
             "drop": before - after, "left": trace.steps - step}  # fmt: skip
 
 
@@ -213,7 +214,7 @@ def saturation(trace: Trace) -> Numbers | None:
 def limits(trace: Trace) -> Numbers | None:
     """Actions at a limit of their range, as a share of steps: {parts}."""
     names = [name for part in trace.program.policy.action if isinstance(part, ActionRange) for name in part.names]
-    at_limit = np.abs(trace.acted("ranges")) >= 0.999
+    at_limit = np.abs(trace.action_array("ranges")) >= 0.999
     return _shares({name: float(at_limit[:, place].mean()) for place, name in enumerate(names) if trace.steps})
 
 
@@ -221,7 +222,7 @@ def _shares(found: Mapping[str, float]) -> Numbers | None:
     """Shares by name, the largest first; the sentence shows those that are not 0 %."""
     shares = dict(sorted(found.items(), key=lambda entry: -entry[1]))
     parts = [f"{name} in {share:.0%}" for name, share in shares.items() if share >= 0.005]
-    return {"shares": shares, "parts": listed(parts[:SHOWN]) if parts else "none (0%)"} if shares else None
+    return {"shares": shares, "parts": list_text(parts[:MAX_LISTED]) if parts else "none (0%)"} if shares else None
 
 
 def choices(trace: Trace) -> Numbers | None:
@@ -229,20 +230,22 @@ def choices(trace: Trace) -> Numbers | None:
     parts = [part for part in trace.program.policy.action if isinstance(part, Choices)]
     if not parts or not trace.steps:
         return None
-    counts = [Counter(column.astype(int).tolist()).most_common() for column in trace.acted("choices").T]
+    counts = [Counter(column.astype(int).tolist()).most_common() for column in trace.action_array("choices").T]
     options = {p.name: {p.options[n].name: times / trace.steps for n, times in found} for p, found in zip(parts, counts, strict=True)}
-    said = [f"{name} {option} in {share:.0%}" for name, found in options.items() for option, share in list(found.items())[:SHOWN]]
-    return {"options": options, "parts": listed(said, len(said))}
+    said = [f"{name} {option} in {share:.0%}" for name, found in options.items() for option, share in list(found.items())[:MAX_LISTED]]
+    return {"options": options, "parts": list_text(said, len(said))}
 
 
 def several(trace: Trace) -> Numbers | None:
     """{count} further ending held in step {step} too: {names}."""
-    held = [name for name, condition in trace.watch.conditions.items() if condition is not None and holds(condition, trace.values[-1])]
+    held = [
+        name for name, condition in trace.instrumented.conditions.items() if condition is not None and holds(condition, trace.values[-1])
+    ]
     also = [name for name in held if name not in (trace.ended_by, "goal_reached")]
-    return {"names": listed(also, len(also)), "count": len(also), "step": trace.steps} if also and trace.end is not None else None
+    return {"names": list_text(also, len(also)), "count": len(also), "step": trace.steps} if also and trace.end is not None else None
 
 
-ROWS: tuple[Finder[Trace], ...] = (
+ROWS: tuple[StatementRule[Trace], ...] = (
     ending, error, not_ended, margin, fact, limit, several, approach, nearest, conditions, terms, moments, critic, unforeseen, saturation,
     choices, limits,
 )  # fmt: skip

@@ -16,16 +16,16 @@ from deepbots_cli.learning.episodes import Episode, by_drawn_value
 from deepbots_cli.program.world import WorldModel
 from deepbots_cli.robots.model import Cylinder, Sphere
 from deepbots_cli.view.page import COLOURS
-from deepbots_cli.view.plots import THEMES, Curve, Log, band, endings_over_time, finish
+from deepbots_cli.view.plots import THEMES, Curve, TrainingLog, plot_band, plot_endings, plot_last_evaluation, style_panel
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from deepbots_cli.insight.report import Shown
+    from deepbots_cli.insight.report import ReportEpisode
 
 SUCCESS, FAILURE = "#009E73", "#D55E00"
 _MAX_STARTS = 6
-_WIDTH, _WIDE = 5.0, 8.0  # inches
+_WIDTH, _WIDE_WIDTH = 5.0, 8.0  # inches
 
 
 def _figure(theme: str, height: float, columns: int = 1, rows: int = 1, width: float = _WIDTH) -> tuple[Figure, Any]:
@@ -35,31 +35,35 @@ def _figure(theme: str, height: float, columns: int = 1, rows: int = 1, width: f
     return figure, figure.subplots(rows, columns, squeeze=False)
 
 
-def returns(logs: Sequence[Log], theme: str) -> Figure:
+def returns(logs: Sequence[TrainingLog], theme: str) -> Figure:
     """Returns of training episodes, the mean over seeds with a band from the lowest to the highest, and evaluations."""
     figure, ((panel,),) = _figure(theme, 2.9)
     label = "training episodes" if len(logs) == 1 else f"training episodes, mean of {len(logs)} seeds"
-    band(panel, [log.returns for log in logs if log.returns is not None], {"color": COLOURS[0], "label": label})
+    plot_band(panel, [log.returns for log in logs if log.returns is not None], {"color": COLOURS[0], "label": label})
     evaluations = [log.evaluations for log in logs if log.evaluations is not None]
     for number, curve in enumerate(evaluations):
         panel.plot(*curve, "o", color=COLOURS[1], markersize=4, label="" if number else "evaluations during the training")
-    finish(panel, "return", theme)
+    for log in logs:
+        plot_last_evaluation(panel, None, log, COLOURS[1])
+    style_panel(panel, "return", theme)
     return figure
 
 
-def successes(logs: Sequence[Log], theme: str) -> Figure | None:
+def successes(logs: Sequence[TrainingLog], theme: str) -> Figure | None:
     """The success rate of training episodes."""
     curves = [log.successes for log in logs if log.successes is not None]
     if not curves:
         return None
     figure, ((panel,),) = _figure(theme, 2.9)
-    band(panel, curves, {"color": COLOURS[2], "label": "success rate"})
+    plot_band(panel, curves, {"color": COLOURS[2], "label": "success rate"})
+    for log in logs:
+        plot_last_evaluation(None, panel, log, COLOURS[1])
     panel.set_ylim(-0.03, 1.03)
-    finish(panel, "success rate of training episodes", theme, legend=False)
+    style_panel(panel, "success rate of training episodes", theme, legend=False)
     return figure
 
 
-def shares(logs: Sequence[Log], theme: str) -> Figure | None:
+def shares(logs: Sequence[TrainingLog], theme: str) -> Figure | None:
     """The size of each reward term of an episode, as a share of all their sizes; means over seeds."""
     terms = sorted({term for log in logs for term in log.terms})
     curves = [curve for log in logs for curve in log.terms.values() if len(curve[0])]
@@ -71,7 +75,7 @@ def shares(logs: Sequence[Log], theme: str) -> Figure | None:
     colours = [COLOURS[number % len(COLOURS)] for number in range(len(terms))]
     panel.stackplot(at, sizes / np.maximum(sizes.sum(axis=0), 1e-12), labels=terms, colors=colours, alpha=0.85, linewidth=0)
     panel.set_ylim(0, 1)
-    finish(panel, "size of each reward term, share of all", theme)
+    style_panel(panel, "size of each reward term, share of all", theme)
     return figure
 
 
@@ -79,14 +83,13 @@ def _sizes(curve: Curve) -> Curve:
     return curve[0], np.abs(curve[1])
 
 
-def endings(logs: Sequence[Log], theme: str) -> Figure | None:
+def endings(logs: Sequence[TrainingLog], theme: str) -> Figure | None:
     """How training episodes end, as shares over time."""
-    found = [ending for log in logs for ending in log.endings]
-    if not found:
+    if not any(log.endings for log in logs):
         return None
     figure, ((panel,),) = _figure(theme, 2.9)
-    endings_over_time(panel, found)
-    finish(panel, "endings, share of training episodes", theme)
+    plot_endings(panel, logs)
+    style_panel(panel, "endings, share of training episodes", theme)
     return figure
 
 
@@ -99,7 +102,7 @@ def starts(episodes: Sequence[Episode], theme: str, *, success_defined: bool) ->
         return None
     columns = min(2, len(names))
     rows = math.ceil(len(names) / columns)
-    figure, panels = _figure(theme, 0.4 + 2.3 * rows, columns, rows, _WIDE)
+    figure, panels = _figure(theme, 0.4 + 2.3 * rows, columns, rows, _WIDE_WIDTH)
     for panel, name in zip(panels.flat, names, strict=False):
         drawn = [episode for episode in episodes if name in episode.drawn]
         words = sorted({str(episode.drawn[name]) for episode in drawn}) if isinstance(drawn[0].drawn[name], str) else []
@@ -114,7 +117,7 @@ def starts(episodes: Sequence[Episode], theme: str, *, success_defined: bool) ->
             panel.plot((low, high) if wide else (middle - 0.02, middle + 0.02), [part.mean_return] * 2, color=THEMES[theme][1], linewidth=2)
             if part.return_interval is not None:
                 panel.plot([middle] * 2, part.return_interval, color=THEMES[theme][1], linewidth=1)
-        finish(panel, "", theme, legend=False, axes=(name, "return"))
+        style_panel(panel, "", theme, legend=False, axes=(name, "return"))
         if words:
             panel.set_xticks(range(len(words)), [word[:12] for word in words], parse_math=False)
     for panel in list(panels.flat)[len(names) :]:
@@ -122,11 +125,11 @@ def starts(episodes: Sequence[Episode], theme: str, *, success_defined: bool) ->
     return figure
 
 
-def trajectories(shown: Sequence[Shown], world: WorldModel, fixed: Sequence[Sequence[Triple]], theme: str) -> Figure:
+def trajectories(shown: Sequence[ReportEpisode], world: WorldModel, fixed: Sequence[Sequence[Triple]], theme: str) -> Figure:
     """Paths from above, with rings where they begin and discs where they end; `fixed` are the outlines of objects that stand still."""
     low, high = _limits(np.array([point[:2] for each in shown for point in each.points]), world)
-    height = min(5.5, max(1.8, 1.2 + (_WIDE - 1.0) * (high[1] - low[1]) / (high[0] - low[0])))
-    figure, ((panel,),) = _figure(theme, height, width=_WIDE)
+    height = min(5.5, max(1.8, 1.2 + (_WIDE_WIDTH - 1.0) * (high[1] - low[1]) / (high[0] - low[0])))
+    figure, ((panel,),) = _figure(theme, height, width=_WIDE_WIDTH)
     ground, text, grid = THEMES[theme]
     if world.arena is not None:
         x, y = (side / 2 for side in world.arena.size)
@@ -143,7 +146,7 @@ def trajectories(shown: Sequence[Shown], world: WorldModel, fixed: Sequence[Sequ
         panel.plot(xs[:1], ys[:1], "o", color=colour, markerfacecolor=ground, markersize=5)
         panel.plot(xs[-1:], ys[-1:], "o" if each.is_success else "X", color=colour, markersize=6)
     panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
-    finish(panel, "", theme, legend=False, axes=("x, m", "y, m"))
+    style_panel(panel, "", theme, legend=False, axes=("x, m", "y, m"))
     box = figure.legend(loc="outside lower center", fontsize=8, labelcolor=text, facecolor=ground, edgecolor=grid)
     for label in box.get_texts():
         label.set_parse_math(False)

@@ -28,40 +28,40 @@ from deepbots_cli.errors import DeepbotsError, EngineError, MissingExtraError, R
 from deepbots_cli.files import atomic_write
 from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.insight import figures
-from deepbots_cli.insight.card import rendered, result_text
+from deepbots_cli.insight.card import render_template, result_text
 from deepbots_cli.insight.trace import last_evaluation
-from deepbots_cli.insight.training import findings
+from deepbots_cli.insight.training import lint_findings
 from deepbots_cli.learning.episodes import UNBOUNDED, Episode
 from deepbots_cli.learning.group import Group, is_group
-from deepbots_cli.learning.run import KeptEpisodes, Run, is_training
+from deepbots_cli.learning.run import EvaluationWithEpisodes, Run, is_training
 from deepbots_cli.view import pictures, plots
 from deepbots_cli.view.episodes import Player, Source
 from deepbots_cli.view.frames import LinkName
-from deepbots_cli.view.plots import Log
+from deepbots_cli.view.plots import TrainingLog
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-LABELS = ("best", "median", "worst")
-_TRACED = 12
-_CLIP_SECONDS, _CLIP_RATE = 10.0, 10.0
-_SHOT = pictures.Shot(420, 300, samples=1)  # 60 instead of 200 ms a picture
+EPISODE_LABELS = ("best", "median", "worst")
+_MAX_TRACED_EPISODES = 12
+_MAX_CLIP_S, _CLIP_FRAME_RATE = 10.0, 10.0
+_VIEWPOINT = pictures.Viewpoint(420, 300, samples=1)  # 60 instead of 200 ms a picture
 Trace = list[Mapping[LinkName, Frame]]
 """The poses of all links, step by step."""
 OnEpisode = Callable[[int, int], object]
 
 
 @dataclass(frozen=True, eq=False)
-class Member:
+class ReportRun:
     """A run of a report: its files, its log, and its last evaluation."""
 
     run: Run
-    log: Log
-    evaluation: KeptEpisodes
+    log: TrainingLog
+    evaluation: EvaluationWithEpisodes
 
     @staticmethod
-    def read(path: Path) -> Member:
+    def read(path: Path) -> ReportRun:
         """A run with a finished episode and an evaluation.
 
         Raises:
@@ -71,34 +71,34 @@ class Member:
         found = last_evaluation(run)
         if found is None:
             raise RunError(f"{path} holds no evaluation of its best model since its training ended; next: deepbots eval {quote(str(path))}")
-        (log,) = plots.read([path])
-        return Member(run, log, found[1])
+        (log,) = plots.read_logs([path])
+        return ReportRun(run, log, found[1])
 
 
 @dataclass(eq=False)
-class Shown:
-    """An episode of the evaluation of a member, which runs again: `points` is where a link of a robot was (m), `ends` the poses of all
+class ReportEpisode:
+    """An episode of the evaluation of a run, which is repeated: `points` is where a link of a robot was (m), `end_poses` the poses of all
     links in its first and in its last frame."""
 
-    member: Member
+    run: ReportRun
     number: int
     label: str = ""
     """`best`, `median` or `worst` by return; empty for the others."""
     points: Sequence[Triple] = ()
-    ends: Sequence[Mapping[LinkName, Frame]] = ()
+    end_poses: Sequence[Mapping[LinkName, Frame]] = ()
 
     @property
     def outcome(self) -> Episode:
-        return self.member.evaluation.outcomes[self.number]
+        return self.run.evaluation.outcomes[self.number]
 
     @property
     def is_success(self) -> bool:
         """Also where the scenario defines no success."""
-        return self.outcome.is_success or not self.member.evaluation.success_defined
+        return self.outcome.is_success or not self.run.evaluation.success_defined
 
     @property
     def title(self) -> str:
-        seed = f"seed {self.member.run.record.seed}, " if self.label else ""
+        seed = f"seed {self.run.run.record.seed}, " if self.label else ""
         return f"{self.label}: {seed}episode {self.number}, return {self.outcome.total_return:.2f}, {self.outcome.ended_by}"
 
 
@@ -107,14 +107,14 @@ class Report:
     """What a report shows."""
 
     path: Path
-    members: Sequence[Member]
+    runs: Sequence[ReportRun]
     notes: list[str] = field(default_factory=list)
     clips: dict[str, tuple[str, str]] = field(default_factory=dict)
     """Caption and MP4 as a data URI, by label."""
-    shown: Sequence[Shown] = ()
+    episodes: Sequence[ReportEpisode] = ()
     """The episodes that ran again; their points are those of `link`."""
     link: str = ""
-    fixed: Sequence[list[Triple]] = ()
+    outlines: Sequence[list[Triple]] = ()
     """The outlines of objects that stand still in all of them."""
 
     @staticmethod
@@ -125,11 +125,11 @@ class Report:
             RunError: It cannot be read, or holds no evaluation.
         """
         if not is_group(path):
-            return Report(path, [Member.read(path)], ["the training goes on"] if is_training(path) else [])
-        group, members, notes = Group.open(path), list[Member](), list[str]()
+            return Report(path, [ReportRun.read(path)], ["the training goes on"] if is_training(path) else [])
+        group, members, notes = Group.open(path), list[ReportRun](), list[str]()
         for seed in group.record.seeds:
             try:
-                members.append(Member.read(group.run(seed)))
+                members.append(ReportRun.read(group.run(seed)))
             except DeepbotsError as error:
                 notes.append(f"seed {seed} is left out: {' '.join(str(error).split())}")
         if not members:
@@ -139,40 +139,43 @@ class Report:
     @property
     def result(self) -> str:
         """The result in one line, with its interval."""
-        found = [member.evaluation for member in self.members]
+        found = [member.evaluation for member in self.runs]
         if not is_group(self.path):
             return result_text(found[0])
-        rates, text = [each.success_rate for each in found], "mean return " + _over("{:.4g}", [each.mean_return for each in found])
-        if all(each.success_defined for each in found):
-            text += ", success rate " + _over("{:.1%}", rates, (0.0, 1.0))
+        text = "mean return " + _seed_statistics("{:.4g}", [each.mean_return for each in found])
+        rates = [each.success_rate for each in found if each.success_rate is not None]
+        if len(rates) == len(found):
+            text += ", success rate " + _seed_statistics("{:.1%}", rates, (0.0, 1.0))
         solved = f"; {sum(bool(each.solved) for each in found)} solved" if None not in [each.solved for each in found] else ""
         fewest, most = min(each.episodes for each in found), max(each.episodes for each in found)
         counts = f"{most:,}" if fewest == most else f"{fewest:,} to {most:,}"
         return f"{text}, over {len(found)} seed{'s' * (len(found) > 1)} with {counts} held-out episodes each{solved}"
 
-    def chosen(self, count: int = _TRACED) -> list[Shown]:
+    def choose_episodes(self, count: int = _MAX_TRACED_EPISODES) -> list[ReportEpisode]:
         """Episodes at equal distances in the order of their returns, of which the first, the middle and the last have a label."""
-        every = [Shown(member, number) for member in self.members for number in range(len(member.evaluation.outcomes))]
+        every = [ReportEpisode(member, number) for member in self.runs for number in range(len(member.evaluation.outcomes))]
         every.sort(key=lambda shown: -shown.outcome.total_return)
         places, middle = {round(place) for place in np.linspace(0, len(every) - 1, count)}, len(every) // 2
         if middle not in places:
             places.remove(min(places, key=lambda place: abs(place - middle)))
             places.add(middle)
-        labels = dict(zip((len(every) - 1, middle, 0), reversed(LABELS), strict=True))
-        return [Shown(every[place].member, every[place].number, labels.get(place, "")) for place in sorted(places)]
+        labels = dict(zip((len(every) - 1, middle, 0), reversed(EPISODE_LABELS), strict=True))
+        return [ReportEpisode(every[place].run, every[place].number, labels.get(place, "")) for place in sorted(places)]
 
-    def run_again(self, shown: Sequence[Shown], on_episode: OnEpisode, *, clips: bool = True, allow_code: bool = False) -> None:
+    def repeat_episodes(
+        self, shown: Sequence[ReportEpisode], on_episode: OnEpisode, *, clips: bool = True, allow_code: bool = False
+    ) -> None:
         """Run episodes of the evaluation again, for their paths and clips."""
-        self.shown, self.link = shown, ""
-        ordered = sorted(shown, key=lambda each: self.members.index(each.member))
-        for member, mine in groupby(ordered, lambda each: each.member):
+        self.episodes, self.link = shown, ""
+        ordered = sorted(shown, key=lambda each: self.runs.index(each.run))
+        for member, mine in groupby(ordered, lambda each: each.run):
             source = Source(str(member.run.path), engine=member.evaluation.engine, allow_code=allow_code)
             with closing(source.open().player()) as player:
                 for each in mine:
                     frames = [frame.links for frame in player.episode(member.evaluation.seed, each.number)]
                     self.link = self.link or _traced_link(player, frames)
                     body, _, link = self.link.partition("/")
-                    each.points, each.ends = [links[body, link][0] for links in frames], (frames[0], frames[-1])
+                    each.points, each.end_poses = [links[body, link][0] for links in frames], (frames[0], frames[-1])
                     again = fmean(agent.episode_return for agent in player.frame.agents.values())
                     if abs(again - each.outcome.total_return) > 1e-6 * max(1.0, abs(again)):
                         self.notes.append(
@@ -182,16 +185,18 @@ class Report:
                     if clips and each.label:
                         self._film(player, each)
                     on_episode(ordered.index(each) + 1, len(shown))
-        self.fixed = _standing(player, shown)
+        self.outlines = _standing(player, shown)
 
-    def _film(self, player: Player, shown: Shown) -> None:
+    def _film(self, player: Player, shown: ReportEpisode) -> None:
         time = player.frame.time
-        speed, rate = max(1.0, time / _CLIP_SECONDS), _CLIP_RATE
+        speed, rate = max(1.0, time / _MAX_CLIP_S), _CLIP_FRAME_RATE
         with TemporaryDirectory() as folder:
             target = Path(folder, "clip.mp4")
             try:
                 pictures.check_target(target, (".mp4",))
-                pictures.clip(player, target, _SHOT, seed=shown.member.evaluation.seed, episode=shown.number, speed=speed, rate=rate)
+                pictures.write_clip(
+                    player, target, _VIEWPOINT, seed=shown.run.evaluation.seed, episode=shown.number, speed=speed, rate=rate
+                )
             except (EngineError, MissingExtraError) as error:
                 self.notes = list(dict.fromkeys([*self.notes, f"there are no clips: {error}"]))
                 return
@@ -202,25 +207,26 @@ class Report:
 
     def figures(self, theme: str) -> Iterator[tuple[str, str, Figure | None]]:
         """Name, caption and figure; None where there is nothing to draw."""
-        logs, outcomes = [member.log for member in self.members], [e for member in self.members for e in member.evaluation.outcomes]
-        defined = self.members[0].evaluation.success_defined
+        logs, outcomes = [member.log for member in self.runs], [e for member in self.runs for e in member.evaluation.outcomes]
+        defined = self.runs[0].evaluation.success_defined
         seeds = "" if len(logs) == 1 else f" The line is the mean of {len(logs)} seeds, the band reaches from the lowest to the highest."
         mean = "Moving means over 100 episodes of the training, in which the policy explores."
-        yield "returns", f"{mean}{seeds}", figures.returns(logs, theme)
-        yield "successes", f"{mean}{seeds}", figures.successes(logs, theme)
+        diamond = " The diamond is the last evaluation after the training." if any(log.last_evaluation for log in logs) else ""
+        yield "returns", f"{mean}{seeds}{diamond}", figures.returns(logs, theme)
+        yield "successes", f"{mean}{seeds}{diamond if defined else ''}", figures.successes(logs, theme)
         yield "shares", "The absolute sum of each term over an episode, as a share of all.", figures.shares(logs, theme)
-        yield "endings", "How episodes of the training end, in 40 equal parts of it.", figures.endings(logs, theme)
+        yield "endings", f"How episodes of the training end. {mean}", figures.endings(logs, theme)
         colours = "green: success, orange: no success; " if defined else ""
         caption = (
             f"Each point is an evaluation episode ({colours}{len(outcomes):,} in all). Bars are means over parts of the range, with 95 % "
             "intervals. Values in SI units, those with the largest effect first."
         )
         yield "starts", caption, figures.starts(outcomes, theme, success_defined=defined)
-        if self.shown:
+        if self.episodes:
             marks = "disc: success, cross: none" if defined else "disc: end"
-            title = f"{len(self.shown)} evaluation episodes from above: {self.link}. Ring: start, {marks}."
-            world = self.members[0].run.program.world
-            yield "trajectories", title, figures.trajectories(self.shown, world, self.fixed, theme)
+            title = f"{len(self.episodes)} evaluation episodes from above: {self.link}. Ring: start, {marks}."
+            world = self.runs[0].run.program.world
+            yield "trajectories", title, figures.trajectories(self.episodes, world, self.outlines, theme)
 
     def write_figures(self, folder: Path) -> list[Path]:
         """Every figure as PNG.
@@ -247,20 +253,20 @@ class Report:
             for name, caption, figure in self.figures("light")
             if figure is not None
         ]
-        run = self.members[0].run
-        _, found = findings(run)
-        clips = {label: self.clips[label] for label in LABELS if label in self.clips}
-        return rendered(
+        run = self.runs[0].run
+        _, found = lint_findings(run)
+        clips = {label: self.clips[label] for label in EPISODE_LABELS if label in self.clips}
+        return render_template(
             "report.html.j2", html=True, report=self, program=run.program, record=run.record, figures=drawn, findings=found, clips=clips,
             lines=(run.path / RESOLVED_NAME).read_text("utf-8").splitlines(),
             marked={finding.span.start_position.line for finding in found if finding.span.source.name.endswith(RESOLVED_NAME)},
-            rows=[(member.run.path.name, member.run.record, result_text(member.evaluation)) for member in self.members],
+            rows=[(member.run.path.name, member.run.record, result_text(member.evaluation)) for member in self.runs],
             command=join(run.record.command) or "(from Python)", version=deepbots_cli.__version__, python=platform.python_version(),
-            matplotlib=version("matplotlib"), notes=dict.fromkeys([*self.notes, *(note for m in self.members for note in m.run.notes())]),
+            matplotlib=version("matplotlib"), notes=dict.fromkeys([*self.notes, *(note for m in self.runs for note in m.run.notes())]),
         )  # fmt: skip
 
 
-def _over(form: str, values: Sequence[float], bounds: tuple[float, float] = UNBOUNDED) -> str:
+def _seed_statistics(form: str, values: Sequence[float], bounds: tuple[float, float] = UNBOUNDED) -> str:
     """A mean over seeds with its interval."""
     from deepbots_cli.learning.statistics import mean_interval
 
@@ -281,11 +287,11 @@ def _traced_link(player: Player, trace: Trace) -> str:
     return f"{robot.name}/{robot.model.root if way(robot.model.root) > 0.01 else max(links, key=way)}"
 
 
-def _standing(player: Player, shown: Sequence[Shown]) -> list[list[Triple]]:
+def _standing(player: Player, shown: Sequence[ReportEpisode]) -> list[list[Triple]]:
     """The outlines of objects that have one form, and one place in all these episodes."""
     found = []
     for thing in player.env.world.objects:
-        poses = {links.get((thing.name, thing.name)) for each in shown for links in each.ends}
+        poses = {links.get((thing.name, thing.name)) for each in shown for links in each.end_poses}
         pose = poses.pop() if len(poses) == 1 else None
         if pose is not None and not thing.variants:
             found.append(figures.outline(thing.shape, pose))

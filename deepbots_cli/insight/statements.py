@@ -16,7 +16,7 @@ T = TypeVar("T")
 T_contra = TypeVar("T_contra", contravariant=True)
 
 
-class Finder(Protocol[T_contra]):
+class StatementRule(Protocol[T_contra]):
     """A row: its name is the cause, its docstring the sentence, with a field in braces for each number, then `Try:` and what to try.
 
     It returns None where it does not apply. Evidence may hold more than the sentence shows; its entry `likelihood` (0 to 1) orders causes.
@@ -40,25 +40,25 @@ class Statement:
         return {"cause": self.cause, "text": self.text, **({"advice": self.advice} if self.advice else {}), "evidence": self.evidence}
 
 
-class Share(float):
+class Percentage(float):
     """A share, shown in per cent."""
 
 
-def state_all(finders: Sequence[Finder[T]], about: T) -> list[Statement]:
+def statements_about(rules: Sequence[StatementRule[T]], subject: T) -> list[Statement]:
     """The statements of the rows that apply, in the order of the table."""
     found = []
-    for finder in finders:
-        evidence = finder(about)
+    for finder in rules:
+        evidence = finder(subject)
         if evidence is not None:
-            shown = {key: _shown(value) for key, value in evidence.items()}
+            shown = {key: _number_text(value) for key, value in evidence.items()}
             text, _, advice = " ".join((finder.__doc__ or "").split()).partition(" Try: ")
             found.append(Statement(finder.__name__, text.format(**shown), advice.format(**shown), evidence))
     return found
 
 
-def _shown(value: Any) -> str:
+def _number_text(value: Any) -> str:
     match value:
-        case Share():
+        case Percentage():
             rounded = 0 < value < 0.005 or 0.995 <= value < 1
             return f"{value:.0%}" if not rounded else "less than 1%" if value < 0.5 else "more than 99%"
         case float():
@@ -72,18 +72,18 @@ def _shown(value: Any) -> str:
 _DEGREES = {"rad": "deg", "rad/s": "deg/s", "rad/s^2": "deg/s^2"}
 
 
-def quantity(value: float, unit: str, digits: int = 4) -> str:
+def quantity_text(value: float, unit: str, digits: int = 4) -> str:
     """`15.3 deg`: a number in the unit that people use, given in SI units."""
     if unit in _DEGREES:
         value, unit = float(np.degrees(value)), _DEGREES[unit]
     return f"{value:.{digits}g}{'' if unit in ('', '1') else f' {unit}'}"
 
 
-SHOWN = 4
+MAX_LISTED = 4
 """Terms, options and numbers of the observation in one sentence."""
 
 
-def listed(parts: Sequence[str], shown: int = SHOWN) -> str:
+def list_text(parts: Sequence[str], shown: int = MAX_LISTED) -> str:
     """`a, b and c`, or `a, b and 7 more` of more than are shown."""
     parts = [*parts[:shown], *([f"{len(parts) - shown} more"] if len(parts) > shown else [])]
     return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"

@@ -19,19 +19,19 @@ from numpy.typing import NDArray
 
 from deepbots_cli import api
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
-from deepbots_cli.insight.conditions import Measured, Values, Watch, deciding, measured
+from deepbots_cli.insight.conditions import InstrumentedProgram, MeasuredComparison, StepValues, deciding_comparison, instrument_program
 from deepbots_cli.learning import failures, listing
-from deepbots_cli.learning.run import KeptEpisodes, ModelName, Run, read_json
+from deepbots_cli.learning.run import EvaluationWithEpisodes, ModelName, Run, read_json
 from deepbots_cli.program import Program
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.streams import derive_seed
-from deepbots_cli.view.episodes import Opened
-from deepbots_cli.view.frames import row_of
-from deepbots_cli.view.recordings import Recorded, Recording, observation_hash
-from deepbots_cli.view.replay import actions, changes, observation_hash_at
+from deepbots_cli.view.episodes import SourceState
+from deepbots_cli.view.frames import value_of_row
+from deepbots_cli.view.recordings import RecordedEpisode, Recording, observation_hash
+from deepbots_cli.view.replay import actions, observation_hash_at, version_changes
 
 Array = NDArray[np.float64]
-_EVALUATION_LIMIT = 200_000_000
+_MAX_EVALUATION_BYTES = 200_000_000
 
 
 @dataclass(eq=False)
@@ -44,12 +44,12 @@ class Trace:
     a critic or with a memory, and for recordings and failures.
     """
 
-    what: str
-    watch: Watch
+    title: str
+    instrumented: InstrumentedProgram
     observations: Array
     actions: Sequence[Any]
     terms: Mapping[str, Array]
-    values: Sequence[Values]
+    values: Sequence[StepValues]
     ended_by: str | None
     outcome: Literal["success", "failure", "time limit", "error", "not ended"]
     time: float
@@ -60,7 +60,7 @@ class Trace:
 
     @property
     def program(self) -> Program:
-        return self.watch.program
+        return self.instrumented.program
 
     @property
     def steps(self) -> int:
@@ -70,59 +70,59 @@ class Trace:
     def returns(self) -> float:
         return float(sum(term.sum() for term in self.terms.values()))
 
-    def at(self, step: int) -> float:
+    def time_at(self, step: int) -> float:
         """The time of a moment, in s."""
         return self.time if step == self.steps else step * self.program.period
 
     @cached_property
-    def end(self) -> Measured | None:
+    def end(self) -> MeasuredComparison | None:
         """The comparison that ended the episode; None where an episode limit did, or the ending has no tree."""
         at_limit = self.outcome == "success" and self.ended_by in ("max_steps", "max_time")  # of a scenario with a goal
-        condition = self.watch.conditions.get("goal_reached" if at_limit else self.ended_by or "")
+        condition = self.instrumented.conditions.get("goal_reached" if at_limit else self.ended_by or "")
         if condition is None or self.outcome in ("time limit", "error", "not ended"):
             return None
-        return deciding(condition, self.values[-2] if len(self.values) > 1 else None, self.values[-1])
+        return deciding_comparison(condition, self.values[-2] if len(self.values) > 1 else None, self.values[-1])
 
-    def acted(self, key: Literal["choices", "ranges"]) -> Array:
+    def action_array(self, key: Literal["choices", "ranges"]) -> Array:
         """The numbers of the options, or the numbers of ranges in [-1, 1], that the actions hold: (steps, numbers)."""
         rows = [action[key] if isinstance(action, dict) else action for action in self.actions]
         return np.array([np.asarray(row, float).reshape(-1) for row in rows]).reshape(len(rows), -1 if rows else 0)
 
 
-class Traced(gym.Wrapper[Any, Any, Any, Any]):
+class TraceRecorder(gym.Wrapper[Any, Any, Any, Any]):
     """A world that notes each step of an episode; a reset begins anew. The wrapper closes the world."""
 
-    def __init__(self, world: Supervisor, watch: Watch) -> None:
+    def __init__(self, world: Supervisor, instrumented: InstrumentedProgram) -> None:
         super().__init__(world)
-        self.world, self.watch = world, watch
-        self.seen: list[Any] = []
+        self.world, self.instrumented = world, instrumented
+        self.observations: list[Any] = []
         self.actions: list[Any] = []
         self._terms: list[list[Mapping[str, float]]] = []
-        self._values: list[list[Values]] = []
+        self._values: list[list[StepValues]] = []
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         observation, info = self.env.reset(seed=seed, options=options)
-        self.seen, self.actions, self._terms, self._values = [observation], [], [], []
+        self.observations, self.actions, self._terms, self._values = [observation], [], [], []
         self._note()
         return observation, info
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         outcome = self.env.step(action)
-        self.seen.append(outcome[0])
+        self.observations.append(outcome[0])
         self.actions.append(action)
         self._terms.append([agent.get_info()["reward_terms"] for agent in self.world.agents.values()])
         self._note()
         return outcome
 
     def _note(self) -> None:
-        self._values.append([self.watch.read(agent) for agent in self.world.agents.values()])
+        self._values.append([self.instrumented.read(agent) for agent in self.world.agents.values()])
 
-    def trace(self, what: str, *, error: str = "", notes: Sequence[str] = ()) -> Trace:
+    def trace(self, title: str, *, error: str = "", notes: Sequence[str] = ()) -> Trace:
         """The episode so far."""
-        world, program = self.world, self.watch.program
+        world, program = self.world, self.instrumented.program
         names, team = list(world.agents), len(world.agents) > 1
         row = next((n for n, agent in enumerate(world.agents.values()) if agent.ended_by and agent.ended_by == world.ended_by), 0)
-        seen = [row_of(each, row) if team else each for each in self.seen]
+        seen = [value_of_row(each, row) if team else each for each in self.observations]
         newest = [place for place, value in enumerate(program.policy.inputs) if value.steps_ago == 0]
         vectors = [each.get("observation", np.zeros(0)) if isinstance(each, dict) else each for each in seen]
         observations = np.array([np.asarray(vector, float)[newest] for vector in vectors]).reshape(len(vectors), len(newest))
@@ -130,10 +130,10 @@ class Traced(gym.Wrapper[Any, Any, Any, Any]):
         if world.ended_by is not None and not error:
             outcome = "success" if world.is_success else "time limit" if world.truncated else "failure"
         return Trace(
-            what=what,
-            watch=self.watch,
+            title=title,
+            instrumented=self.instrumented,
             observations=observations,
-            actions=[row_of(each, row) if team else each for each in self.actions],
+            actions=[value_of_row(each, row) if team else each for each in self.actions],
             terms={term.name: np.array([terms[row][term.name] for terms in self._terms], float) for term in program.policy.reward},
             values=[values[row] for values in self._values],
             ended_by=world.ended_by,
@@ -148,7 +148,7 @@ class Traced(gym.Wrapper[Any, Any, Any, Any]):
 # Runs
 
 
-def last_evaluation(run: Run, *, plain: bool = True) -> tuple[Path, KeptEpisodes] | None:
+def last_evaluation(run: Run, *, plain: bool = True) -> tuple[Path, EvaluationWithEpisodes] | None:
     """The file and content of the last evaluation in the scenario of a run since its training ended; None without one.
 
     Args:
@@ -158,7 +158,7 @@ def last_evaluation(run: Run, *, plain: bool = True) -> tuple[Path, KeptEpisodes
         RunError: It is damaged.
     """
     found = listing.last_evaluation(run.path, run.record, plain=plain)
-    return None if found is None else (found[0], read_json(found[0], KeptEpisodes, _EVALUATION_LIMIT))
+    return None if found is None else (found[0], read_json(found[0], EvaluationWithEpisodes, _MAX_EVALUATION_BYTES))
 
 
 def trace_episodes(
@@ -183,27 +183,29 @@ def trace_episodes(
         raise RunError(f"the training of {run.path} failed before it kept a model; its causes: deepbots diagnose {run.path}")
     if not run.model(model).is_file():
         raise RunError(f"{run.path} holds no model '{model}'; train it first, with: deepbots train --resume {run.path}")
-    watch = measured(run.program)
+    watch = instrument_program(run.program)
     with algorithms.torch_settings(), closing(_world(watch, run.engine_for(run.program), allow_code, draw=bool(films))) as world:
         policy = evaluation.load_model(run, model, world)
         for number in numbers:
             film, begin = films.get(number), derive_seed(seed, "evaluation", number)
-            with video.recording_video(world, film, 1 / watch.program.period) if film is not None else nullcontext(world) as acted:
+            with video.recording_video(world, film, watch.program.period) if film is not None else nullcontext(world) as acted:
                 evaluation.repeat_episode(policy, acted, begin, number, deterministic=deterministic)
             trace = world.trace(f"episode {number} of {run.path}", notes=run.notes())
             row = list(world.world.agents).index(trace.agent) if trace.agent else None
-            trace.critic = evaluation.critic_values(policy, [seen if row is None else row_of(seen, row) for seen in world.seen[:-1]])
+            trace.critic = evaluation.critic_values(
+                policy, [seen if row is None else value_of_row(seen, row) for seen in world.observations[:-1]]
+            )
             yield trace
 
 
-def _world(watch: Watch, engine: str | None, allow_code: bool, *, draw: bool = False) -> Traced:
-    return Traced(api.build(watch.program, engine=engine, allow_code=allow_code, render_mode="rgb_array" if draw else None), watch)
+def _world(watch: InstrumentedProgram, engine: str | None, allow_code: bool, *, draw: bool = False) -> TraceRecorder:
+    return TraceRecorder(api.build(watch.program, engine=engine, allow_code=allow_code, render_mode="rgb_array" if draw else None), watch)
 
 
 # Recordings and failures
 
 
-def trace_recorded(opened: Opened, episodes: Sequence[Recorded]) -> Iterator[Trace]:
+def trace_recorded(opened: SourceState, episodes: Sequence[RecordedEpisode]) -> Iterator[Trace]:
     """Episodes of a recording that is open, each run again with its actions.
 
     Raises:
@@ -212,7 +214,7 @@ def trace_recorded(opened: Opened, episodes: Sequence[Recorded]) -> Iterator[Tra
     """
     recording: Recording = opened.recording
     assert opened.program is not None  # a recording that does not compile is refused when it is opened
-    with closing(_world(measured(opened.program), opened.source.engine, opened.source.allow_code)) as world:
+    with closing(_world(instrument_program(opened.program), opened.source.engine, opened.source.allow_code)) as world:
         for recorded in episodes:
             acting = actions(recording, recorded, world.action_space)
             observation, _ = world.reset(seed=recorded.seed)
@@ -223,7 +225,7 @@ def trace_recorded(opened: Opened, episodes: Sequence[Recorded]) -> Iterator[Tra
                 except UsageError:  # the episode has ended, or the action is none of this scenario
                     differs = True
                 if differs or observation_hash_at(recording, recorded, place) != observation_hash(observation):
-                    reason = "; ".join(changes(recording)) or "it was made on another machine, or changed since then"
+                    reason = "; ".join(version_changes(recording)) or "it was made on another machine, or changed since then"
                     what = f"{recording.path}: the episode differs from its recording at step {place}"
                     raise UsageError(f"{what}, so it cannot be explained here: {reason}")
             yield world.trace(f"episode {recorded.number} of {recording.path}")
@@ -237,7 +239,7 @@ def trace_failure(path: Path, *, allow_code: bool = False) -> Trace:
     """
     failure, run, program = failures.read_failure(path)
     error = ""
-    with closing(_world(measured(program), run.record.engine, allow_code)) as world:
+    with closing(_world(instrument_program(program), run.record.engine, allow_code)) as world:
         try:
             for _ in failures.repeat_steps(failure, program, world, path):
                 pass

@@ -20,8 +20,8 @@ from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import DeepbotsError
-from deepbots_cli.insight.conditions import measured
-from deepbots_cli.insight.trace import Array, Trace, Traced, last_evaluation
+from deepbots_cli.insight.conditions import instrument_program
+from deepbots_cli.insight.trace import Array, Trace, TraceRecorder, last_evaluation
 from deepbots_cli.learning import failures
 from deepbots_cli.learning.defaults import effective_hyperparameters
 from deepbots_cli.learning.episodes import meets_solved
@@ -31,15 +31,15 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionRange, Choices, Schedule
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.streams import derive_seed
-from deepbots_cli.view.episodes import composed
+from deepbots_cli.view.episodes import action_from_values
 from deepbots_cli.view.plots import logs_of, scalars_of
 
-EPISODES, STEPS, FEW_STEPS = 4, 300, 40
+PROBE_EPISODES, PROBE_STEPS, CONSTANT_ACTION_STEPS = 4, 300, 40
 """Short episodes of the policy, of random actions and without commands, and their steps at most; and the steps of a constant action."""
 
 
 @dataclass(eq=False)
-class Training:
+class TrainingEvidence:
     """A training as its files tell it, and short episodes.
 
     `episodes` and `evaluations` are those of `logs_of`, with the last evaluation since the training as the last one. `scalars` are curves
@@ -55,8 +55,8 @@ class Training:
     failure: str = ""
     policy: Sequence[Trace] = ()
     random: Sequence[Trace] = ()
-    still: Sequence[Trace] = ()
-    constant: dict[str, Mapping[str, Trace]] = field(default_factory=dict)
+    idle: Sequence[Trace] = ()
+    constant_actions: dict[str, Mapping[str, Trace]] = field(default_factory=dict)
 
     @property
     def program(self) -> Program:
@@ -67,17 +67,17 @@ class Training:
         return bool(self.failure) or self.run.record.status == "failed"
 
     @property
-    def short(self) -> list[Trace]:
+    def probes(self) -> list[Trace]:
         """The short episodes of the policy and of random actions."""
         return [*self.random, *self.policy]
 
     @property
-    def moments(self) -> int:
+    def probe_moments(self) -> int:
         """Of the short episodes."""
-        return sum(len(trace.values) for trace in self.short)
+        return sum(len(trace.values) for trace in self.probes)
 
-    def part(self, first: float, last: float) -> Any:
-        """The episodes from one share of them to another: `part(0.75, 1)` is the last quarter."""
+    def episodes_between(self, first: float, last: float) -> Any:
+        """The episodes from one share of them to another: `episodes_between(0.75, 1)` is the last quarter."""
         return self.episodes[round(first * len(self.episodes)) : round(last * len(self.episodes))]
 
     @cached_property
@@ -85,7 +85,7 @@ class Training:
         """The hyperparameters that the training takes, by name."""
         return {entry.name: entry.value for entry in effective_hyperparameters(self.program, self.run.record.total_timesteps)}
 
-    def setting(self, name: str) -> float | None:
+    def number_setting(self, name: str) -> float | None:
         """A hyperparameter as a number, the first one of a schedule; None where it is none."""
         value = self.settings.get(name)
         value = value.start if isinstance(value, Schedule) else value
@@ -113,25 +113,25 @@ class Training:
         return self.scalars[tag][1] if tag in self.scalars else np.zeros(0)
 
 
-def findings(run: Run) -> tuple[str, list[Finding]]:
+def lint_findings(run: Run) -> tuple[str, list[Finding]]:
     """The scenario of a run as arguments of `deepbots lint`, and what lint finds.
 
     The files that the scenario was made from hold the comments that ignore findings, and show what is a part of an included robot only.
     `resolved.yaml` takes their place if they give another scenario, as after a change in Python.
     """
     record, resolved = run.record, run.path / RESOLVED_NAME
-    sets, folder = changed_settings(record.command), run.path / INPUTS_FOLDER
+    overrides, folder = changed_settings(record.command), run.path / INPUTS_FOLDER
     own = folder / next(iter(record.inputs), RESOLVED_NAME)
     try:
-        checked = api.load(own, sets=with_engine(sets, record.engine), allow_code=True, project=folder)
+        checked = api.load(own, overrides=with_engine(overrides, record.engine), allow_code=True, project=folder)
         if api.compile(checked).digest == run.digest:
-            return join([str(own), "--allow-path", str(folder), *(f"--set={text}" for text in sets)]), all_findings(checked)
+            return join([str(own), "--allow-path", str(folder), *(f"--set={text}" for text in overrides)]), all_findings(checked)
     except DeepbotsError:
         pass
     return quote(str(resolved)), all_findings(api.load(resolved, allow_code=True, project=run.path))
 
 
-def read(run: Run) -> Training:
+def read_training(run: Run) -> TrainingEvidence:
     """The logs of a run, without short episodes. Raises: RunError: A log is damaged."""
     files = sorted((run.path / failures.FAILURES_FOLDER).glob("[0-9][0-9][0-9][0-9].json"))
     failure = failures.read_failure(files[-1])[0] if files else None
@@ -141,25 +141,25 @@ def read(run: Run) -> Training:
         outcomes = last[1].outcomes
         kept = {"returns": [each.total_return for each in outcomes], "successes": [each.is_success for each in outcomes]}
         evaluations = [*evaluations, kept]
-    return Training(run, episodes, evaluations, scalars_of(run.tensorboard), error)
+    return TrainingEvidence(run, episodes, evaluations, scalars_of(run.tensorboard), error)
 
 
-def probe(training: Training, *, allow_code: bool = False, on_episode: Callable[[int, int], object] | None = None) -> None:
+def run_probes(training: TrainingEvidence, *, allow_code: bool = False, on_episode: Callable[[int, int], object] | None = None) -> None:
     """Run the short episodes of a training, all from the same starts."""
     from deepbots_cli.learning import algorithms, evaluation
 
     run = training.run
-    seeds = [derive_seed(run.record.seed, "diagnosis", number) for number in range(EPISODES)]
-    watch = measured(training.program, observed=True)
-    world = Traced(api.build(watch.program, engine=run.record.engine, allow_code=allow_code), watch)
+    seeds = [derive_seed(run.record.seed, "diagnosis", number) for number in range(PROBE_EPISODES)]
+    watch = instrument_program(training.program, include_observation=True)
+    world = TraceRecorder(api.build(watch.program, engine=run.record.engine, allow_code=allow_code), watch)
     with algorithms.torch_settings(), closing(world):
         constant, still = _constant(world.world), _still(world.world)
         name: Any = next((name for name in ("last", "best") if run.model(name).is_file()), None)
         model = None if name is None else evaluation.load_model(run, name, world)
-        total = EPISODES * (1 + (still is not None) + (model is not None)) + sum(map(len, constant.values()))
+        total = PROBE_EPISODES * (1 + (still is not None) + (model is not None)) + sum(map(len, constant.values()))
         done = 0
 
-        def episode(seed: int, begin: Callable[[], Callable[[Any], Any]], steps: int = STEPS) -> Trace:
+        def episode(seed: int, begin: Callable[[], Callable[[Any], Any]], steps: int = PROBE_STEPS) -> Trace:
             nonlocal done
             error = ""
             try:
@@ -181,9 +181,11 @@ def probe(training: Training, *, allow_code: bool = False, on_episode: Callable[
 
         training.random = [episode(seed, lambda: lambda observation: world.action_space.sample()) for seed in seeds]
         for part, actions in constant.items():
-            training.constant[part] = {name: episode(seeds[0], fixed(action), FEW_STEPS) for name, action in actions.items()}
+            training.constant_actions[part] = {
+                name: episode(seeds[0], fixed(action), CONSTANT_ACTION_STEPS) for name, action in actions.items()
+            }
         if still is not None:
-            training.still = [episode(seed, fixed(still)) for seed in seeds]
+            training.idle = [episode(seed, fixed(still)) for seed in seeds]
         if model is not None:
             training.policy = [episode(seed, lambda: evaluation.action_function(model, world)) for seed in seeds]
 
@@ -194,7 +196,7 @@ def _constant(env: Supervisor) -> dict[str, dict[str, Any]]:
     picks = {part.name: {option.name: n for n, option in enumerate(part.options[:4])} for part in action if isinstance(part, Choices)}
     names = [name for part in action if isinstance(part, ActionRange) for name in part.names]
     values: dict[str, Mapping[str, float]] = {**picks, **{name: {"-1": -1.0, "1": 1.0} for name in names[:8]}}
-    return {name: {said: composed(env, {name: value}) for said, value in found.items()} for name, found in values.items()}
+    return {name: {said: action_from_values(env, {name: value}) for said, value in found.items()} for name, found in values.items()}
 
 
 def _still(env: Supervisor) -> Any:
@@ -210,4 +212,4 @@ def _still(env: Supervisor) -> Any:
             return None
         else:
             values |= dict.fromkeys(part.names, -(part.high + part.low) / (part.high - part.low))
-    return composed(env, values)
+    return action_from_values(env, values)

@@ -192,6 +192,11 @@ class Checkpoints:
         """The last checkpoint in words; empty before there is one."""
         return f"the last checkpoint, after {self._last:,} steps, is kept" if self._last >= 0 else ""
 
+    @property
+    def has_learned(self) -> bool:
+        """Whether the last checkpoint was taken after the first step."""
+        return self._last > 0
+
     def _save_numbered(self, model: BaseAlgorithm) -> None:
         """Keep the model at equal distances of steps, as many as `--keep-checkpoints` asks for."""
         steps, count = model.num_timesteps, self.run.record.keep_checkpoints

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,12 +30,14 @@ class GroupResult:
     """The evaluations of runs that differ by their seeds only, on the same starts.
 
     Statistics are over the seeds, with one score per run: its mean return, or its success rate. Intervals are Student's at 95 %, cut at
-    the bounds of the score, None for a single run. `waiting` are the seeds of the group that have no model yet.
+    the bounds of the score, None for a single run. `waiting` are the seeds of the group that have no model yet. `solved_after` are the
+    steps after which the training of each run first met `solved`, None where it did not.
     """
 
     name: str
     evaluations: tuple[EvaluationResult, ...]
     waiting: tuple[int, ...] = ()
+    solved_after: tuple[int | None, ...] = ()
 
     @property
     def success_defined(self) -> bool:
@@ -76,8 +79,9 @@ class GroupResult:
 class GroupDifference:
     """A group against the first group: differences of the mean return, and of the success rate if the scenario defines success.
 
-    `between_seeds` tells whether the interval is one over the seeds of both groups. If not, each group is a single run, and the interval
-    is one over the episodes of these two policies.
+    `solved_after` is the difference of the steps until a training was solved, None unless every run of both groups was. `between_seeds`
+    tells whether the interval is one over the seeds of both groups. If not, each group is a single run, and the interval is one over the
+    episodes of these two policies.
     """
 
     first: str
@@ -85,10 +89,21 @@ class GroupDifference:
     mean_return: Difference
     success_rate: Difference | None
     between_seeds: bool
+    solved_after: Difference | None = None
 
     @property
     def verdict(self) -> str:
-        """The result in a sentence."""
+        """The result in a sentence: the returns, and the steps until the task was solved."""
+        steps = self.solved_after
+        if steps is None or steps.interval is None:
+            return self._verdict_on_returns
+        difference = f"{abs(steps.mean):,.0f} {'fewer' if steps.mean < 0 else 'more'} steps of training"
+        interval = "(95 % interval of the difference: {:,.0f} .. {:,.0f})".format(*steps.interval)
+        sooner = f"it is solved after {difference}" if steps.certain else f"it is solved after {difference}, and 0 is possible"
+        return f"{self._verdict_on_returns}; {sooner} {interval}"
+
+    @property
+    def _verdict_on_returns(self) -> str:
         difference = self.mean_return
         if difference.interval is None:
             return f"{self.group}: unknown, because a group with one run has no interval; train more seeds"
@@ -141,8 +156,7 @@ def compare(
     """Evaluate runs on the same starts, and compare them by groups.
 
     The folder of a group (`deepbots train --seeds`) is a group. Other runs of the same scenario, trained in the same engine, are a group:
-    they differ by their seeds only. If all runs are given singly and are alike, each run is a group. Any other folder stands for all runs
-    in it.
+    they differ by their seeds only. Any other folder stands for all runs in it. If this makes a single group, each of its runs is a group.
 
     Args:
         runs: Groups, run directories, or folders of run directories; at least two runs.
@@ -183,7 +197,7 @@ def compare(
             count += 1
             if on_run is not None:
                 on_run(count, len(opened))
-        groups.append(GroupResult(group.name, tuple(results), group.waiting))
+        groups.append(GroupResult(group.name, tuple(results), group.waiting, tuple(map(_solved_after, group.runs))))
     differences = tuple(_difference(groups[0], group) for group in groups[1:])
     first = groups[0].evaluations[0]
     notes = _notes(opened, groups, differences, own=own)
@@ -223,7 +237,9 @@ def _paired(one: EvaluationResult | GroupResult, other: EvaluationResult | Group
     """Differences of return and success, by episodes or runs in the same order; no success where one of the two defines none."""
     (before, succeeded), (after, succeeds) = _scores(one), _scores(other)
     has_success = one.success_defined and other.success_defined
-    return compare_episodes(before, after), compare_episodes(succeeded, succeeds) if has_success else None
+    bounds = (one.evaluations[0] if isinstance(one, GroupResult) else one).possible_returns
+    success = compare_episodes(succeeded, succeeds, (0.0, 1.0)) if has_success else None
+    return compare_episodes(before, after, bounds), success
 
 
 def _scores(found: EvaluationResult | GroupResult) -> tuple[list[float], list[float]]:
@@ -293,8 +309,8 @@ def _members(paths: Sequence[Path]) -> list[_GroupMembers]:
                 alike.append(run)
             found[run.record.digest, run.record.engine] = _GroupMembers(_name(alike), alike)
     groups = list(found.values())
-    if len(found) == 1 and single:
-        groups = [_GroupMembers(run.path.name, (run,)) for runs in single.values() for run in runs]
+    if len(groups) == 1:
+        groups = [_GroupMembers(run.path.name, (run,)) for run in groups[0].runs]
     names = [group.name for group in groups]
     return [group._replace(name=str(group.runs[0].path)) if names.count(group.name) > 1 else group for group in groups]
 
@@ -318,12 +334,21 @@ def _name(runs: Sequence[Run]) -> str:
     return runs[0].path.name + (f" and {others} more" if others else "")
 
 
+def _solved_after(run: Run) -> int | None:
+    result = run.record.result
+    return result.solved_at.steps if result is not None and result.solved_at is not None else None
+
+
 def _difference(first: GroupResult, group: GroupResult) -> GroupDifference:
     between_seeds = max(len(first.evaluations), len(group.evaluations)) > 1
     has_success = first.success_defined and group.success_defined
     if between_seeds:
-        success = compare_seeds(first.success_rates, group.success_rates) if has_success else None
-        return GroupDifference(first.name, group.name, compare_seeds(first.returns, group.returns), success, between_seeds)
+        success = compare_seeds(first.success_rates, group.success_rates, (0.0, 1.0)) if has_success else None
+        returns = compare_seeds(first.returns, group.returns, first.evaluations[0].possible_returns)
+        before, after = ([steps for steps in found.solved_after if steps is not None] for found in (first, group))
+        all_solved = len(before) + len(after) == len(first.evaluations) + len(group.evaluations)
+        steps = compare_seeds(before, after, (0.0, math.inf)) if all_solved else None
+        return GroupDifference(first.name, group.name, returns, success, between_seeds, steps)
     return GroupDifference(first.name, group.name, *_paired(first.evaluations[0], group.evaluations[0]), between_seeds)
 
 
@@ -336,8 +361,9 @@ def _notes(runs: Sequence[Run], groups: Sequence[GroupResult], differences: Sequ
         notes.append(f"a group has {fewest} run{'' if fewest == 1 else 's'}: train at least {MIN_SEEDS} seeds of each, better 5")
     if len({run.record.engine for run in runs}) > 1:
         notes.append("the runs were trained in different engines, and each is evaluated in its own")
-    if own and len({str([(term.name, term.text) for term in run.program.policy.reward]) for run in runs}) > 1:
-        notes.append("each run is evaluated in its own scenario, and the rewards differ: compare success rates, not returns")
+    if len({str([(term.name, term.text) for term in run.program.policy.reward]) for run in runs}) > 1:
+        where = "each run is evaluated in its own scenario" if own else "all runs are evaluated with one reward, that of the scenario above"
+        notes.append(f"the rewards of the runs differ, and {where}: compare success rates, not returns")
     for group in groups:
         notes += dict.fromkeys(f"{group.name}: {note}" for result in group.evaluations for note in result.notes if "trained with" in note)
     return notes

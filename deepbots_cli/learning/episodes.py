@@ -301,9 +301,9 @@ class Summary:
     term_means: Mapping[str, float]
 
     @classmethod
-    def of_episodes(cls, done: Sequence[Episode]) -> Summary:
-        """The summary of at least one episode."""
-        return cls(**statistics_of(done))
+    def of_episodes(cls, done: Sequence[Episode], bounds: Interval = UNBOUNDED) -> Summary:
+        """The summary of at least one episode; `bounds` are those of a return."""
+        return cls(**statistics_of(done, bounds))
 
     def meets_solved(self, solved: Solved | None) -> bool:
         """Whether these means count as solved; False where the scenario does not say what does."""

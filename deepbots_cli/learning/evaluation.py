@@ -26,10 +26,10 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 
 from deepbots_cli.api import Compiled, build_batch
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
-from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.learning import algorithms, batch, models, video
 from deepbots_cli.learning.environments import VectorEnvironment, World, WorldFactory, compiled_scenario, default_factory, has_copies
 from deepbots_cli.learning.episodes import (
+    UNBOUNDED,
     DrawnBin,
     Episode,
     EpisodeAccumulator,
@@ -42,8 +42,7 @@ from deepbots_cli.learning.episodes import (
 from deepbots_cli.learning.failures import FailureRecorder
 from deepbots_cli.learning.run import ModelName, Run
 from deepbots_cli.learning.statistics import gate_rate
-from deepbots_cli.lint.analysis import Analysis
-from deepbots_cli.lint.rewards import return_range
+from deepbots_cli.lint.rewards import possible_returns
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Solved
 from deepbots_cli.runtime.batch import BatchSupervisor
@@ -178,7 +177,7 @@ def evaluate(
             done = rollout(policy, worlds, seeds, deterministic=deterministic, on_episode=on_episode, until=until)
         if video_to is not None:
             world = stack.enter_context(closing(make(program, render_mode="rgb_array")))
-            filmed = stack.enter_context(video.recording_video(world, video_to, 1 / program.period))
+            filmed = stack.enter_context(video.recording_video(world, video_to, program.period))
             rollout(policy, [filmed], seeds[:1], deterministic=deterministic)
     where = {"case": case, "stage": stage, "seed": root, "deterministic": deterministic, "video": video_to}
     return _result(known, program, model, done, engine=None if build else engine, **where)
@@ -292,8 +291,8 @@ def _evaluation_settings(
 
 
 def _result(run: Run, program: Program, model: str, done: Sequence[Episode], **where: Any) -> EvaluationResult:
-    known = return_range(Analysis(program)) if where["engine"] else Interval()  # a world of the caller may pay anything
-    found = statistics_of(done, known)
+    low, high = possible_returns(program) if where["engine"] else UNBOUNDED  # a world of the caller may pay anything
+    found = statistics_of(done, (low, high))
     solved, verdict = solved_verdict(program.solved, found["episodes"], found["mean_return"], found["success_rate"])
     return EvaluationResult(
         run=run.path,
@@ -304,7 +303,7 @@ def _result(run: Run, program: Program, model: str, done: Sequence[Episode], **w
         verdict=verdict,
         notes=(*run.notes(), *identity.timing_differences(run.program, program)),
         outcomes=tuple(done),
-        return_bounds=(known.low if known.low > -math.inf else None, known.high if known.high < math.inf else None),
+        return_bounds=(low if low > -math.inf else None, high if high < math.inf else None),
         **where,
         **found,
     )

@@ -25,7 +25,7 @@ from deepbots_cli.learning.run import (
     read_evaluation,
 )
 
-State = Literal["training", "finished", "interrupted", "failed", "damaged"]
+State = Literal["training", "finished", "interrupted", "failed", "unreadable"]
 _TAIL_BYTES = 64_000
 """Bytes of a log that hold its last 100 episodes."""
 _MAX_STATE_BYTES = 100_000_000
@@ -36,8 +36,9 @@ class ListedRun:
     """A run or a group, from its files.
 
     Of a group, `mean_return` and `success_rate` are means over the runs that have one, `steps` and `cpu_seconds` are sums, and `runs` are
-    its members. `score` says what the return and the success rate are of: `evaluation` is the last evaluation of the best model in the
-    scenario of the training, since the training ended; `training` the recent episodes of the training, of which the policy explores.
+    its members. `score` says what the return and the success rate are of: `evaluation` is the evaluation of the best model in the
+    scenario of the training with the most episodes, `evaluated_episodes`, since the training ended; `training` the recent episodes of the
+    training, of which the policy explores.
     `settings` are the assignments of `--set`. `success_rate` is None where the scenario defines no success. `solved` is the answer of the
     evaluation, or of the training. Of a run that trains, `cpu_seconds` is as old as its last checkpoint. `updated` is a time in UTC,
     `problem` why the files cannot be read.
@@ -58,6 +59,7 @@ class ListedRun:
     return_interval: tuple[float, float] | None = None
     success_rate: float | None = None
     score: Literal["evaluation", "training"] | None = None
+    evaluated_episodes: int | None = None
     solved: bool | None = None
     solved_in_episode: int | None = None
     cpu_seconds: float | None = None
@@ -81,7 +83,7 @@ def read_listed(path: Path) -> ListedRun:
     try:
         return _listed_group(path) if is_group(path) else _listed_run(path)
     except DeepbotsError as error:
-        return ListedRun(path, "damaged", problem=str(error))
+        return ListedRun(path, "unreadable", problem=str(error))
 
 
 def _listed_run(path: Path) -> ListedRun:
@@ -93,8 +95,9 @@ def _listed_run(path: Path) -> ListedRun:
     recent = _recent(path / "monitor.csv") if result is None or state == "training" else []
     mean: float | None
     success: float | None
-    found = last_evaluation(path, record) if state != "training" else None
-    evaluation = found[1] if found else None
+    evaluation = max(  # of equals the last one
+        (found for _, found in reversed(_own_evaluations(path, record, plain=True))), key=lambda found: found.episodes, default=None
+    ) if state != "training" else None  # fmt: skip
     steps, episodes = recent[-1][:2] if recent else (result.steps, result.episodes) if result else (0, 0)
     if evaluation is not None:
         mean, success = evaluation.mean_return, evaluation.success_rate if evaluation.success_defined else None
@@ -121,6 +124,7 @@ def _listed_run(path: Path) -> ListedRun:
         return_interval=evaluation.return_interval if evaluation else None,
         success_rate=success,
         score="evaluation" if evaluation else "training" if mean is not None else None,
+        evaluated_episodes=evaluation.episodes if evaluation else None,
         solved=evaluation.solved if evaluation is not None and solved_at is None else solved_at is not None,
         solved_in_episode=solved_at.episode if solved_at else None,
         cpu_seconds=result.cpu_seconds if result and state != "training" else _cpu_of_checkpoint(path),
@@ -136,7 +140,7 @@ def _listed_group(path: Path) -> ListedRun:
     rates = [run.success_rate for run in readable if run.success_rate is not None]
     costs = [run.cpu_seconds for run in readable if run.cpu_seconds is not None]
     states = {run.state for run in runs}
-    state: State = "training" if is_training(path) else "failed" if states & {"failed", "damaged"} else "interrupted"
+    state: State = "training" if is_training(path) else "failed" if states & {"failed", "unreadable"} else "interrupted"
     if state != "training" and states == {"finished"} and len(runs) == len(group.record.seeds):
         state = "finished"
     return ListedRun(
@@ -154,6 +158,7 @@ def _listed_group(path: Path) -> ListedRun:
         mean_return=fmean(returns) if returns else None,
         success_rate=fmean(rates) if rates else None,
         score="training" if "training" in {run.score for run in readable} else "evaluation" if returns else None,
+        evaluated_episodes=min((run.evaluated_episodes for run in readable if run.evaluated_episodes), default=None),
         solved=bool(readable) and len(readable) == len(group.record.seeds) and all(run.solved for run in readable),
         cpu_seconds=sum(costs) if costs else None,
         updated=max((run.updated for run in readable), default=group.record.started),
@@ -178,16 +183,23 @@ def last_evaluation(path: Path, record: RunRecord, *, plain: bool = True) -> tup
     Args:
         plain: Only one of the best model without sampled actions.
     """
-    for _, kept in reversed(numbered_files(path / "evaluations")):
+    found = _own_evaluations(path, record, plain=plain)
+    return found[-1] if found else None
+
+
+def _own_evaluations(path: Path, record: RunRecord, *, plain: bool) -> list[tuple[Path, EvaluationRecord]]:
+    """The evaluations of `last_evaluation`, in the order of their numbers; unreadable ones are left out."""
+    kept = []
+    for _, file in numbered_files(path / "evaluations"):
         try:
-            found = read_evaluation(kept)
+            found = read_evaluation(file)
         except RunError:
             continue
         own = not (found.set or found.elsewhere or found.case or found.stage) and found.engine in (None, record.engine)
         acts = found.model == "best" and found.deterministic if plain else found.model in ("best", "last")
         if own and acts and found.evaluated >= record.updated:
-            return kept, found
-    return None
+            kept.append((file, found))
+    return kept
 
 
 def _recent(log: Path) -> list[tuple[int, int, float, bool]]:

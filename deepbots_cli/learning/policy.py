@@ -68,7 +68,11 @@ class Policy:
 
         Returns:
             An action in the action space, or one per row.
+
+        Raises:
+            UsageError: The observation holds a value that is not finite.
         """
+        self._require_finite(observation)
         masks = {"action_masks": action_mask} if self._takes_masks else {}
         rows = len(observation) if np.ndim(observation) > 1 and not isinstance(observation, dict) else 1
         action, self._memory = self._model.predict(
@@ -79,11 +83,20 @@ class Policy:
 
     __call__ = predict
 
+    def _require_finite(self, observation: Any) -> None:
+        for part in observation.values() if isinstance(observation, dict) else (observation,):
+            numbers = np.atleast_1d(part)
+            wrong = np.argwhere(~np.isfinite(numbers))
+            if len(wrong):
+                place = int(wrong[0][-1])
+                name = f" of {self.observation[place].name}" if part is observation and place < len(self.observation) else ""
+                raise UsageError(f"the observation holds a value{name} that is not finite: {numbers[tuple(wrong[0])]}")
+
     def observe(self, values: Mapping[str, float]) -> np.ndarray[Any, np.dtype[np.float32]]:
         """The observation of shape (k,) for values by name, in their units; values beyond a range are clipped.
 
         Raises:
-            UsageError: A name is missing or unknown, or the policy sees more than one vector of present values.
+            UsageError: A name is missing or unknown, a value is not finite, or the policy sees more than one vector of present values.
         """
         if not isinstance(self.observation_space, gym.spaces.Box) or any(value.steps_ago for value in self.observation):
             raise UsageError("this policy sees older values, images or a goal; take observations from the environment")
@@ -91,6 +104,9 @@ class Policy:
         if set(names) != set(values):
             odd = sorted({*names} ^ {*values})
             raise UsageError(f"the observation is {', '.join(names)}; missing or unknown: {', '.join(odd)}")
+        for name, number in values.items():
+            if not np.isfinite(number):
+                raise UsageError(f"the value of {name} is {number}; it must be finite")
         scaled = [
             values[value.name] if value.truth else 2.0 * (values[value.name] - value.low) / (value.high - value.low) - 1.0
             for value in self.observation

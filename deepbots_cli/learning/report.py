@@ -21,11 +21,18 @@ if TYPE_CHECKING:
 
 
 def to_json(result: TrainingResult | EvaluationResult) -> dict[str, Any]:
-    """The fields of a result, with paths as text; of an evaluation also the statistics by drawn value."""
+    """The fields of a result, with paths as text; of an evaluation also the statistics by drawn value.
+
+    Statistics of success are None where the scenario defines no success.
+    """
     if isinstance(result, BaseModel):
         return result.model_dump(mode="json")
     data = {key: str(value) if isinstance(value, Path) else value for key, value in asdict(result).items()}
-    return data | {"by_drawn_value": {name: list(map(asdict, bins)) for name, bins in result.by_drawn_value.items()}}
+    drawn = {name: list(map(asdict, bins)) for name, bins in result.by_drawn_value.items()}
+    if not result.success_defined:
+        for statistics in (data, *(entry for bins in drawn.values() for entry in bins)):
+            statistics |= dict.fromkeys(("successes", "success_rate", "success_interval"))
+    return data | {"by_drawn_value": drawn}
 
 
 # The progress of a training

@@ -116,7 +116,7 @@ def evaluate_robustness(
     seed: int | None = None,
     model: ModelName = "best",
     scenario: str | Path | None = None,
-    sets: Sequence[str] = (),
+    overrides: Sequence[str] = (),
     min_success: float | None = None,
     min_return: float | None = None,
     mass_of: str | None = None,
@@ -135,7 +135,7 @@ def evaluate_robustness(
         run: The run, or its directory.
         episodes: Episodes of each level; by default those of the scenario, at most 50.
         scenario: Another scenario to change, by its path or name.
-        sets: Assignments `path=value` that hold at all levels.
+        overrides: Assignments `path=value` that hold at all levels.
         min_success: The bar of the success rate; by default that of `solved`, or 80 % of the rate without any change.
         min_return: The bar of the mean return, in the place of the success rate.
         mass_of: What has its mass changed, `ROBOT.LINK` or an object; by default the heaviest link.
@@ -153,10 +153,10 @@ def evaluate_robustness(
     code = allow_code or scenario is None  # worlds that run the functions of a run ask again
 
     def changed(change: Change) -> Compiled:
-        return changed_scenario(base, change, sets=sets, allow_paths=allow_paths, allow_code=code, project=project)
+        return changed_scenario(base, change, overrides=overrides, allow_paths=allow_paths, allow_code=code, project=project)
 
     plain = changed({})
-    root = load(base, sets, allow_paths=allow_paths, project=project).root
+    root = load(base, overrides, allow_paths=allow_paths, project=project).root
     count = min(EPISODES_PER_LEVEL, plain.program.evaluation.episodes) if episodes is None else episodes
     given: dict[str, Any] = {"episodes": count, "seed": seed, "model": model, "allow_code": allow_code, **options}
     planned = list(plans(root, plain.program, mass_of)) if root is not None else []
@@ -192,12 +192,12 @@ def changed_scenario(
     base: Path,
     change: Change,
     *,
-    sets: Sequence[str] = (),
+    overrides: Sequence[str] = (),
     allow_paths: Sequence[str | Path] = (),
     allow_code: bool = False,
     project: Path | None = None,
 ) -> Compiled:
-    """The scenario in the file `base` with the keys of `change` and without its cases, compiled; `sets` are applied last.
+    """The scenario in the file `base` with the keys of `change` and without its cases, compiled; `overrides` are applied last.
 
     Raises:
         ScenarioError: The changed scenario has errors.
@@ -208,7 +208,7 @@ def changed_scenario(
     # A draft beside the scenario: nothing is written, and relative paths mean the same.
     path = base.with_name(f"{base.stem}.changed.yaml")
     text = json.dumps({"extends": base.name, **removed, **change})
-    document = load(path, sets, allow_paths=allow_paths, drafts={path: text.encode()}, project=project)
+    document = load(path, overrides, allow_paths=allow_paths, drafts={path: text.encode()}, project=project)
     return api.compile(check(replace(document, allow_code=allow_code)))
 
 

@@ -337,15 +337,15 @@ class EvaluationRecord(BaseModel):
     mean_return: float
     return_interval: tuple[float, float] | None
     success_defined: bool
-    success_rate: float
-    success_interval: tuple[float, float]
+    success_rate: float | None
+    success_interval: tuple[float, float] | None
     solved: bool | None
     set: tuple[str, ...] = ()
     elsewhere: str | None = None
     engine: str | None = None
 
 
-class KeptEpisodes(EvaluationRecord):
+class EvaluationWithEpisodes(EvaluationRecord):
     """An evaluation that a run keeps, with its episodes."""
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)

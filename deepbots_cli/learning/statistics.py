@@ -33,9 +33,17 @@ def wilson(successes: int, episodes: int) -> Interval:
 
 
 def mean_interval(values: Sequence[float], bounds: Interval = UNBOUNDED) -> Interval | None:
-    """Student's interval of a mean, cut at the bounds of the values; None for fewer than two values."""
+    """Student's interval of a mean, cut at the bounds of the values; None for fewer than two values.
+
+    Equal values tell nothing of the spread. With a probability of 95 %, at most the share 1 - 0.05^(1/n) of all values differs from n equal
+    ones; the interval then has this share of the way to the bounds, and is None without bounds.
+    """
     if len(values) < 2:
         return None
+    if min(values) == max(values):
+        share, value = 1 - ALPHA ** (1 / len(values)), values[0]
+        reach = value - share * (value - bounds[0]), value + share * (bounds[1] - value)
+        return reach if math.isfinite(reach[0]) and math.isfinite(reach[1]) else None
     half = float(stdtrit(len(values) - 1, 1 - ALPHA / 2)) * stdev(values) / math.sqrt(len(values))
     centre = fmean(values)
     return max(centre - half, min(bounds[0], centre)), min(centre + half, max(bounds[1], centre))
@@ -81,19 +89,34 @@ def rate_sequence(successes: int, episodes: int) -> Interval:
     return low, high
 
 
-def mean_evidence(mean: float, values: Sequence[float]) -> float:
-    """The natural logarithm of the evidence against a mean of exactly `mean`, for values of unknown spread.
+_LARGEST_BET = 0.75  # of the capital that may be lost at once
 
-    This is the anytime-valid t-test with a Gaussian mixture of effect sizes of variance 1 (T. L. Lai, Ann. Stat. 4, 1976, p. 265; H. Wang
-    and A. Ramdas, "Anytime-valid t-tests and confidence sequences for Gaussian means with unknown variance", 2023). It is exact for normal
-    values. Values that are all equal to `mean` are no evidence.
+
+def mean_evidence(mean: float, values: Sequence[float], bounds: Interval) -> tuple[float, float]:
+    """The natural logarithms of the evidence that the mean of bounded values is above `mean`, and that it is below.
+
+    Each is the capital of a gambler who bets on the next value, from 1 (I. Waudby-Smith and A. Ramdas, "Estimating means of bounded random
+    variables by betting", J. R. Stat. Soc. B 86, 2024). If the true mean is not above `mean`, the first exceeds log(1 / a) after any number
+    of values with a probability of at most a. This holds for any distribution within the bounds, also if most values are equal. Values
+    without a lower bound are no evidence of a mean above, and values without an upper bound none of a mean below.
     """
-    count = len(values)
-    deviations = [value - mean for value in values]
-    total, squares = math.fsum(deviations), math.fsum(deviation * deviation for deviation in deviations)
-    if count < 2 or squares == 0:
+    low, high = bounds
+    return _capital([value - mean for value in values], mean - low), _capital([mean - value for value in values], high - mean)
+
+
+def _capital(gains: Sequence[float], largest_loss: float) -> float:
+    """The logarithm of the capital after bets on values of which none is below -`largest_loss`.
+
+    A bet is the ratio of the mean to the mean square of the values before, which nearly maximises the growth of the capital.
+    """
+    if not 0 < largest_loss < math.inf:
         return 0.0
-    return -math.log(count + 1) / 2 - count / 2 * math.log1p(-total * total / ((count + 1) * squares))
+    total = squares = capital = 0.0
+    for gain in gains:
+        if total > 0:
+            capital += math.log1p(min(total / squares, _LARGEST_BET / largest_loss) * gain)
+        total, squares = total + gain, squares + gain * gain
+    return capital
 
 
 @dataclass(frozen=True)
@@ -123,17 +146,22 @@ def gate_rate(required: float, successes: int, episodes: int, planned: int) -> V
     return Verdict(None, known)
 
 
-def gate_mean(required: float, returns: Sequence[float], planned: int) -> Verdict:
-    """Whether a mean return reaches `required` after some of `planned` episodes.
+def gate_mean(required: float, returns: Sequence[float], planned: int, bounds: Interval = UNBOUNDED) -> Verdict:
+    """Whether a mean return reaches `required` after some of `planned` episodes; `bounds` are those of a return.
 
-    The answer is certain when the anytime-valid t-test excludes `required`. After the last planned episode the measured mean decides.
+    The answer is certain when the evidence against the other answer exceeds 2 / ALPHA, or when the episodes that are left cannot change
+    it. After the last planned episode the measured mean decides. Without bounds, no answer is certain before.
     """
-    measured = fmean(returns)
-    if mean_evidence(required, returns) >= math.log(1 / ALPHA):
-        return Verdict(measured > required, f"mean return {measured:.4g} in {len(returns)} episodes; anytime-valid t-test at 95 %")
-    if len(returns) >= planned:
-        return Verdict(measured >= required, f"mean return {measured:.4g} in {len(returns)} episodes")
-    return Verdict(None, f"mean return {measured:.4g} in {len(returns)} episodes")
+    left = planned - len(returns)
+    known = f"mean return {fmean(returns):.4g} in {len(returns)} episodes"
+    above, below = mean_evidence(required, returns, bounds)
+    if left and max(above, below) >= math.log(2 / ALPHA):
+        return Verdict(above > below, f"{known}; confidence sequence at 95 %")
+    total, needed = math.fsum(returns), required * planned
+    if left == 0:
+        return Verdict(total >= needed, known)
+    met = True if total + left * bounds[0] >= needed else False if total + left * bounds[1] < needed else None
+    return Verdict(met, known if met is None else f"{known}, which the remaining {left} cannot change")
 
 
 # -- comparisons ----------------------------------------------------------------------------------------------------------
@@ -157,10 +185,11 @@ class Difference:
         return self.interval is not None and (self.interval[0] > 0 or self.interval[1] < 0)
 
 
-def compare_seeds(first: Sequence[float], second: Sequence[float]) -> Difference:
+def compare_seeds(first: Sequence[float], second: Sequence[float], bounds: Interval = UNBOUNDED) -> Difference:
     """Two groups of runs, by one score per seed: Welch's interval of the difference of their means (B. L. Welch, Biometrika 34, 1947).
 
-    The seeds of both groups are independent, also where they have the same numbers: two trainings diverge after the first update.
+    The interval is cut at the largest difference that the `bounds` of a score allow. The seeds of both groups are independent, also where
+    they have the same numbers: two trainings diverge after the first update.
     """
     mean = fmean(second) - fmean(first)
     improvement = probability_of_improvement(first, second)
@@ -172,14 +201,21 @@ def compare_seeds(first: Sequence[float], second: Sequence[float]) -> Difference
         return Difference(mean, (mean, mean), improvement)
     freedom = sum(parts) ** 2 / sum(part * part / (len(group) - 1) for part, group in zip(parts, (first, second), strict=True))
     half = float(stdtrit(freedom, 1 - ALPHA / 2)) * error
-    return Difference(mean, (mean - half, mean + half), improvement)
+    largest = bounds[1] - bounds[0]
+    return Difference(mean, (max(mean - half, -largest), min(mean + half, largest)), improvement)
 
 
-def compare_episodes(first: Sequence[float], second: Sequence[float]) -> Difference:
-    """Two policies on the same starts, by one score per episode in the same order: Student's interval of the mean of the differences."""
+def compare_episodes(first: Sequence[float], second: Sequence[float], bounds: Interval = UNBOUNDED) -> Difference:
+    """Two policies on the same starts, by one score per episode in the same order: Student's interval of the mean of the differences.
+
+    The interval is cut at the largest difference that the `bounds` of a score allow.
+    """
     differences = [after - before for before, after in zip(first, second, strict=True)]
+    mean, largest = fmean(differences), bounds[1] - bounds[0]
     better = fmean(float(difference > 0) + 0.5 * float(difference == 0) for difference in differences)
-    return Difference(fmean(differences), mean_interval(differences), better)
+    if len(differences) > 1 and min(differences) == max(differences):
+        return Difference(mean, (mean, mean), better)
+    return Difference(mean, mean_interval(differences, (-largest, largest)), better)
 
 
 def probability_of_improvement(first: Sequence[float], second: Sequence[float]) -> float:

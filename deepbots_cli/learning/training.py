@@ -321,7 +321,7 @@ def _learn(run: Run, training: Training, checkpoints: Checkpoints, build: WorldF
             total_timesteps=training.total_timesteps,
             episodes=statistics.episodes,
             mean_return=statistics.mean_return,
-            success_rate=statistics.success_rate,
+            success_rate=statistics.success_rate if run.program.defines_success else None,
             best_return=callback.best.mean_return if callback.best else None,
             simulated_hours=statistics.simulated_hours,
             evaluation_steps=callback.evaluator.steps,
@@ -360,8 +360,10 @@ def _explained(error: DeepbotsError | OSError, run: Run, checkpoints: Checkpoint
     known = RunError(unwritable_message(Path(error.filename or run.path), error)) if isinstance(error, OSError) else error
     if checkpoints.description and (isinstance(known, PluginError) or isinstance(known.__cause__ or error, OSError)):
         known.add_note(f"{checkpoints.description}; go on from there with: deepbots train --resume {quote(str(run.path))}")
-    elif checkpoints.description:  # which would fail again, to the bit
+    elif checkpoints.has_learned:  # going on would fail again, to the bit
         known.add_note(f"{checkpoints.description}; evaluate what was learned with: deepbots eval {quote(str(run.path))}")
+    elif checkpoints.description:
+        known.add_note("nothing was learned before this; `deepbots lint --deep SCENARIO` finds expressions that have no value")
     return known
 
 

@@ -14,6 +14,8 @@ from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.files import atomic_write, check_writable
 from deepbots_cli.learning.environments import World
 
+_RATE = 30.0  # pictures per second
+
 
 def check_video_path(path: Path) -> None:
     """Find out before a long evaluation whether a video could be written to `path`.
@@ -30,29 +32,33 @@ def check_video_path(path: Path) -> None:
 
 
 @contextmanager
-def recording_video(world: World, path: Path, rate: float) -> Iterator[World]:
-    """`world`, with a picture of each reset and step in `path`; `rate` is in pictures per second of simulated time.
+def recording_video(world: World, path: Path, period: float) -> Iterator[World]:
+    """`world`, with a picture of the reset and of every so many steps in `path`, about `_RATE` a second; `period` (s) is that of a step.
 
     The world must have been made with `render_mode="rgb_array"`.
     """
     import imageio.v2 as imageio
 
     # Pictures of even height and width are all that the codec asks for; by default they would be scaled to multiples of 16.
-    with atomic_write(path) as draft, imageio.get_writer(draft, fps=rate, macro_block_size=2) as writer:
-        yield _VideoRecorder(world, writer)
+    every = max(1, round(1 / _RATE / period))
+    with atomic_write(path) as draft, imageio.get_writer(draft, fps=1 / period / every, macro_block_size=2) as writer:
+        yield _VideoRecorder(world, writer, every)
 
 
 class _VideoRecorder(gym.Wrapper[Any, Any, Any, Any]):
-    def __init__(self, world: World, writer: Any) -> None:
+    def __init__(self, world: World, writer: Any, every: int) -> None:
         super().__init__(world)
-        self._writer = writer
+        self._writer, self._every, self._steps = writer, every, 0
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         first = self.env.reset(seed=seed, options=options)
+        self._steps = 0
         self._writer.append_data(self.env.render())
         return first
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         outcome = self.env.step(action)
-        self._writer.append_data(self.env.render())
+        self._steps += 1
+        if self._steps % self._every == 0 or outcome[2] or outcome[3]:
+            self._writer.append_data(self.env.render())
         return outcome

@@ -32,17 +32,17 @@ from deepbots_cli.program.world import RobotBody
 from deepbots_cli.robots.model import Pose
 
 COMPARISONS = ("less", "less_equal", "greater", "greater_equal")
-_LASTING = ("duration", "integral")
+_DURATION_FUNCTIONS = ("duration", "integral")
 _NO_NAMES: frozenset[str] = frozenset()
-_TIME = frozenset({"time"})
+_TIME_NAMES = frozenset({"time"})
 ORDER_PRESERVING = frozenset({"running_max", "running_min", "low_pass", "hold"})
 """Functions with a memory that rise with their argument."""
-_CLOCK = frozenset({"time", "step", "episode_return", "previous_reward"})
-_MARGIN = 0.02
+_CLOCK_NAMES = frozenset({"time", "step", "episode_return", "previous_reward"})
+_MIN_LEAD_SHARE = 0.02
 """By this share of its limit another ending has to hold first: a value may pass both limits within a step."""
 _MAX_ENDINGS = 32
 """With more endings, not all pairs are compared."""
-_GRADUAL = frozenset({"position", "orientation", "joint_position", "clearance", "cross_track_error", "arc_length"})
+_CONTINUOUS_FUNCTIONS = frozenset({"position", "orientation", "joint_position", "clearance", "cross_track_error", "arc_length"})
 """Facts that do not jump, unlike speeds and forces when bodies collide."""
 
 
@@ -236,8 +236,8 @@ class Analysis:
                 return frozenset((name,)) if meant is None else self.dependencies(meant) | {name}
             case Const() | World():
                 return _NO_NAMES
-            case State(function) if function in _LASTING:
-                return _TIME.union(*map(self.dependencies, node.args))
+            case State(function) if function in _DURATION_FUNCTIONS:
+                return _TIME_NAMES.union(*map(self.dependencies, node.args))
             case _:
                 return _NO_NAMES.union(*map(self.dependencies, node.args))
 
@@ -457,7 +457,7 @@ class Threshold(NamedTuple):
 def is_clock(analysis: Analysis, quantity: Scalar) -> bool:
     """Whether a quantity is the time or the return, which advance by themselves."""
     meaning = analysis.resolve_aliases(quantity)
-    return isinstance(meaning, Name) and meaning.name in _CLOCK
+    return isinstance(meaning, Name) and meaning.name in _CLOCK_NAMES
 
 
 def has_choice(analysis: Analysis, condition: Expression) -> bool:
@@ -546,7 +546,7 @@ def shadowed_endings(analysis: Analysis) -> Mapping[Ending, Ending]:
             for threshold in thresholds(comparison, ranges):
                 if not threshold.now or not _is_gradual(analysis, threshold.quantity):
                     continue
-                ahead = threshold.limit - (1.0 if threshold.above else -1.0) * _MARGIN * abs(threshold.limit)
+                ahead = threshold.limit - (1.0 if threshold.above else -1.0) * _MIN_LEAD_SHARE * abs(threshold.limit)
                 there = ranges.where(
                     analysis.identity(threshold.quantity), Interval(ahead, INF) if threshold.above else Interval(-INF, ahead)
                 )
@@ -560,7 +560,7 @@ def _is_gradual(analysis: Analysis, quantity: Scalar) -> bool:
     parameters = {value.name for value in analysis.program.parameters}
     for node in analysis.walk_definitions(quantity):
         match node:
-            case World(function) if function in _GRADUAL:
+            case World(function) if function in _CONTINUOUS_FUNCTIONS:
                 continue
             case Name(name) if name in parameters or is_clock(analysis, node):
                 continue

@@ -21,9 +21,9 @@ from deepbots_cli.program.task import Ending, ExpectedResult, ScenarioTest
 from deepbots_cli.program.values import Expression
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, RobotModel, Shape, Sphere
 
-_TOLERANCE = 0.98
+_TOUCHING_FACTOR = 0.98
 """Engines let bodies penetrate each other a little."""
-_CLOCK = frozenset({"time", "step"})
+_CLOCK_NAMES = frozenset({"time", "step"})
 _OF_LAST_STEP = frozenset({"previous_reward", "episode_return"})
 _MAX_SEEDS = 8
 """Seeds listed in a note."""
@@ -132,7 +132,7 @@ def shadowed_limit(context: RuleContext) -> Iterator[Finding]:
             yield Finding(
                 "DB804", ending.value.span, headline, help=help, labels=(Label(context.values.key_span(("truncation",)), "the truncation"),)
             )
-        elif not _leaves(analysis, node) <= _CLOCK and last > 1 and _with_return(analysis, last - 1, last - 1).of(node) == ALWAYS:
+        elif not _leaves(analysis, node) <= _CLOCK_NAMES and last > 1 and _with_return(analysis, last - 1, last - 1).of(node) == ALWAYS:
             headline = f"`{ending.value.name}` ends every episode before {limit}"
             help = "remove this ending: `truncation` ends the episode, and the section `solved` defines a good result"
             yield Finding(
@@ -209,9 +209,9 @@ def timeout_as_termination(context: RuleContext) -> Iterator[Finding]:
     shown = {
         name for entry in context.program.policy.observation for node in analysis.scalars(entry.value) for name in _leaves(analysis, node)
     }
-    for ending in context.program.endings if not shown & _CLOCK else ():
+    for ending in context.program.endings if not shown & _CLOCK_NAMES else ():
         names = _leaves(analysis, analysis.scalars(ending.value)[0]) if ending.foreign is None else set()
-        if names and names <= _CLOCK and not analysis.ranges.of(analysis.scalars(ending.value)[0]).is_single:
+        if names and names <= _CLOCK_NAMES and not analysis.ranges.of(analysis.scalars(ending.value)[0]).is_single:
             headline = f"`{ending.value.name}` depends only on the time, which the policy does not observe"
             kept = " or ".join(f"`{'max_time: 5 s' if name == 'time' else 'max_steps: 200'}`" for name in sorted(names))
             yield Finding("DB805", ending.value.span, headline, help=f"limit the episode under `truncation`: {kept}")
@@ -380,7 +380,7 @@ def _unreachable(analysis: Analysis, asked: Threshold) -> tuple[str, str] | None
     if limit <= 0.0 or any(_may_be_above(analysis, body) for body in pair):  # below zero it is DB801
         return None
     touching = _touching_distance(_cores(analysis, a), _cores(analysis, b))
-    if limit < _TOLERANCE * touching:
+    if limit < _TOUCHING_FACTOR * touching:
         apart = with_unit(round(touching, 4), LENGTH)
         words = f"requires {with_unit(limit, LENGTH)} between the origins of `{a}` and `{b}`, which are {apart} apart when the two touch"
         return words, "require a larger distance, or use the `clearance` between surfaces"

@@ -22,10 +22,10 @@ from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
 from deepbots_cli.lint import all_findings
 
-_ROUNDS = 10
-_EFFORT = 150
+_MAX_ROUNDS = 10
+_MAX_LINT_RUNS = 150
 """How often a scenario of usual size is linted at most; a larger one less often."""
-_USUAL_SIZE = 6_000
+_TYPICAL_SIZE_CHARACTERS = 6_000
 """Characters; the largest shipped scenario has 5 219."""
 _BOM = b"\xef\xbb\xbf"
 _BETWEEN_ENTRIES = frozenset({"DB002", "DB202"})
@@ -111,8 +111,8 @@ class Fixer:
     def fix(self) -> list[Rewrite]:
         """Apply all fixes that do no harm; returns the files that change."""
         for name in self._linted:
-            self._effort = _EFFORT
-            for _ in range(_ROUNDS):
+            self._effort = _MAX_LINT_RUNS
+            for _ in range(_MAX_ROUNDS):
                 if not self._round(name):
                     break
         return [Rewrite(path, self._originals[path], data) for path, data in self.drafts.items() if data != self._originals[path]]
@@ -164,7 +164,7 @@ class Fixer:
 
     def _try(self, name: str, fixes: list[Finding], before: dict[str, LintResult], drafts: Drafts) -> bool:
         """Apply fixes to the state at the beginning of a round; they stay applied if they do no harm."""
-        self._effort -= 1 + sum(len(source.text) for source in before[name].files.values()) // _USUAL_SIZE
+        self._effort -= 1 + sum(len(source.text) for source in before[name].files.values()) // _TYPICAL_SIZE_CHARACTERS
         edits = [edit for finding in fixes if finding.fix for edit in finding.fix.edits]
         edited = self._edited(before[name], edits)
         after: dict[str, LintResult] = {}

@@ -18,7 +18,7 @@ from deepbots_cli.program.values import Expression
 
 # Unused definitions
 
-_COUNTED = (Origin.PARAMETER, Origin.ACTION, Origin.FIELD, Origin.AUGMENT, Origin.SIGNAL)
+_COUNTED_ORIGINS = (Origin.PARAMETER, Origin.ACTION, Origin.FIELD, Origin.AUGMENT, Origin.SIGNAL)
 
 
 def unused_definition(context: RuleContext) -> Iterator[Finding]:
@@ -51,7 +51,7 @@ def unused_definition(context: RuleContext) -> Iterator[Finding]:
 def _unused_names(context: RuleContext) -> Iterator[Finding]:
     used = {name for each in context.checked.variants if each.namespace for name, known in each.namespace.definitions.items() if known.uses}
     for name, definition in context.namespace.definitions.items():
-        if definition.origin in _COUNTED and definition.uses == 0 and name not in used:
+        if definition.origin in _COUNTED_ORIGINS and definition.uses == 0 and name not in used:
             headline = f"`{name}` is {definition.origin.value} that nothing uses"
             fix = removal_fix(context.values.root, definition.path)
             yield Finding("DB205", context.values.key_span(definition.path), headline, help="use it, or remove it", fix=fix)
@@ -94,10 +94,12 @@ def _unused_parts(context: RuleContext) -> Iterator[Finding]:
 
 # Equality of measurements
 
-_MEASURED = frozenset(
+_MEASUREMENT_FUNCTIONS = frozenset(
     {"position", "velocity", "angular_velocity", "orientation", "joint_position", "joint_velocity", "cross_track_error", "arc_length"}
 )
-_SMOOTH = frozenset({"add", "sub", "mul", "div", "neg", "abs", "hypot", "sqrt", "pow", "sin", "cos", "tan", "atan2", "exp", "log"})
+_SMOOTH_OPERATIONS = frozenset(
+    {"add", "sub", "mul", "div", "neg", "abs", "hypot", "sqrt", "pow", "sin", "cos", "tan", "atan2", "exp", "log"}
+)
 """Operations on a measurement that give a measurement; `clamp`, `min` and `where` give values that can be met exactly."""
 
 
@@ -150,9 +152,9 @@ def _is_measurement(analysis: Analysis, node: Scalar, known: dict[int, bool]) ->
         match analysis.resolve_aliases(node):
             case World(function, subjects):
                 fixed = {thing.name for thing in analysis.program.world.objects if thing.fixed}
-                known[number] = function in _MEASURED and fixed.isdisjoint(subject.partition("#")[0] for subject in subjects)
+                known[number] = function in _MEASUREMENT_FUNCTIONS and fixed.isdisjoint(subject.partition("#")[0] for subject in subjects)
             case Op(op, args):
-                known[number] = op in _SMOOTH and any(_is_measurement(analysis, arg, known) for arg in args)
+                known[number] = op in _SMOOTH_OPERATIONS and any(_is_measurement(analysis, arg, known) for arg in args)
             case _:
                 known[number] = False
     return known[number]
@@ -160,9 +162,9 @@ def _is_measurement(analysis: Analysis, node: Scalar, known: dict[int, bool]) ->
 
 # Angles that jump
 
-_WRAPPING = frozenset({"yaw", "bearing", "atan2", "wrap"})
+_WRAPPING_FUNCTIONS = frozenset({"yaw", "bearing", "atan2", "wrap"})
 """Functions that go from 180 deg to -180 deg within a step."""
-_PERIODIC = frozenset({"wrap", "sin", "cos", "tan"})
+_PERIODIC_FUNCTIONS = frozenset({"wrap", "sin", "cos", "tan"})
 """Functions for which a full turn makes no difference."""
 
 
@@ -189,7 +191,7 @@ def angle_jumps(context: RuleContext) -> Iterator[Finding]:
         values += [(value, robot) for value in (*robot.emit, *(command.target for command in robot.commands))]
     known: dict[str, bool] = {}
     for value, on in values:
-        for node in _Wrapping(context.analysis, on, known).jumps(value.typed):
+        for node in _AngleWrapping(context.analysis, on, known).jumps(value.typed):
             text = context.text(f"robots.{value.owner}" if on else value.owner)
             written, place = text.text[node.start : node.end], text.part(node.start, node.end)
             yield Finding(
@@ -197,7 +199,7 @@ def angle_jumps(context: RuleContext) -> Iterator[Finding]:
             )
 
 
-class _Wrapping:
+class _AngleWrapping:
     """Which angles wrap around at 180 deg, in expressions of the supervisor or of a robot controller.
 
     `known` holds the answers for names of the supervisor.
@@ -211,7 +213,7 @@ class _Wrapping:
     def jumps(self, node: Typed) -> Iterator[Typed]:
         """The parts of an expression that jump."""
         match node:
-            case Invocation(function=function) if function in _PERIODIC:
+            case Invocation(function=function) if function in _PERIODIC_FUNCTIONS:
                 return
             case Invocation(function="delta", args=(inner, *_)) if self._wraps(inner):
                 yield node
@@ -232,7 +234,7 @@ class _Wrapping:
             return False
         match node:
             case Invocation(function=function):
-                return function in _WRAPPING
+                return function in _WRAPPING_FUNCTIONS
             case Operation(operator="add" | "sub" | "neg", args=args):
                 return any(self._wraps(arg) for arg in args)
             case Reference(symbol=symbol) if self._robot is not None:
@@ -246,7 +248,7 @@ class _Wrapping:
         if name not in self._known:
             robot = next((robot for robot in self._analysis.program.robots if name.startswith(f"{robot.name}.")), None)
             meant = self._analysis.expression_named(name)
-            inner = _Wrapping(self._analysis, robot, self._known)
+            inner = _AngleWrapping(self._analysis, robot, self._known)
             self._known[name] = meant is not None and meant.foreign is None and inner._wraps(meant.typed)
         return self._known[name]
 

@@ -25,11 +25,11 @@ from deepbots_cli.program.values import Expression, Noise
 
 _ROUNDING = 1e-6
 """Relative difference that rounding alone may cause."""
-_SHARE = 0.25
+_MIN_COVERED_SHARE = 0.25
 """Share of the range of a noisy value that an exact value covers at least."""
 _MIN_STEPS = 100
 """Fewer simulated steps allow no conclusion."""
-_OFTEN = 0.5
+_MIN_SATURATED_SHARE = 0.5
 """Share of the steps of every policy in which a value is at the end of its range."""
 
 
@@ -298,7 +298,7 @@ def _shows(shown: SeenNumber, exact: Linear, noisy: SeenNumber, hidden: Linear) 
     offset = exact.offset - factors[0] * hidden.offset
     ends = sorted((end - offset) / factors[0] for end in shown.range)
     common = min(ends[1], noisy.range.high) - max(ends[0], noisy.range.low)
-    return common >= _SHARE * (noisy.range.high - noisy.range.low)
+    return common >= _MIN_COVERED_SHARE * (noisy.range.high - noisy.range.low)
 
 
 def observation_unbounded(context: RuleContext) -> Iterator[Finding]:
@@ -421,7 +421,7 @@ def often_saturated(simulation: Simulation) -> Iterator[Finding]:
         for end, is_beyond in ((number.high, known.high > number.high + slack), (number.low, known.low < number.low - slack)):
             rows = {by: (row.numbers[number.place], row.rows) for by, row in simulation.measured.items()}
             shares = {by: (seen.at_high if end == number.high else seen.at_low) / count for by, (seen, count) in rows.items()}
-            if is_beyond and min(shares.values()) >= _OFTEN:
+            if is_beyond and min(shares.values()) >= _MIN_SATURATED_SHARE:
                 met.add(id(entry))
                 at = with_unit(end, entry.value.typed.type.dimension)
                 headline = f"`{number.name}` is at the end of its range, {at}, in most of the simulated steps"

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 _MAX_CONDITIONS = 64
 """Conditions of a conjunction that are compared with each other."""
-_NOTHING: Mapping[str, Interval] = MappingProxyType({})
+_NO_RANGES: Mapping[str, Interval] = MappingProxyType({})
 
 
 class Ranges:
@@ -33,7 +33,7 @@ class Ranges:
     def __init__(
         self,
         analysis: Analysis,
-        given: Mapping[str, Interval] = _NOTHING,
+        given: Mapping[str, Interval] = _NO_RANGES,
         steps: tuple[float, float] | None = None,
         kept: tuple[int, Interval] | None = None,
     ) -> None:
@@ -171,8 +171,8 @@ class Ranges:
                     yield analysis.identity(large), Interval(self.of(small).low, INF)
 
 
-_PLANE = ("x", "y")
-_TURNS = ("roll", "pitch", "yaw")
+_PLANE_AXES = ("x", "y")
+_ROTATION_KEYS = ("roll", "pitch", "yaw")
 
 
 class StartRanges(Ranges):
@@ -246,13 +246,13 @@ class StartRanges(Ranges):
         The z of a body that rests on the ground is unknown.
         """
         for place in self._placements(body.partition("#")[0]):
-            yield place, {key: self._coordinate(place, key) for key in (*_PLANE, "z", *_TURNS)}
+            yield place, {key: self._coordinate(place, key) for key in (*_PLANE_AXES, "z", *_ROTATION_KEYS)}
 
     def _coordinate(self, place: Placement, key: str) -> Interval:
         if key == "z" and isinstance(place.spot, Top):
             return EVERYTHING
-        if key in _PLANE and place.spot is not None:
-            axis = _PLANE.index(key)
+        if key in _PLANE_AXES and place.spot is not None:
+            axis = _PLANE_AXES.index(key)
             region = place.spot.region if isinstance(place.spot, Top) else place.spot
             if region is None:
                 return EVERYTHING
@@ -266,7 +266,7 @@ class StartRanges(Ranges):
 
     def _quaternion(self, place: Placement) -> tuple[Interval, ...]:
         """(x, y, z, w) of a body turned by roll, pitch and yaw about fixed axes, in this order."""
-        halves = [iv.multiply(self._coordinate(place, key), single(0.5)) for key in _TURNS]
+        halves = [iv.multiply(self._coordinate(place, key), single(0.5)) for key in _ROTATION_KEYS]
         halves[2] = iv.add(halves[2], single(place.heading / 2))
         (cr, cp, cy), (sr, sp, sy) = map(iv.cosine, halves), map(iv.sine, halves)
         return (

@@ -14,15 +14,16 @@ from deepbots_cli.expressions.types import Constant, Invocation, Operation, Refe
 from deepbots_cli.lint.analysis import Analysis, RewardTerms, RuleContext, Threshold, is_clock, thresholds, total_range
 from deepbots_cli.lint.ranges import Ranges
 from deepbots_cli.lint.simulation import IDLE, Episode, Simulation
+from deepbots_cli.program import Program
 from deepbots_cli.program.task import Ending
 from deepbots_cli.program.values import Expression
 
-_DOMINATES = 100.0
+_DOMINANCE_RATIO = 100.0
 """A term that is so many times what an ending pays makes that invisible."""
 _ROUNDING = 1e-9
 _MIN_STEPS = 200
 """Fewer simulated steps allow no conclusion."""
-_PROGRESS = frozenset({"delta", "previous", "running_min", "running_max", "accumulate", "rising_edge", "hold"})
+_PROGRESS_FUNCTIONS = frozenset({"delta", "previous", "running_min", "running_max", "accumulate", "rising_edge", "hold"})
 """Functions that pay for getting somewhere, and nothing for staying."""
 
 
@@ -115,10 +116,16 @@ class _PoleSearch:
         return [self.ranges.of(part) for part in self._analysis.lowered(node, value.owner)]
 
     def _may_be_zero(self, value: Expression, node: Typed) -> bool:
-        """Whether a divisor may be zero; one between two finite bounds is DB405."""
+        """Whether a divisor may be zero; one whose type has two finite bounds is DB405.
+
+        The ranges known here are narrower than that of the type: `step` ends at the time limit.
+        """
         for part in self._analysis.lowered(node, value.owner):
-            known = self.ranges.of(part)
-            if 0.0 in known and not known.is_finite and self._guarded.isdisjoint(map(self._analysis.identity, walk(part))):
+            if (
+                0.0 in self.ranges.of(part)
+                and not node.type.interval.is_finite
+                and self._guarded.isdisjoint(map(self._analysis.identity, walk(part)))
+            ):
                 return True
         return False
 
@@ -149,10 +156,10 @@ def term_dominates(context: RuleContext) -> Iterator[Finding]:
     for term, node in ordinary:
         known = reward.ranges_while_running().of(node)
         high = max(abs(known.low), abs(known.high)) * reward.analysis.last_step * reward.program.action_repeat
-        if known.is_single or high <= _DOMINATES * prize:
+        if known.is_single or high <= _DOMINANCE_RATIO * prize:
             continue
         low = _smallest_sum(reward, node)
-        if low > _DOMINATES * prize:
+        if low > _DOMINANCE_RATIO * prize:
             headline = f"the absolute sum of `{term.name}` over an episode is at least {low:.4g}, and an ending pays at most {prize:.4g}"
             also = tuple(Label(paid.span, "paid at the end") for paid, _ in final)
             yield Finding(
@@ -192,7 +199,7 @@ def dominating_term(simulation: Simulation) -> Iterator[Finding]:
             notes.append(
                 f"{by}: {size:.3g} per episode, and {others:.3g} for all other terms" + (f", {prize:.3g} for an ending" if prize else "")
             )
-        if min(ratios) > _DOMINATES:
+        if min(ratios) > _DOMINANCE_RATIO:
             headline = f"`{term.name}` adds up to at least {min(ratios):.3g} times all other terms together"
             yield Finding("DB702", term.span, headline, help=f"scale `{term.name}` down, or the other terms up", notes=tuple(notes))
 
@@ -391,9 +398,7 @@ def hovering_pays(context: RuleContext) -> Iterator[Finding]:
             if pay * discounted_ticks(reward) > prize:
                 headline = f"staying just outside of `{success.value.name}` pays {pay:.3g} per step, and reaching it pays {prize:.3g} once"
                 best = max(ordinary, key=lambda term: running.of(term[1]).high)[0]
-                yield Finding(
-                    "DB708", best.span, headline, help=_PAY_FOR_PROGRESS, labels=(Label(success.value.span, "ends these payments"),)
-                )
+                yield Finding("DB708", best.span, headline, help=_PROGRESS_HELP, labels=(Label(success.value.span, "ends these payments"),))
                 return
 
 
@@ -425,12 +430,12 @@ def other_policy_pays_more(simulation: Simulation) -> Iterator[Finding]:
             f"the return of {success.policy}, which succeeds, is {success.discounted_return:.3g}"
         )
         notes = (f"both are discounted returns of the episode with seed {best.seed}",)
-        yield Finding("DB708", _most_paid(simulation, best.policy).span, headline, help=_PAY_FOR_PROGRESS, notes=notes, labels=also)
+        yield Finding("DB708", _most_paid(simulation, best.policy).span, headline, help=_PROGRESS_HELP, notes=notes, labels=also)
     elif len(successes) == 1 and not any(episode.end == "success" for episode in simulation.report.episodes):
         yield from _idle_pays(simulation, successes[0])
 
 
-_PAY_FOR_PROGRESS = (
+_PROGRESS_HELP = (
     "pay for progress, as in `-10 * delta(distance) / m`, or pay more for the success than an episode without success can collect"
 )
 
@@ -457,7 +462,7 @@ def _idle_pays(simulation: Simulation, success: Ending) -> Iterator[Finding]:
     if any(episode.end not in ("limit", "left") for episode in simulation.report.episodes if episode.policy == IDLE):
         return
     trees = [node for _, tree in ordinary for node in walk(simulation.analysis.resolve_aliases(tree))]
-    if any(isinstance(node, State) and node.function in _PROGRESS for node in trees):
+    if any(isinstance(node, State) and node.function in _PROGRESS_FUNCTIONS for node in trees):
         return
     pay = sum(term.total for term in row.terms) / row.steps
     prize = total_range(reward.terms, reward.ranges_at(success)).high
@@ -468,7 +473,7 @@ def _idle_pays(simulation: Simulation, success: Ending) -> Iterator[Finding]:
             f"measured in {row.steps} steps; about {ticks:.0f} steps count, given the discount factor of the training and the time limit",
         )
         also = (Label(success.value.span, "ends these payments"),)
-        yield Finding("DB708", _most_paid(simulation, IDLE).span, headline, help=_PAY_FOR_PROGRESS, notes=notes, labels=also)
+        yield Finding("DB708", _most_paid(simulation, IDLE).span, headline, help=_PROGRESS_HELP, notes=notes, labels=also)
 
 
 def _most_paid(simulation: Simulation, by: str) -> Expression:
@@ -544,6 +549,12 @@ def _wanted_returns(context: RuleContext) -> Iterator[tuple[Analysis, float, Nod
     for place, (stage, analysis) in enumerate(zip(program.curriculum, stages, strict=True)):
         if stage.until is not None and stage.until.metric == "mean_return":
             yield analysis, stage.until.threshold, ("curriculum", place, "until")
+
+
+def possible_returns(program: Program) -> tuple[float, float]:
+    """The least and the largest return of an episode that rewards and time limit allow; infinite where they imply none."""
+    known = return_range(Analysis(program))
+    return known.low, known.high
 
 
 def return_range(analysis: Analysis) -> Interval:

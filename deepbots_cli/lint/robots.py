@@ -23,23 +23,23 @@ from deepbots_cli.program.world import ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots.meshes import mesh_bounds
 from deepbots_cli.robots.model import Joint, Mesh, RobotModel
 
-_KNOWN_WITHIN = 0.2
+_MAX_KNOWN_SPREAD = 0.2
 """rad or m; the initial position of a joint counts as known if it is drawn from no more."""
 _MIN_SHARE = 0.25
 """Share of what the agent can ask for that an actuator must be able to do."""
-_OFTEN = 0.1
+_MIN_MISS_SHARE = 0.1
 """Share of the commands of an episode: a script may pass over what is out of reach on its way."""
-_SLIGHT_DISTANCE, _SLIGHT_ANGLE = 0.001, radians(0.5)
+_MIN_SHOWN_DISTANCE_M, _MIN_SHOWN_ANGLE = 0.001, radians(0.5)
 """m, rad; a finding mentions a smaller miss only by the other measure."""
-_SAME = 1e-4
+_SAME_HEIGHT_M = 1e-4
 """m; heights that differ by less are equal."""
-_FOOT = 0.005
+_FOOT_HEIGHT_M = 0.005
 """m; wheels and casters that end within so much of the lowest one carry the robot."""
-_NEAR = 0.05
+_RESTING_GAP_M = 0.05
 """m; a robot that is placed so close to its resting height comes to rest there."""
-_ATTITUDES = 12
+_MAX_JOINT_POSITIONS = 12
 """Positions of all joints together that are tried."""
-_ROOM = 1.2
+_RANGE_FACTOR = 1.2
 _LOWEST, _HIGHEST = 0, 1
 
 
@@ -232,7 +232,7 @@ def _start_positions(analysis: Analysis, body: RobotBody) -> dict[str, float] | 
     if not body.fixed_base or is_tilted:
         return None
     found = {joint.name: analysis.start.joint(f"{body.name}.{joint.name}") or NEVER for joint in body.model.moving_joints}
-    if any(known.high - known.low > _KNOWN_WITHIN for known in found.values()):
+    if any(known.high - known.low > _MAX_KNOWN_SPREAD for known in found.values()):
         return None
     return {name: (known.low + known.high) / 2 for name, known in found.items()}
 
@@ -281,16 +281,16 @@ def pose_out_of_reach(simulation: Simulation) -> Iterator[Finding]:
     """DB315: a `cartesian` actuator is commanded to a pose that the inverse kinematics does not reach."""
     reported: set[tuple[str, str]] = set()
     for miss in simulation.report.misses:
-        if (miss.turn or miss.unreached_commands >= _OFTEN * miss.commands) and (miss.robot, miss.actuator) not in reported:
+        if (miss.turn or miss.unreached_commands >= _MIN_MISS_SHARE * miss.commands) and (miss.robot, miss.actuator) not in reported:
             reported.add((miss.robot, miss.actuator))
             yield _turned_in_place(simulation, miss) if miss.turn else _missed(simulation, miss)
 
 
 def _missed(simulation: Simulation, miss: UnreachedPose) -> Finding:
     model = simulation.analysis.body(miss.robot).model
-    is_turned = miss.angle > _SLIGHT_ANGLE
+    is_turned = miss.angle > _MIN_SHOWN_ANGLE
     span = simulation.values.span(("robots", miss.robot, "actuators", miss.actuator, "rpy" if is_turned else "link"))
-    distance = f"{miss.distance:.3g} m" if miss.distance > _SLIGHT_DISTANCE else ""
+    distance = f"{miss.distance:.3g} m" if miss.distance > _MIN_SHOWN_DISTANCE_M else ""
     by = " and ".join(filter(None, [distance, f"{degrees(miss.angle):.3g} deg" if is_turned else ""]))
     notes = [simulation.when(SimulationPosition(miss.policy, miss.seed, miss.step))]
     for name, limit in miss.at_limit.items():
@@ -408,7 +408,7 @@ class Heights:
             tried.append([(place[2], frames.rotate(turn, (1.0, 0.0, 0.0))[2]) for place, turn in placed])
         for other in tried[1:]:
             for (height, slope), (known, known_slope) in zip(other, tried[0], strict=True):
-                if abs(height - known) > _SAME or abs(slope - known_slope) > _SAME:
+                if abs(height - known) > _SAME_HEIGHT_M or abs(slope - known_slope) > _SAME_HEIGHT_M:
                     return None
         lowest = min(height + min(0.0, slope * sensor.beams.reach) for height, slope in tried[0])
         return lowest if lowest > 0.0 else None
@@ -423,7 +423,7 @@ class Heights:
             known = [pose[key] for key in ("z", "roll", "pitch")]
             if body.fixed_base and all(interval.is_single for interval in known):
                 found.add(((0.0, 0.0, pose["z"].low), quaternion(pose["roll"].low, pose["pitch"].low, 0.0)))
-            elif height is not None and is_level(pose) and (place.rests or all(abs(end - height) < _NEAR for end in pose["z"])):
+            elif height is not None and is_level(pose) and (place.rests or all(abs(end - height) < _RESTING_GAP_M for end in pose["z"])):
                 found.add(((0.0, 0.0, height), frames.IDENTITY_ROTATION))
             else:
                 return None
@@ -471,7 +471,7 @@ class Heights:
 def _attitudes(model: RobotModel) -> Iterator[dict[str, float]]:
     """All joints at 0, then at positions that differ from joint to joint, spread evenly over their ranges (golden ratio)."""
     yield {}
-    for number in range(1, _ATTITUDES):
+    for number in range(1, _MAX_JOINT_POSITIONS):
         yield {joint.name: _position(joint, (number * (0.618034 + 0.1 * index)) % 1.0) for index, joint in enumerate(model.moving_joints)}
 
 
@@ -488,7 +488,7 @@ def _keeps(model: RobotModel, end: int) -> bool:
     """
     plain = footprint.without_meshes(model)
     known, *others = [footprint.robot_bounds(plain, positions)[end][2] for positions in _attitudes(model)]
-    return all(abs(other - known) <= _SAME for other in others)
+    return all(abs(other - known) <= _SAME_HEIGHT_M for other in others)
 
 
 def _can_lift(world: WorldModel) -> bool:
@@ -497,7 +497,7 @@ def _can_lift(world: WorldModel) -> bool:
 
 def _standing_height(model: RobotModel) -> float | None:
     """The height (m) of the root's origin on level ground; None for a robot that joints raise, or that has to balance."""
-    contact_points, centre = footprint.contact_points(model, _FOOT), _centre_of_mass(model)
+    contact_points, centre = footprint.contact_points(model, _FOOT_HEIGHT_M), _centre_of_mass(model)
     stands = contact_points and all(
         min(foot[axis] for foot in contact_points) < centre[axis] < max(foot[axis] for foot in contact_points) for axis in (0, 1)
     )
@@ -522,7 +522,7 @@ def _passing_over(values: ValueReader, robot: str, sensor: str, clearance: Clear
     if clearance.tallest == ARENA:
         named, place = "the walls of the arena", ("world", "arena", "wall_height")
         span = values.span(place) if values.is_present(place) else values.key_span(place[:2])
-        help = f"write `wall_height: {with_unit(float(f'{_ROOM * clearance.lowest:.2g}'), LENGTH)}` for the arena, or {help}"
+        help = f"write `wall_height: {with_unit(float(f'{_RANGE_FACTOR * clearance.lowest:.2g}'), LENGTH)}` for the arena, or {help}"
     else:
         wall = base.rpartition(" ")[0]  # `stub 1` is a piece of the wall `stub`
         places = ("objects", base), ("robots", base), ("world", "walls", wall), ("reset", "layouts", wall)

@@ -51,7 +51,7 @@ from deepbots_cli.runtime.actuation import Cartesian
 
 _ROUNDING = 1e-6
 """Numbers of the observation, from -1 to 1, that differ by less are equal."""
-_NOTHING = 1e-9
+_MIN_TERM_SIZE = 1e-9
 """The same for a term of the reward."""
 _FIRST_EPISODES, _FIRST_STEPS = 2, 10
 """Episodes in which the first command of each arm is checked, and the steps within which it must arrive."""
@@ -287,7 +287,7 @@ class Counter:
     def _add_terms(self, values: NDArray[np.float64]) -> None:
         self.sums += values
         self.sizes += np.abs(values)
-        self.fired += np.abs(values) > _NOTHING
+        self.fired += np.abs(values) > _MIN_TERM_SIZE
         np.minimum(self.least, values, out=self.least)
         np.maximum(self.greatest, values, out=self.greatest)
 
@@ -381,10 +381,10 @@ _HALF_TURN = math.pi
 """rad in one physics step; beyond it, an engine cannot tell the direction of a turn."""
 _MAX_SPIN = 1000.0
 """rad/s; slower turns are plausible, however long the physics step."""
-_GROWN = 4.0
+_MIN_SPEED_GROWTH = 4.0
 
 
-class _Moving(NamedTuple):
+class _WatchedBody(NamedTuple):
     body: str
     motion: MotionReader
     joints: tuple[str, ...]
@@ -405,8 +405,8 @@ class SpeedWatch:
             names = tuple(joint.name for joint in moving)
             reader = engine.joint_states(robot.name, names) if names else None
             turns = tuple(joint.type != "prismatic" for joint in moving)
-            self._watched.append(_Moving(robot.name, engine.motion(robot.name), names, turns, reader))
-        self._watched += [_Moving(thing.name, engine.motion(thing.name), (), (), None) for thing in world.objects if not thing.fixed]
+            self._watched.append(_WatchedBody(robot.name, engine.motion(robot.name), names, turns, reader))
+        self._watched += [_WatchedBody(thing.name, engine.motion(thing.name), (), (), None) for thing in world.objects if not thing.fixed]
         self._fastest = 1.0
         self.new_maximum: list[Any] = []
 
@@ -417,7 +417,7 @@ class SpeedWatch:
             velocity, spin = (math.hypot(*part) for part in watched.motion()[1])
             if not math.isfinite(velocity + spin):
                 return {"body": watched.body, "what": "nan"}
-            if velocity > self._fastest * _GROWN:
+            if velocity > self._fastest * _MIN_SPEED_GROWTH:
                 self._fastest, self.new_maximum = velocity, [watched.body, velocity]
             if velocity > _MAX_SPEED + self._fall * time:
                 return {"body": watched.body, "what": "velocity", "value": velocity}
@@ -428,7 +428,7 @@ class SpeedWatch:
                 return found
         return {}
 
-    def _joint(self, watched: _Moving) -> dict[str, Any]:
+    def _joint(self, watched: _WatchedBody) -> dict[str, Any]:
         states: Sequence[Sequence[float]] = watched.states() if watched.states else ()
         for name, turns, state in zip(watched.joints, watched.revolute, states, strict=True):
             speed = abs(state[1])
@@ -449,9 +449,9 @@ _DISTANCE = 0.005  # m
 _ANGLE = radians(1.0)
 """Tolerance of a pose. A search that succeeds ends within 0.1 um."""
 _TURN = radians(90.0)
-_IN_PLACE = 0.2
+_MAX_TURNING_DISTANCE_M = 0.2
 """m; an arm that starts farther away, such as stretched out, turns on its way."""
-_AT_LIMIT = 1e-6  # rad or m; the search clips positions to the limits exactly
+_LIMIT_TOLERANCE = 1e-6  # rad or m; the search clips positions to the limits exactly
 
 
 class ArmWatch:
@@ -507,7 +507,7 @@ class ArmWatch:
         if key not in self._misses:
             limits = {name: model.joint(name).limit for name in found}
             ends = {name: [end for end in (limit.lower, limit.upper) if end is not None] for name, limit in limits.items()}
-            at_limit = {name: end for name, known in ends.items() for end in known if abs(found[name] - end) < _AT_LIMIT}
+            at_limit = {name: end for name, known in ends.items() for end in known if abs(found[name] - end) < _LIMIT_TOLERANCE}
             self._misses[key] = UnreachedPose(robot, actuator.name, distance, angle, at_limit, step=world.step_count)
         self._misses[key] = replace(self._misses[key], unreached_commands=self._misses[key].unreached_commands + 1)
 
@@ -517,7 +517,7 @@ class ArmWatch:
             return
         place, attitude = world.engine.pose(key[0], actuator.link)()
         turn = _angle(frames.multiply(drive.attitude, frames.inverse(attitude)))
-        if turn > _TURN and dist(place, target) < _IN_PLACE:
+        if turn > _TURN and dist(place, target) < _MAX_TURNING_DISTANCE_M:
             start = frames.roll_pitch_yaw(attitude)
             self._misses[key] = UnreachedPose(*key, 0.0, 0.0, {}, turn=turn, start=start, step=world.step_count)
 

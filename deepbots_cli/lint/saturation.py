@@ -19,11 +19,11 @@ from deepbots_cli.program.values import Expression
 
 _ROUNDING = 1e-6
 """Relative difference that rounding alone may cause."""
-_ROOM = 1.2
+_RANGE_FACTOR = 1.2
 """Suggested ranges are larger than needed by this factor."""
-_NEAR = 0.05
+_MIN_VISIBLE_SHARE = 0.05
 """Share of the way to a limit, before the limit, in which the policy must see it come."""
-_HALVINGS = 40
+_MAX_BISECTIONS = 40
 
 
 def saturates_before_termination(context: RuleContext) -> Iterator[Finding]:
@@ -122,10 +122,10 @@ def _edge(number: RangedNumber, threshold: Threshold, ranges: Ranges) -> float:
     safe = -1.0 if threshold.above else 1.0
     far = 0.0 if safe * limit < 0.0 else limit + safe * (abs(limit) or 1.0)
     far = min(max(far, known.low), known.high)
-    near = limit + _NEAR * (far - limit)
+    near = limit + _MIN_VISIBLE_SHARE * (far - limit)
     if not is_constant(near) or is_constant(far):
         return nan
-    for _ in range(_HALVINGS):
+    for _ in range(_MAX_BISECTIONS):
         half = (near + far) / 2.0
         near, far = (half, far) if is_constant(half) else (near, half)
     return near
@@ -137,7 +137,7 @@ def _unseen(context: RuleContext, analysis: Analysis, view: BlindNumber, ending:
     if analysis.identity(number.node) == analysis.identity(view.threshold.quantity):
         headline = f"the range of `{name}` ends at {with_unit(view.edge, number.dimension)}, and the episode fails"
         headline += f" at {with_unit(limit, number.dimension)}"
-        beyond = limit + (_ROOM - 1.0) * abs(limit) * (1.0 if view.threshold.above else -1.0)
+        beyond = limit + (_RANGE_FACTOR - 1.0) * abs(limit) * (1.0 if view.threshold.above else -1.0)
         other = -beyond if number.low == -number.high else beyond
         wide = Interval(min(number.low, beyond, other), max(number.high, beyond, other))
         help = f"widen the range beyond the limit, for example to `{range_text(wide, number.dimension)}`"
@@ -217,7 +217,7 @@ def _saturated_by_gravity(context: RuleContext) -> Iterator[Finding]:
             continue
         met.add(id(number.entry))
         axis = leaf.component if isinstance(leaf, Name) else ""
-        size = abs(reading) * _ROOM
+        size = abs(reading) * _RANGE_FACTOR
         wide = Interval(min(number.low, -size), max(number.high, size))
         headline = f"the range of `{number.name}` ends at {with_unit(number.high if reading > 0 else number.low, ACCELERATION)}"
         headline += f", and its {axis} at rest is {with_unit(reading, ACCELERATION)}"

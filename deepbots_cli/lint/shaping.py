@@ -25,13 +25,13 @@ from deepbots_cli.program.task import Ending
 from deepbots_cli.program.values import Expression
 from deepbots_cli.scenario.sensors import SENSORS
 
-_RISING = ORDER_PRESERVING | {"delta", "integral", "accumulate", "exp", "log", "sqrt", "clamp"}
+_RISING_FUNCTIONS = ORDER_PRESERVING | {"delta", "integral", "accumulate", "exp", "log", "sqrt", "clamp"}
 """Functions that rise with their first argument."""
 _MAX_SHOWN = 60
 """Characters of an expression in a help text."""
-_EDGE = 0.1
+_EDGE_SHARE = 0.1
 """Near the middle, and near the failure, as a share of the way between both."""
-_RATES = frozenset({"velocity", "angular_velocity"})
+_RATE_FUNCTIONS = frozenset({"velocity", "angular_velocity"})
 """Facts that do not depend on where a body is."""
 
 
@@ -130,7 +130,7 @@ class Slope:
             case State("previous", _):
                 return 0.0
             case State(function, args):
-                return self.of(args[0]) if function in _RISING else self._independent(args)
+                return self.of(args[0]) if function in _RISING_FUNCTIONS else self._independent(args)
             case Op(op, args):
                 return self._op(op, args)
             case _:
@@ -159,7 +159,7 @@ class Slope:
                 base, exponent = self._ranges.of(args[0]), self._ranges.of(args[1])
                 sign = 1.0 if base.low >= 0.0 and exponent.low > 0.0 else -1.0 if base.low > 0.0 and exponent.high < 0.0 else None
                 return _times(self.of(args[0]), sign)
-            case _ if op in _RISING:
+            case _ if op in _RISING_FUNCTIONS:
                 return _sum([self.of(arg) for arg in args])
             case _:
                 return self._independent(args)
@@ -272,8 +272,8 @@ def _towards(reward: RewardTerms, threshold: Threshold, terms: Terms) -> list[Ex
     """The terms that pay more just before the failure than in the middle; none where another term or a success concerns the same."""
     analysis, running, slope = reward.analysis, reward.ranges_while_running(), Slope(reward.ranges_while_running(), threshold)
     limit, quantity = threshold.bound.low, analysis.identity(threshold.quantity)
-    middle = running.where(quantity, Interval(0.0, _EDGE * limit))
-    edge = running.where(quantity, Interval((1.0 - _EDGE) * limit, limit))
+    middle = running.where(quantity, Interval(0.0, _EDGE_SHARE * limit))
+    edge = running.where(quantity, Interval((1.0 - _EDGE_SHARE) * limit, limit))
     wrong = [term for term, node in terms if slope.of(node) == 1.0 and edge.of(node).low > middle.of(node).high]
     if any(ending.foreign for ending in reward.program.endings):
         return []
@@ -290,7 +290,7 @@ def _concerns(analysis: Analysis, node: Scalar) -> set[str]:
         match part:
             case Name(name):
                 found.add(name)
-            case World(function, subjects) if function not in _RATES:
+            case World(function, subjects) if function not in _RATE_FUNCTIONS:
                 found |= {subject.partition(".")[0] for subject in subjects}
     return found
 

@@ -41,7 +41,7 @@ HOLD_STEPS = 8
 RANDOM, HELD_RANDOM, IDLE = "random actions", f"random actions that each last {HOLD_STEPS} steps", "doing nothing"
 
 _RESETS = 24
-_RANDOM_EPISODES, _RANDOM_STEPS, _ENOUGH = 24, 250, 1500
+_RANDOM_EPISODES, _RANDOM_STEPS, _ENOUGH_STEPS = 24, 250, 1500
 _OTHER_EPISODES, _OTHER_STEPS = 2, 500
 _VARIANT_STEPS = 100
 _MAX_WORK = 200_000.0
@@ -77,11 +77,11 @@ def simulation_plan(program: Program) -> Plan:
     last = program.truncation.max_episode_steps(program.period)
     drawn = [Rollout(HELD_RANDOM if seed % 2 else RANDOM, seed, min(last, _RANDOM_STEPS)) for seed in range(_RANDOM_EPISODES)]
     others = [Rollout(by, seed, min(last, _OTHER_STEPS), script) for by, script in _others(program) for seed in range(_OTHER_EPISODES)]
-    share = min(1.0, _MAX_WORK / (_work(program) * (_ENOUGH + sum(rollout.steps for rollout in others))))
+    share = min(1.0, _MAX_WORK / (_work(program) * (_ENOUGH_STEPS + sum(rollout.steps for rollout in others))))
     rollouts = tuple(Rollout(each.policy, each.seed, max(_MIN_STEPS, int(each.steps * share)), each.script) for each in (*drawn, *others))
     settling = program.reset.settle / program.world.timestep * program.world.substeps
     resets = max(2, min(_RESETS, int(_MAX_SETTLING / max(settling, 1.0))))
-    return Plan(resets, rollouts, max(_MIN_STEPS, int(_ENOUGH * share)))
+    return Plan(resets, rollouts, max(_MIN_STEPS, int(_ENOUGH_STEPS * share)))
 
 
 def variant_plan(program: Program) -> tuple[Rollout, ...]:

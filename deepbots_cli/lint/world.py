@@ -28,17 +28,17 @@ from deepbots_cli.program.robots import Route, Sensor
 from deepbots_cli.program.world import ARENA_WALLS, GROUND, ObjectBody, RobotBody, Variant
 from deepbots_cli.robots.model import Capsule, Cylinder, Mesh, Shape, Sphere, volume
 
-_LIGHTEST, _HEAVIEST = 0.1, 25_000.0
+_MIN_DENSITY, _MAX_DENSITY = 0.1, 25_000.0
 """kg/m^3; air has 1.2, osmium 22 600, and a toy balloon weighs 0.2 for each m^3."""
-_DWARFS = 4.0
+_MAX_SIZE_RATIO = 4.0
 """Times the size of a robot that begins within an object."""
-_INSIDE = 0.01
+_MIN_OVERLAP_M = 0.01
 """m; the heights of two bodies overlap by so much if one does not stand on the other."""
-_OUTWEIGHS = 1e5
+_MAX_MASS_RATIO = 1e5
 """Times the mass of all robots together."""
-_WATER = 1000.0
+_WATER_DENSITY = 1000.0
 """kg/m^3"""
-_METRES = re.compile(r"([\d.]+(?: [\d.]+)*)(?: *m)?")
+_LENGTHS_IN_METRES = re.compile(r"([\d.]+(?: [\d.]+)*)(?: *m)?")
 _Robots = list[tuple[RobotBody, float]]
 """With the size of each, m: the longest side of the box around its links, without meshes."""
 _MAX_DEPTH = 0.005
@@ -56,9 +56,10 @@ def beyond_engine(context: RuleContext) -> Iterator[Finding]:
     """DB316: the physics engine is not installed, or does not support a part of the world.
 
     The rule applies if `world.engine` or `--engine` names the engine. PyBullet has builds up to Python 3.11; later versions of Python use
-    MuJoCo. MuJoCo uses the convex hull of a mesh, so a mesh cannot be the ground.
+    MuJoCo. MuJoCo uses the convex hull of a mesh, so a mesh cannot be the ground. MuJoCo refuses an inertia that no rigid body can have.
     """
-    terrain, kind = context.program.world.terrain, ENGINES.get(context.program.engine or "")
+    world, kind = context.program.world, ENGINES.get(context.program.engine or "")
+    terrain = world.terrain
     if kind is None:
         return
     if not kind.is_installed and any(other.is_installed for other in ENGINES.own.values()):
@@ -66,6 +67,13 @@ def beyond_engine(context: RuleContext) -> Iterator[Finding]:
         yield Finding("DB316", context.values.span(("world", "engine")), headline, help=kind.remedy)
     if kind.mesh_terrain is not None and terrain is not None and isinstance(terrain.shape, Mesh):
         yield Finding("DB316", context.values.span(("world", "terrain", "file")), kind.mesh_terrain.reason, help=kind.mesh_terrain.help)
+    if kind.implausible_inertia is not None:
+        reason, help = kind.implausible_inertia
+        for robot in world.robots:
+            for link in robot.model.links:
+                if link.inertial is not None and link.inertial.is_stated and not link.inertial.is_plausible:
+                    span = context.values.key_span(("robots", robot.name))
+                    yield Finding("DB316", span, f"link `{link.name}` {reason}", help=help)
 
 
 def odd_scale(context: RuleContext) -> Iterator[Finding]:
@@ -113,7 +121,7 @@ def _around(start: StartRanges, thing: ObjectBody, kind: Variant, robots: _Robot
         return None
     width = 2.0 * footprint.shape_footprint(kind.shape).inradius
     for robot, size in robots:
-        if width >= _DWARFS * size and _is_within(start, robot, thing, kind.shape):
+        if width >= _MAX_SIZE_RATIO * size and _is_within(start, robot, thing, kind.shape):
             headline = f"`{path[-1]}` is {with_unit(width, LENGTH)} across, and `{robot.name}` ({with_unit(size, LENGTH)}) begins inside it"
             return Finding("DB507", _span(path, ("radius", "size"), values), headline, help=_in_centimetres(path, values))
     return None
@@ -132,7 +140,7 @@ def _is_within(start: StartRanges, robot: RobotBody, thing: ObjectBody, shape: S
         root = single(standing) if stand.rests else there["z"]
         apart = [max(here[axis].high - there[axis].low, there[axis].high - here[axis].low) for axis in "xy"]
         shared = min(root.low + high, middle.low + half) - max(root.high - standing, middle.high - half)
-        if hypot(*apart) >= radius or shared < _INSIDE:
+        if hypot(*apart) >= radius or shared < _MIN_OVERLAP_M:
             return False
     return bool(pairs)
 
@@ -154,15 +162,15 @@ def _odd_mass(thing: ObjectBody, kind: Variant, robots: _Robots, path: NodePath,
     if not thing.solid or kind.fixed or not size or kind.mass <= 0.0:
         return None
     weight, density = with_unit(kind.mass, MASS), kind.mass / size
-    water = f"the same volume of water weighs {with_unit(_WATER * size, MASS)}"
-    if not _LIGHTEST <= density <= _HEAVIEST:
-        beyond = "more than any metal" if density > _HEAVIEST else "less than a tenth of air"
+    water = f"the same volume of water weighs {with_unit(_WATER_DENSITY * size, MASS)}"
+    if not _MIN_DENSITY <= density <= _MAX_DENSITY:
+        beyond = "more than any metal" if density > _MAX_DENSITY else "less than a tenth of air"
         shown = f"{density:.0f}" if density > 1000.0 else f"{density:.2g}"
         headline = f"`{path[-1]}` has a density of {shown} kg/m^3, {beyond}: {weight} in {size:.3g} m^3"
-        help = f"check the units of its mass and size ({water})" + (", or write `fixed: true`" if density > _HEAVIEST else "")
+        help = f"check the units of its mass and size ({water})" + (", or write `fixed: true`" if density > _MAX_DENSITY else "")
         return Finding("DB507", _span(path, ("mass",), values), headline, help=help)
     carried = sum(link.inertial.mass for robot, _ in robots for link in robot.model.links if link.inertial is not None)
-    if carried <= 0.0 or kind.mass < _OUTWEIGHS * carried:
+    if carried <= 0.0 or kind.mass < _MAX_MASS_RATIO * carried:
         return None
     headline = f"`{path[-1]}` weighs {weight}, and all robots together weigh {with_unit(carried, MASS)}"
     return Finding("DB507", _span(path, ("mass", "radius", "size"), values), headline, help=_in_centimetres(path, values))
@@ -177,7 +185,7 @@ def _span(path: NodePath, keys: tuple[str, ...], values: ValueReader) -> Span:
 def _in_centimetres(path: NodePath, values: ValueReader) -> str:
     """A help with the same size in centimetres, where it is written in metres."""
     written = _span(path, ("radius", "size"), values).text
-    found = _METRES.fullmatch(written)
+    found = _LENGTHS_IN_METRES.fullmatch(written)
     if found is None:
         return "check the unit of its size"
     return f"write `{found[1]} cm` if you mean centimetres" + ("" if "m" in written else ": a number without a unit is in metres")
@@ -185,9 +193,9 @@ def _in_centimetres(path: NodePath, values: ValueReader) -> str:
 
 # Measured in a simulation
 
-_CALMER = "shorten the physics step (`world.substeps`), weaken motors and springs, and check masses and inertias"
+_STABILITY_HELP = "shorten the physics step (`world.substeps`), weaken motors and springs, and check masses and inertias"
 _KINDS = {
-    "crash": ("the physics engine crashes ({})", _CALMER),
+    "crash": ("the physics engine crashes ({})", _STABILITY_HELP),
     "hang": (
         "a step does not return within {}",
         "check for overlapping bodies, fine meshes and many substeps",
@@ -226,7 +234,7 @@ def _stopped(simulation: Simulation, stop: Mapping[str, Any]) -> Iterator[Findin
             return
         case _:
             return
-    yield Finding("DB309", simulation.body_span(body), headline, help=_CALMER, notes=(simulation.when(),))
+    yield Finding("DB309", simulation.body_span(body), headline, help=_STABILITY_HELP, notes=(simulation.when(),))
 
 
 def _implausible_motion(stop: Mapping[str, Any], body: str) -> str:

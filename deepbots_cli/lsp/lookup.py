@@ -379,7 +379,7 @@ def _document_symbol(document: Document, entry: Entry, kind: types.SymbolKind, b
 # Hover texts
 
 _CODE = re.compile(r"DB\d{3}")
-_LONGEST = 300
+_MAX_CHARACTERS = 300
 
 
 def hover(view: CursorView) -> types.Hover | None:
@@ -429,7 +429,7 @@ def _node_text(view: CursorView, found: ExpressionNode) -> str | None:
         return _name_text(view, found, name)
     known = found.type
     source = " ".join(found.reading.text.text[node.start : node.end].split())
-    return f"`{source[:_LONGEST]}`: {describe_type(known)}" if known else None
+    return f"`{source[:_MAX_CHARACTERS]}`: {describe_type(known)}" if known else None
 
 
 def _name_text(view: CursorView, found: ExpressionNode, name: str) -> str | None:
@@ -454,7 +454,7 @@ def _definition_line(named: NameEntry | None) -> str:
     """The source line of a definition as a code block; empty if there is none."""
     if named is None or named.span is None:
         return ""
-    line = named.span.source.line(named.span.start_position.line).strip()[:_LONGEST]
+    line = named.span.source.line(named.span.start_position.line).strip()[:_MAX_CHARACTERS]
     language = "xml" if line.startswith("<") else "yaml"
     return f"\n\n```{language}\n{line}\n```"
 

@@ -488,6 +488,12 @@ class Server(LanguageServer):
         support = known.resolve_support if known else None
         return support is not None and "edit" in support.properties
 
+    def shutdown(self) -> None:
+        """Close the connection too: pygls leaves it open, and asyncio waits for it from Python 3.12 on."""
+        super().shutdown()  # type: ignore[no-untyped-call]
+        if isinstance(self.protocol.writer, asyncio.StreamWriter):
+            self.protocol.writer.close()
+
     def _publish(self, uri: str, version: int | None, found: list[types.Diagnostic]) -> None:
         self.text_document_publish_diagnostics(types.PublishDiagnosticsParams(uri, found, version))
 

@@ -87,6 +87,11 @@ class Inertial:
         return ((self.ixx, self.ixy, self.ixz), (self.ixy, self.iyy, self.iyz), (self.ixz, self.iyz, self.izz))
 
     @property
+    def is_stated(self) -> bool:
+        """Whether there is a mass and an inertia; an engine makes up an inertia of zeros."""
+        return self.mass > 0.0 and max(self.ixx, self.iyy, self.izz) > 0.0
+
+    @property
     def is_plausible(self) -> bool:
         """Whether a rigid body can have this inertia: positive definite, and no principal moment above the sum of the others.
 

@@ -20,7 +20,7 @@ from deepbots_cli.port import ZERO_VECTOR, Engine, MotorWriter, Part, Pusher
 from deepbots_cli.program.robots import CustomActuator, MotorKind
 
 InitialValue = Callable[[], Sequence[float]]
-_EARLY = 1e-9  # of a substep; what a sum of durations may be off
+_TIME_TOLERANCE = 1e-9  # of a substep; what a sum of durations may be off
 PerJoint = float | Sequence[float]
 """One for all joints, or one for each."""
 
@@ -52,7 +52,7 @@ class Response:
         """No command was ever sent."""
         self._sent.clear()
         self._now = 0
-        self._wait = max(0, ceil(self.delay / self._substep - _EARLY))
+        self._wait = max(0, ceil(self.delay / self._substep - _TIME_TOLERANCE))
         self._share = 1.0 - exp(-self._substep / self.time_constant) if self.time_constant > 0.0 else 1.0
         self._jumps = self._share == 1.0 and not self._most
         self._goal: Sequence[float] = ()
@@ -418,7 +418,7 @@ class Push:
     def reset(self, first: float, settling: int) -> None:
         """The first push begins `first` s into the episode, before which there are `settling` substeps."""
         self._now = -settling
-        self._due = first / self._substep - _EARLY
+        self._due = first / self._substep - _TIME_TOLERANCE
         self._left = 0.0
         self._force: Triple = ZERO_VECTOR
         self._torque: Triple = ZERO_VECTOR

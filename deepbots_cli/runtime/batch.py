@@ -1,8 +1,9 @@
 """The supervisor of a batch: many worlds of one scenario, acted on, observed and scored as arrays.
 
-Each world of a batch is a single world with its supervisor, which begins its episodes. Generated code for a batch does what
-happens in each step over columns, one number per world in each. It takes over what an episode begins with from the single world: what
-functions remember, drawn parameters, readings. What has no form over columns is asked of the single worlds in turn (`PerWorldCall`).
+Each world of a batch is a single world with its supervisor, which resets it. Generated code for a batch computes each step over
+columns, arrays with one number per world. When an episode begins, the batch copies the state of the single world into the columns:
+memories of functions, drawn parameters, readings. A function without a form over columns is called in each single world in turn
+(`PerWorldCall`).
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from deepbots_cli.runtime.spaces import frame_indices
 from deepbots_cli.runtime.supervisor import RobotController, Supervisor
 
 Column = NDArray[Any]
-LOST = "not_finite"
+NOT_FINITE = "not_finite"
 """How an episode ends whose world is no longer finite."""
 
 
@@ -143,7 +144,7 @@ class BatchLossyChannel:
         self._batch.engine.write_mask = None
 
 
-class _Part:
+class _BatchPart:
     """Base of supervisor and controllers: they take over from objects of the single worlds by the names of their attributes."""
 
     def __init__(self, singles: Sequence[Any], batch: BatchSupervisor) -> None:
@@ -186,7 +187,7 @@ def columns_array(value: Any, count: int) -> Column:
     return np.array(np.broadcast_to(value, (*np.shape(value)[:-1], count)))
 
 
-class BatchController(_Part):
+class BatchController(_BatchPart):
     """Base of the generated controllers of robots."""
 
     KEEPS: tuple[str, ...] = ()
@@ -214,7 +215,7 @@ class BatchController(_Part):
         self._take_over(worlds, self.KEEPS)
 
 
-class BatchSupervisor(_Part, ABC):
+class BatchSupervisor(_BatchPart, ABC):
     """Base of the generated supervisors of a batch, over single supervisors and the engine that holds all of their worlds."""
 
     KEEPS: tuple[str, ...] = ()
@@ -407,7 +408,7 @@ class BatchSupervisor(_Part, ABC):
         """The info of the last step of an episode, as the single world gives it."""
         held = tuple(name for name, column in self._holds.items() if column[world]) if self.terminated[world] else ()
         if self.truncated[world]:
-            held = (LOST if self._lost[world] else self._limit,)
+            held = (NOT_FINITE if self._lost[world] else self._limit,)
         terms = {name: float(np.broadcast_to(getattr(self, f"term_{name}"), self.count)[world]) for name in self.TERMS}
         success = bool(self.is_success[world])
         return {"is_success": success, "ended_by": held[0] if held else None, "endings": held, "reward_terms": terms}

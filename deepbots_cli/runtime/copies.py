@@ -29,7 +29,7 @@ from deepbots_cli.runtime.spaces import canonical_action, is_canonical
 from deepbots_cli.runtime.streams import Streams
 from deepbots_cli.runtime.supervisor import Info, Supervisor
 
-_FINISHED = object()
+_END = object()
 _BODY_PARAMETERS = ("body", "robot", "part", "owner", "one", "other")
 """Parameters of the port that hold a body, or a tuple that begins with one."""
 
@@ -119,8 +119,8 @@ class EngineOfCopy:
         places = _BODY_ARGUMENTS.get(name, ())
         own = tuple(self._exchanged(value) if place in places else value for place, value in enumerate(given))
         own_named = {key: self._exchanged(value) if key in _BODY_PARAMETERS else value for key, value in named.items()}
-        sets = name.startswith("set") or name == "choose"
-        if sets and not self._is_first and own == given and own_named == named:  # nothing of this copy
+        is_setter = name.startswith("set") or name == "choose"
+        if is_setter and not self._is_first and own == given and own_named == named:  # nothing of this copy
             return None
         return method(*own, **own_named)
 
@@ -205,7 +205,7 @@ class CopiesSupervisor(Supervisor):
         running = True
         while running:
             self.engine.step(self.scenario.world.substeps)
-            running = not [turn for turn in turns if next(turn, _FINISHED) is _FINISHED]
+            running = not [turn for turn in turns if next(turn, _END) is _END]
         for turn in turns:
             turn.close()
         self._gather()

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from deepbots_cli.plugins import import_attribute
 from deepbots_cli.program.robots import NoiseModel, Sensor
 from deepbots_cli.runtime.readers import ON_COLUMNS
-from deepbots_cli.runtime.sensing import BLOCK, Device, Lookup, Normals, Site
+from deepbots_cli.runtime.sensing import ROWS_PER_BLOCK, Device, Lookup, Normals, Site
 
 if TYPE_CHECKING:
     from deepbots_cli.runtime.batch import BatchSupervisor
@@ -36,7 +36,7 @@ class BatchNormals:
 
     def __init__(self, singles: Sequence[Normals], width: int) -> None:
         self._singles = singles
-        self._blocks = np.zeros((len(singles), BLOCK, width))
+        self._blocks = np.zeros((len(singles), ROWS_PER_BLOCK, width))
         self._left = np.zeros(len(singles), np.intp)
         self._every = np.arange(len(singles))
 
@@ -52,7 +52,7 @@ class BatchNormals:
         empty = left == 0 if wanted is None else (left == 0) & wanted
         for world in np.flatnonzero(empty).tolist():
             self._blocks[world] = self._singles[world].block()
-            left[world] = BLOCK
+            left[world] = ROWS_PER_BLOCK
         found = self._blocks[self._every, left - 1]
         self._left = left - 1 if wanted is None else left - wanted
         return found.T

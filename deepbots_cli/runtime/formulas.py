@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from deepbots_cli.runtime.supervisor import Supervisor
 
 
-_COMPENSATES = sys.version_info >= (3, 12)
+_SUM_COMPENSATES = sys.version_info >= (3, 12)
 
 
 def clamp(x: float, low: float, high: float) -> float:
@@ -41,7 +41,7 @@ def wrap_angle(angle: float) -> float:
 
 def total(values: Iterable[float]) -> float:
     """The sum of one or more values from left to right; `sum` is five times as fast, but from Python 3.12 on compensates for rounding."""
-    return reduce(operator.add, values) if _COMPENSATES else sum(values, -0.0)
+    return reduce(operator.add, values) if _SUM_COMPENSATES else sum(values, -0.0)
 
 
 # The mapping of observations and actions to [-1, 1]
@@ -208,7 +208,7 @@ class Memories:
 
 def memory_of_vector(kind: type[Memory], count: int, timestep: float) -> Memory | Memories:
     """The memory of a stateful function for a vector of `count` components; `update` takes and returns vectors."""
-    whole = _OF_VECTORS.get(kind)
+    whole = _VECTOR_MEMORIES.get(kind)
     return Memories(kind, count, timestep) if whole is None else whole(count, timestep)
 
 
@@ -371,7 +371,7 @@ class RisingEdgeOfVector(VectorMemory):
         return list(map(operator.gt, condition, before))  # True is greater than False
 
 
-_OF_VECTORS: dict[type[Memory], type[VectorMemory]] = {
+_VECTOR_MEMORIES: dict[type[Memory], type[VectorMemory]] = {
     kind.component: kind for kind in (DeltaOfVector, PreviousOfVector, RisingEdgeOfVector)
 }
 

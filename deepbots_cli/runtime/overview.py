@@ -14,13 +14,13 @@ from deepbots_cli.program.resets import Placement, Region, Top
 from deepbots_cli.program.world import ObjectBody, Picture, Pit, WorldModel
 from deepbots_cli.runtime.placement import copy_offset
 
-_FROM = (0.25, -0.94, 0.34)  # the direction of the eye from the middle: the right, a little to the front, above
-_LONG = 2.0  # how many times as long as wide a scene is that is seen from the front
-_FLAT = 0.9  # how much higher the eye stands over what is flat
-_MARGIN = 1.08
-_APART = 1.1  # how far apart two scenes stand, as a factor
-_LEAST = 0.05  # m; half the side of the smallest scene
-_ROOM = 0.2  # of its largest side, on each side of a robot that the view follows: legs swing out
+_EYE_DIRECTION = (0.25, -0.94, 0.34)  # the direction of the eye from the middle: the right, a little to the front, above
+_MIN_FRONT_ASPECT = 2.0  # how many times as long as wide a scene is that is seen from the front
+_FLAT_EYE_RISE = 0.9  # how much higher the eye stands over what is flat
+_VIEW_MARGIN = 1.08
+_SCENE_SPACING = 1.1  # how far apart two scenes stand, as a factor
+_MIN_HALF_SIDE_M = 0.05  # m; half the side of the smallest scene
+_LEG_ROOM = 0.2  # of its largest side, on each side of a robot that the view follows: legs swing out
 
 Parameters = Mapping[tuple[str, str | None], Scalar]
 """What each component of a parameter is."""
@@ -54,8 +54,8 @@ def view_around(boxes: Sequence[Bounds], width: int = 480, height: int = 320) ->
     the boxes extend far to the sides.
     """
     middle, (right, up, back) = _axes(boxes)
-    corners = _corners([*boxes, (add(middle, (-_LEAST,) * 3), add(middle, (_LEAST,) * 3))])
-    tall = math.tan(View(ZERO_VECTOR, ZERO_VECTOR).fov / 2) / _MARGIN
+    corners = _corners([*boxes, (add(middle, (-_MIN_HALF_SIDE_M,) * 3), add(middle, (_MIN_HALF_SIDE_M,) * 3))])
+    tall = math.tan(View(ZERO_VECTOR, ZERO_VECTOR).fov / 2) / _VIEW_MARGIN
     # A corner is in the picture if |(corner - eye) * side| <= slope * (eye - corner) * back, for both sides of the picture.
     eye, distance = ZERO_VECTOR, -math.inf
     for side, slope in ((right, tall * width / height), (up, tall)):
@@ -71,17 +71,17 @@ def shift_beside(boxes: Sequence[Bounds], others: Sequence[Bounds]) -> Triple:
     """The shift (m) that puts other boxes to the right of boxes, as `view_around` sees these."""
     _, (right, _, _) = _axes(boxes)
     gap = max(dot(corner, right) for corner in _corners([_whole(boxes)])) - min(dot(corner, right) for corner in _corners([_whole(others)]))
-    return scaled(right, _APART * gap)
+    return scaled(right, _SCENE_SPACING * gap)
 
 
 def _axes(boxes: Sequence[Bounds]) -> tuple[Triple, tuple[Triple, Triple, Triple]]:
     """The middle of all boxes, and the directions right, up and back of who looks at them."""
     (x, y, z), (x_end, y_end, z_end) = _whole(boxes)
-    wide, deep, tall = (max(2 * _LEAST, extent) for extent in (x_end - x, y_end - y, z_end - z))
-    away, aside, above = _FROM
-    if deep > _LONG * wide:
+    wide, deep, tall = (max(2 * _MIN_HALF_SIDE_M, extent) for extent in (x_end - x, y_end - y, z_end - z))
+    away, aside, above = _EYE_DIRECTION
+    if deep > _MIN_FRONT_ASPECT * wide:
         away, aside = -aside, away
-    back = _unit((away, aside, above + _FLAT * max(0.0, 1.0 - 2.0 * tall / max(wide, deep))))
+    back = _unit((away, aside, above + _FLAT_EYE_RISE * max(0.0, 1.0 - 2.0 * tall / max(wide, deep))))
     right = _unit(cross((0.0, 0.0, 1.0), back))
     return ((x + x_end) / 2, (y + y_end) / 2, (z + z_end) / 2), (right, cross(back, right), back)
 
@@ -132,7 +132,7 @@ def _robots(scenario: Program, places: dict[str, Placement], parameters: Paramet
         turns = robot.name in places or robot.pose.rpy[2] != 0.0
         box = _all_round(box) if turns else box
         if follows_robot(scenario.world):
-            room = _ROOM * max(high - low for low, high in zip(*box, strict=True))
+            room = _LEG_ROOM * max(high - low for low, high in zip(*box, strict=True))
             box = add(box[0], (-room, -room, 0.0)), add(box[1], (room, room, room))
         low, high = _placed(box, robot.pose.xyz, places.get(robot.name), scenario.world, places, parameters)
         yield from ((add(low, shift), add(high, shift)) for shift in shifts)

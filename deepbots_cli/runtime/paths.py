@@ -30,18 +30,18 @@ from deepbots_cli.runtime.placement import Area, Arrangement, Forms
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-CELLS = 100  # along the longer side of a field
-MARGIN = 2  # cells around the grid that no way enters: a knight's move leaps over one
+MAX_CELLS = 100  # along the longer side of a field
+MARGIN_CELLS = 2  # cells around the grid that no way enters: a knight's move leaps over one
 UNREACHABLE_LENGTH = 1e4  # m; stands for "no way yet"
-SCALE = 2.0 / (1.0 + 1.0 / cos(atan(0.5) / 2))  # of the lengths of 16 directions, to a mean error of 0
+LENGTH_SCALE = 2.0 / (1.0 + 1.0 / cos(atan(0.5) / 2))  # of the lengths of 16 directions, to a mean error of 0
 _CLEARANCE = 0.5  # m around everything, where no arena limits the ways
-_LEVEL = 1e-6  # m; an object that rises no higher is no obstacle
-_DEAR = 50.0  # times; the price of a line through a barred place
-_WIDE = 20.0  # m; lengths in wider areas are kept in a longer unit, so that none comes near FAR
-_APART = 1e6  # m; lowers lengths beyond an obstacle, so that no length before it is smaller
+_MIN_OBSTACLE_HEIGHT_M = 1e-6  # m; an object that rises no higher is no obstacle
+_BARRED_COST = 50.0  # times; the price of a line through a barred place
+_WIDE_AREA_M = 20.0  # m; lengths in wider areas are kept in a longer unit, so that none comes near FAR
+_OBSTACLE_OFFSET_M = 1e6  # m; lowers lengths beyond an obstacle, so that no length before it is smaller
 _MAX_ROUNDS = 200
 _MOVES = ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (1, -2), (2, 1), (2, -1))  # rows and columns
-_Shown = tuple[Area, float, list[Patch], Spot, float]
+_FieldInputs = tuple[Area, float, list[Patch], Spot, float]
 """The arguments of a field: the area, the disc that moves, the solids, the goal and its radius."""
 
 
@@ -59,7 +59,7 @@ class Ways:
         self._arena = world.arena
         self.forms = bodies.forms if bodies else Forms(world)
         self._solids = [(thing, engine.pose(thing.name)) for thing in world.objects if thing.solid]
-        self._ways: dict[tuple[Part, Part], _Way] = {}
+        self._ways: dict[tuple[Part, Part], _PathQuery] = {}
 
     def reset(self) -> None:
         """A new episode begins: each field is compared with the world before it is used again."""
@@ -74,9 +74,9 @@ class Ways:
         """A reader of whether there is a path."""
         return self._way(one, other).is_open
 
-    def _way(self, one: Part, other: Part) -> _Way:
+    def _way(self, one: Part, other: Part) -> _PathQuery:
         if (one, other) not in self._ways:
-            self._ways[one, other] = _Way(self, one, other, self._engine.pose(*one), self._engine.pose(*other))
+            self._ways[one, other] = _PathQuery(self, one, other, self._engine.pose(*one), self._engine.pose(*other))
         return self._ways[one, other]
 
     def last_read_paths(self) -> list[list[Spot]]:
@@ -99,7 +99,7 @@ class Ways:
         """The patch of an object at a pose; None if it does not rise above the ground."""
         (x, y, z), turn = pose
         rpy = roll_pitch_yaw(turn)
-        if self.forms.top(thing.name, z, rpy) <= _LEVEL:
+        if self.forms.top(thing.name, z, rpy) <= _MIN_OBSTACLE_HEIGHT_M:
             return None
         return self.forms.footprint(thing.name, rpy).at(x, y, rpy[2])
 
@@ -118,13 +118,13 @@ class Ways:
         )
 
 
-class _Way:
+class _PathQuery:
     """The way from one part of the world to another."""
 
     def __init__(self, ways: Ways, one: Part, other: Part, here: PoseReader, there: PoseReader) -> None:
         self.is_current = False
         self._field: DistanceField | None = None
-        self._shown: _Shown | None = None
+        self._shown: _FieldInputs | None = None
         self._ways = ways
         self._one, self._other = one, other
         self._here, self._there = here, there
@@ -166,7 +166,7 @@ class _Way:
         radius = ways.forms.half_width(self._one[0])
         x, y, _ = self._here()[0]
         area = ways.area(patches, ((x, y), goal[:2]), radius)
-        shown: _Shown = (area, radius, patches, goal[:2], ways.radius(self._other))
+        shown: _FieldInputs = (area, radius, patches, goal[:2], ways.radius(self._other))
         if self._field is None or shown != self._shown:
             self._field, self._shown = DistanceField(*shown), shown
         self.is_current = True
@@ -183,17 +183,18 @@ class DistanceField:
 
     def __init__(self, area: Area, radius: float, solids: Iterable[Patch], goal: Spot, goal_radius: float) -> None:
         """`area` is the inside of the walls, or the box that ways may cross; lengths in m."""
-        self.cell = max(area[2] - area[0], area[3] - area[1], 1e-6) / CELLS
+        self.cell = max(area[2] - area[0], area[3] - area[1], 1e-6) / MAX_CELLS
         (self._left, columns), (self._low, rows) = (_nodes(area[axis] + radius, area[axis + 2] - radius, self.cell) for axis in (0, 1))
-        self._x = self._left + self.cell * (np.arange(columns + 2 * MARGIN) - MARGIN)
-        self._y = self._low + self.cell * (np.arange(rows + 2 * MARGIN) - MARGIN)
+        self._x = self._left + self.cell * (np.arange(columns + 2 * MARGIN_CELLS) - MARGIN_CELLS)
+        self._y = self._low + self.cell * (np.arange(rows + 2 * MARGIN_CELLS) - MARGIN_CELLS)
         self._outside: Mask = np.ones((len(self._y), len(self._x)), np.bool_)
-        self._outside[MARGIN:-MARGIN, MARGIN:-MARGIN] = False
+        self._outside[MARGIN_CELLS:-MARGIN_CELLS, MARGIN_CELLS:-MARGIN_CELLS] = False
         blocked = self._outside.copy()
         for patch in solids:
             self._block(blocked, patch, radius)
+        self._goal = goal
         away = np.hypot(self._x - goal[0], (self._y - goal[1])[:, None])
-        self._unit = max(1.0, self.cell * CELLS / _WIDE)
+        self._unit = max(1.0, self.cell * MAX_CELLS / _WIDE_AREA_M)
         self._step = self.cell / self._unit
         starts = np.where((away <= max(radius + goal_radius, 1.5 * self.cell)) & ~blocked, away / self._unit, UNREACHABLE_LENGTH)
         found = path_lengths(blocked, starts, self._step)
@@ -213,8 +214,8 @@ class DistanceField:
         """
         self._filled = True
         line = path_lengths(self._outside, np.where(self._reached, 0.0, UNREACHABLE_LENGTH), self._step)
-        dear = path_lengths(self._outside, np.where(self._reached, self._found, UNREACHABLE_LENGTH), self._step * _DEAR)
-        self._found = np.where(self._reached | self._outside, self._found, dear - (_DEAR - 1.0) * line)
+        dear = path_lengths(self._outside, np.where(self._reached, self._found, UNREACHABLE_LENGTH), self._step * _BARRED_COST)
+        self._found = np.where(self._reached | self._outside, self._found, dear - (_BARRED_COST - 1.0) * line)
         self._lengths = self._found.tolist()
 
     def _block(self, blocked: Mask, patch: Patch, radius: float) -> None:
@@ -238,7 +239,7 @@ class DistanceField:
         inside_row = min(max(row, 0.0), self._rows - 1.0)
         i, j = min(int(inside_column), self._columns - 2), min(int(inside_row), self._rows - 2)
         u, v = inside_column - i, inside_row - j
-        i, j = i + MARGIN, j + MARGIN
+        i, j = i + MARGIN_CELLS, j + MARGIN_CELLS
         here, there = self._lengths[j], self._lengths[j + 1]
         if not self._filled and here[i] + here[i + 1] + there[i] + there[i + 1] >= UNREACHABLE_LENGTH:  # one of them is reached by no way
             self._fill()
@@ -250,24 +251,24 @@ class DistanceField:
         return length * self._unit + self.cell * hypot(column - inside_column, row - inside_row)
 
     def path(self, x: float, y: float) -> list[Spot]:
-        """A place and the nodes of a shortest way from it to the goal, m; the place alone if no way begins there."""
+        """A place, the nodes of a shortest way from it, and the goal, m; the place alone if no way begins there."""
         points = [(x, y)]
-        column = min(max(round((x - self._left) / self.cell), 0), self._columns - 1) + MARGIN
-        row = min(max(round((y - self._low) / self.cell), 0), self._rows - 1) + MARGIN
+        column = min(max(round((x - self._left) / self.cell), 0), self._columns - 1) + MARGIN_CELLS
+        row = min(max(round((y - self._low) / self.cell), 0), self._rows - 1) + MARGIN_CELLS
         while self._reached[row, column]:
             points.append((float(self._x[column]), float(self._y[row])))
             # The length of a node is that of the next node and of the move there.
             here = self._found[row, column]
             nodes = [(row + sign * up, column + sign * aside, hypot(up, aside)) for up, aside in _MOVES for sign in (1, -1)]
-            misfit, row, column = min((abs(self._found[i, j] + self._step * SCALE * move - here), i, j) for i, j, move in nodes)
+            misfit, row, column = min((abs(self._found[i, j] + self._step * LENGTH_SCALE * move - here), i, j) for i, j, move in nodes)
             if misfit > 1e-6 or self._found[row, column] >= here:
-                break
+                return [*points, self._goal]
         return points
 
     def reaches(self, x: float, y: float) -> bool:
         """Whether there is a way from a place, or from a node beside it."""
-        i = min(max(int((x - self._left) / self.cell), 0), self._columns - 2) + MARGIN
-        j = min(max(int((y - self._low) / self.cell), 0), self._rows - 2) + MARGIN
+        i = min(max(int((x - self._left) / self.cell), 0), self._columns - 2) + MARGIN_CELLS
+        j = min(max(int((y - self._low) / self.cell), 0), self._rows - 2) + MARGIN_CELLS
         here, there = self._open[j], self._open[j + 1]
         return here[i] or here[i + 1] or there[i] or there[i + 1]
 
@@ -278,7 +279,7 @@ def _nodes(low: float, high: float, cell: float) -> tuple[float, int]:
     return (low + high - (count - 1) * cell) / 2, count
 
 
-class _Lines:
+class _GridLines:
     """All straight lines of a grid in one direction, and where obstacles part them."""
 
     def __init__(self, blocked: Mask, rows: int, columns: int, cell: float) -> None:
@@ -289,12 +290,12 @@ class _Lines:
         broken = blocked.copy()
         for row, column in _between(rows, columns):
             broken |= np.roll(blocked, (row, column), (0, 1))  # any blocked cell that a move touches bars it
-        step = cell * SCALE * hypot(rows, columns)
+        step = cell * LENGTH_SCALE * hypot(rows, columns)
         walls = np.cumsum(self.view(broken.ravel().astype(np.float64), 1.0), axis=0)
         back = np.cumsum(self.view(np.roll(broken.ravel(), -self.stride).astype(np.float64), 1.0)[::-1], axis=0)
         along = step * np.arange(self.length, dtype=np.float64)[:, None]
-        self.forward = along + _APART * walls
-        self.backward = along + _APART * back
+        self.forward = along + _OBSTACLE_OFFSET_M * walls
+        self.backward = along + _OBSTACLE_OFFSET_M * back
 
     def view(self, flat: Array, fill: float) -> Array:
         """Each line as a column."""
@@ -333,7 +334,7 @@ def path_lengths(blocked: Mask, starts: Array, cell: float) -> Array:
         starts: Lengths at which ways may end, FAR elsewhere, of the same shape.
         cell: The distance of neighbouring nodes, m.
     """
-    directions = [_Lines(blocked, rows, columns, cell) for rows, columns in _MOVES]
+    directions = [_GridLines(blocked, rows, columns, cell) for rows, columns in _MOVES]
     found = starts.ravel().copy()
     barred = blocked.ravel()
     found[barred] = UNREACHABLE_LENGTH

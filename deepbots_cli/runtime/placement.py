@@ -31,11 +31,11 @@ Pose = tuple[Triple, Triple]
 Area = tuple[float, float, float, float]
 """Lowest x and y, highest x and y, in m."""
 
-EVERYWHERE: Area = (-inf, -inf, inf, inf)
-TOUCHING = 1e-9  # m that rounding may cost
+UNBOUNDED_AREA: Area = (-inf, -inf, inf, inf)
+TOUCHING_TOLERANCE_M = 1e-9  # m that rounding may cost
 MAX_ROUNDS = 30  # attitudes and kinds that are tried for one body in one attempt
 TRIES_PER_ROUND = 40  # spots for each of them
-_LEVEL = (0.0, 0.0, 0.0)
+_LEVEL_RPY = (0.0, 0.0, 0.0)
 
 
 class NoPlaceError(Exception):
@@ -164,7 +164,7 @@ class Arrangement:
             NoPlaceError: None was found.
         """
         generator = self._streams[stream]
-        area, surface, base = area or EVERYWHERE, None, -inf
+        area, surface, base = area or UNBOUNDED_AREA, None, -inf
         if on:
             surface = self._surface(on, body)
             area, base = intersection(area, surface.area), surface.height
@@ -217,7 +217,7 @@ class Arrangement:
         x, y, z = xyz
         z += ground + (self.forms.resting_height(body, rpy) if rests else 0.0)
         top = self.forms.top(body, z, rpy)
-        if top > ground + TOUCHING:  # a table top level with the ground is nothing to keep clear of
+        if top > ground + TOUCHING_TOLERANCE_M:  # a table top level with the ground is nothing to keep clear of
             self._floor.occupy(patch, clearance, top)
         self._poses[body] = ((x, y, z), rpy, *(() if motion == (ZERO_VECTOR, ZERO_VECTOR) else motion))
 
@@ -264,9 +264,9 @@ class Floor:
         """Whether each body above the height `base` (m) keeps the clearance that it or the patch asks for."""
         x, y, radius = patch.x, patch.y, patch.radius
         for other, own, top in self._taken:
-            if top <= base + TOUCHING:
+            if top <= base + TOUCHING_TOLERANCE_M:
                 continue
-            patch_distance = (clearance if clearance > own else own) - TOUCHING
+            patch_distance = (clearance if clearance > own else own) - TOUCHING_TOLERANCE_M
             dx, dy, near = x - other.x, y - other.y, radius + other.radius + patch_distance
             if dx * dx + dy * dy < near * near and footprint.patch_distance(patch, other) < patch_distance:
                 return False
@@ -274,7 +274,7 @@ class Floor:
 
     def candidate_spots(self, spots: list[Spot], covered: Footprint, yaw: float, clearance: float, base: float) -> list[Spot]:
         """The spots where a disc that fits into the body would be free: a cheap test that drops most spots of a crowd."""
-        taken = [(other, own) for other, own, top in self._taken if top > base + TOUCHING]
+        taken = [(other, own) for other, own, top in self._taken if top > base + TOUCHING_TOLERANCE_M]
         if not spots or not taken:
             return spots
         at_origin = covered.at(0.0, 0.0, yaw)
@@ -283,7 +283,7 @@ class Floor:
         dx, dy = np.add(spots, (at_origin.x, at_origin.y)).T[..., None] - np.array((x, y))[:, None]
         along = np.maximum(np.abs(c * dx + s * dy) - half_x, 0.0)
         across = np.maximum(np.abs(c * dy - s * dx) - half_y, 0.0)
-        patch_distance = np.maximum(own, clearance) + around + covered.inradius - TOUCHING
+        patch_distance = np.maximum(own, clearance) + around + covered.inradius - TOUCHING_TOLERANCE_M
         free = np.all(along * along + across * across >= patch_distance * patch_distance, axis=1)
         return [spot for spot, hopeful in zip(spots, free.tolist(), strict=True) if hopeful]
 
@@ -307,7 +307,7 @@ class Surface(NamedTuple):
         return intersection(area, (low_x + reach_x - x, low_y + reach_y - y, high_x - reach_x - x, high_y - reach_y - y))
 
     def contains(self, patch: Patch, margin: float) -> bool:
-        return self.patch.contains(patch, margin - TOUCHING)
+        return self.patch.contains(patch, margin - TOUCHING_TOLERANCE_M)
 
 
 def intersection(one: Area, other: Area) -> Area:
@@ -328,7 +328,12 @@ def shuffled_grid_spots(area: Area, within: Area, mesh: float, generator: np.ran
     middles = grid_spots(area, mesh)
     drawn = [middles[index] for index in generator.permutation(len(middles))]
     low_x, low_y, high_x, high_y = within
-    return [(x, y) for x, y in drawn if low_x - TOUCHING <= x <= high_x + TOUCHING and low_y - TOUCHING <= y <= high_y + TOUCHING]
+    return [
+        (x, y)
+        for x, y in drawn
+        if low_x - TOUCHING_TOLERANCE_M <= x <= high_x + TOUCHING_TOLERANCE_M
+        and low_y - TOUCHING_TOLERANCE_M <= y <= high_y + TOUCHING_TOLERANCE_M
+    ]
 
 
 def grid_spots(area: Area, mesh: float) -> list[Spot]:
@@ -366,7 +371,7 @@ class Forms:
         """The shape of an object."""
         return (self.chosen.get(body) or self.things[body]).shape
 
-    def footprint(self, body: str, rpy: Triple = _LEVEL) -> Footprint:
+    def footprint(self, body: str, rpy: Triple = _LEVEL_RPY) -> Footprint:
         """The footprint with this attitude; that of a robot does not depend on it."""
         known = self._robots.get(body)
         if known is not None:

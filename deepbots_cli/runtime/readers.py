@@ -280,7 +280,7 @@ def _slopes(distance: Values, column: Values) -> list[float]:
     return [*((d - c) / (b - a) for a, b, c, d in pairs), 0.0]
 
 
-_DOWN: Triple = (0.0, 0.0, -1.0)
+_DOWN_AXIS: Triple = (0.0, 0.0, -1.0)
 
 
 def reflectance(site: Site) -> Instrument:
@@ -290,7 +290,7 @@ def reflectance(site: Site) -> Instrument:
     """
     beams, mount, spot = site.sensor.beams or RayConfig((), 0.0), site.mount, site.parameters["spot"]
     rays = [frames.compose(mount, frames.frame(ray)) for ray in beams.rays]
-    eyes = [(origin, frames.rotate(turned, _DOWN)) for origin, turned in rays]
+    eyes = [(origin, frames.rotate(turned, _DOWN_AXIS)) for origin, turned in rays]
     read, paint, rotate = site.engine.pose(site.robot, site.link), PaintedGround(site.world.lines, spot / 2), frames.rotate
 
     def brightness() -> list[float]:
@@ -311,7 +311,7 @@ def reflectance(site: Site) -> Instrument:
 
 # Cameras
 
-_GREY = np.array([0.299, 0.587, 0.114], np.float32)
+_GREY_WEIGHTS = np.array([0.299, 0.587, 0.114], np.float32)
 """How bright red, green and blue are (ITU-R BT.601)."""
 
 
@@ -342,7 +342,7 @@ def _colours(image: CameraImage, _optics: CameraIntrinsics) -> Image:
 
 
 def _grayscale(image: CameraImage, _optics: CameraIntrinsics) -> Image:
-    return _bytes(np.asarray(image.colours @ _GREY))
+    return _bytes(np.asarray(image.colours @ _GREY_WEIGHTS))
 
 
 def _depth(image: CameraImage, optics: CameraIntrinsics) -> Image:

@@ -27,7 +27,7 @@ from deepbots_cli.program.world import WorldModel
 from deepbots_cli.runtime.streams import Streams
 
 Values = Sequence[float]
-BLOCK = 128
+ROWS_PER_BLOCK = 128
 """Rows of normal numbers that are drawn at once."""
 Reading = Sequence[Any]
 """One number, truth value or picture per component; a single one for a sensor without components."""
@@ -63,7 +63,7 @@ class Normals:
 
     def block(self) -> NDArray[np.float64]:
         """Draw the next block."""
-        block: NDArray[np.float64] = self._generator.standard_normal((BLOCK, self._width))
+        block: NDArray[np.float64] = self._generator.standard_normal((ROWS_PER_BLOCK, self._width))
         return block
 
     @property

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
@@ -91,6 +91,29 @@ def canonical_action(space: gym.Space[Any], action: Any) -> Any:
         return array if space.contains(array) else None
     except (TypeError, ValueError, OverflowError):
         return None
+
+
+def fitting_rows(space: gym.Space[Any], actions: Any, count: int) -> NDArray[np.bool_] | None:
+    """Which of the actions of `count` worlds, one per row, are of this space; None if the actions have another shape or kind."""
+    try:
+        if isinstance(space, gym.spaces.Dict):
+            if set(actions) != set(space.spaces):
+                return None
+            parts = [fitting_rows(part, actions[key], count) for key, part in space.spaces.items()]
+            known = [part for part in parts if part is not None]
+            return np.all(known, axis=0) if len(known) == len(parts) else None
+        array = np.asarray(actions)
+    except (TypeError, ValueError):
+        return None
+    if array.shape != (count, *(space.shape or ())) or array.dtype.kind not in ("iuf" if isinstance(space, gym.spaces.Box) else "iu"):
+        return None
+    if isinstance(space, gym.spaces.Box):
+        fits = np.isfinite(array)
+    else:
+        options = space.n if isinstance(space, gym.spaces.Discrete) else cast(gym.spaces.MultiDiscrete, space).nvec
+        fits = (array >= 0) & (array < options)
+    rows: NDArray[np.bool_] = np.logical_and.reduce(fits.reshape(count, -1), axis=1)
+    return rows
 
 
 def is_canonical(usual: Any, action: Any) -> bool:

@@ -122,7 +122,7 @@ def episode_values(scenario: Program, options: Mapping[str, Any], fixed: Collect
 
 def _why_not(name: str, scenario: Program, known: list[str], fixed: Collection[str]) -> str:
     if name in fixed:
-        return f"it is a fixed parameter, the same in all episodes; change it when the environment is made, by sets=['{name}=...']"
+        return f"it is a fixed parameter, the same in all episodes; change it when the environment is made, by overrides=['{name}=...']"
     if any(name == entry.name for entry in scenario.parameters):
         return "it is computed from other parameters; set those"
     near = nearest_word(name, known)

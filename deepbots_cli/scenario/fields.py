@@ -32,7 +32,7 @@ _JSON_TYPES = {str: "string", int: "integer", float: "number", bool: "boolean", 
 
 MAX_MAGNITUDE = 1e30
 """Beyond this a number means nothing physical, and arithmetic on it overflows."""
-_LISTED = 24
+_MAX_LISTED = 24
 _NUMBER = r"[-+]?(?:[0-9]+(?:_[0-9]{3})*\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 _UNIT = r"[A-Za-z%1][A-Za-z0-9%*/^()-]*"
 GROUPED_DIGITS = r"[-+]?[0-9]{1,3}(_[0-9]{3})+"
@@ -110,7 +110,7 @@ def word_for_foreign_name(word: str, known: Iterable[str]) -> str | None:
 def choices_help(word: str, words: Sequence[str]) -> str:
     """The help for an unknown word: the probable word, and all known words."""
     near = word_for_foreign_name(word, words) or nearest_word(word, words)
-    listed = shortened_list((f"`{known}`" for known in words), _LISTED)
+    listed = shortened_list((f"`{known}`" for known in words), _MAX_LISTED)
     return f"did you mean `{near}`? known names: {listed}" if near else f"known names: {listed}"
 
 
@@ -383,7 +383,7 @@ MEASURES: Mapping[str, tuple[str, str, str]] = {
 }
 """Noun, example and SI unit of each measure."""
 
-_BARE = frozenset({"length", "mass", "number"})
+_MEASURES_WITHOUT_UNIT = frozenset({"length", "mass", "number"})
 """Measures of which a bare number is in SI units; other measures need a unit."""
 
 
@@ -480,7 +480,7 @@ class Quantity(Parsed):
         if found not in (None, wanted):
             raise error("DB106", f"expected {counted_noun(wanted, 'number')}, found {found}", self.help_for(None))
         if not isinstance(value, str):
-            minimum = self.minimum if self.dimension in _BARE else None
+            minimum = self.minimum if self.dimension in _MEASURES_WITHOUT_UNIT else None
             is_share = self.dimension == "number" and self.maximum == 1
             check_bounds(value, minimum, self.maximum, exclusive=self.exclusive, is_share=is_share)
             if self.whole and value != int(value):
@@ -601,7 +601,7 @@ class Expression(Parsed):
             check_bounds(value)
 
 
-_SEVERAL = {"joints": "joint", "links": "link", "bodies or links": "body or link"}
+_SINGULAR = {"joints": "joint", "links": "link", "bodies or links": "body or link"}
 
 
 @dataclass(frozen=True)
@@ -615,11 +615,11 @@ class Reference(FieldType):
 
     @property
     def several(self) -> bool:
-        return self.kind in _SEVERAL
+        return self.kind in _SINGULAR
 
     @property
     def noun(self) -> str:
-        return f"a list of {_SEVERAL[self.kind]} names" if self.several else f"the name of {with_article(self.kind)}"
+        return f"a list of {_SINGULAR[self.kind]} names" if self.several else f"the name of {with_article(self.kind)}"
 
     @property
     def plural(self) -> str:
@@ -636,7 +636,7 @@ class Reference(FieldType):
             raise error("DB107", "is empty")
         for index, item in enumerate(value):
             if not isinstance(item, str) or not item.strip():
-                raise error_at(index, mismatch(f"the name of {with_article(_SEVERAL[self.kind])}", value=item))
+                raise error_at(index, mismatch(f"the name of {with_article(_SINGULAR[self.kind])}", value=item))
         return tuple(value)
 
     def json_schema(self) -> JsonSchema:

@@ -43,14 +43,14 @@ from deepbots_cli.scenario.scenario import VERSION, Scenario
 from deepbots_cli.scenario.training import ELSEWHERE, Training
 
 # The language is nine levels deep; each round takes out at least the innermost faulty one.
-_ROUNDS = 16
-_SHOWN = 40
-_EXEMPLARY = 120
+_MAX_ROUNDS = 16
+_MAX_SHOWN_CHARACTERS = 40
+_MAX_EXAMPLE_CHARACTERS = 120
 _RESERVED = {"agents": "competing agents are kept for a later version of the language"}
 
 _OWN_SECTION = "it is a top-level section, which begins at the left edge: remove the indentation of the key and of the lines below it"
 # Stand-ins for required sections that had findings, so that the other sections are still looked at.
-_STAND_INS: dict[str, object] = {
+_REQUIRED_SECTION_DEFAULTS: dict[str, object] = {
     "deepbots": VERSION,
     "name": "unnamed",
     "world": {"timestep": "32 ms"},
@@ -86,7 +86,7 @@ def validate(root: nodes.MappingNode, findings: Findings) -> Scenario | None:
     pruned: set[NodePath] = set()
     _advise(root, data, findings)
 
-    for round_number in range(_ROUNDS):
+    for round_number in range(_MAX_ROUNDS):
         try:
             scenario = Scenario.model_validate(data, context={LENIENT: round_number > 0})
         except ValidationError as refused:
@@ -124,8 +124,8 @@ def _prune(data: Any, path: NodePath, pruned: set[NodePath], missing: tuple[str,
         path = path[:-1]
     if not path:
         for key in missing:
-            if key in _STAND_INS:
-                data[key] = _STAND_INS[key]
+            if key in _REQUIRED_SECTION_DEFAULTS:
+                data[key] = _REQUIRED_SECTION_DEFAULTS[key]
                 pruned.add((key,))
         return
     holder = data
@@ -336,7 +336,7 @@ def _name_of(path: NodePath) -> str:
 
 def _shortened(text: str) -> str:
     line = " ".join(text.split())
-    return line if len(line) <= _SHOWN else f"{line[: _SHOWN - 3]}..."
+    return line if len(line) <= _MAX_SHOWN_CHARACTERS else f"{line[: _MAX_SHOWN_CHARACTERS - 3]}..."
 
 
 def _listed(words: Iterable[str]) -> str:
@@ -359,7 +359,11 @@ def about_key(data: object, path: NodePath) -> str | None:
         return None
     text = key_description(section, key).rstrip(".")
     example = None if re.search("such as `|`{", text) else example_of(section, key)
-    shown = f". Example: `{key}: {example.text}`" if example and "\n" not in example.text and len(example.text) <= _EXEMPLARY else ""
+    shown = (
+        f". Example: `{key}: {example.text}`"
+        if example and "\n" not in example.text and len(example.text) <= _MAX_EXAMPLE_CHARACTERS
+        else ""
+    )
     return f"`{key}`: {text[:1].lower()}{text[1:]}{shown}"
 
 

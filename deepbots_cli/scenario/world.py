@@ -254,14 +254,14 @@ class Material(Section):
     """Whether it collides; `false` makes a mark that is only visible."""
 
 
-class Shaped(Material):
+class ShapedBody(Material):
     """A body of one shape."""
 
     shape: PlainText
     """The shape of the body."""
 
 
-class Box(Shaped):
+class Box(ShapedBody):
     """A box."""
 
     shape: Literal["box"]
@@ -269,7 +269,7 @@ class Box(Shaped):
     """Lengths along x, y and z, such as `10 10 10 cm`."""
 
 
-class Sphere(Shaped):
+class Sphere(ShapedBody):
     """A ball."""
 
     shape: Literal["sphere"]
@@ -277,7 +277,7 @@ class Sphere(Shaped):
     """Radius, m."""
 
 
-class Cylinder(Shaped):
+class Cylinder(ShapedBody):
     """A cylinder along z."""
 
     shape: Literal["cylinder"]
@@ -287,7 +287,7 @@ class Cylinder(Shaped):
     """Height, m."""
 
 
-class Capsule(Shaped):
+class Capsule(ShapedBody):
     """A cylinder along z with half a ball on either end."""
 
     shape: Literal["capsule"]
@@ -297,7 +297,7 @@ class Capsule(Shaped):
     """Height of the cylinder between the half balls, m."""
 
 
-class Mesh(Shaped):
+class Mesh(ShapedBody):
     """A body from a mesh file."""
 
     shape: Literal["mesh"]
@@ -307,10 +307,10 @@ class Mesh(Shaped):
     """Factors along x, y and z."""
 
 
-SHAPES: dict[str, type[Shaped]] = {"box": Box, "sphere": Sphere, "cylinder": Cylinder, "capsule": Capsule, "mesh": Mesh}
+SHAPES: dict[str, type[ShapedBody]] = {"box": Box, "sphere": Sphere, "cylinder": Cylinder, "capsule": Capsule, "mesh": Mesh}
 
 
-class Placed(Section):
+class PlacedBody(Section):
     """Pose and number of copies of an object."""
 
     pose: Pose = Field(default_factory=Pose)
@@ -319,38 +319,38 @@ class Placed(Section):
     """Number of copies; the name then stands for the group."""
 
 
-class BoxObject(Placed, Box):
+class BoxObject(PlacedBody, Box):
     """A box in the world."""
 
 
-class SphereObject(Placed, Sphere):
+class SphereObject(PlacedBody, Sphere):
     """A ball in the world."""
 
 
-class CylinderObject(Placed, Cylinder):
+class CylinderObject(PlacedBody, Cylinder):
     """A cylinder in the world."""
 
 
-class CapsuleObject(Placed, Capsule):
+class CapsuleObject(PlacedBody, Capsule):
     """A capsule in the world."""
 
 
-class MeshObject(Placed, Mesh):
+class MeshObject(PlacedBody, Mesh):
     """A mesh in the world."""
 
 
-class VariedObject(Placed, Material):
+class VariedObject(PlacedBody, Material):
     """Copies of different shapes: each is drawn from the variants."""
 
-    one_of: Annotated[dict[LocalName, Annotated[Shaped, Kinds("shape", SHAPES)]], Size(1, "variant")]
+    one_of: Annotated[dict[LocalName, Annotated[ShapedBody, Kinds("shape", SHAPES)]], Size(1, "variant")]
     """The variants that each copy is drawn from, by names of your choice."""
 
 
-OBJECTS: dict[str, type[Placed]] = {
+OBJECTS: dict[str, type[PlacedBody]] = {
     "box": BoxObject,
     "sphere": SphereObject,
     "cylinder": CylinderObject,
     "capsule": CapsuleObject,
     "mesh": MeshObject,
 }
-AnyObject = Annotated[Placed, Kinds("shape", OBJECTS, marked={"one_of": VariedObject})]
+AnyObject = Annotated[PlacedBody, Kinds("shape", OBJECTS, marked={"one_of": VariedObject})]

@@ -15,8 +15,8 @@ from deepbots_cli.program import Program
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.batch import BatchChannel, columns_array
 from deepbots_cli.runtime.streams import derive_seed
-from deepbots_cli.view.episodes import HAND, POLICY, RANDOM, ZERO, Driver, Player, Trained, composed
-from deepbots_cli.view.frames import FrameReader, Message, WorldFrame, row_of
+from deepbots_cli.view.episodes import HAND, POLICY, RANDOM, ZERO, Driver, Player, PolicyDriver, action_from_values
+from deepbots_cli.view.frames import FrameReader, ReceivedMessage, WorldFrame, value_of_row
 
 
 class BatchPlayer(Player):
@@ -37,16 +37,16 @@ class BatchPlayer(Player):
             self._readers[self.world] = FrameReader(self.env)
         return self._readers[self.world]
 
-    def drive(self, name: str) -> None:
+    def set_driver(self, name: str) -> None:
         """Let another driver act from the next step on, in all worlds.
 
         Raises:
             UsageError: It is a script, which reads what only a single world computes.
         """
         if name == POLICY and self.opened.run is not None:
-            self.driver = Trained(self.opened.run, self.env, rows=self.worlds)
+            self.driver = PolicyDriver(self.opened.run, self.env, rows=self.worlds)
         elif name in (HAND, RANDOM, ZERO):
-            each = [self._acting(single, name) for single in self.batch.singles]
+            each = [self._action_function(single, name) for single in self.batch.singles]
             self.driver = Driver(lambda: _joined([act() for act in each]))
         else:
             raise UsageError(f"'{name}' cannot act in a batch of worlds; use {', '.join(self.opened.drivers)}, or leave out --worlds")
@@ -73,11 +73,13 @@ class BatchPlayer(Player):
         self.observation = self.batch.reset(self._seeds)
         return self._read()
 
-    def following(self, episode: int) -> int:
+    def next_episode(self, episode: int) -> int:
         return episode + self.worlds
 
     def step(self, *, by_hand: bool = False) -> WorldFrame:
-        self.action = _joined([composed(self.env, self.hand)] * self.worlds) if by_hand else self.driver.act(self.observation)
+        self.action = (
+            _joined([action_from_values(self.env, self.manual_values)] * self.worlds) if by_hand else self.driver.act(self.observation)
+        )
         outcome = self.batch.advance(self.action, self._resting if self._resting.any() else None)
         acting = ~self._resting
         self._rewards[acting], self._terms[:, acting] = outcome.rewards[acting], outcome.terms[:, acting]
@@ -101,7 +103,7 @@ class BatchPlayer(Player):
     def _read(self) -> WorldFrame:
         """The frame of the world: poses, rays and contacts of its own, and what the batch holds as a column per number."""
         batch, world = self.batch, self.world
-        frame = self.reader.read(row_of(self.observation, world), row_of(self.action, world))
+        frame = self.reader.read(value_of_row(self.observation, world), value_of_row(self.action, world))
         if step := int(batch.step_count[world]):  # before the first step, the single world has all of it
             info, (name, agent) = batch.info(world), next(iter(frame.agents.items()))
             terms = dict(zip(batch.TERMS, self._terms[:, world].tolist(), strict=True))
@@ -125,14 +127,14 @@ class BatchPlayer(Player):
         reading = self.batch.controllers[robot].devices[sensor].reading
         return tuple(map(float, reading[:, self.world]))
 
-    def _message(self, key: str, message: Message) -> Message:
+    def _message(self, key: str, message: ReceivedMessage) -> ReceivedMessage:
         """The newest message; one that may be late or lost passed through the channel of the single world."""
         robot, _, direction = key.partition("/")
         channel = self.batch.channels[robot, direction]
         if not isinstance(channel, BatchChannel):
             return message
         columns = [columns_array(value, self.worlds) for value in channel.receive()]
-        return Message(tuple(float(x) for column in columns for x in np.atleast_1d(column[..., self.world])), 0.0, True)
+        return ReceivedMessage(tuple(float(x) for column in columns for x in np.atleast_1d(column[..., self.world])), 0.0, True)
 
 
 def _joined(actions: Sequence[Any]) -> Any:

@@ -36,7 +36,7 @@ class Source:
     """A scenario, a run or a recording on the command line, with what its compilation needs."""
 
     reference: str
-    sets: Sequence[str] = ()
+    overrides: Sequence[str] = ()
     allow_paths: Sequence[Path] = ()
     allow_code: bool = False
     engine: str | None = None
@@ -45,11 +45,7 @@ class Source:
     worlds: int = 0
     """Of a batch; 0 for a single world."""
 
-    @property
-    def is_run(self) -> bool:
-        return (Path(self.reference) / "run.json").exists()
-
-    def open(self) -> Opened:
+    def open(self) -> SourceState:
         """Compile it; findings are returned and not raised.
 
         Raises:
@@ -58,32 +54,32 @@ class Source:
         if self.reference.endswith(".mcap"):
             return self._open_recording()
         run: Run | None = None
-        if self.is_run:
+        if (Path(self.reference) / "run.json").exists():
             from deepbots_cli.learning.run import Run
 
             run = Run.open(self.reference)
             checked, files = self._kept(Path(self.reference)), frozenset[Path]()
         else:
-            sets = with_engine(self.sets, self.engine)
-            checked = api.load(self.reference, sets=sets, allow_paths=self.allow_paths, allow_code=self.allow_code)
+            overrides = with_engine(self.overrides, self.engine)
+            checked = api.load(self.reference, overrides=overrides, allow_paths=self.allow_paths, allow_code=self.allow_code)
             files = frozenset({checked.document.path, *checked.document.files})
         try:
             compiled = api.compile(checked)
         except ScenarioError as error:
-            return Opened(None, error.findings, files, self, run)
+            return SourceState(None, error.findings, files, self, run)
         files |= frozenset(checked.inputs.names) if run is None else files
         parameters = {name: str(value) for name, value in checked.spec.parameters.items()} if checked.spec else {}
-        return Opened(self._chosen(compiled.program), compiled.findings, files, self, run, compiled=compiled, parameters=parameters)
+        return SourceState(self._chosen(compiled.program), compiled.findings, files, self, run, compiled=compiled, parameters=parameters)
 
     def _kept(self, folder: Path) -> CheckedScenario:
         """The scenario of a run or a recording, which reads only files of its folder."""
         # The functions of Python that it names are not called before a world is built, which asks again whether they may.
-        return api.load(folder / "resolved.yaml", project=folder, sets=self.sets, allow_paths=self.allow_paths, allow_code=True)
+        return api.load(folder / "resolved.yaml", project=folder, overrides=self.overrides, allow_paths=self.allow_paths, allow_code=True)
 
-    def _open_recording(self) -> Opened:
+    def _open_recording(self) -> SourceState:
         from deepbots_cli.view.recordings import Recording
 
-        if self.sets or self.case or self.stage or self.engine or self.worlds:
+        if self.overrides or self.case or self.stage or self.engine or self.worlds:
             raise UsageError(
                 "a recording keeps its scenario, case, stage and engine; leave out --set, --case, --stage, --engine and --worlds"
             )
@@ -91,7 +87,7 @@ class Source:
         compiled = api.compile(self._kept(Path(recording.folder.name)))
         known = recording.metadata
         source = replace(self, engine=known.get("engine") or None, case=known.get("case") or None, stage=known.get("stage") or None)
-        return Opened(source._chosen(compiled.program), (), frozenset(), source, recording=recording, compiled=compiled)
+        return SourceState(source._chosen(compiled.program), (), frozenset(), source, recording=recording, compiled=compiled)
 
     def _chosen(self, program: Program) -> Program:
         if self.case is not None and self.stage is not None:
@@ -100,7 +96,7 @@ class Source:
 
 
 @dataclass(frozen=True, eq=False)
-class Opened:
+class SourceState:
     """A source as it is now: `program` is None where `findings` at error level leave nothing to run; `files` are those that were read."""
 
     program: Program | None
@@ -145,9 +141,9 @@ class Opened:
             return Player(self, driver)
         if driver not in (None, RECORDED):
             raise UsageError(f"a recording keeps its actions; leave out --script {driver}")
-        from deepbots_cli.view.replay import Replayed
+        from deepbots_cli.view.replay import ReplayPlayer
 
-        return Replayed(self)
+        return ReplayPlayer(self)
 
 
 class Driver:
@@ -166,7 +162,7 @@ class Driver:
         return self._act()
 
 
-def composed(env: Supervisor, values: Mapping[str, float]) -> Any:
+def action_from_values(env: Supervisor, values: Mapping[str, float]) -> Any:
     """The action with these values by the names of action fields: the index of an option, or a number from -1 to 1; others are 0."""
     choices, ranges = [], []
     for part in env.scenario.policy.action:
@@ -177,7 +173,7 @@ def composed(env: Supervisor, values: Mapping[str, float]) -> Any:
     return env.acting(choices, ranges)
 
 
-class Trained(Driver):
+class PolicyDriver(Driver):
     """The best policy of a run, which acts as in an evaluation; while the run is trained, the newest one of each episode."""
 
     def __init__(self, run: Any, env: Supervisor, rows: int = 0) -> None:
@@ -189,7 +185,7 @@ class Trained(Driver):
             raise MissingExtraError("train", "showing the policy of a run") from error
         if differences := identity.differences(run.program, env.scenario):
             raise RunError(f"the policy of {run.path} does not fit the changed scenario:\n  " + "\n  ".join(differences))
-        self._load, self._acting, self._steps_of, self._record = (
+        self._load, self._action_function, self._steps_of, self._record = (
             evaluation.load_model,
             evaluation.action_function,
             models.steps_of,
@@ -203,13 +199,13 @@ class Trained(Driver):
     def begin(self, number: int | None) -> None:
         running = self._record(self._run.path).status == "running"
         names: tuple[ModelName, ...] = ("best", "last")
-        found = {name: stamp for name in names if (stamp := stamps([path := self._run.model(name)])[path]) is not None}
+        found = {name: stamp for name in names if (stamp := file_stamps([path := self._run.model(name)])[path]) is not None}
         name = next(iter(found if not running else sorted(found, key=found.__getitem__, reverse=True)), None)
         if name is not None and found[name] != self._stamp:
             self._model, self._stamp = self._load(self._run, name, self._env), found[name]
             self.note = f"policy after {self._steps_of(self._run.model(name)):,} steps" if running else ""
         if self._model is not None:
-            self._policy = self._acting(self._model, self._env, number=number, rows=self._rows)
+            self._policy = self._action_function(self._model, self._env, number=number, rows=self._rows)
         elif running:
             space = batch_space(self._env.action_space, self._rows) if self._rows else self._env.action_space
             self._policy, self.note = lambda observation: space.sample(), "the training has saved no policy yet: random actions"
@@ -229,7 +225,7 @@ class Player:
     world, worlds = 0, 1
     """The world that is shown, and how many there are."""
 
-    def __init__(self, opened: Opened, driver: str | None = None) -> None:
+    def __init__(self, opened: SourceState, driver: str | None = None) -> None:
         """Make the environment and begin nothing.
 
         Raises:
@@ -240,9 +236,9 @@ class Player:
         self.opened = opened
         self.env = self._make(opened.program)
         self.program = self.env.scenario
-        self.hand: Mapping[str, float] = {}
-        """What a person commands, as `composed` takes it."""
-        self.driver = Driver(lambda: composed(self.env, self.hand))
+        self.manual_values: Mapping[str, float] = {}
+        """What a person commands, as `action_from_values` takes it."""
+        self.driver = Driver(lambda: action_from_values(self.env, self.manual_values))
         self.observation: Any = None
         self.action: Any = None
         """What the last step of the environment gave and took."""
@@ -250,7 +246,7 @@ class Player:
         """Those of the episode."""
         try:
             self.reader = self._reader()
-            self.drive(driver or opened.drivers[0])
+            self.set_driver(driver or opened.drivers[0])
         except BaseException:
             self.close()
             raise
@@ -262,7 +258,7 @@ class Player:
     def _reader(self) -> FrameReader:
         return FrameReader(self.env)
 
-    def drive(self, name: str) -> None:
+    def set_driver(self, name: str) -> None:
         """Let another driver act from the next step on.
 
         Raises:
@@ -270,15 +266,15 @@ class Player:
         """
         if name == POLICY and self.opened.run is None:
             raise UsageError("only a run has a policy")
-        self.driver = Trained(self.opened.run, self.env) if name == POLICY else Driver(self._acting(self.env, name))
+        self.driver = PolicyDriver(self.opened.run, self.env) if name == POLICY else Driver(self._action_function(self.env, name))
         self.driver_name = name
 
-    def _acting(self, env: Supervisor, name: str) -> Callable[[], Any]:
+    def _action_function(self, env: Supervisor, name: str) -> Callable[[], Any]:
         """The actions of a driver other than the policy."""
         if name == RANDOM:
             return env.action_space.sample  # seeded by the reset
         if name in (HAND, ZERO):
-            return lambda: composed(env, self.hand if name == HAND else {})
+            return lambda: action_from_values(env, self.manual_values if name == HAND else {})
         env.scenario.script(name)
         return partial(env.script, name)
 
@@ -294,13 +290,13 @@ class Player:
         self.frame = self.reader.read(self.observation)
         return self.frame
 
-    def following(self, episode: int) -> int:
+    def next_episode(self, episode: int) -> int:
         """The number of the next episode."""
         return episode + 1
 
     def step(self, *, by_hand: bool = False) -> WorldFrame:
         """The frame after the next step of an episode that has not ended; `by_hand` lets a person act instead of the driver."""
-        self.action = composed(self.env, self.hand) if by_hand else self.driver.act(self.observation)
+        self.action = action_from_values(self.env, self.manual_values) if by_hand else self.driver.act(self.observation)
         self.actions.append(self.action)
         self.observation, *_ = self.env.step(self.action)
         self.frame = self.reader.read(self.observation, self.action)
@@ -326,7 +322,7 @@ class Player:
             raise EngineError(f"the engine '{engine.name}' cannot draw; use the engine 'pybullet' for pictures, or an offline page (.html)")
         return engine.render(view)
 
-    def ways(self) -> list[list[tuple[float, float]]]:
+    def shortest_paths(self) -> list[list[tuple[float, float]]]:
         """The shortest paths (points in m) whose lengths the scenario reads with `path_distance`."""
         found = (getattr(agent, "ways", None) for agent in self.env.agents.values())
         return [points for ways in found if isinstance(ways, Ways) for points in ways.last_read_paths()]
@@ -341,7 +337,7 @@ class Player:
         self.env.close()
 
 
-def player(source: Source, driver: str | None) -> closing[Player]:
+def closing_player(source: Source, driver: str | None) -> closing[Player]:
     """A player of a source, to be used in a `with` statement.
 
     Raises:
@@ -350,7 +346,7 @@ def player(source: Source, driver: str | None) -> closing[Player]:
     return closing(source.open().player(driver))
 
 
-def stamps(files: Iterable[Path]) -> dict[Path, tuple[int, int] | None]:
+def file_stamps(files: Iterable[Path]) -> dict[Path, tuple[int, int] | None]:
     """Time of change and size of each file, None for a missing one: they differ when a file was saved."""
     found: dict[Path, tuple[int, int] | None] = {}
     for file in files:

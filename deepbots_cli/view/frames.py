@@ -1,7 +1,7 @@
 """Frames: what is drawn and plotted of an environment at one moment.
 
 `FrameReader` binds the readers of the engine port once, and reads a `WorldFrame` after a reset and after each step. It calls nothing
-but readers, so an episode is the same with and without it. `Layout` holds what does not change in an episode.
+but readers, so an episode is the same with and without it. `FrameLayout` holds what does not change in an episode.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ LinkName = tuple[str, str]
 _DOWNWARD = frames.quaternion(0.0, np.pi / 2, 0.0)  # turns x to -z: the direction in which a reflectance sensor looks
 
 
-class Field(NamedTuple):
+class PlottedField(NamedTuple):
     """A number that is plotted, with its range. `group` is the entry of the scenario that it belongs to; `options` are the names of the
     options of a choice, whose number is the index of an option."""
 
@@ -52,7 +52,7 @@ class Field(NamedTuple):
         return f"{value:.3g}{'' if self.unit in ('', '1') else ' ' + self.unit}"
 
 
-class Beams(NamedTuple):
+class SensorRays(NamedTuple):
     """The rays of a sensor: `starts` (n, 3) and unit vectors `directions` (n, 3) in the frame of the link, free up to `reach` m."""
 
     part: LinkName
@@ -60,18 +60,30 @@ class Beams(NamedTuple):
     directions: NDArray[np.float64]
     reach: float
 
+    def lines(self, frame: WorldFrame, key: str) -> NDArray[np.float32]:
+        """Each ray from its start to where it is no longer free: x, y, z (world frame) and red, green, blue of both ends, shape (n, 2, 6).
+
+        Rays are green where nothing is near, and red where something is.
+        """
+        free, (origin, turn) = np.array(frame.rays[key])[:, None], frame.links[self.part]
+        axes = np.array([frames.rotate(turn, axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))])
+        near = np.clip(1 - free / self.reach, 0.0, 1.0)
+        colours = np.concatenate([20 + 200 * near, 150 - 110 * near, 60 - 20 * near], axis=1)
+        ends = (self.starts, self.starts + free * self.directions)
+        return np.stack([np.concatenate([origin + end @ axes, colours], axis=1) for end in ends], axis=1).astype(np.float32)
+
 
 @dataclass(frozen=True, eq=False)
-class Layout:
+class FrameLayout:
     """What does not change: the fields of an agent, the robots as they are in the world, the rays by `robot.sensor`, and the fields of
     messages by `robot/direction`."""
 
-    observation: tuple[Field, ...]
-    action: tuple[Field, ...]
+    observation: tuple[PlottedField, ...]
+    action: tuple[PlottedField, ...]
     terms: tuple[str, ...]
     robots: Mapping[str, RobotModel]
-    beams: Mapping[str, Beams]
-    messages: Mapping[str, tuple[Field, ...]]
+    sensor_rays: Mapping[str, SensorRays]
+    messages: Mapping[str, tuple[PlottedField, ...]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +102,7 @@ class AgentFrame:
     allowed: tuple[bool, ...] = ()
 
 
-class Message(NamedTuple):
+class ReceivedMessage(NamedTuple):
     """The message that its receiver goes by: a value for each field, None for a picture and before the first message.
 
     `age` (s) is the time since it was made, and `received` whether it came in this step.
@@ -121,7 +133,7 @@ class WorldFrame:
     forces: Mapping[LinkName, float]
     pushes: tuple[tuple[LinkName, Triple], ...]
     variants: Mapping[str, str]
-    messages: Mapping[str, Message]
+    messages: Mapping[str, ReceivedMessage]
     cameras: Mapping[str, Image]
     drawn: Mapping[str, float | str]
     agents: Mapping[str, AgentFrame]
@@ -137,29 +149,29 @@ class WorldFrame:
         return f"{'success' if self.is_success else 'time limit' if self.truncated else 'failure'}: {self.ended_by}"
 
 
-def observation_fields(program: Program) -> tuple[Field, ...]:
+def observation_fields(program: Program) -> tuple[PlottedField, ...]:
     """The numbers of the newest observation, then those of the goal."""
     policy = program.policy
-    named = [Field(n.full_name, n.name, 0.0 if n.is_truth else n.low, 1.0 if n.is_truth else n.high, n.unit) for n in policy.numbers]
+    named = [PlottedField(n.full_name, n.name, 0.0 if n.is_truth else n.low, 1.0 if n.is_truth else n.high, n.unit) for n in policy.numbers]
     goal = policy.goal
     for word in ("achieved", "desired") if goal else ():
         parts = goal.components or ("",) if goal else ()
         ends = zip(parts, goal.low, goal.high, strict=True) if goal else ()
-        named += [Field(f"{word}.{part}".rstrip("."), word, low, high, goal.unit if goal else "") for part, low, high in ends]
+        named += [PlottedField(f"{word}.{part}".rstrip("."), word, low, high, goal.unit if goal else "") for part, low, high in ends]
     return tuple(named)
 
 
-def action_fields(program: Program) -> tuple[Field, ...]:
+def action_fields(program: Program) -> tuple[PlottedField, ...]:
     """A field for each choice and for each component of a range, choices and ranges in file order."""
     found = []
     for part in program.policy.action:
         if isinstance(part, Choices):
             names = tuple(option.name for option in part.options)
-            found.append(Field(part.name, part.name, 0.0, len(names) - 1.0, "", names))
+            found.append(PlottedField(part.name, part.name, 0.0, len(names) - 1.0, "", names))
         else:
             several = len(part.components) > 0
             found += [
-                Field(f"{part.name}.{name}" if several else part.name, part.name, part.low, part.high, part.unit)
+                PlottedField(f"{part.name}.{name}" if several else part.name, part.name, part.low, part.high, part.unit)
                 for name in part.components or ("",)
             ]
     return tuple(found)
@@ -171,7 +183,7 @@ class MessageRecorder:
     def __init__(self, wire: FieldCodec) -> None:
         self._wire, self.layout, self.silence, self.encode = wire, wire.layout, wire.silence, wire.encode
         self.fields = tuple(
-            Field(name, field.name, math.nan, math.nan, field.unit)
+            PlottedField(name, field.name, math.nan, math.nan, field.unit)
             for field in wire.layout.fields
             for name in ([f"{field.name}.{part}" for part in field.components] or [field.name])
         )
@@ -183,13 +195,13 @@ class MessageRecorder:
         self._received += 1
         return self._values
 
-    def message(self, channel: Channel | LossyChannel) -> Message:
+    def message(self, channel: Channel | LossyChannel) -> ReceivedMessage:
         """The newest message; those that come from now on count for the next frame."""
         flat = [part for value in self._values for part in (value if isinstance(value, list | tuple) else [value])]
         values = tuple(None if value is None or isinstance(value, np.ndarray) else float(value) for value in flat)
         received = self._received > 0 and (isinstance(channel, Channel) or channel.message_received)
         self._received = 0
-        return Message(values, 0.0 if isinstance(channel, Channel) else channel.age, received)
+        return ReceivedMessage(values, 0.0 if isinstance(channel, Channel) else channel.age, received)
 
 
 class FrameReader:
@@ -219,22 +231,22 @@ class FrameReader:
         cameras = {f"{body}.{sensor.name}" for body, each in controllers.items() for sensor in each.spec.sensors if sensor.optics}
         self._cameras = {key: device for key, device in devices.items() if key in cameras}
         self._sensors = {key: device for key, device in devices.items() if key not in cameras}
-        self._taps: dict[str, tuple[Channel | LossyChannel, MessageRecorder]] = {}
+        self._message_recorders: dict[str, tuple[Channel | LossyChannel, MessageRecorder]] = {}
         for copy, agent in env.agents.items():
             for (name, direction), channel in agent.channels.items():
                 assert channel.wire is not None  # only those of tests have none
                 tap = MessageRecorder(channel.wire)
                 channel.wire = cast("FieldCodec", tap)
-                self._taps[f"{called(name, copy)}/{direction}"] = channel, tap
+                self._message_recorders[f"{called(name, copy)}/{direction}"] = channel, tap
         beams = {
             f"{body}.{sensor.name}": _beams((body, sensor.subjects[0]), sensor)
             for body, controller in controllers.items()
             for sensor in controller.spec.sensors
             if sensor.beams and sensor.subjects[0] in {link.name for link in models[body].links}
         }
-        self.layout = Layout(
+        self.layout = FrameLayout(
             observation_fields(program), action_fields(program), tuple(term.name for term in policy.reward), models,
-            {key: found for key, (found, _) in beams.items()}, {key: tap.fields for key, (_, tap) in self._taps.items()},
+            {key: found for key, (found, _) in beams.items()}, {key: tap.fields for key, (_, tap) in self._message_recorders.items()},
         )  # fmt: skip
         self._rays = {key: engine.rays(found.part, rays, found.reach) for key, (found, rays) in beams.items()}
         self._pushes: list[tuple[LinkName, Push]] = []
@@ -261,9 +273,10 @@ class FrameReader:
         several = len(env.agents) > 1 or next(iter(env.agents.values())) is not env
         agents = {}
         for row, (name, agent) in enumerate(env.agents.items()):
-            seen, done = (row_of(observation, row), row_of(action, row)) if several else (observation, action)
+            seen, done = (value_of_row(observation, row), value_of_row(action, row)) if several else (observation, action)
             self._returns[name] = self._returns.get(name, 0.0) + agent.reward if env.step_count else 0.0
             agents[name] = self._agent(agent, seen, done, self._returns[name])
+        images = {key: camera.reading for key, camera in self._cameras.items()}
         return WorldFrame(
             step=env.step_count,
             time=env.step_count * env.scenario.period,
@@ -274,8 +287,8 @@ class FrameReader:
             forces={part: force for part, force in forces.items() if force > 0.0},
             pushes=tuple((part, force) for part, push in self._pushes if (force := push.acting) != ZERO_VECTOR),
             variants=self._variants | {body: variant.name for body, variant in chosen.items() if body in self._variants},
-            messages={key: tap.message(channel) for key, (channel, tap) in self._taps.items()},
-            cameras={key: _image(camera.reading) for key, camera in self._cameras.items()},
+            messages={key: tap.message(channel) for key, (channel, tap) in self._message_recorders.items()},
+            cameras={key: np.asarray(seen[0] if isinstance(seen, list | tuple) else seen) for key, seen in images.items()},
             drawn={
                 f"{name}/{key}" if several else key: value
                 for name, agent in env.agents.items()
@@ -318,11 +331,7 @@ class FrameReader:
         )
 
 
-def _image(reading: Any) -> Image:
-    return np.asarray(reading[0] if isinstance(reading, list | tuple) else reading)
-
-
-def row_of(value: Any, row: int) -> Any:
+def value_of_row(value: Any, row: int) -> Any:
     """The part of one agent or world of the observation or action of all; None stays None."""
     if isinstance(value, dict):
         return {key: part[row] for key, part in value.items()}
@@ -336,7 +345,7 @@ def _newest(program: Program) -> tuple[NDArray[np.intp], list[bool]]:
     return np.array(places, np.intp), [number.is_truth for number in numbers]
 
 
-def _beams(part: LinkName, sensor: Sensor) -> tuple[Beams, Sequence[Frame]]:
+def _beams(part: LinkName, sensor: Sensor) -> tuple[SensorRays, Sequence[Frame]]:
     """The rays of a sensor as arrays and as frames along x; those of a reflectance sensor look down."""
     assert sensor.beams is not None
     mount = frames.frame(sensor.mount)
@@ -345,7 +354,7 @@ def _beams(part: LinkName, sensor: Sensor) -> tuple[Beams, Sequence[Frame]]:
         rays = [frames.compose(ray, (ZERO_VECTOR, _DOWNWARD)) for ray in rays]
     starts = np.array([origin for origin, _ in rays])
     directions = np.array([frames.rotate(turn, (1.0, 0.0, 0.0)) for _, turn in rays])
-    return Beams(part, starts, directions, sensor.beams.reach or _LOOKS_DOWN), rays
+    return SensorRays(part, starts, directions, sensor.beams.reach or _REFLECTANCE_REACH_M), rays
 
 
-_LOOKS_DOWN = 0.1  # m; a reflectance sensor has no reach of its own
+_REFLECTANCE_REACH_M = 0.1  # m; a reflectance sensor has no reach of its own

@@ -6,95 +6,113 @@ import time
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from deepbots_cli.view.frames import Field
+from deepbots_cli.view.frames import PlottedField
 
 Keys = frozenset[str]
 Axes = tuple[float, ...]
-RELEASED_AFTER = 0.25  # s; keys and gamepads are sent 20 times a second while they are held
+RELEASE_TIMEOUT_S = 0.25  # s; keys and gamepads are sent 20 times a second while they are held
 
 
 class Binding(NamedTuple):
-    """The keys that push a range up and down, and an axis of a gamepad with its sign: up and right are positive."""
+    """The keys that push a range up and down, and an axis of a gamepad with its sign."""
 
-    more: tuple[str, ...]
-    less: tuple[str, ...]
+    positive_keys: tuple[str, ...]
+    negative_keys: tuple[str, ...]
     axis: int
     sign: float
 
 
-_RANGES = (
+_RANGE_BINDINGS = (
     Binding(("KeyW", "ArrowUp"), ("KeyS", "ArrowDown"), 1, -1.0),
     Binding(("KeyD", "ArrowRight"), ("KeyA", "ArrowLeft"), 0, 1.0),
     Binding(("KeyR",), ("KeyF",), 3, -1.0),
     Binding(("KeyT",), ("KeyG",), 2, 1.0),
     Binding(("KeyY",), ("KeyH",), 4, 1.0),
 )
-_OPTIONS = (
-    (_RANGES[0].more, ("forward", "forwards", "ahead", "up", "gas", "faster", "push")),
-    (_RANGES[0].less, ("backward", "backwards", "back", "down", "reverse", "brake", "slower", "pull")),
-    (_RANGES[1].less, ("left", "turn_left", "rotate_left", "ccw")),
-    (_RANGES[1].more, ("right", "turn_right", "rotate_right", "cw")),
+_OPTION_KEYS = (
+    (_RANGE_BINDINGS[0].positive_keys, ("forward", "forwards", "ahead", "up", "gas", "faster", "push")),
+    (_RANGE_BINDINGS[0].negative_keys, ("backward", "backwards", "back", "down", "reverse", "brake", "slower", "pull")),
+    (_RANGE_BINDINGS[1].negative_keys, ("left", "turn_left", "rotate_left", "ccw")),
+    (_RANGE_BINDINGS[1].positive_keys, ("right", "turn_right", "rotate_right", "cw")),
 )
 """The keys of options with such names."""
-_IDLE = ("stop", "none", "idle", "coast", "stay", "wait", "keep", "hold", "nothing")
+_IDLE_WORDS = ("stop", "none", "idle", "coast", "stay", "wait", "keep", "hold", "nothing")
 _DIGITS = tuple(f"Digit{number}" for number in range(1, 10))
-KEYS = sorted({*_DIGITS, *(key for binding in _RANGES for key in (*binding.more, *binding.less))})
+KEYS = sorted({*_DIGITS, *(key for binding in _RANGE_BINDINGS for key in (*binding.positive_keys, *binding.negative_keys))})
 
 
 class ManualInput:
-    """What a person commands: sliders and buttons as a base, over which keys and gamepads have precedence while they are held."""
+    """What a person commands: sliders and buttons as a base, in the units of the fields, from which keys and gamepads push to the ends of
+    ranges while they are held."""
 
-    def __init__(self, fields: Sequence[Field]) -> None:
-        ranges = [field for field in fields if not field.options]
-        self.ranges = {field.name: _RANGES[:2] if len(ranges) == 1 else _RANGES[place : place + 1] for place, field in enumerate(ranges)}
+    def __init__(self, fields: Sequence[PlottedField], *, turns_left: bool = False) -> None:
+        """`turns_left` says that a larger value of the range of A and D turns the robot to the left, so that A pushes it up."""
+        self._ranges = {field.name: field for field in fields if not field.options}
+        ahead, aside, *others = _RANGE_BINDINGS
+        if turns_left:
+            aside = Binding(aside.negative_keys, aside.positive_keys, aside.axis, -aside.sign)
+        pairs = [[ahead, aside]] if len(self._ranges) == 1 else [[binding] for binding in (ahead, aside, *others)]
+        self.bindings = dict(zip(self._ranges, pairs, strict=False))
         self._choices = [field for field in fields if field.options]
         self._held: tuple[Keys, Axes, float] = (frozenset(), (), 0.0)
-        self.base = {field.name: float(_option(field, _IDLE) or 0) for field in fields}
+        self.base_values = {field.name: _rest_value(field) for field in fields}
 
     def hold(self, keys: Keys, axes: Axes) -> None:
-        """Take what is held now; nothing is once no message came for `RELEASED_AFTER`."""
+        """Take what is held now; nothing is once no message came for `RELEASE_TIMEOUT_S`."""
         self._held = (keys, axes, time.monotonic())
 
     @property
     def is_held(self) -> bool:
         keys, axes, at = self._held
-        return bool(keys or any(axes)) and time.monotonic() - at < RELEASED_AFTER
+        return bool(keys or any(axes)) and time.monotonic() - at < RELEASE_TIMEOUT_S
 
     def values(self) -> dict[str, float]:
         """By the names of action fields: an option by its index, or a number from -1 to 1."""
-        values = dict(self.base)
-        if not self.is_held:
-            return values
-        keys, axes, _ = self._held
-        for name, bindings in self.ranges.items():
+        values = dict(self.base_values)
+        keys, axes, _ = self._held if self.is_held else (frozenset[str](), (), 0.0)
+        for name, bindings in self.bindings.items():
             pushed = 0.0
             for more, less, axis, sign in bindings:
                 pushed += bool(keys & {*more}) - bool(keys & {*less}) + (sign * axes[axis] if axis < len(axes) else 0.0)
-            if pushed:
-                values[name] = min(1.0, max(-1.0, pushed))
+            pushed, end = min(1.0, max(-1.0, pushed)), self._ranges[name].high if pushed > 0.0 else self._ranges[name].low
+            values[name] += abs(pushed) * (end - values[name])
+        for name, field in self._ranges.items():
+            values[name] = (2 * values[name] - field.low - field.high) / ((field.high - field.low) or 1.0)
         for field in self._choices:
             wanted = next((option for codes, option in self._keys_of(field) if keys & {*codes}), None)
             if wanted is not None:
-                idle = _option(field, _IDLE)  # released, it goes back to doing nothing
-                values[field.name], self.base[field.name] = float(wanted), float(wanted if idle is None else idle)
+                idle = _option(field, _IDLE_WORDS)  # released, it goes back to doing nothing
+                values[field.name], self.base_values[field.name] = float(wanted), float(wanted if idle is None else idle)
         return values
 
-    def _keys_of(self, field: Field) -> list[tuple[tuple[str, ...], int]]:
+    def _keys_of(self, field: PlottedField) -> list[tuple[tuple[str, ...], int]]:
         """Keys and the option that they choose: digits for the first choice, directions for options that are called so."""
         digits = [((digit,), number) for number, digit in enumerate(_DIGITS[: len(field.options)]) if field is self._choices[0]]
-        return digits + [(codes, found) for codes, words in _OPTIONS if (found := _option(field, words)) is not None]
+        return digits + [(codes, found) for codes, words in _OPTION_KEYS if (found := _option(field, words)) is not None]
 
     def help(self) -> str:
         """Which keys drive what, in a line."""
         parts = []
-        for name, bindings in self.ranges.items():
-            pairs = ", ".join(f"{more[0][-1]}/{less[0][-1]}" for more, less, *_ in bindings)
-            parts += [f"{pairs}{' or arrows' if bindings[0] in _RANGES[:2] else ''}: {name}"] if bindings else []
+        for name, bindings in self.bindings.items():
+            for more, less, *_ in bindings:
+                effects = sorted([(more, "more"), (less, "less")], key=lambda effect: "KeyA" not in effect[0])  # from left to right
+                parts += [f"{' / '.join(map(_key_name, keys))}: {word} {name}" for keys, word in effects]
         for field in self._choices:
             parts += [f"{codes[0][-1]}: {field.options[option]}" for codes, option in self._keys_of(field)]
         return "; ".join(parts)
 
 
-def _option(field: Field, words: Sequence[str]) -> int | None:
+def _key_name(code: str) -> str:
+    return f"{code[5:].lower()} arrow" if code.startswith("Arrow") else code[-1]
+
+
+def _rest_value(field: PlottedField) -> float:
+    """What nobody commands: an option that does nothing, or else the first; 0 where the range holds it, or else its middle."""
+    if field.options:
+        return float(_option(field, _IDLE_WORDS) or 0)
+    return 0.0 if field.low <= 0.0 <= field.high else (field.low + field.high) / 2
+
+
+def _option(field: PlottedField, words: Sequence[str]) -> int | None:
     """The option of a choice that has one of these names."""
     return next((field.options.index(word) for word in words if word in field.options), None)

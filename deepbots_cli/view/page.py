@@ -22,58 +22,59 @@ import numpy as np
 
 from deepbots_cli.diagnostics.render import render
 from deepbots_cli.errors import DeepbotsError, UsageError
-from deepbots_cli.frames import Triple, add, scaled
+from deepbots_cli.frames import Triple, add, roll_pitch_yaw, scaled
 from deepbots_cli.port import ZERO_VECTOR
 from deepbots_cli.runtime.overview import extent, follows_robot, shift_beside, view_around
 from deepbots_cli.view import panel, server
 from deepbots_cli.view.batch import BatchPlayer
-from deepbots_cli.view.episodes import HAND, RANDOM, ZERO, Driver, Opened, Player, Source, stamps
-from deepbots_cli.view.frames import AgentFrame, Field, Image, WorldFrame
+from deepbots_cli.view.episodes import HAND, RANDOM, ZERO, Driver, Player, Source, SourceState, file_stamps
+from deepbots_cli.view.frames import AgentFrame, Image, PlottedField, WorldFrame
 from deepbots_cli.view.manual_input import ManualInput
 from deepbots_cli.view.recordings import SUFFIX, record
-from deepbots_cli.view.replay import Replayed
-from deepbots_cli.view.scene import WorldScene, look
+from deepbots_cli.view.replay import ReplayPlayer
+from deepbots_cli.view.scene import WorldScene, aim_camera
 
-RATE = 30
+FRAME_RATE = 30
 """Pictures per second of real time."""
-SLOW = 6
+FRAMES_PER_TEXT = 6
 """Texts and plots change in every sixth picture."""
-KEPT = 600  # steps in a plot
-_PAUSE_AT_END = 1.5  # s of real time between the end of an episode and the next
-_BUSY = 0.1  # s; a world that is slower than real time still answers
-_WATCHED_EVERY = 0.25  # s
-_SETTLED = 0.3  # s without a change, after which the value of a parameter counts
+MAX_PLOTTED_STEPS = 600  # steps in a plot
+_PAUSE_AT_END_S = 1.5  # s of real time between the end of an episode and the next
+_MAX_STEPPING_S = 0.1  # s; a world that is slower than real time still answers
+_WATCH_INTERVAL_S = 0.25  # s
+_DEBOUNCE_S = 0.3  # s without a change, after which the value of a parameter counts
+_STEERING_TIME = 0.3  # s of the episode, in which the effect of a key on the yaw is measured
 _MAX_SERIES = 8
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#8a8a8a", "#a58b00")
 """Of Okabe and Ito, which colour-blind people can tell apart; grey for black."""
-_PLAIN = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?:\s+(.*)|(%|[a-zA-Z].*)?)\s*")
+_NUMBER_WITH_UNIT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?:\s+(.*)|(%|[a-zA-Z].*)?)\s*")
 """A number with its unit."""
 
 
-Value = Callable[[AgentFrame], float]
+PlottedValue = Callable[[AgentFrame], float]
 """A number that is plotted."""
 
 
 @dataclasses.dataclass(eq=False)
-class Shown:
-    """One world of the page: its player, its scene, and the frames that are plotted. `clock` is the time (s) since its last step."""
+class WorldPanel:
+    """One world of the page: its player, its scene, and the frames that are plotted. `elapsed_s` is the time (s) since its last step."""
 
     player: Player
-    world: WorldScene
-    past: list[WorldFrame] = dataclasses.field(default_factory=list)
-    clock: float = 0.0
+    scene: WorldScene
+    frames: list[WorldFrame] = dataclasses.field(default_factory=list)
+    elapsed_s: float = 0.0
 
-    def take(self, *, anew: bool = False) -> None:
+    def show_newest(self, *, after_reset: bool = False) -> None:
         """Show the newest frame of the player."""
-        if anew:
-            self.past.clear()
-            self.clock = 0.0
-        self.world.take(self.player.frame, anew=anew)
-        self.past.append(self.player.frame)
-        del self.past[:-KEPT]
+        if after_reset:
+            self.frames.clear()
+            self.elapsed_s = 0.0
+        self.scene.set_frame(self.player.frame, after_reset=after_reset)
+        self.frames.append(self.player.frame)
+        del self.frames[:-MAX_PLOTTED_STEPS]
 
     @property
-    def ended(self) -> bool:
+    def has_ended(self) -> bool:
         return self.player.frame.ended_by is not None
 
 
@@ -102,28 +103,30 @@ class Page:
             UsageError, RunError: There is no such source or driver, or the address cannot be used.
             MissingExtraError: viser is not installed.
         """
-        self._source, self._wanted, self._watch, self._playing = source, driver, watch, playing
-        self._todo: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._source, self._wanted_driver, self._watch, self._playing = source, driver, watch, playing
+        self._tasks: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._compare = compare
-        self.shown: list[Shown] = []
-        self._rival: Player | None = None
-        self._hand = ManualInput(())
+        self.panels: list[WorldPanel] = []
+        self._compared_player: Player | None = None
+        self._manual_input = ManualInput(())
         self._changed: dict[str, str] = {}
         self._changed_at = 0.0
         self._controls: Any = None
         self.seed, self.episode, self.paused, self.speed = seed, episode, False, 1.0
-        self._number = world
-        self._trouble, self._message, self._waiting = "", "", playing
+        self._world_number = world
+        self._error_title, self._message, self._waiting = "", "", playing
         self._best, self._successes, self._played = -math.inf, 0, 0
         opened = source.open()
         if playing and opened.recording is not None:
             raise UsageError(f"`play` does not accept a recording; use: deepbots view {source.reference}")
-        self.server, self.address = server.serve(host, port, f"deepbots {source.reference}", lambda keys, axes: self._hand.hold(keys, axes))
-        self._framed: dict[int, dict[tuple[int, int], Triple]] = {}
-        self.server.on_client_connect(lambda client: client.camera.on_update(lambda _: self._todo.put(lambda: self._frame(client))))
-        self.server.on_client_disconnect(lambda client: self._framed.pop(client.client_id, None))
+        self.server, self.address = server.serve(
+            host, port, f"deepbots {source.reference}", lambda keys, axes: self._manual_input.hold(keys, axes)
+        )
+        self._fitted_cameras: dict[int, dict[tuple[int, int], Triple]] = {}
+        self.server.on_client_connect(lambda client: client.camera.on_update(lambda _: self._tasks.put(lambda: self._fit_camera(client))))
+        self.server.on_client_disconnect(lambda client: self._fitted_cameras.pop(client.client_id, None))
         self._theme(dark=False)
-        self._seen = stamps(opened.files)
+        self._file_stamps = file_stamps(opened.files)
         self._files = opened.files
         try:
             self._show(opened)
@@ -139,31 +142,33 @@ class Page:
     @property
     def player(self) -> Player | None:
         """The player of the first world; None where the scenario has errors."""
-        return self.shown[0].player if self.shown else None
+        return self.panels[0].player if self.panels else None
 
     @property
     def world(self) -> WorldScene:
-        return self.shown[0].world
+        return self.panels[0].scene
 
     @property
     def _players(self) -> list[Player]:
-        return [*(shown.player for shown in self.shown), *([self._rival] if self._rival else [])]
+        return [*(shown.player for shown in self.panels), *([self._compared_player] if self._compared_player else [])]
 
     def _close_players(self) -> None:
         for player in self._players:
             player.close()
-        self.shown, self._rival = [], None
+        self.panels, self._compared_player = [], None
 
     # What is shown
 
-    def _show(self, opened: Opened) -> None:
+    def _show(self, opened: SourceState) -> None:
         """Show a source as it is now: its world from the beginning of the present episode, or else its findings over the world before."""
         if opened.program is None:
             findings = html.escape(render(opened.findings, "full", width=46))
             style = "white-space:pre-wrap;font-size:0.75em;line-height:1.35"
             self._stop("the scenario has errors", f"<pre style='{style}'>{findings}</pre>")
             return
-        wanted = self._wanted if self.player is None or self._wanted in opened.drivers else None  # a script may go while it acts
+        wanted = (
+            self._wanted_driver if self.player is None or self._wanted_driver in opened.drivers else None
+        )  # a script may go while it acts
         name = wanted or (HAND if self._playing else None)
         rival = next((each for each in opened.drivers if each not in (RANDOM, ZERO, HAND)), None) if self._playing else None
         made = [opened.player(name)]
@@ -173,29 +178,29 @@ class Page:
             if rival:
                 made.append(opened.player(rival))
             for player in made:
-                player.world = self._number
+                player.world = self._world_number
                 player.begin(self.seed, self.episode)
         except BaseException:
             for player in made:
                 player.close()
             raise
         self._close_players()
-        self._rival = made.pop() if rival else None
+        self._compared_player = made.pop() if rival else None
         self._build(made)
-        self._present()
+        self._show_first_frame()
 
     def _reload(self) -> None:
         """Read the files again; a world without errors begins at the same seed and episode."""
-        sets = [f"parameters.{name}={text}" for name, text in self._changed.items()]
-        opened = dataclasses.replace(self._source, sets=(*self._source.sets, *sets)).open()
+        overrides = [f"parameters.{name}={text}" for name, text in self._changed.items()]
+        opened = dataclasses.replace(self._source, overrides=(*self._source.overrides, *overrides)).open()
         self._files = opened.files | self._files if opened.program is None else opened.files
         paused, self._message = self.paused and not self._message, ""
         self._show(opened)
         if opened.program is not None:
             self.paused = paused
-            self._tell()
+            self._update_texts()
 
-    def _attempt(self, act: Callable[[], None]) -> None:
+    def _run_or_stop(self, act: Callable[[], None]) -> None:
         """Do something, whose error ends the episode and is shown."""
         try:
             act()
@@ -204,12 +209,12 @@ class Page:
 
     def _stop(self, trouble: str, message: str) -> None:
         """Pause, and say why in place of the state, until an episode begins."""
-        self.paused, self._trouble, self._message = True, trouble, message
+        self.paused, self._error_title, self._message = True, trouble, message
         if self.player is None:
             self._clear()
-            self._banner = self.server.gui.add_html(panel.framed(trouble, message, "#D55E00"))
+            self._banner = self.server.gui.add_html(panel.notice(trouble, message, "#D55E00"))
         else:
-            self._tell()
+            self._update_texts()
 
     # The panel
 
@@ -240,20 +245,20 @@ class Page:
             boxes += [(add(low, right), add(high, right)) for low, high in extent(other.program)]
         self._boxes = boxes
         view = view_around(boxes, 480, 400)  # a usual window beside the panel
-        size = look(self.server, view)
-        self.shown = []
+        size = aim_camera(self.server, view)
+        self.panels = []
         for number, each in enumerate(players):
             root = f"/world{number or ''}"
             world = WorldScene(scene, each.env.world, each.reader.layout, size=size, root=root, place=scaled(right, number))
-            self.shown.append(Shown(each, world))
+            self.panels.append(WorldPanel(each, world))
             if len(players) > 1:
                 scene.add_label(f"{root}/title", self._title(number), position=(0.0, 0.0, 0.3 * size), font_size_mode="screen")
         if controls == self._controls:
             for what, box in self._switches.items():
-                self._switch(what, box.value)
+                self._set_visible(what, box.value)
             return
         self._controls = controls
-        self._hand = ManualInput(layout.action)
+        self._manual_input = ManualInput(layout.action, turns_left=not isinstance(player, ReplayPlayer) and self._turns_left(player))
         self._agents = {
             f"{self._title(number)}: {name}" if len(players) > 1 else name: (number, name)
             for number, each in enumerate(players)
@@ -264,7 +269,7 @@ class Page:
         self._banner = gui.add_html("")
         self._add_time(player)
         tabs: dict[str, Callable[[], None]] = {"Values": self._add_values, "Plots": self._add_plots}
-        if not isinstance(player, Replayed):
+        if not isinstance(player, ReplayPlayer):
             tabs = {"Drive": self._add_drive, **tabs} if self._playing else {**tabs, "Drive": self._add_drive}
         if player.opened.parameters and self._compare is None:
             tabs["Parameters"] = partial(self._add_parameters, player.opened.parameters)
@@ -276,13 +281,13 @@ class Page:
         if any(sensor.optics for each in players for robot in each.program.robots for sensor in robot.sensors):
             self._camera_folder = gui.add_folder("Cameras")
 
-    def _frame(self, client: Any) -> None:
+    def _fit_camera(self, client: Any) -> None:
         """Show the whole scene in a browser that has been opened or resized, unless a person has moved its camera."""
         camera = client.camera
-        size, framed = (camera.image_width, camera.image_height), self._framed.setdefault(client.client_id, {})
+        size, framed = (camera.image_width, camera.image_height), self._fitted_cameras.setdefault(client.client_id, {})
         # A slow browser reports where its camera was before it was last moved from here.
         moved = framed and not any(np.allclose(camera.position, eye, rtol=0.01) for eye in framed.values())
-        if not self.shown or min(size) < 1 or moved or (framed and next(reversed(framed)) == size):
+        if not self.panels or min(size) < 1 or moved or (framed and next(reversed(framed)) == size):
             return
         view = view_around(self._boxes, *size)
         camera.position, camera.look_at = view.eye, view.target
@@ -298,34 +303,36 @@ class Page:
         gui = self.server.gui
         acts = {"pause": lambda: self.play(self.paused), "step": self.step_once, "reset": self._begin, "next": lambda: self._begin(1)}
         self._buttons = gui.add_button_group("time", tuple(acts), hint="pause or continue; one step; restart this episode; next episode")
-        self._buttons.on_click(lambda event: self._todo.put(acts[event.target.value]))
+        self._buttons.on_click(lambda event: self._tasks.put(acts[event.target.value]))
         for name, key in {"pause": "space", "step": "N", "reset": "B"}.items():  # keys that do not drive
-            gui.add_command(name, hotkey=key).on_trigger(lambda _, name=name: self._todo.put(acts[name]))
+            gui.add_command(name, hotkey=key).on_trigger(lambda _, name=name: self._tasks.put(acts[name]))
         self._slider: Any = None
-        if isinstance(player, Replayed):
+        if isinstance(player, ReplayPlayer):
             self._slider = gui.add_slider("step", min=0, max=1, step=1, initial_value=0)
             self._slider.on_update(self._scrub)
         if player.worlds > 1:
-            world = gui.add_slider("world", min=0, max=player.worlds - 1, step=1, initial_value=self._number, hint="world of the batch")
-            world.on_update(lambda _: self._todo.put(lambda: self._choose_world(int(world.value))))
+            world = gui.add_slider(
+                "world", min=0, max=player.worlds - 1, step=1, initial_value=self._world_number, hint="world of the batch"
+            )
+            world.on_update(lambda _: self._tasks.put(lambda: self._choose_world(int(world.value))))
         speed = gui.add_slider("speed", min=0.1, max=5.0, step=0.1, initial_value=self.speed)
         speed.on_update(lambda _: setattr(self, "speed", speed.value))
         if self._slider is None:
             seed = gui.add_number("seed", self.seed, min=0, step=1)
-            seed.on_update(lambda _: self._todo.put(lambda: self._reseed(int(seed.value))))
+            seed.on_update(lambda _: self._tasks.put(lambda: self._set_seed(int(seed.value))))
         names = player.opened.drivers
         if len(names) > 1 and self._compare is None:
             driver = gui.add_dropdown("driver", names, initial_value=player.driver_name)
-            driver.on_update(lambda _: self._todo.put(lambda: self._drive(driver.value)))
+            driver.on_update(lambda _: self._tasks.put(lambda: self._drive(driver.value)))
         if len(self._agents) > 1:
             agent = gui.add_dropdown("robot", tuple(self._agents))
-            agent.on_update(lambda _: self._todo.put(lambda: self._choose(agent.value)))
+            agent.on_update(lambda _: self._tasks.put(lambda: self._choose_agent(agent.value)))
 
     def _add_parameters(self, parameters: Mapping[str, str]) -> None:
         """A slider for each number, and a text for each other value."""
         gui = self.server.gui
         for name, text in parameters.items():
-            found = _PLAIN.fullmatch(text)
+            found = _NUMBER_WITH_UNIT.fullmatch(text)
             if found is None:
                 box = gui.add_text(name, text)
                 box.on_update(lambda event, n=name: self._change(n, event.target.value))
@@ -343,17 +350,17 @@ class Page:
         self._values = self.server.gui.add_html("")
 
     def _add_plots(self) -> None:
-        gui, layout = self.server.gui, self._lane.player.reader.layout
-        fields: dict[str, list[tuple[Field, Value]]] = {}
+        gui, layout = self.server.gui, self._panel_of_agent.player.reader.layout
+        fields: dict[str, list[tuple[PlottedField, PlottedValue]]] = {}
         for number, each in enumerate(layout.observation):
-            fields.setdefault(each.group, []).append((each, partial(_observed, number)))
-        fields |= {f"action: {each.name}": [(each, partial(_acted, number))] for number, each in enumerate(layout.action)}
-        names = [self._title(number) for number in range(len(self.shown))] if self._compare else ["return"]
+            fields.setdefault(each.group, []).append((each, partial(_observation_value, number)))
+        fields |= {f"action: {each.name}": [(each, partial(_action_value, number))] for number, each in enumerate(layout.action)}
+        names = [self._title(number) for number in range(len(self.panels))] if self._compare else ["return"]
         gui.add_html(panel.heading("return"))
-        self._plots = {"return": self._add_plot(names, 150, [lambda agent: agent.episode_return], range(len(self.shown)))}
+        self._plots = {"return": self._add_plot(names, 150, [lambda agent: agent.episode_return], range(len(self.panels)))}
         gui.add_html(panel.heading("reward terms"))
         terms = layout.terms[:_MAX_SERIES]
-        self._plots["terms"] = self._add_plot(terms, 200, [partial(_earned, term) for term in terms])
+        self._plots["terms"] = self._add_plot(terms, 200, [partial(_term_value, term) for term in terms])
         chosen = gui.add_dropdown("field", tuple(fields))
         folder = gui.add_folder(None)
 
@@ -366,17 +373,17 @@ class Page:
             with folder:
                 self._plots["field"] = self._add_plot([f.name for f, _ in shown], 220, [value for _, value in shown], limits=limits)
 
-        chosen.on_update(lambda _: self._todo.put(plot))
+        chosen.on_update(lambda _: self._tasks.put(plot))
         plot()
 
     def _add_plot(
         self,
         names: Sequence[str],
         height: int,
-        values: Sequence[Value],
+        values: Sequence[PlottedValue],
         worlds: Sequence[int] | None = None,
         limits: tuple[float, float] | None = None,
-    ) -> tuple[Any, Sequence[Value], Sequence[int] | None]:
+    ) -> tuple[Any, Sequence[PlottedValue], Sequence[int] | None]:
         """An empty plot over the step: a named line for each value of each world, by default of the chosen world."""
         lines = [{"label": name, "stroke": colour, "width": 1.5} for name, colour in zip(names, COLOURS, strict=False)]
         scales: dict[str, Any] = {"x": {"time": False}}  # steps would be shown as dates
@@ -388,42 +395,58 @@ class Page:
         plot = self.server.gui.add_uplot((np.zeros(1),) * len(series), series, scales=scales, height=height, padding=room)
         return plot, values, worlds
 
+    def _turns_left(self, player: Player) -> bool:
+        """Whether a larger value of the range of A and D turns the robot to the left; begins the episode anew."""
+        robot = next(iter(player.env.world.robots), None)
+        ranges = [field.name for field in player.reader.layout.action if not field.options][:2]
+        if robot is None or not ranges:
+            return False
+        yaws = []
+        for value in (1.0, -1.0):
+            frame, player.manual_values = player.begin(self.seed, self.episode), {ranges[0]: 1.0, ranges[-1]: value}
+            while frame.ended_by is None and frame.time < _STEERING_TIME:
+                frame = player.step(by_hand=True)
+            yaws.append(roll_pitch_yaw(frame.links[robot.name, robot.model.root][1])[2])
+        player.begin(self.seed, self.episode)
+        return math.remainder(yaws[0] - yaws[1], math.tau) > 0.01
+
     def _add_drive(self) -> None:
-        gui, layout, hand = self.server.gui, self.shown[0].player.reader.layout, self._hand
+        gui, layout, hand = self.server.gui, self.panels[0].player.reader.layout, self._manual_input
         gui.add_html(f"<div style='padding:0.3em 1em;font-size:0.85em'>Keys: {html.escape(hand.help())}. A gamepad works too.</div>")
         if self._playing:
             keep = gui.add_button("record this episode", hint="write the episode so far as a recording (.mcap) into the present folder")
-            keep.on_click(lambda event: self._todo.put(lambda: self._record(event.client)))
+            keep.on_click(lambda event: self._tasks.put(lambda: self._record(event.client)))
         for field in layout.action:
             if field.options:
                 group = gui.add_button_group(field.name, field.options)
                 group.on_click(lambda event, f=field: self._command(f.name, f.options.index(event.target.value)))
             else:
-                ends = f"{field.text(field.low)} .. {field.text(field.high)}"
-                slider = gui.add_slider(field.name, min=-1.0, max=1.0, step=0.01, initial_value=0.0, hint=ends)
+                label = field.name if field.unit in ("", "1") else f"{field.name} ({field.unit})"
+                low, high, value = field.low, field.high, hand.base_values[field.name]
+                slider = gui.add_slider(label, min=low, max=high, step=(high - low) / 200, initial_value=value)
                 slider.on_update(lambda event, f=field: self._command(f.name, event.target.value))
-        for name, bindings in list(hand.ranges.items())[:2]:
-            for keys, sign in ((bindings[0].more, "+"), (bindings[0].less, "−")):
+        for name, bindings in list(hand.bindings.items())[:2]:
+            for keys, sign in ((bindings[0].positive_keys, "+"), (bindings[0].negative_keys, "−")):
                 gui.add_button(f"hold: {name} {sign}").on_hold(
-                    lambda _, keys=keys: self._hand.hold(frozenset(keys[:1]), ()), callback_hz=10
+                    lambda _, keys=keys: self._manual_input.hold(frozenset(keys[:1]), ()), callback_hz=10
                 )
 
     def _command(self, name: str, value: float) -> None:
-        self._hand.base[name], self._waiting = float(value), False
+        self._manual_input.base_values[name], self._waiting = float(value), False
 
     def _add_switches(self) -> None:
-        gui, useless = self.server.gui, set() if any(shown.player.ways() for shown in self.shown) else {"shortest path"}
-        self._switches = {what: gui.add_checkbox(what, on) for what, on in self.world.shows.items() if what not in useless}
+        gui, useless = self.server.gui, set() if any(shown.player.shortest_paths() for shown in self.panels) else {"shortest path"}
+        self._switches = {what: gui.add_checkbox(what, on) for what, on in self.world.visible_parts.items() if what not in useless}
         for what, box in self._switches.items():
-            box.on_update(lambda event, what=what: self._todo.put(lambda: self._switch(what, event.target.value)))
-        self._follows = gui.add_checkbox("camera follows the robot", follows_robot(self.shown[0].player.env.world))
-        self._goes_on = gui.add_checkbox("next episode after the end", True)
+            box.on_update(lambda event, what=what: self._tasks.put(lambda: self._set_visible(what, event.target.value)))
+        self._follows = gui.add_checkbox("camera follows the robot", follows_robot(self.panels[0].player.env.world))
+        self._continues = gui.add_checkbox("next episode after the end", True)
         dark = gui.add_checkbox("dark", False)
         dark.on_update(lambda _: self._theme(dark=dark.value))
 
-    def _switch(self, what: str, on: bool) -> None:
-        for shown in self.shown:
-            shown.world.show(what, on)
+    def _set_visible(self, what: str, on: bool) -> None:
+        for shown in self.panels:
+            shown.scene.set_visible(what, on)
 
     def _theme(self, *, dark: bool) -> None:
         self.server.gui.configure_theme(
@@ -436,7 +459,7 @@ class Page:
         """Go on, or pause."""
         self.paused, self._waiting = not playing, False
         if self.player is not None:
-            self._tell()
+            self._update_texts()
 
     def step_once(self) -> None:
         """Pause, and make one step."""
@@ -444,46 +467,46 @@ class Page:
         if self._ended_at:
             self._begin(1)
             return
-        for shown in self.shown:
+        for shown in self.panels:
             self._step(shown)
-            shown.clock = 0.0
+            shown.elapsed_s = 0.0
 
-    def _reseed(self, seed: int) -> None:
+    def _set_seed(self, seed: int) -> None:
         self.seed, self.episode = seed, 0
         self._begin()
 
     @property
-    def _lane(self) -> Shown:
+    def _panel_of_agent(self) -> WorldPanel:
         """The world whose values are shown."""
-        return self.shown[self._agent[0]]
+        return self.panels[self._agent[0]]
 
-    def _choose(self, label: str) -> None:
+    def _choose_agent(self, label: str) -> None:
         self._agent = self._agents[label]
 
     def _choose_world(self, number: int) -> None:
         """Show another world of a batch."""
-        self._number = number
-        for shown in self.shown:
+        self._world_number = number
+        for shown in self.panels:
             if isinstance(shown.player, BatchPlayer):
                 shown.player.choose(number)
-        self._present()
+        self._show_first_frame()
 
     def _scrub(self, event: Any) -> None:
         if event.client_id is not None:  # and not the page itself, which moves the slider along
-            self._todo.put(lambda: self.seek(int(event.target.value)))
+            self._tasks.put(lambda: self.seek(int(event.target.value)))
 
     def seek(self, place: int) -> None:
         """Pause at a frame of a recording."""
         self.paused, self._ended_at = True, 0.0
-        for shown in self.shown:
-            if isinstance(shown.player, Replayed):
+        for shown in self.panels:
+            if isinstance(shown.player, ReplayPlayer):
                 shown.player.seek(place)
-                frames = shown.player.past(KEPT)
-                shown.world.take(frames[0], anew=True)
+                frames = shown.player.last_frames(MAX_PLOTTED_STEPS)
+                shown.scene.set_frame(frames[0], after_reset=True)
                 for frame in frames[1:]:
-                    shown.world.take(frame)
-                shown.past[:] = frames
-        self._tell()
+                    shown.scene.set_frame(frame)
+                shown.frames[:] = frames
+        self._update_texts()
 
     def _record(self, client: Any) -> None:
         """Write the episode so far as a recording: the same actions from the same seed are the same episode."""
@@ -499,8 +522,8 @@ class Page:
 
     def _drive(self, name: str) -> None:
         assert self.player is not None
-        self._wanted = name
-        self.player.drive(name)
+        self._wanted_driver = name
+        self.player.set_driver(name)
         self._begin()
 
     # Time
@@ -510,90 +533,92 @@ class Page:
         if self.player is None:
             return
         if further:
-            self.episode = self.player.following(self.episode)
+            self.episode = self.player.next_episode(self.episode)
         for player in self._players:
             player.begin(self.seed, self.episode)
-        self._present()
+        self._show_first_frame()
 
-    def _present(self) -> None:
+    def _show_first_frame(self) -> None:
         """Show the first moment of an episode."""
         self._ended_at, self._message, self._waiting = 0.0, "", self._playing
-        for shown in self.shown:
-            shown.take(anew=True)
-            shown.world.draw(1.0)
-        if self._slider is not None and isinstance(self.player, Replayed):
+        for shown in self.panels:
+            shown.show_newest(after_reset=True)
+            shown.scene.draw(1.0)
+        if self._slider is not None and isinstance(self.player, ReplayPlayer):
             self._slider.max = max(1, self.player.length - 1)
-        self._tell()
+        self._update_texts()
 
-    def _step(self, shown: Shown) -> None:
+    def _step(self, shown: WorldPanel) -> None:
         """One step of one world."""
         player = shown.player
-        if shown.ended or self._message:
+        if shown.has_ended or self._message:
             return
-        player.hand = self._hand.values()
-        player.step(by_hand=shown is self.shown[0] and self._hand.is_held)
-        if self._rival is not None and self._rival.frame.ended_by is None:
-            self._rival.step()
-        shown.take()
-        if shown.ended and all(each.ended for each in self.shown):
-            frame = self.shown[0].player.frame
+        player.manual_values = self._manual_input.values()
+        player.step(by_hand=shown is self.panels[0] and self._manual_input.is_held)
+        if self._compared_player is not None and self._compared_player.frame.ended_by is None:
+            self._compared_player.step()
+        shown.show_newest()
+        if shown.has_ended and all(each.has_ended for each in self.panels):
+            frame = self.panels[0].player.frame
             self._ended_at = time.monotonic()
             self._played, self._successes = self._played + 1, self._successes + frame.is_success
             self._best = max(self._best, next(iter(frame.agents.values())).episode_return)
-            self._tell()
+            self._update_texts()
 
     def run(self, until: Callable[[], bool] = lambda: False) -> None:
         """Serve the page until `until` says so, or Ctrl-C; time goes on while a browser shows the page."""
-        period, drawn, due, checked = 1 / RATE, 0, time.perf_counter(), time.monotonic()
+        period, drawn, due, checked = 1 / FRAME_RATE, 0, time.perf_counter(), time.monotonic()
         while not until():
-            while not self._todo.empty():
-                self._attempt(self._todo.get())
-            if self._watch and time.monotonic() - checked > _WATCHED_EVERY:
+            while not self._tasks.empty():
+                self._run_or_stop(self._tasks.get())
+            if self._watch and time.monotonic() - checked > _WATCH_INTERVAL_S:
                 checked = time.monotonic()
-                if (now := stamps(self._files)) != self._seen:
-                    self._attempt(self._reload)
-                    self._seen = stamps(self._files) | {file: now[file] for file in self._files if file in now}  # not what came meanwhile
-            if self._changed_at and time.monotonic() - self._changed_at > _SETTLED:
+                if (now := file_stamps(self._files)) != self._file_stamps:
+                    self._run_or_stop(self._reload)
+                    self._file_stamps = file_stamps(self._files) | {
+                        file: now[file] for file in self._files if file in now
+                    }  # not what came meanwhile
+            if self._changed_at and time.monotonic() - self._changed_at > _DEBOUNCE_S:
                 self._changed_at = 0.0
-                self._attempt(self._reload)
+                self._run_or_stop(self._reload)
             if self.player is not None and self.server.get_clients():  # while nobody looks, the world stands still
-                self._attempt(lambda: self._advance(period))
-                self._draw(texts=drawn % SLOW == 0)
-            drawn, due = drawn + 1, max(due + period, time.perf_counter() - _BUSY)
+                self._run_or_stop(lambda: self._advance(period))
+                self._draw(texts=drawn % FRAMES_PER_TEXT == 0)
+            drawn, due = drawn + 1, max(due + period, time.perf_counter() - _MAX_STEPPING_S)
             time.sleep(max(0.0, due - time.perf_counter()))
 
     def _advance(self, period: float) -> None:
         """Make the steps that fall into the next picture."""
-        self._waiting = self._waiting and self.player is not None and self.player.driver_name == HAND and not self._hand.is_held
+        self._waiting = self._waiting and self.player is not None and self.player.driver_name == HAND and not self._manual_input.is_held
         if self.paused or self._waiting:
             return
         if self._ended_at:
-            if self._goes_on.value and time.monotonic() - self._ended_at > _PAUSE_AT_END:
+            if self._continues.value and time.monotonic() - self._ended_at > _PAUSE_AT_END_S:
                 self._begin(1)
             return
         began = time.perf_counter()
-        for shown in self.shown:
+        for shown in self.panels:
             timestep = shown.player.program.period
-            shown.clock += period * self.speed
-            while shown.clock >= timestep and not shown.ended and not self.paused:
-                shown.clock -= timestep
+            shown.elapsed_s += period * self.speed
+            while shown.elapsed_s >= timestep and not shown.has_ended and not self.paused:
+                shown.elapsed_s -= timestep
                 self._step(shown)
-                if time.perf_counter() - began > _BUSY:
-                    shown.clock = 0.0
+                if time.perf_counter() - began > _MAX_STEPPING_S:
+                    shown.elapsed_s = 0.0
 
     # Pictures and texts
 
     def _draw(self, *, texts: bool) -> None:
         with self.server.atomic():
-            for shown in self.shown:
-                shown.world.follows = self._follows.value
-                still = self.paused or shown.ended
-                shown.world.draw(1.0 if still else min(1.0, shown.clock / shown.player.program.period))
+            for shown in self.panels:
+                shown.scene.follows = self._follows.value
+                still = self.paused or shown.has_ended
+                shown.scene.draw(1.0 if still else min(1.0, shown.elapsed_s / shown.player.program.period))
         if texts:
-            self._tell()
+            self._update_texts()
             self._draw_plots()
-            for number, shown in enumerate(self.shown):
-                shown.world.draw_ways(shown.player.ways())
+            for number, shown in enumerate(self.panels):
+                shown.scene.draw_paths(shown.player.shortest_paths())
                 for name, image in shown.player.frame.cameras.items():
                     label = f"{'AB'[number]}: {name}" if self._compare else name
                     if label in self._cameras:
@@ -602,21 +627,21 @@ class Page:
                         with self._camera_folder:
                             self._cameras[label] = self.server.gui.add_image(_enlarged(image), label=label)
 
-    def _tell(self) -> None:
+    def _update_texts(self) -> None:
         """The banner and the values."""
-        states = "".join(self._state(number) for number in range(len(self.shown)))
-        self._banner.content = panel.framed(self._trouble, self._message, "#D55E00") if self._message else states
+        states = "".join(self._state(number) for number in range(len(self.panels)))
+        self._banner.content = panel.notice(self._error_title, self._message, "#D55E00") if self._message else states
         number, name = self._agent
-        player = self.shown[number].player
+        player = self.panels[number].player
         layout, frame = player.reader.layout, player.frame
         others = frame.agents.keys() - {name}
-        self._values.content = panel.table([*panel.of_agent(layout, frame.agents[name]), *panel.of_messages(layout, frame, others)])
+        self._values.content = panel.table([*panel.agent_rows(layout, frame.agents[name]), *panel.message_rows(layout, frame, others)])
         if self._slider is not None:
             self._slider.value = min(player.frame.step, self._slider.max)
 
     def _state(self, number: int) -> str:
         """How a world stands."""
-        player = self.shown[number].player
+        player = self.panels[number].player
         frame = player.frame
         agent = self._agent_in(frame)
         state = (frame.ending or ("press a key to begin" if self._waiting else "running")) + (" (paused)" if self.paused else "")
@@ -624,20 +649,20 @@ class Page:
         colour = ("#009E73" if frame.is_success else "#E69F00" if frame.truncated else "#D55E00") if frame.ended_by else "#0072B2"
         numbers = f"episode {self.episode + player.world}, step {frame.step}, {frame.time:.2f} s, return {agent.episode_return:.2f}"
         note = f"<br>{html.escape(player.note)}" if player.note else ""
-        return panel.framed(state, f"{numbers}{note}{self._score()}", colour)
+        return panel.notice(state, f"{numbers}{note}{self._score()}", colour)
 
     def _score(self) -> str:
         if not self._playing:
             return ""
         lines = [f"played {self._played}, successes {self._successes}" + (f", best return {self._best:.2f}" if self._played else "")]
-        if self._rival is not None:
-            rival = self._rival.frame
+        if self._compared_player is not None:
+            rival = self._compared_player.frame
             state = f" ({rival.ending} after {rival.time:.1f} s)" if rival.ended_by else ""
-            lines.append(f"{self._rival.driver_name}: {rival.agents[self._agent[1]].episode_return:.2f}{state}")
+            lines.append(f"{self._compared_player.driver_name}: {rival.agents[self._agent[1]].episode_return:.2f}{state}")
         return "".join(f"<br>{html.escape(line)}" for line in lines)
 
     def _draw_plots(self) -> None:
-        pasts = [{frame.step: self._agent_in(frame) for frame in shown.past} for shown in self.shown]
+        pasts = [{frame.step: self._agent_in(frame) for frame in shown.frames} for shown in self.panels]
         for plot, values, worlds in self._plots.values():
             lanes = [pasts[number] for number in worlds or [self._agent[0]]]
             steps = sorted(set[int]().union(*lanes))
@@ -649,15 +674,15 @@ class Page:
         return frame.agents.get(self._agent[1]) or next(iter(frame.agents.values()))
 
 
-def _observed(number: int, agent: AgentFrame) -> float:
+def _observation_value(number: int, agent: AgentFrame) -> float:
     return agent.observation[number]
 
 
-def _acted(number: int, agent: AgentFrame) -> float:
+def _action_value(number: int, agent: AgentFrame) -> float:
     return agent.action[number] if agent.action else math.nan
 
 
-def _earned(term: str, agent: AgentFrame) -> float:
+def _term_value(term: str, agent: AgentFrame) -> float:
     return agent.terms.get(term, math.nan)
 
 

@@ -6,7 +6,7 @@ import html
 import math
 from collections.abc import Collection, Iterable, Iterator
 
-from deepbots_cli.view.frames import AgentFrame, Field, Layout, WorldFrame
+from deepbots_cli.view.frames import AgentFrame, FrameLayout, PlottedField, WorldFrame
 
 _MAX_ROWS = 40
 _NUMBER = "text-align:right;white-space:nowrap;padding-left:0.6em"
@@ -17,7 +17,7 @@ def table(rows: Iterable[str]) -> str:
     return f"<div style='padding:0 1.2em 0 0.8em;font-size:0.8em'>{content}</div>"
 
 
-def of_agent(layout: Layout, agent: AgentFrame) -> Iterator[str]:
+def agent_rows(layout: FrameLayout, agent: AgentFrame) -> Iterator[str]:
     """Reward terms, action and observation."""
     yield _head("reward terms of this step")
     yield from (_row(name, f"{value:+.4f}") for name, value in [*agent.terms.items(), ("sum", agent.reward)])
@@ -35,7 +35,7 @@ def of_agent(layout: Layout, agent: AgentFrame) -> Iterator[str]:
         yield _row(f"and {left} more, see Plots", "")
 
 
-def of_messages(layout: Layout, frame: WorldFrame, others: Collection[str]) -> Iterator[str]:
+def message_rows(layout: FrameLayout, frame: WorldFrame, others: Collection[str]) -> Iterator[str]:
     """The message that each receiver goes by, with its age, but for those of the `others` among copies of a robot."""
     for key, message in frame.messages.items():
         robot, _, direction = key.partition("/")
@@ -47,7 +47,7 @@ def of_messages(layout: Layout, frame: WorldFrame, others: Collection[str]) -> I
             yield _row(entry.name, "" if value is None else entry.text(value))
 
 
-def framed(title: str, text: str, colour: str) -> str:
+def notice(title: str, text: str, colour: str) -> str:
     return (
         f"<div style='margin:0.4em 0.8em;padding:0.4em 0.7em;border-left:0.35em solid {colour};background:rgba(128,128,128,0.12)'>"
         f"<b>{html.escape(title)}</b><div style='font-size:0.85em'>{text}</div></div>"
@@ -68,7 +68,7 @@ def _row(name: str, value: str, bar: str = "") -> str:
     return f"<tr>{cells}<td style='width:35%'>{bar}</td></tr>"
 
 
-def _bar(field: Field, value: float) -> str:
+def _bar(field: PlottedField, value: float) -> str:
     """A number with a mark where it is in its range."""
     share = (value - field.low) / (field.high - field.low) if field.high > field.low else 0.5
     at = 100 * min(1.0, max(0.0, share if math.isfinite(share) else 0.5))

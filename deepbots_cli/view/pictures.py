@@ -29,17 +29,17 @@ if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
 
 SUFFIXES = (".mp4", ".gif", ".html")
-_GIF_RATE, _MP4_RATE, _PAGE_RATE = 12.5, 30.0, 20.0  # pictures per second
+_GIF_FRAME_RATE, _MP4_FRAME_RATE, _PAGE_FRAME_RATE = 12.5, 30.0, 20.0  # pictures per second
 _GIF_COLOURS = 96
 _GIF_SHADE = 8  # of 256: shades that are closer count as one colour
-_FINE = 2  # pictures are drawn so many times as large, and reduced
-_LINE = 15  # px between two labels
+_SUPERSAMPLING = 2  # pictures are drawn so many times as large, and reduced
+_LABEL_SPACING_PX = 15  # px between two labels
 
 Point = tuple[float, float]
 
 
 @dataclass(frozen=True)
-class Shot:
+class Viewpoint:
     """From where a picture is taken: `eye` and `target` (m) are None for a view that holds the scene."""
 
     width: int = 640
@@ -77,7 +77,9 @@ def check_target(path: Path, suffixes: Sequence[str]) -> None:
 # Pictures
 
 
-def picture(player: Player, shot: Shot, *, labels: bool = False, rays: bool = False, path: Sequence[WorldFrame] = ()) -> Picture:
+def render_picture(
+    player: Player, shot: Viewpoint, *, labels: bool = False, rays: bool = False, path: Sequence[WorldFrame] = ()
+) -> Picture:
     """A picture of the world as it is now.
 
     Args:
@@ -89,7 +91,7 @@ def picture(player: Player, shot: Shot, *, labels: bool = False, rays: bool = Fa
 
     usual = overview(player.program, shot.width, shot.height)
     usual = _above(player, shot, path) if path else _on_robots(player, shot) if labels else usual
-    view = replace(shot.view(usual), width=_FINE * shot.width, height=_FINE * shot.height, samples=1)
+    view = replace(shot.view(usual), width=_SUPERSAMPLING * shot.width, height=_SUPERSAMPLING * shot.height, samples=1)
     image = Image.fromarray(player.render(view))
     draw, project = ImageDraw.Draw(image, "RGBA"), projection(view)
     if rays:
@@ -126,7 +128,7 @@ def projection(view: View) -> Callable[[Triple], Point | None]:
     return project
 
 
-def _on_robots(player: Player, shot: Shot) -> View:
+def _on_robots(player: Player, shot: Viewpoint) -> View:
     boxes = []
     for robot in player.env.world.robots[:1]:
         origin, _ = player.frame.links[robot.name, robot.model.root]
@@ -137,7 +139,7 @@ def _on_robots(player: Player, shot: Shot) -> View:
     return replace(view, eye=frames.add(view.target, frames.scaled(frames.subtract(view.eye, view.target), 1.5)))
 
 
-def _above(player: Player, shot: Shot, path: Sequence[WorldFrame]) -> View:
+def _above(player: Player, shot: Viewpoint, path: Sequence[WorldFrame]) -> View:
     """From above, x upwards: the path, the arena, and objects near them."""
     world = player.env.world
     points = [point for trace in _traces(player, path).values() for point in trace]
@@ -171,23 +173,21 @@ def _paint_path(draw: ImageDraw, project: Callable[[Triple], Point | None], play
         if not pixels:
             continue
         for step, ends in enumerate(pairwise(pixels)):
-            draw.line(ends, fill=_rgba(number, 90 + 165 * step // len(pixels)), width=3 * _FINE)
-        radius = 5 * _FINE
+            draw.line(ends, fill=_rgba(number, 90 + 165 * step // len(pixels)), width=3 * _SUPERSAMPLING)
+        radius = 5 * _SUPERSAMPLING
         for (x, y), fill in ((pixels[0], (255, 255, 255, 255)), (pixels[-1], _rgba(number))):
-            draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=fill, outline=_rgba(number), width=2 * _FINE)
+            draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=fill, outline=_rgba(number), width=2 * _SUPERSAMPLING)
 
 
 def _paint_rays(draw: ImageDraw, project: Callable[[Triple], Point | None], player: Player) -> None:
-    for key, beams in player.reader.layout.beams.items():
-        origin, turn = player.frame.links[beams.part]
-        for start, way, free in zip(beams.starts, beams.directions, player.frame.rays[key], strict=True):
-            ends = [project(frames.add(origin, frames.rotate(turn, tuple(point)))) for point in (start, start + free * way)]
-            near = int(255 * max(0.0, 1.0 - free / beams.reach))
-            if None not in ends:
-                draw.line([end for end in ends if end is not None], fill=(40 + near * 3 // 4, 150 - near // 2, 60, 230), width=_FINE)
+    for key, beams in player.reader.layout.sensor_rays.items():
+        for start, end in beams.lines(player.frame, key).tolist():
+            pixels = [pixel for pixel in (project(start[:3]), project(end[:3])) if pixel is not None]
+            if len(pixels) == 2:
+                draw.line(pixels, fill=(*map(int, start[3:]), 230), width=2 * _SUPERSAMPLING)
 
 
-def _paint_labels(draw: ImageDraw, project: Callable[[Triple], Point | None], player: Player, shot: Shot) -> None:
+def _paint_labels(draw: ImageDraw, project: Callable[[Triple], Point | None], player: Player, shot: Viewpoint) -> None:
     """Links, each with the joint that moves it, in two columns with lines to their origins."""
     columns: tuple[list[tuple[Point, str]], list[tuple[Point, str]]] = ([], [])
     for robot in player.env.world.robots[:1]:
@@ -199,10 +199,9 @@ def _paint_labels(draw: ImageDraw, project: Callable[[Triple], Point | None], pl
                 columns[pixel[0] > shot.width / 2].append((pixel, f"{link.name}{moved}"))
     for side, column in enumerate(columns):
         column.sort(key=lambda entry: entry[0][1])
-        line = min(_LINE, (shot.height - 10) / max(1, len(column)))
-        top = min(
-            max(5.0, float(np.mean([y for (_, y), _ in column] or [0.0])) - line * len(column) / 2), shot.height - 5 - line * len(column)
-        )
+        line = min(_LABEL_SPACING_PX, (shot.height - 10) / max(1, len(column)))
+        middle = float(np.mean([y for (_, y), _ in column] or [0.0]))
+        top = min(max(5.0, middle - line * len(column) / 2), shot.height - 5 - line * len(column))
         for row, (pixel, text) in enumerate(column):
             y = top + row * line
             width = draw.textlength(text, font=_font())
@@ -225,16 +224,16 @@ def _write(draw: ImageDraw, at: Point, text: str) -> None:
 # Clips
 
 
-def clip(
+def write_clip(
     player: Player,
     path: Path,
-    shot: Shot,
+    shot: Viewpoint,
     *,
     seed: int,
     episode: int,
     seconds: float | None = None,
     speed: float = 1.0,
-    rate: float = _MP4_RATE,
+    rate: float = _MP4_FRAME_RATE,
 ) -> WorldFrame:
     """Write an episode, or its first `seconds`, as MP4, GIF or an offline page, by the suffix of `path`; the last frame.
 
@@ -251,13 +250,13 @@ def clip(
         if path.suffix.lower() == ".html":
             _write_page(player, draft, shown, speed)
         elif path.suffix.lower() == ".gif":
-            write_gif(draft, *_pictures(player, shot, shown, speed, _GIF_RATE))
+            write_gif(draft, *_pictures(player, shot, shown, speed, _GIF_FRAME_RATE))
         else:
             _write_mp4(draft, *_pictures(player, shot, shown, speed, rate))
     return player.frame
 
 
-def _pictures(player: Player, shot: Shot, shown: Iterable[WorldFrame], speed: float, rate: float) -> tuple[Iterator[Any], float]:
+def _pictures(player: Player, shot: Viewpoint, shown: Iterable[WorldFrame], speed: float, rate: float) -> tuple[Iterator[Any], float]:
     """Pictures at most `rate` times a second, and how many there are in a second: every so many steps, at most each."""
     every = max(1, math.ceil(speed / player.program.period / rate - 1e-9))
 
@@ -299,21 +298,21 @@ def write_gif(path: Path, pictures: Iterator[Any], rate: float) -> None:
 def _write_page(player: Player, path: Path, shown: Iterator[WorldFrame], speed: float) -> None:
     """A page that turns and scrubs without a server: viser's recording of its scene."""
     from deepbots_cli.view import server
-    from deepbots_cli.view.scene import WorldScene, look
+    from deepbots_cli.view.scene import WorldScene, aim_camera
 
     page, _ = server.serve(server.LOOPBACK, 0, "deepbots", lambda keys, axes: None)
     try:
         program, first = player.program, next(shown)
-        size = look(page, overview(program))
+        size = aim_camera(page, overview(program))
         world = WorldScene(page.scene, player.env.world, player.reader.layout, size=size)
-        world.take(first, anew=True)
+        world.set_frame(first, after_reset=True)
         world.draw(1.0)
         recording = page.get_scene_serializer()
         pause = program.period / speed
-        parts = max(1, round(pause * _PAGE_RATE))
-        every = max(1, math.floor(1 / (pause * _PAGE_RATE)))
+        parts = max(1, round(pause * _PAGE_FRAME_RATE))
+        every = max(1, math.floor(1 / (pause * _PAGE_FRAME_RATE)))
         for frame in shown:
-            world.take(frame)
+            world.set_frame(frame)
             for part in range(1, parts + 1):
                 if frame.step % every == 0:
                     world.draw(part / parts)

@@ -18,7 +18,8 @@ from deepbots_cli.errors import MissingExtraError, RunError, UsageError
 from deepbots_cli.files import read_at_most
 from deepbots_cli.learning.episodes import read_log
 from deepbots_cli.learning.group import is_group
-from deepbots_cli.learning.run import RECORD_NAME, RunRecord, changed_settings, run_folders, short_settings
+from deepbots_cli.learning.listing import last_evaluation
+from deepbots_cli.learning.run import RECORD_NAME, EvaluationRecord, RunRecord, changed_settings, run_folders, short_settings
 from deepbots_cli.view.page import COLOURS
 
 if TYPE_CHECKING:
@@ -26,21 +27,20 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SUFFIXES = (".png", ".svg")
-_POINTS = 200  # of a curve
-_BINS = 40  # of the endings
-_ENDINGS = 20  # that have a colour of their own
-_MAX_BYTES = 1 << 28  # of a log
-_DASHES = ("-", "--", "-.", ":")
+_MAX_CURVE_POINTS = 200  # of a curve
+_MAX_COLOURED_ENDINGS = 20  # that have a colour of their own
+_MAX_LOG_BYTES = 1 << 28  # of a log
+_LINE_STYLES = ("-", "--", "-.", ":")
 THEMES = {"light": ("#ffffff", "#202428", "#d5d8dc"), "dark": ("#16181c", "#e4e6ea", "#3c4046")}
 """Background, text and grid."""
-_EPISODE = np.dtype([*((name, float) for name in ("steps", "returns", "lengths", "successes")), ("endings", object)])
+_EPISODE_DTYPE = np.dtype([*((name, float) for name in ("steps", "returns", "lengths", "successes")), ("endings", object)])
 Curve = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Timesteps and values."""
 
 
 @dataclass
-class Log:
-    """What is known of one training: curves; reward terms by name; the step and the ending of each episode. `group` is the scenario with
+class TrainingLog:
+    """What is known of one training: curves; reward terms and shares of endings by name. `group` is the scenario with
     its digest, `settings` are the values that `--set` changed, and `name` is what its line is called."""
 
     path: Path
@@ -51,10 +51,11 @@ class Log:
     successes: Curve | None = None
     evaluations: Curve | None = None
     terms: dict[str, Curve] = field(default_factory=dict)
-    endings: list[tuple[float, str]] = field(default_factory=list)
+    endings: dict[str, Curve] = field(default_factory=dict)
+    last_evaluation: EvaluationRecord | None = None
 
 
-def read(paths: Sequence[str | Path], window: int = 100) -> list[Log]:
+def read_logs(paths: Sequence[str | Path], window: int = 100) -> list[TrainingLog]:
     """Read runs, folders of runs, and folders of TensorBoard files that other programs wrote.
 
     Args:
@@ -79,15 +80,20 @@ def read(paths: Sequence[str | Path], window: int = 100) -> list[Log]:
     return found
 
 
-def _read_run(path: Path, window: int) -> Log:
+def _read_run(path: Path, window: int) -> TrainingLog:
     record = RunRecord.read(path)
-    log = Log(path, f"{record.scenario} {record.digest}", settings=short_settings(changed_settings(record.command)))
+    log = TrainingLog(path, f"{record.scenario} {record.digest}", settings=short_settings(changed_settings(record.command)))
     episodes, evaluations = logs_of(path)
     if not len(episodes):
         raise RunError(f"{path} holds no finished episode yet; plot it later")
     steps, successes = episodes.steps, episodes.successes
     log.returns = _averaged(steps, episodes.returns, window)
-    log.endings = list(zip(steps, episodes.endings, strict=True))
+    endings = episodes.endings.astype(str)
+    common = [name for name, _ in Counter(endings.tolist()).most_common(_MAX_COLOURED_ENDINGS)]
+    shares = {name or "unknown": endings == name for name in common} | {"others": ~np.isin(endings, common)}
+    log.endings = {name: _averaged(steps, share.astype(float), window) for name, share in shares.items() if share.any()}
+    if found := last_evaluation(path, record):
+        log.last_evaluation = found[1]
     log.successes = _averaged(steps, successes, window) if successes.any() else None
     if evaluations:
         log.evaluations = (np.array([line["steps"] for line in evaluations]), np.array([fmean(line["returns"]) for line in evaluations]))
@@ -97,7 +103,7 @@ def _read_run(path: Path, window: int) -> Log:
     return log
 
 
-def _read_tensorboard(path: Path) -> Log:
+def _read_tensorboard(path: Path) -> TrainingLog:
     """What Stable-Baselines3 writes."""
     if not path.is_dir():
         raise RunError(f"{path} is neither a run nor a folder of TensorBoard files")
@@ -105,7 +111,7 @@ def _read_tensorboard(path: Path) -> Log:
     names = {"returns": "rollout/ep_rew_mean", "successes": "rollout/success_rate", "evaluations": "eval/mean_reward"}
     if not scalars.keys() & names.values():
         raise RunError(f"{path} is not a run, and its TensorBoard files hold none of {', '.join(names.values())}")
-    log = Log(path, f"{path.name} ")
+    log = TrainingLog(path, f"{path.name} ")
     log.returns, log.successes, log.evaluations = (scalars.get(tag) for tag in names.values())
     return log
 
@@ -133,15 +139,15 @@ def logs_of(run: Path) -> tuple[Any, list[dict[str, Any]]]:
             raise ValueError("a number is not finite, or a step is negative")
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise RunError(f"{run} is damaged: one of its logs cannot be read") from error
-    return np.array(found, _EPISODE).view(np.recarray), evaluations
+    return np.array(found, _EPISODE_DTYPE).view(np.recarray), evaluations
 
 
 def _text(path: Path) -> str:
     if path.is_symlink() or (path.exists() and not path.is_file()):  # opening a pipe waits for ever
         raise RunError(f"{path} is not a regular file")
-    text = read_at_most(path, _MAX_BYTES + 1).decode(errors="replace") if path.exists() else ""
-    if len(text) > _MAX_BYTES:
-        raise RunError(f"{path} is larger than {_MAX_BYTES >> 20} MiB")
+    text = read_at_most(path, _MAX_LOG_BYTES + 1).decode(errors="replace") if path.exists() else ""
+    if len(text) > _MAX_LOG_BYTES:
+        raise RunError(f"{path} is larger than {_MAX_LOG_BYTES >> 20} MiB")
     return text
 
 
@@ -179,7 +185,7 @@ def _averaged(steps: NDArray[np.float64], values: NDArray[np.float64], window: i
     return steps, (sums[ends] - sums[starts]) / (ends - starts)
 
 
-def plot(logs: Sequence[Log], *, theme: str = "light") -> Figure:
+def plot(logs: Sequence[TrainingLog], *, theme: str = "light") -> Figure:
     """A figure of trainings: those of one scenario are one line, the mean of its seeds, with a band from the lowest to the highest seed.
 
     Raises:
@@ -189,7 +195,7 @@ def plot(logs: Sequence[Log], *, theme: str = "light") -> Figure:
         from matplotlib.figure import Figure
     except ModuleNotFoundError as error:
         raise MissingExtraError("view", "a plot") from error
-    groups: dict[str, list[Log]] = {}
+    groups: dict[str, list[TrainingLog]] = {}
     for log in logs:
         groups.setdefault(log.group, []).append(log)
     if len(groups) > len(COLOURS):
@@ -203,14 +209,17 @@ def plot(logs: Sequence[Log], *, theme: str = "light") -> Figure:
     for number, members in enumerate(groups.values()):
         name = members[0].name
         label = name if len(members) == 1 else f"{name} ({len(members)} seeds)"
-        style: dict[str, Any] = {"color": COLOURS[number], "linestyle": _DASHES[number % len(_DASHES)], "label": label}
-        band(returns, [log.returns for log in members if log.returns is not None], style)
-        band(successes, [log.successes for log in members if log.successes is not None], style)
+        style: dict[str, Any] = {"color": COLOURS[number], "linestyle": _LINE_STYLES[number % len(_LINE_STYLES)], "label": label}
+        plot_band(returns, [log.returns for log in members if log.returns is not None], style)
+        plot_band(successes, [log.successes for log in members if log.successes is not None], style)
         for log in members:
             if log.evaluations is not None:
                 returns.plot(*log.evaluations, "o", color=COLOURS[number], markersize=3, alpha=0.7)
-    for panel, title in ((returns, "return of training episodes; dots: evaluations"), (successes, "success rate of training episodes")):
-        finish(panel, title, theme, legend=panel is returns)
+            plot_last_evaluation(returns, successes, log, COLOURS[number])
+    marks = {"dots": any(log.evaluations for log in logs), "diamond": any(log.last_evaluation for log in logs)}
+    named = ", ".join(mark for mark, is_there in marks.items() if is_there)
+    style_panel(returns, f"return of training episodes{f'; {named}: evaluations' if named else ''}", theme)
+    style_panel(successes, "success rate of training episodes", theme, legend=False)
     successes.set_ylim(-0.03, 1.03)
     if not successes.lines:
         successes.remove()
@@ -218,44 +227,63 @@ def plot(logs: Sequence[Log], *, theme: str = "light") -> Figure:
     for (left, right), members in zip(axes[1:], detailed, strict=True):
         name = f"{members[0].name}: " if len(groups) > 1 else ""
         for number, term in enumerate(sorted({term for log in members for term in log.terms})):
-            style = {"color": COLOURS[number % len(COLOURS)], "linestyle": _DASHES[number // len(COLOURS) % len(_DASHES)], "label": term}
-            band(left, [log.terms[term] for log in members if term in log.terms], style)
-        finish(left, f"{name}reward terms of an episode", theme)
-        endings_over_time(right, [ending for log in members for ending in log.endings])
-        finish(right, f"{name}endings, share of episodes", theme)
+            style = {
+                "color": COLOURS[number % len(COLOURS)],
+                "linestyle": _LINE_STYLES[number // len(COLOURS) % len(_LINE_STYLES)],
+                "label": term,
+            }
+            plot_band(left, [log.terms[term] for log in members if term in log.terms], style)
+        style_panel(left, f"{name}reward terms of an episode", theme)
+        plot_endings(right, members)
+        style_panel(right, f"{name}endings, share of episodes", theme)
     return figure
 
 
-def band(panel: Axes, curves: Sequence[Curve], style: Mapping[str, Any]) -> None:
+def plot_band(panel: Axes, curves: Sequence[Curve], style: Mapping[str, Any]) -> None:
     """The mean of curves as far as all go, between the lowest and the highest."""
     curves = [(steps, values) for steps, values in curves if len(steps)]
     if not curves:
         return
-    at = np.linspace(max(steps[0] for steps, _ in curves), max(min(steps[-1] for steps, _ in curves), curves[0][0][0] + 1), _POINTS)
+    at = _common_steps(curves)
     rows = np.stack([np.interp(at, steps, values) for steps, values in curves])
     panel.plot(at, rows.mean(axis=0), linewidth=1.8, **style)
     if len(rows) > 1:
         panel.fill_between(at, rows.min(axis=0), rows.max(axis=0), color=style["color"], alpha=0.22, linewidth=0)
 
 
-def endings_over_time(panel: Axes, endings: Sequence[tuple[float, str]]) -> None:
-    """How episodes end, as shares of those in equal parts of the training."""
-    if not endings:
+def plot_last_evaluation(returns: Axes | None, successes: Axes | None, log: TrainingLog, colour: str) -> None:
+    """A diamond at the end of the training, in the panel of returns and of success rates."""
+    last = log.last_evaluation
+    if last is None or log.returns is None:
         return
-    last = max(step for step, _ in endings)
-    common = {name for name, _ in Counter(ending for _, ending in endings).most_common(_ENDINGS)}
-    endings = [(step, ending if ending in common else "others") for step, ending in endings]
-    parts = [Counter[str]() for _ in range(_BINS)]
-    for step, ending in endings:
-        parts[min(_BINS - 1, int(_BINS * step / max(last, 1.0)))][ending or "unknown"] += 1
-    names = [name for name, _ in Counter(ending or "unknown" for _, ending in endings).most_common()]
-    middles = [(number + 0.5) / _BINS * last for number, part in enumerate(parts) if part]
-    shares = [[part[name] / part.total() for part in parts if part] for name in names]
-    panel.stackplot(middles, shares, labels=names, colors=[COLOURS[n % len(COLOURS)] for n in range(len(names))], alpha=0.85, linewidth=0)
+    for panel, value in ((returns, last.mean_return), (successes, last.success_rate if last.success_defined else None)):
+        if panel is not None and value is not None:
+            panel.plot(log.returns[0][-1], value, "D", color=colour, markersize=6, markeredgecolor="white", clip_on=False, zorder=3)
+
+
+def _common_steps(curves: Sequence[Curve]) -> NDArray[np.float64]:
+    """Timesteps at equal distances, as far as all curves go."""
+    first, last = max(steps[0] for steps, _ in curves), min(steps[-1] for steps, _ in curves)
+    return np.linspace(first, max(last, curves[0][0][0] + 1), _MAX_CURVE_POINTS)
+
+
+def plot_endings(panel: Axes, logs: Sequence[TrainingLog]) -> None:
+    """How episodes end, as moving shares, means over seeds."""
+    curves = [curve for log in logs for curve in log.endings.values()]
+    if not curves:
+        return
+    at, members = _common_steps(curves), [log.endings for log in logs if log.endings]
+    found = {
+        name: np.mean([np.interp(at, *endings[name]) if name in endings else np.zeros(len(at)) for endings in members], axis=0)
+        for name in {name: None for endings in members for name in endings}
+    }
+    names = sorted(found, key=lambda name: -found[name].sum())
+    colours = [COLOURS[number % len(COLOURS)] for number in range(len(names))]
+    panel.stackplot(at, [found[name] for name in names], labels=names, colors=colours, alpha=0.85, linewidth=0)
     panel.set_ylim(0, 1)
 
 
-def finish(panel: Axes, title: str, theme: str, *, legend: bool = True, axes: tuple[str, str] | None = None) -> None:
+def style_panel(panel: Axes, title: str, theme: str, *, legend: bool = True, axes: tuple[str, str] | None = None) -> None:
     """Style a panel; `axes` are the names of its axes, by default timesteps below."""
     from matplotlib.ticker import EngFormatter
 

@@ -40,16 +40,16 @@ from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.files import atomic_write, read_at_most
 from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.view.episodes import Player
-from deepbots_cli.view.frames import AgentFrame, Beams, Field, Image, Layout, LinkName, Message, WorldFrame
+from deepbots_cli.view.frames import AgentFrame, FrameLayout, Image, LinkName, PlottedField, ReceivedMessage, SensorRays, WorldFrame
 
 FORMAT = 1
 SUFFIX = ".mcap"
-SECOND = 1_000_000_000
+NS_PER_S = 1_000_000_000
 """In ns, in which MCAP counts time."""
 _MAX_FILE, _MAX_RECORD, _MAX_CONTENT = 1 << 28, 1 << 26, 1 << 29  # bytes: of a file, of one record, and of all of them unpacked
 _MAX_INPUTS, _MAX_SIDE = 1000, 1024
 _MAX_NUMBER = 1e9  # of a position in m, and of the time in s: one more cannot be drawn
-_OVERHEAD = 100
+_RECORD_OVERHEAD_BYTES = 100
 """Bytes that a record takes in memory besides its content: a chunk of empty ones is a bomb too."""
 Topics = Mapping[str, Any]
 Payloads = Mapping[str, bytes]
@@ -71,7 +71,7 @@ def _pose(pose: Frame) -> dict[str, Any]:
 
 
 def _stamp(time: int) -> dict[str, int]:
-    return {"sec": time // SECOND, "nsec": time % SECOND}
+    return {"sec": time // NS_PER_S, "nsec": time % NS_PER_S}
 
 
 def _packed(value: Any) -> dict[str, Any]:
@@ -93,16 +93,13 @@ def _hash(*parts: bytes) -> str:
     return digest.hexdigest()[:32]
 
 
-def _arrays(value: Any) -> list[bytes]:
-    return [np.asarray(part).tobytes() for part in (value.values() if isinstance(value, dict) else [value])]
-
-
 def observation_hash(observation: Any) -> str:
     """What `/step` keeps of an observation."""
-    return _hash(*_arrays(observation))
+    parts = observation.values() if isinstance(observation, dict) else [observation]
+    return _hash(*(np.asarray(part).tobytes() for part in parts))
 
 
-class Describer:
+class TopicEncoder:
     """Describes the steps of a player as topics."""
 
     def __init__(self, player: Player) -> None:
@@ -112,9 +109,9 @@ class Describer:
         bodies = [*moving, *(thing.name for thing in env.world.objects)]
         self._velocities = [env.engine.velocity(body) for body in bodies]
         self._joints = [env.engine.joint_states(robot, joints) for robot, joints in moving.items() if joints]
-        self._scans = {key: _fan(beams) for key, beams in player.reader.layout.beams.items()}
+        self._scans = {key: _fan(beams) for key, beams in player.reader.layout.sensor_rays.items()}
 
-    def describe(self, time: int, number: int, seed: int) -> dict[str, bytes]:
+    def encode(self, time: int, number: int, seed: int) -> dict[str, bytes]:
         """The topics of the newest frame, encoded; `time` in ns."""
         player = self._player
         frame, layout, stamp = player.frame, player.reader.layout, _stamp(time)
@@ -143,7 +140,7 @@ class Describer:
             "is_success": frame.is_success,
             "truncated": frame.truncated,
         }
-        for key, beams in layout.beams.items():
+        for key, beams in layout.sensor_rays.items():
             topics[f"/scan/{key}"] = _scan(beams, self._scans[key], frame.rays[key], stamp)
         for name, agent in frame.agents.items():
             topics[f"/agent/{name}"] = {
@@ -177,11 +174,11 @@ class Describer:
         return {"step": player.frame.step, "action": action, **hidden, "hash": _hash(*encoded.values(), *map(str.encode, hidden.values()))}
 
 
-def _names(fields: Iterable[Field]) -> list[str]:
+def _names(fields: Iterable[PlottedField]) -> list[str]:
     return [field.name for field in fields]
 
 
-def _joints(layout: Layout, robot: str) -> list[str]:
+def _joints(layout: FrameLayout, robot: str) -> list[str]:
     return [joint.name for joint in layout.robots[robot].moving_joints]
 
 
@@ -189,7 +186,7 @@ def _numbered(groups: Mapping[str, Sequence[float]]) -> dict[str, dict[str, floa
     return {key: _named(map(str, range(len(values))), values) for key, values in groups.items()}
 
 
-def _fan(beams: Beams) -> tuple[Frame, float] | None:
+def _fan(beams: SensorRays) -> tuple[Frame, float] | None:
     """The frame of rays that lie in a plane at equal angles, the first along x, and the angle (rad) between two; None for others."""
     starts, ways = beams.starts, beams.directions
     if len(ways) < 3 or not np.allclose(starts, starts[0]):
@@ -207,7 +204,7 @@ def _fan(beams: Beams) -> tuple[Frame, float] | None:
     return (tuple(starts[0]), tuple(turn)), step
 
 
-def _scan(beams: Beams, fan: tuple[Frame, float] | None, free: Sequence[float], stamp: Any) -> dict[str, Any]:
+def _scan(beams: SensorRays, fan: tuple[Frame, float] | None, free: Sequence[float], stamp: Any) -> dict[str, Any]:
     head = {"timestamp": stamp, "frame_id": "/".join(beams.part)}
     if fan is not None:
         pose, step = fan
@@ -267,7 +264,7 @@ def record(
     except ModuleNotFoundError as error:
         raise MissingExtraError("view", "a recording") from error
     compiled = player.opened.checked()
-    describer, time, channels, last = Describer(player), 0, dict[str, int](), list[WorldFrame]()
+    describer, time, channels, last = TopicEncoder(player), 0, dict[str, int](), list[WorldFrame]()
     with atomic_write(path) as draft, draft.open("wb") as stream:
         writer = Writer(stream)
         writer.start("", f"deepbots {deepbots_cli.__version__}")
@@ -278,8 +275,8 @@ def record(
         for number in episodes:
             begun = time
             for frame in player.episode(seed, number, steps):
-                time = begun + round(frame.time * SECOND)
-                for topic, payload in describer.describe(time, number, player.seed).items():
+                time = begun + round(frame.time * NS_PER_S)
+                for topic, payload in describer.encode(time, number, player.seed).items():
                     if topic not in channels:
                         content = msgspec.json.decode(payload)
                         schema = writer.register_schema(_type_of(topic, content), "jsonschema", json.dumps(_schema_of(content)).encode())
@@ -287,7 +284,7 @@ def record(
                     writer.add_message(channels[topic], time, payload, time)
             last.append(player.frame)
             on_episode(number)
-            time += SECOND
+            time += NS_PER_S
         writer.finish()  # type: ignore[no-untyped-call]
     return last
 
@@ -321,7 +318,7 @@ def versions() -> dict[str, str]:
 
 
 @dataclass(frozen=True, eq=False)
-class Recorded:
+class RecordedEpisode:
     """One episode of a recording: its number, the seed of its reset, and the topics of each step, as bytes."""
 
     number: int
@@ -335,7 +332,7 @@ class Recording:
 
     path: Path
     metadata: Mapping[str, str]
-    episodes: Sequence[Recorded]
+    episodes: Sequence[RecordedEpisode]
     folder: TemporaryDirectory[str]
 
     @staticmethod
@@ -376,7 +373,7 @@ class Recording:
                 raise RecordingError(f"{path} is damaged: it holds a file and a folder of one name") from error
         return Recording(path, metadata, list(_episodes(path, steps)), folder)
 
-    def episode(self, number: int) -> Recorded:
+    def episode(self, number: int) -> RecordedEpisode:
         """The episode of this number.
 
         Raises:
@@ -418,7 +415,7 @@ def _content(path: Path, data: bytes) -> tuple[Mapping[str, str] | None, dict[st
                 if found.compression not in ("zstd", "") or unpacked != found.uncompressed_size or max(size, 8 * unpacked) > _MAX_CONTENT:
                     raise RecordingError(f"{path} unpacks to more than {_MAX_CONTENT >> 20} MiB, or in an unknown way")
                 inner = breakup_chunk(found, validate_crc=True)
-                size += _OVERHEAD * len(inner)
+                size += _RECORD_OVERHEAD_BYTES * len(inner)
                 topics |= {each.id: each.topic for each in inner if isinstance(each, records.Channel)}
                 messages += [each for each in inner if isinstance(each, records.Message)]
             if size > _MAX_CONTENT or len(files) > _MAX_INPUTS:
@@ -443,7 +440,7 @@ def _safe(name: str) -> str:
     return name
 
 
-def _episodes(path: Path, steps: Sequence[Payloads]) -> Iterator[Recorded]:
+def _episodes(path: Path, steps: Sequence[Payloads]) -> Iterator[RecordedEpisode]:
     begun = [place for place, step in enumerate(steps) if "/episode" in step]
     if begun[:1] != [0]:
         raise RecordingError(f"{path} is damaged: it does not begin with an episode")
@@ -453,7 +450,7 @@ def _episodes(path: Path, steps: Sequence[Payloads]) -> Iterator[Recorded]:
             seed = msgspec.convert(known["seed"], int)
             if seed < 0:
                 raise ValueError(seed)
-            yield Recorded(msgspec.convert(known["episode"], int), seed, steps[first:end])
+            yield RecordedEpisode(msgspec.convert(known["episode"], int), seed, steps[first:end])
 
 
 @contextmanager
@@ -472,12 +469,12 @@ def _floats(values: Mapping[str, Any], names: Sequence[str] | None = None) -> tu
     return tuple(math.nan if value is None else float(value) for value in values.values())
 
 
-def read_frame(topics: Payloads, layout: Layout) -> WorldFrame:
+def read_frame(topics: Payloads, layout: FrameLayout) -> WorldFrame:
     """A step as a frame.
 
     Raises:
         msgspec.MsgspecError, LookupError, TypeError, ValueError, AttributeError, OSError, OverflowError, RecursionError: It is not as
-            `Describer` describes one.
+            `TopicEncoder` describes one.
     """
     decode = msgspec.json.decode
     world, links, messages, agents, cameras = decode(topics["/world"]), dict[LinkName, Frame](), {}, {}, {}
@@ -493,7 +490,7 @@ def read_frame(topics: Payloads, layout: Layout) -> WorldFrame:
         values = tuple(None if value is None else float(value) for value in found["values"].values())
         if len(values) != len(fields):
             raise ValueError(key)
-        messages[key] = Message(values, float(found["age"]), bool(found["received"]))
+        messages[key] = ReceivedMessage(values, float(found["age"]), bool(found["received"]))
     for topic, payload in topics.items():
         if topic.startswith("/agent/"):
             found = decode(payload)
@@ -512,7 +509,7 @@ def read_frame(topics: Payloads, layout: Layout) -> WorldFrame:
         raise LookupError("agent")
     if not 0 <= float(world["time"]) <= _MAX_NUMBER:
         raise ValueError(world["time"])
-    rays = {key: _floats(world["rays"][key], [str(n) for n in range(len(beams.starts))]) for key, beams in layout.beams.items()}
+    rays = {key: _floats(world["rays"][key], [str(n) for n in range(len(beams.starts))]) for key, beams in layout.sensor_rays.items()}
     return WorldFrame(
         step=msgspec.convert(world["step"], int),
         time=float(world["time"]),

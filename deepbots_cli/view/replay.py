@@ -12,15 +12,25 @@ from gymnasium import spaces
 
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.port import View
-from deepbots_cli.view.episodes import RECORDED, Driver, Opened, Player
+from deepbots_cli.view.episodes import RECORDED, Driver, Player, SourceState
 from deepbots_cli.view.frames import WorldFrame
-from deepbots_cli.view.recordings import SECOND, Describer, Recorded, Recording, RecordingError, damaged, read_frame, unpacked, versions
+from deepbots_cli.view.recordings import (
+    NS_PER_S,
+    RecordedEpisode,
+    Recording,
+    RecordingError,
+    TopicEncoder,
+    damaged,
+    read_frame,
+    unpacked,
+    versions,
+)
 
 
-class Replayed(Player):
+class ReplayPlayer(Player):
     """Plays a recording: frames come from the file, and the environment holds the world that they are drawn in."""
 
-    def __init__(self, opened: Opened) -> None:
+    def __init__(self, opened: SourceState) -> None:
         """Make the environment.
 
         Raises:
@@ -31,7 +41,7 @@ class Replayed(Player):
         self._read = lru_cache(maxsize=2000)(self._frame_of)
         super().__init__(opened, RECORDED)
 
-    def drive(self, name: str) -> None:
+    def set_driver(self, name: str) -> None:
         """Nothing: a recording has its actions."""
         self.driver_name = name
 
@@ -42,7 +52,7 @@ class Replayed(Player):
         self.env.reset(seed=self._recorded.seed)  # colours and light, which frames do not hold
         return self.seek(0)
 
-    def following(self, episode: int) -> int:
+    def next_episode(self, episode: int) -> int:
         """The number of the next episode; after the last comes the first."""
         numbers = [each.number for each in self.recording.episodes]
         return numbers[(numbers.index(self._recorded.number) + 1) % len(numbers)]
@@ -61,11 +71,11 @@ class Replayed(Player):
     def step(self, *, by_hand: bool = False) -> WorldFrame:
         return self.seek(self._place + 1)
 
-    def past(self, count: int) -> list[WorldFrame]:
+    def last_frames(self, count: int) -> list[WorldFrame]:
         """At most so many frames up to the present one."""
         return [self._read(self._recorded.number, place) for place in range(max(0, self._place + 1 - count), self._place + 1)]
 
-    def ways(self) -> list[list[tuple[float, float]]]:
+    def shortest_paths(self) -> list[list[tuple[float, float]]]:
         """Nothing: frames do not hold them."""
         return []
 
@@ -106,7 +116,7 @@ class Divergence(NamedTuple):
     now: str
 
 
-def actions(recording: Recording, recorded: Recorded, space: Any) -> Iterator[Any]:
+def actions(recording: Recording, recorded: RecordedEpisode, space: Any) -> Iterator[Any]:
     """The actions of an episode, in the action space.
 
     Raises:
@@ -122,7 +132,7 @@ def actions(recording: Recording, recorded: Recorded, space: Any) -> Iterator[An
         yield found
 
 
-def observation_hash_at(recording: Recording, recorded: Recorded, place: int) -> str:
+def observation_hash_at(recording: Recording, recorded: RecordedEpisode, place: int) -> str:
     """The hash of the observation after so many steps."""
     with damaged(recording.path):
         return msgspec.convert(msgspec.json.decode(recorded.steps[place]["/step"])["observation"], str)
@@ -141,7 +151,7 @@ def verify(
     Raises:
         RecordingError: A step cannot be read.
     """
-    describer, time = Describer(player), 0
+    describer, time = TopicEncoder(player), 0
     for done, recorded in enumerate(recording.episodes, start=1):
         player.driver = Driver(actions(recording, recorded, player.env.action_space).__next__)
         begun = time
@@ -154,24 +164,26 @@ def verify(
                 raise
             except DeepbotsError as error:
                 return Divergence(recorded.number, place, "error", "none", str(error))
-            time = begun + round(frame.time * SECOND)
-            new = describer.describe(time, recorded.number, recorded.seed)
+            time = begun + round(frame.time * NS_PER_S)
+            new = describer.encode(time, recorded.number, recorded.seed)
             with damaged(recording.path):
                 for topic in sorted(new, key=_cause):
                     if topic.startswith("/image/") or new[topic] == old.get(topic) or (tolerance and topic.startswith("/scan/")):
                         continue
                     before, after = msgspec.json.decode(old.get(topic, b"{}")), msgspec.json.decode(new[topic])
                     if tolerance:
-                        before, after = ({k: v for k, v in side.items() if k not in _UNLIKE.get(topic, ())} for side in (before, after))
+                        before, after = (
+                            {k: v for k, v in side.items() if k not in _EXACT_PARTS.get(topic, ())} for side in (before, after)
+                        )
                     # Other programs write the same numbers in another way.
                     if difference := _difference(topic.removeprefix("/"), before, after, tolerance):
                         return Divergence(recorded.number, place, *difference)
-        time += SECOND
+        time += NS_PER_S
         on_episode(done)
     return None
 
 
-def changes(recording: Recording) -> list[str]:
+def version_changes(recording: Recording) -> list[str]:
     """Versions that differ from those of the recording, a sentence each."""
     return [
         f"{name} was {old} when this was recorded, and is {new} now"
@@ -186,7 +198,7 @@ def _cause(topic: str) -> int:
     return ("episode", "/to_robot", "world", "tf", "scan", "message", "agent", "step", "image").index(kind)
 
 
-_UNLIKE = {"/step": ("hash", "velocities", "observation", "images", "random"), "/world": ("forces",)}
+_EXACT_PARTS = {"/step": ("hash", "velocities", "observation", "images", "random"), "/world": ("forces",)}
 """Parts of topics that are compared to the bit or not at all."""
 
 

@@ -27,17 +27,17 @@ from deepbots_cli.port import ZERO_VECTOR, View
 from deepbots_cli.program.world import Colour, Line, WorldModel
 from deepbots_cli.robots.meshes import read_verified
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Geometry, Mesh, Pose, RobotModel, Sphere
-from deepbots_cli.view.frames import Beams, Layout, LinkName, WorldFrame
+from deepbots_cli.view.frames import FrameLayout, LinkName, WorldFrame
 
 if TYPE_CHECKING:
     import viser
 
 GROUND_COLOUR: Colour = (0.95, 0.955, 0.965, 1.0)
-_PLAIN: Colour = (0.72, 0.74, 0.78, 1.0)
+_DEFAULT_COLOUR: Colour = (0.72, 0.74, 0.78, 1.0)
 _MAX_CELLS = 120  # of a terrain along either side
 _MAX_PATH = 2000  # points
-_DARK = 0.55  # the brightness of the lowest place of a terrain
-_SHARP = math.radians(35)  # edges that are sharper are drawn as edges
+_MIN_BRIGHTNESS = 0.55  # the brightness of the lowest place of a terrain
+_EDGE_ANGLE = math.radians(35)  # edges that are sharper are drawn as edges
 
 Points = NDArray[np.float32]
 
@@ -62,7 +62,7 @@ def triangles(mesh: Mesh) -> Any:
     unit = re.search(rb'<unit[^>]*meter="([0-9.eE+-]+)"', data[:20_000]) if kind == "dae" else None
     loaded.apply_scale(np.asarray(mesh.scale) * (float(unit[1]) if unit else 1.0))
     loaded.merge_vertices(merge_tex=True, merge_norm=True)
-    return trimesh.graph.smooth_shade(loaded, angle=_SHARP)
+    return trimesh.graph.smooth_shade(loaded, angle=_EDGE_ANGLE)
 
 
 def rigid_groups(model: RobotModel) -> dict[str, tuple[str, frames.Frame]]:
@@ -78,7 +78,7 @@ def rigid_groups(model: RobotModel) -> dict[str, tuple[str, frames.Frame]]:
     return found
 
 
-def strokes(line: Line, height: float) -> tuple[Points, NDArray[np.int32]]:
+def stroke_triangles(line: Line, height: float) -> tuple[Points, NDArray[np.int32]]:
     """A painted line as triangles just above the ground: a rectangle for each piece, longer by half a width at both ends."""
     corners, half = [], line.width / 2
     for (x, y), (x_end, y_end) in line.pieces:
@@ -103,12 +103,12 @@ def _contour(relief: geometry.HeightGrid, above: float) -> Points:
     return np.concatenate([part.reshape(-1, 2, 3) for part in parts]).astype(np.float32)
 
 
-def shaded(vertices: Any, faces: Any, colour: Colour) -> Any:
+def shaded_mesh(vertices: Any, faces: Any, colour: Colour) -> Any:
     """A surface that is darker where it is lower: light alone hardly shows a hollow that is seen from above."""
     import trimesh
 
     heights = np.asarray(vertices)[:, 2]
-    share = _DARK + (1.0 - _DARK) * (heights - heights.min()) / (np.ptp(heights) or 1.0)
+    share = _MIN_BRIGHTNESS + (1.0 - _MIN_BRIGHTNESS) * (heights - heights.min()) / (np.ptp(heights) or 1.0)
     return trimesh.Trimesh(vertices, faces, vertex_colors=(share[:, None] * _rgb(colour)).astype(np.uint8), process=False)
 
 
@@ -120,7 +120,7 @@ def _rgb(colour: Colour) -> tuple[int, int, int]:
     return int(255 * colour[0]), int(255 * colour[1]), int(255 * colour[2])
 
 
-def look(server: viser.ViserServer, view: View) -> float:
+def aim_camera(server: viser.ViserServer, view: View) -> float:
     """Light the scene, and look at it from a view until a person moves the camera; how far away (m) that is."""
     camera, size = server.initial_camera, math.dist(view.eye, view.target)
     camera.position, camera.look_at, camera.fov = view.eye, view.target, view.fov
@@ -131,10 +131,17 @@ def look(server: viser.ViserServer, view: View) -> float:
 
 
 class WorldScene:
-    """One world below the node `root`. `take` gives it a frame, `draw` shows the world between the last two frames."""
+    """One world below the node `root`. `set_frame` gives it a frame, `draw` shows the world between the last two frames."""
 
     def __init__(
-        self, scene: viser.SceneApi, world: WorldModel, layout: Layout, *, size: float, root: str = "/world", place: Triple = ZERO_VECTOR
+        self,
+        scene: viser.SceneApi,
+        world: WorldModel,
+        layout: FrameLayout,
+        *,
+        size: float,
+        root: str = "/world",
+        place: Triple = ZERO_VECTOR,
     ) -> None:
         """`size` is the distance (m) from which the world is seen; marks are as large as it asks for. `place` is where its origin is."""
         self._scene, self._layout, self._root, self._size, self._place = scene, layout, root, size, place
@@ -144,18 +151,16 @@ class WorldScene:
         self._nodes: dict[LinkName, Any] = {}
         self._variants: dict[tuple[str, str], Any] = {}
         self._labels: list[Any] = []
-        self._beams: dict[str, tuple[Beams, Any]] = {}
         self._dots: dict[LinkName, Any] = {}
         self._goals: dict[tuple[str, str], Any] = {}
-        self.shows = {"rays": True, "contacts": True, "goal": True, "shortest path": True, "path": False, "names": False, "axes": False}
+        shown, hidden = ("rays", "contacts", "goal", "shortest path"), ("path", "names", "axes")
+        self.visible_parts = dict.fromkeys(shown, True) | dict.fromkeys(hidden, False)
         """What a person may show and hide. `shortest path` is that of `path_distance`, `path` the one that the robot took."""
         self._build_surroundings(world)
         for robot in world.robots:
             self._build_robot(robot.name, robot.model)
         for thing in world.objects:
             self._build_object(thing.name, objects.forms_of(thing))
-        for key, beams in layout.beams.items():
-            self._build_beams(key, beams)
         line = np.zeros((1, 2, 3), np.float32)
         self._arrows = scene.add_arrows(
             f"{root}/pushes", line, np.array([[230, 120, 0]], np.uint8), shaft_radius=0.006 * size, head_radius=0.016 * size,
@@ -163,10 +168,12 @@ class WorldScene:
         )  # fmt: skip
         self._path = self._add_lines(f"{root}/path", line, thickness=3.0, visible=False)
         self._ways = self._add_lines(f"{root}/ways", line, visible=False)
+        self._rays = self._add_lines(f"{root}/rays", line, visible=len(layout.sensor_rays) > 0)
         self._followed = next((r.name for r in world.robots if not r.fixed_base), world.robots[0].name if world.robots else None)
         self._trail: list[tuple[float, float, float]] = []
         self._parts = list(self._nodes)
         self._now = self._before = self._sent = np.full((len(self._parts), 7), np.nan)
+        self._rays_now = self._rays_before = self._rays_sent = np.zeros((0, 2, 6), np.float32)
         self._frame: WorldFrame | None = None
 
     # Made once
@@ -184,7 +191,7 @@ class WorldScene:
                 solid = triangles(world.terrain.shape)
                 surface = solid.vertices, solid.faces
             colour = world.terrain.colour or (0.62, 0.58, 0.50, 1.0)
-            scene.add_mesh_trimesh(f"{root}/terrain", shaded(*surface, colour))
+            scene.add_mesh_trimesh(f"{root}/terrain", shaded_mesh(*surface, colour))
         elif world.ground is not None:
             colour = world.ground.colour or GROUND_COLOUR
             cell = 10.0 ** math.floor(math.log10(max(self._size, 0.01) / 4))
@@ -195,7 +202,7 @@ class WorldScene:
                 plane_color=_rgb(colour), plane_opacity=light, position=(0.0, 0.0, -0.0002 * self._size),
             )  # fmt: skip
         for number, line in enumerate(world.lines):
-            points, faces = strokes(line, 0.0004 * self._size * (1 + 0.1 * number))
+            points, faces = stroke_triangles(line, 0.0004 * self._size * (1 + 0.1 * number))
             scene.add_mesh_simple(f"{root}/lines/{number}", points, faces, color=_rgb(line.colour), side="double", cast_shadow=False)
         for wall in objects.arena_walls(world.arena) if world.arena else ():
             self._add(f"{root}/arena/{wall.name.replace(' ', '_')}", Geometry(wall.shape, wall.pose, wall.colour), frames.IDENTITY_FRAME)
@@ -219,14 +226,6 @@ class WorldScene:
             )
         self._label(part, name)
 
-    def _build_beams(self, key: str, beams: Beams) -> None:
-        body, link = beams.part
-        head, pose = rigid_groups(self._layout.robots[body])[link]
-        points = np.stack([beams.starts, beams.starts + beams.reach * beams.directions], 1).astype(np.float32)
-        name = f"{self._path_of((body, head))}/rays_{key.rpartition('.')[2]}"
-        lines = self._add_lines(name, points, position=pose[0], wxyz=wxyz(pose[1]))
-        self._beams[key] = (beams, lines)
-
     def _add_lines(self, name: str, points: Points, colour: int = 0, *, thickness: float = 2.0, **options: Any) -> Any:
         """Line segments (n, 2, 3), `thickness` in pixels."""
         colours = np.full(points.shape, colour, np.uint8)  # one colour for all lines, later replaced by an array, would hide them
@@ -246,7 +245,7 @@ class WorldScene:
 
     def _add(self, name: str, geometry: Geometry, within: frames.Frame) -> Any:
         """A shape at its place below a node."""
-        scene, shape, colour = self._scene, geometry.shape, geometry.colour or _PLAIN
+        scene, shape, colour = self._scene, geometry.shape, geometry.colour or _DEFAULT_COLOUR
         place, turn = frames.compose(within, frames.frame(geometry.origin))
         options: dict[str, Any] = {"position": place, "wxyz": wxyz(turn), "opacity": None if colour[3] >= 0.99 else colour[3]}
         match shape:
@@ -269,29 +268,31 @@ class WorldScene:
 
     # What a person chooses to see
 
-    def show(self, what: str, visible: bool) -> None:
-        """Show or hide one of `shows`."""
-        self.shows[what] = visible
+    def set_visible(self, part: str, visible: bool) -> None:
+        """Show or hide one of `visible_parts`."""
+        self.visible_parts[part] = visible
         for label in self._labels:
-            label.visible = self.shows["names"]
+            label.visible = self.visible_parts["names"]
         for (body, _), node in self._nodes.items():
-            node.show_axes = self.shows["axes"] and body in self._layout.robots
-        for _, lines in self._beams.values():
-            lines.visible = self.shows["rays"]
+            node.show_axes = self.visible_parts["axes"] and body in self._layout.robots
+        self._rays.visible = self.visible_parts["rays"] and len(self._rays_now) > 0
         if self._frame is not None:
             self._mark(self._frame)
 
     # Moved with every frame
 
-    def take(self, frame: WorldFrame, *, anew: bool = False) -> None:
-        """Show `frame` from now on; `anew` after a reset, where nothing moves on from the frame before."""
+    def set_frame(self, frame: WorldFrame, *, after_reset: bool = False) -> None:
+        """Show `frame` from now on; `after_reset` says that nothing moves on from the frame before."""
         rows = np.full((len(self._parts), 7), np.nan)
         for row, part in enumerate(self._parts):
             found = frame.links.get(part)
             if found is not None:
                 rows[row, :3], rows[row, 3:] = found[0], wxyz(found[1])
-        if anew or self._frame is None:
-            self._before, self._trail = rows, []
+        self._rays_before = self._rays_now
+        if self._layout.sensor_rays:
+            self._rays_now = np.concatenate([beams.lines(frame, key) for key, beams in self._layout.sensor_rays.items()])
+        if after_reset or self._frame is None:
+            self._before, self._trail, self._rays_before = rows, [], self._rays_now
         else:
             self._before = np.where(np.isnan(self._now) | np.isnan(rows), rows, self._now)
             opposite = (self._before[:, 3:] * rows[:, 3:]).sum(axis=1) < 0.0
@@ -314,16 +315,20 @@ class WorldScene:
             node = self._nodes[self._parts[row]]
             node.position, node.wxyz = rows[row, :3], rows[row, 3:]
         self._sent = rows
+        # In the world frame, and not in that of the link: a busy browser shows new lines late, and then rays would reach through walls.
+        rays = self._rays_before + share * (self._rays_now - self._rays_before)
+        if self._rays.visible and not np.array_equal(rays, self._rays_sent):
+            self._rays.points, self._rays.colors, self._rays_sent = rays[..., :3], rays[..., 3:].astype(np.uint8), rays
         if self._followed is not None:
             x, y, _ = rows[self._parts.index((self._followed, self._layout.robots[self._followed].root)), :3] - self._trail[0]
             shift = frames.add(self._place, (-x, -y, 0.0)) if self.follows else self._place
             self._anchor.position = shift
 
-    def draw_ways(self, ways: Sequence[Sequence[tuple[float, float]]]) -> None:
+    def draw_paths(self, paths: Sequence[Sequence[tuple[float, float]]]) -> None:
         """Show shortest paths (points in m) on the ground."""
         height = 0.004 * self._size
-        pieces = [((*one, height), (*other, height)) for way in ways for one, other in pairwise(way)]
-        self._show_lines(self._ways, pieces if self.shows["shortest path"] else [], (0, 158, 115))
+        pieces = [((*one, height), (*other, height)) for way in paths for one, other in pairwise(way)]
+        self._show_lines(self._ways, pieces if self.visible_parts["shortest path"] else [], (0, 158, 115))
 
     def _show_lines(self, lines: Any, pieces: Sequence[Any], colour: tuple[int, int, int]) -> None:
         if pieces:
@@ -332,14 +337,7 @@ class WorldScene:
         lines.visible = bool(pieces)
 
     def _mark(self, frame: WorldFrame) -> None:
-        """Rays, contacts, pushes and the path."""
-        if self.shows["rays"]:
-            for key, (beams, lines) in self._beams.items():
-                free = np.array(frame.rays[key])[:, None]
-                lines.points = np.stack([beams.starts, beams.starts + free * beams.directions], 1).astype(np.float32)
-                near = np.clip(1 - free / beams.reach, 0.0, 1.0)  # green where nothing is near, red where something is
-                colours = np.concatenate([20 + 200 * near, 150 - 110 * near, 60 - 20 * near], 1).astype(np.uint8)
-                lines.colors = np.repeat(colours[:, None], 2, axis=1)
+        """Contacts, pushes and the path."""
         self._mark_contacts(frame)
         self._mark_goal(frame)
         force = next(iter(frame.pushes), None)
@@ -348,7 +346,7 @@ class WorldScene:
             at = np.array(frame.links.get(part, (ZERO_VECTOR,))[0])
             self._arrows.points = np.array([[at - np.array(push) / strength * 0.3 * self._size, at]], np.float32)
         self._arrows.visible = force is not None
-        self._show_lines(self._path, list(pairwise(self._trail)) if self.shows["path"] else [], (70, 90, 200))
+        self._show_lines(self._path, list(pairwise(self._trail)) if self.visible_parts["path"] else [], (70, 90, 200))
 
     def _mark_goal(self, frame: WorldFrame) -> None:
         """A point that is to be reached, and the one that is."""
@@ -363,10 +361,10 @@ class WorldScene:
                     path = f"{self._root}/{word}_{name.replace('#', '_')}"
                     dot = self._goals[name, word] = self._scene.add_icosphere(path, radius * self._size, colour, opacity=0.6)
                 dot.position = (*(agent.observation[place] for place in places), 0.0)[:3]
-                dot.visible = self.shows["goal"]
+                dot.visible = self.visible_parts["goal"]
 
     def _mark_contacts(self, frame: WorldFrame) -> None:
-        touching = set(frame.forces) if self.shows["contacts"] else set()
+        touching = set(frame.forces) if self.visible_parts["contacts"] else set()
         for part in touching - self._dots.keys():
             model = self._layout.robots[part[0]]
             head, pose = rigid_groups(model)[part[1]]

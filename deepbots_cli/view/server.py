@@ -33,18 +33,18 @@ if TYPE_CHECKING:
     import viser
     from websockets.http11 import Response
 
-MAX_MESSAGE = 1 << 20
+MAX_MESSAGE_BYTES = 1 << 20
 LOOPBACK = "127.0.0.1"
-PORT = 8787
+FIRST_PORT = 8787
 """Of the first page; a page without a chosen port takes the next free one."""
-_TRIES = 20
+_MAX_PORTS = 20
 
-_POLICY = (
+_CONTENT_SECURITY_POLICY = (
     "default-src 'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' data: blob:; connect-src 'self' ws: data: blob:; "
     "frame-ancestors 'none'; form-action 'none'; base-uri 'none'"
 )
 # Goes into viser's page: keys that are held, and gamepads, which viser lacks. It takes keys before viser does, whose camera would move.
-_KEYS = """<script>{
+_KEYS_SCRIPT = """<script>{
 const codes = new Set(CODES), held = new Set();
 let wire = null, last = "";
 const key = e => {
@@ -76,7 +76,7 @@ def serve(host: str, port: int | None, label: str, on_drive: OnDrive) -> tuple[v
 
     Args:
         host: The address to listen on. Beyond loopback the page asks for a token.
-        port: None takes the first free one from `PORT` on, 0 any.
+        port: None takes the first free one from `FIRST_PORT` on, 0 any.
         label: The title of the page.
         on_drive: Called in the server's thread with the keys that are held and the axes of a gamepad.
 
@@ -110,7 +110,7 @@ def _is_loopback(host: str) -> bool:
 
 def _free_port(host: str, port: int | None) -> int:
     """A port that can be listened on; viser would silently take another one than the chosen one."""
-    for number in [port] if port is not None else range(PORT, PORT + _TRIES):
+    for number in [port] if port is not None else range(FIRST_PORT, FIRST_PORT + _MAX_PORTS):
         try:
             family, kind, _, _, address = socket.getaddrinfo(host, number, type=socket.SOCK_STREAM)[0]
             with socket.socket(family, kind) as probe:
@@ -123,7 +123,7 @@ def _free_port(host: str, port: int | None) -> int:
             if port is not None or error.errno != errno.EADDRINUSE:
                 reason = "is in use" if error.errno == errno.EADDRINUSE else f"cannot be used ({(error.strerror or '').lower()})"
                 raise UsageError(f"port {number} of {host} {reason}; choose another one with --port") from None
-    raise UsageError(f"the ports from {PORT} to {PORT + _TRIES - 1} are in use; choose another one with --port")
+    raise UsageError(f"the ports from {FIRST_PORT} to {FIRST_PORT + _MAX_PORTS - 1} are in use; choose another one with --port")
 
 
 @contextlib.contextmanager
@@ -133,7 +133,7 @@ def _guarded(host: str, token: str, on_drive: OnDrive) -> Iterator[None]:
     import websockets.asyncio.server as wire
 
     text = Path(viser.__file__).parent.joinpath("client/build/index.html").read_text("utf-8")
-    page = text.replace("</head>", _STYLE + _KEYS, 1).encode()
+    page = text.replace("</head>", _STYLE + _KEYS_SCRIPT, 1).encode()
     original = wire.serve
 
     def guarded(handler: Any, host_: str, port: int, *, process_request: Any, **options: Any) -> Any:
@@ -149,7 +149,7 @@ def _guarded(host: str, token: str, on_drive: OnDrive) -> Iterator[None]:
         def check(connection: Any, request: Any) -> Response | None:
             return _check(request, host, port, token, page, f"viser-v{viser.__version__}")
 
-        options |= {"max_size": MAX_MESSAGE}
+        options |= {"max_size": MAX_MESSAGE_BYTES}
         return original(handle, host_, port, process_request=check, **options)
 
     wire.serve = guarded  # viser's thread looks it up before the constructor returns
@@ -203,7 +203,12 @@ def _answer(status: int, reason: str, body: bytes, **headers: str) -> Response:
     from websockets.http11 import Response
 
     kind = "text/html; charset=utf-8" if status == 200 else "text/plain; charset=utf-8"
-    known = {"Content-Type": kind, "Content-Length": str(len(body)), "Content-Security-Policy": _POLICY, "Cache-Control": "no-store"}
+    known = {
+        "Content-Type": kind,
+        "Content-Length": str(len(body)),
+        "Content-Security-Policy": _CONTENT_SECURITY_POLICY,
+        "Cache-Control": "no-store",
+    }
     safe = {"X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer", "Connection": "close"}
     return Response(status, reason, Headers(known | safe | headers), body)
 

@@ -21,9 +21,9 @@ def rail() -> Iterator[Make]:
     """The cart on a rail, whose motion the exact engine knows, with settings such as `robots.cart.actuators.motor.time_constant=20 ms`."""
     opened: list[Supervisor] = []
 
-    def make(*sets: str, engine: str = "exact", **motor: str) -> Supervisor:
+    def make(*overrides: str, engine: str = "exact", **motor: str) -> Supervisor:
         keys = [f"robots.cart.actuators.motor.{key}={value}" for key, value in motor.items()]
-        opened.append(api.make(str(RAIL), sets=[STRONG, *sets, *keys], engine=engine))
+        opened.append(api.make(str(RAIL), overrides=[STRONG, *overrides, *keys], engine=engine))
         return opened[-1]
 
     yield make

@@ -22,8 +22,8 @@ Make = Callable[..., Supervisor]
 def arm() -> Iterator[Make]:
     opened: list[Supervisor] = []
 
-    def make(*sets: str) -> Supervisor:
-        opened.append(api.make(str(ARM), sets=sets))
+    def make(*overrides: str) -> Supervisor:
+        opened.append(api.make(str(ARM), overrides=overrides))
         return opened[-1]
 
     yield make

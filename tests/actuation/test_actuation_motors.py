@@ -136,7 +136,7 @@ def test_a_perfect_motor_prints_the_writer_of_the_engine_and_nothing_of_a_device
     plain = api.compile(RAIL).code
     assert 'self.drive_motor = engine.velocity_motor("cart", ("slider",), (10.0,))' in plain
     assert "release" not in plain
-    weak = api.compile(RAIL, sets=["robots.cart.actuators.motor.strength=0.5"]).code
+    weak = api.compile(RAIL, overrides=["robots.cart.actuators.motor.strength=0.5"]).code
     assert 'engine.velocity_motor("cart", ("slider",), (5.0,))' in weak
 
 
@@ -180,9 +180,9 @@ def test_a_torque_motor_exerts_nothing_until_its_first_command_arrives(rail: Mak
 def test_the_target_of_a_spring_jumps_unless_the_scenario_bounds_how_fast_it_moves():
     servo = ["robots.cart.apply.motor=drive * 0.2 m", "robots.cart.actuators.motor={type: position_motor, joint: slider}"]
     spring = [*servo, "robots.cart.actuators.motor.stiffness=50 N/m"]
-    assert "engine.position_motor(" in api.compile(RAIL, sets=spring).code
-    assert "rates=(1.0,)" in api.compile(RAIL, sets=[*spring, "robots.cart.actuators.motor.max_velocity=1 m/s"]).code
-    assert "rates=(100.0,)" in api.compile(RAIL, sets=servo).code
+    assert "engine.position_motor(" in api.compile(RAIL, overrides=spring).code
+    assert "rates=(1.0,)" in api.compile(RAIL, overrides=[*spring, "robots.cart.actuators.motor.max_velocity=1 m/s"]).code
+    assert "rates=(100.0,)" in api.compile(RAIL, overrides=servo).code
 
 
 @pytest.mark.parametrize("substeps", [1, 2, 8])
@@ -219,15 +219,15 @@ def test_an_actuator_may_be_called_like_a_sensor(rail: Make):
 
 @pytest.mark.parametrize("given", ["20 N", "uniform(20 .. 30 N)"])
 def test_a_limit_beyond_that_of_the_robot_file_does_not_hold(given: str):
-    world = api.make(str(RAIL), sets=[f"robots.cart.actuators.motor.max_torque={given}", *ENDLESS], engine="exact")
-    own = api.make(str(RAIL), sets=list(ENDLESS), engine="exact")
+    world = api.make(str(RAIL), overrides=[f"robots.cart.actuators.motor.max_torque={given}", *ENDLESS], engine="exact")
+    own = api.make(str(RAIL), overrides=list(ENDLESS), engine="exact")
     assert speeds(world, 3) == speeds(own, 3)
     world.close()
     own.close()
 
 
 def test_a_limit_over_several_joints_tightens_those_that_allow_more():
-    program = api.compile("quadruped", sets=["robots.dog.urdf=package://pybullet_data/a1/a1.urdf"]).program
+    program = api.compile("quadruped", overrides=["robots.dog.urdf=package://pybullet_data/a1/a1.urdf"]).program
     legs = program.robots[0].actuators[0]
     files = {joint.name: joint.limit.effort for joint in program.world.robots[0].model.moving_joints}
     assert isinstance(legs, Motor)

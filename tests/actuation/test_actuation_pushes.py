@@ -30,8 +30,8 @@ def pushed() -> Iterator[Make]:
     """A quadrotor that floats, with rotors at rest, under the given disturbances."""
     opened: list[Supervisor] = []
 
-    def make(disturbances: str, *sets: str) -> Supervisor:
-        opened.append(api.make(str(DRONE), sets=[*ALONE, *sets, f"disturbances={disturbances}"]))
+    def make(disturbances: str, *overrides: str) -> Supervisor:
+        opened.append(api.make(str(DRONE), overrides=[*ALONE, *overrides, f"disturbances={disturbances}"]))
         return opened[-1]
 
     yield make

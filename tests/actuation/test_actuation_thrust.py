@@ -27,8 +27,8 @@ EXACT_HOVER = f"parameters.hover={MASS * GRAVITY / 4!r} N"
 def drone() -> Iterator[Make]:
     opened: list[Supervisor] = []
 
-    def make(*sets: str) -> Supervisor:
-        opened.append(api.make(str(DRONE), sets=[LEVEL, "disturbances={}", *sets]))
+    def make(*overrides: str) -> Supervisor:
+        opened.append(api.make(str(DRONE), overrides=[LEVEL, "disturbances={}", *overrides]))
         return opened[-1]
 
     yield make

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium.spaces import Box, Dict, MultiDiscrete
 
 pytest.importorskip("deepbots_cli.engines.mujoco")
 
@@ -17,6 +18,7 @@ from deepbots_cli import api
 from deepbots_cli.api import Compiled
 from deepbots_cli.errors import BatchError, UsageError
 from deepbots_cli.runtime import Supervisor
+from deepbots_cli.runtime.spaces import fitting_rows
 from deepbots_cli.runtime.vector import BatchEnvironment
 
 FAST = ("cartpole", "find_ball", "pit_escape", "balancer")
@@ -50,9 +52,9 @@ def assert_same(mine: Any, other: Any) -> None:
     np.testing.assert_array_equal(rows(mine), rows(other))
 
 
-def compare(name: str, worlds: int, steps: int, sets: tuple[str, ...] = ()) -> int:
+def compare(name: str, worlds: int, steps: int, overrides: tuple[str, ...] = ()) -> int:
     """Step a batch beside single worlds; the number of episodes that ended."""
-    compiled = api.compile(name, sets=sets)
+    compiled = api.compile(name, overrides=overrides)
     seeds = [100 + world for world in range(worlds)]
     singles = [api.make(compiled, engine="mujoco") for _ in seeds]
     ended = 0
@@ -88,7 +90,7 @@ def test_a_world_of_a_batch_lives_the_episodes_of_a_single_world(name: str) -> N
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [*FAST, *OTHERS], ids=stem)
 def test_many_worlds_for_long(name: str) -> None:
-    assert compare(name, worlds=32, steps=500, sets=SHORTER.get(name, ())) > 0
+    assert compare(name, worlds=32, steps=500, overrides=SHORTER.get(name, ())) > 0
 
 
 @pytest.fixture(scope="module")
@@ -129,6 +131,30 @@ def test_what_does_not_fit_a_batch_is_named() -> None:
         deepbots_cli.make_vec("see_ball", 2)
     with pytest.raises(BatchError, match="the engine 'pybullet' has no batches of worlds"):
         deepbots_cli.make_vec("cartpole", 2, engine="pybullet")
+
+
+def test_an_action_that_does_not_fit_is_refused_and_its_world_is_named(batch: BatchEnvironment) -> None:
+    for wrong, message in (
+        ([0, 0, 7, 0], r"^world 2: action 7 does not fit Discrete\(2\)$"),
+        ([0, -1, 0, 0], r"^world 1: action -1 does not fit Discrete\(2\)$"),
+        ([0, 0], r"^actions \[0, 0\] do not fit 4 worlds of Discrete\(2\)$"),
+        ([0.0, 0.0, 0.0, 0.0], "do not fit 4 worlds"),
+        (None, "actions None do not fit 4 worlds"),
+    ):
+        with pytest.raises(UsageError, match=message):
+            batch.step(wrong)
+    with closing(deepbots_cli.make_vec("cartpole_continuous", 2)) as continuous:
+        continuous.reset(seed=0)
+        with pytest.raises(UsageError, match=r"^world 0: action \[nan\] does not fit Box\(-1.0, 1.0, \(1,\), float32\)$"):
+            continuous.step([[np.nan], [0.0]])
+
+
+def test_each_part_of_an_action_is_checked() -> None:
+    space = Dict({"choices": MultiDiscrete([2, 3]), "ranges": Box(-1.0, 1.0, (2,), np.float32)})
+    fits = fitting_rows(space, {"choices": [[0, 0], [1, 3], [1, 2]], "ranges": [[0, 0], [0, 0], [0, np.nan]]}, 3)
+    assert fits is not None
+    assert fits.tolist() == [True, False, False]
+    assert fitting_rows(space, {"choices": [[0, 0]]}, 1) is None
 
 
 def test_a_step_needs_a_reset(cartpole: Compiled) -> None:

@@ -31,6 +31,13 @@ def test_bench_compares_engines_and_batches(capsys: pytest.CaptureFixture[str]) 
     assert all(0.0 < row["physics_us"] < row["step_us"] for row in rows)
 
 
+def test_one_round_of_a_bench_is_not_called_medians(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "cartpole", "--engine", "mujoco,batch", "--worlds", "1", "--steps", "100", "--quick"]) == 0
+    ran = capsys.readouterr()
+    assert "random actions, one round; CPU times" in ran.out
+    assert "measuring 1 round of 100 steps" in ran.err
+
+
 def test_bench_refuses_worlds_without_a_batch(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "cartpole", "--worlds", "4"]) == 2
     assert "--worlds goes with --engine batch" in capsys.readouterr().err

@@ -49,7 +49,7 @@ def test_a_learner_sees_the_same_of_a_batch_as_of_single_worlds(program: Program
 
 def test_worlds_of_a_batch_enter_another_stage_one_by_one(program: Program) -> None:
     """When three episodes have ended, each at the end of its own, as single worlds do."""
-    harder = api.compile("cartpole", sets=["fall_angle=8 deg"]).program
+    harder = api.compile("cartpole", overrides=["fall_angle=8 deg"]).program
     programs = [program, harder]
     steps: list[list[object]] = []
     kinds: list[list[int]] = []
@@ -119,9 +119,9 @@ def test_a_running_batch_is_restored_exactly(program: Program) -> None:
             assert [info.get("episode") for info in mine[3]] == [info.get("episode") for info in again[3]]
 
 
-def evaluated(name: str, worlds: int, seeds: list[int], sets: tuple[str, ...] = ()) -> tuple[list[Episode] | None, list[Episode]]:
+def evaluated(name: str, worlds: int, seeds: list[int], overrides: tuple[str, ...] = ()) -> tuple[list[Episode] | None, list[Episode]]:
     """Episodes of an untrained policy in a batch, and in two single worlds."""
-    program = api.compile(name, sets=sets).program
+    program = api.compile(name, overrides=overrides).program
     assert program.policy.training is not None
     singles = [api.build(program, engine="mujoco") for _ in range(2)]
     with closing(VectorEnvironment(singles, [0, 0])) as usual, closing(api.build_batch(program, worlds)) as many:
@@ -130,21 +130,21 @@ def evaluated(name: str, worlds: int, seeds: list[int], sets: tuple[str, ...] = 
 
 
 @pytest.mark.parametrize(
-    ("name", "sets"),
+    ("name", "overrides"),
     [
         ("cartpole", ("action={drive: -1 .. 1}", "truncation.max_steps=20")),  # episodes of many lengths
         ("quadrotor", ("truncation={max_steps: 2}",)),  # several timesteps in a step, and functions that numpy rounds otherwise
     ],
 )
-def test_an_evaluation_in_a_batch_gives_the_episodes_of_single_worlds(name: str, sets: tuple[str, ...]) -> None:
-    together, apart = evaluated(name, worlds=10, seeds=list(range(21)), sets=sets)
+def test_an_evaluation_in_a_batch_gives_the_episodes_of_single_worlds(name: str, overrides: tuple[str, ...]) -> None:
+    together, apart = evaluated(name, worlds=10, seeds=list(range(21)), overrides=overrides)
     assert together == apart
 
 
 def test_an_evaluation_in_which_a_world_fails_is_left_to_single_worlds() -> None:
     """They say which episode it is, and keep it."""
     with pytest.raises(EvaluationError, match="step 5"):
-        evaluated("cartpole", worlds=8, seeds=list(range(8)), sets=("reward.odd=1/(5 - step)",))
+        evaluated("cartpole", worlds=8, seeds=list(range(8)), overrides=("reward.odd=1/(5 - step)",))
 
 
 def test_why_worlds_are_stepped_one_by_one_is_told() -> None:
@@ -159,8 +159,8 @@ def test_why_worlds_are_stepped_one_by_one_is_told() -> None:
     "stages", ["", "curriculum=[{name: easy, set: {fall_angle: 20 deg}, until: 480 steps}, {name: hard}]"], ids=["alone", "curriculum"]
 )
 def test_a_training_over_a_batch_resumes_to_the_bit(tmp_path: Path, stages: str) -> None:
-    sets = ["train.n_steps=32", "train.n_epochs=1", *([stages] if stages else [])]
-    compiled = api.compile("cartpole", sets=sets)
+    overrides = ["train.n_steps=32", "train.n_epochs=1", *([stages] if stages else [])]
+    compiled = api.compile("cartpole", overrides=overrides)
     whole = learning.train(compiled, run=tmp_path / "whole", total_timesteps=1024, engine="mujoco", stop_when_solved=False)
     learning.train(compiled, run=tmp_path / "parts", total_timesteps=512, engine="mujoco", stop_when_solved=False)
     parts = learning.resume(tmp_path / "parts", total_timesteps=1024, stop_when_solved=False)

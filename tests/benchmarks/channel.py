@@ -78,14 +78,16 @@ def losses() -> Iterator[Row]:
         yield Row(f"{what}: lengths, chi-square p", geometric_p(runs_of(lost), 1 - 1 / burst), "", LIKELY, True)
 
 
-def through_a_scenario(*sets: str) -> np.ndarray:  # type: ignore[type-arg]
+def through_a_scenario(*overrides: str) -> np.ndarray:  # type: ignore[type-arg]
     """`fresh` and `age` (s) of what the supervisor has, over as many steps as messages."""
     with tempfile.TemporaryDirectory() as folder:
         Path(folder, "pyproject.toml").touch()
         file = Path(folder, "cart.yaml")
         reward = "reward={fresh: 'where(message_received(cart), 1, 0)', age: age(cart) / (1 s)}"
         file.write_text(CART, encoding="utf-8")
-        with closing(api.make(file, sets=[*sets, reward, f"truncation.max_steps={MESSAGES + 1}"], engine="pybullet")) as environment:
+        with closing(
+            api.make(file, overrides=[*overrides, reward, f"truncation.max_steps={MESSAGES + 1}"], engine="pybullet")
+        ) as environment:
             environment.reset(seed=5)
             action = np.zeros(1, np.float32)
             rows = [environment.step(action)[4]["reward_terms"] for _ in range(MESSAGES)]

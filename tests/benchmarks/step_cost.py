@@ -40,8 +40,8 @@ TASKS = (
 
 
 @contextmanager
-def opened(source: str, *sets: str) -> Iterator[Supervisor]:
-    environment = api.make(source, sets=sets, engine="pybullet")
+def opened(source: str, *overrides: str) -> Iterator[Supervisor]:
+    environment = api.make(source, overrides=overrides, engine="pybullet")
     yield environment
     environment.close()
 
@@ -122,8 +122,10 @@ def whereabouts(environment: Supervisor) -> list[Any]:
     return [read() for robot in environment.scenario.world.robots for read in (engine.pose(robot.name), engine.velocity(robot.name))]
 
 
-def against_physics(what: str, bar: float, source: str, sets: tuple[str, ...], steps: int, count: int, *, with_rays: bool = False) -> Row:
-    with opened(source, *sets) as environment, rays_bound() as rays, opened(source, *sets) as other:
+def against_physics(
+    what: str, bar: float, source: str, overrides: tuple[str, ...], steps: int, count: int, *, with_rays: bool = False
+) -> Row:
+    with opened(source, *overrides) as environment, rays_bound() as rays, opened(source, *overrides) as other:
         episodes = plan(environment, steps, 0)
         blind(other)
         require_same_motion(environment, other, episodes[0])
@@ -162,7 +164,7 @@ def main() -> None:
         for substeps, format, bar in ((4, "struct", 1.5), (1, "struct", 2.7), (4, "none", 1.4), (1, "none", 2.4))
     ]
     rows = [against_physics("CartPole, struct", 1.10, "cartpole", ("messages.format=struct",), given.steps, given.pairs)]
-    rows += [against_physics(what, bar, RAIL, sets, given.steps, given.pairs) for what, bar, sets in rail]
+    rows += [against_physics(what, bar, RAIL, overrides, given.steps, given.pairs) for what, bar, overrides in rail]
     for name, bar, with_rays, what in TASKS:
         if shipped.scenario_path(name):
             steps = given.steps // (2 * api.compile(name).program.action_repeat)

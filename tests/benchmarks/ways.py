@@ -38,7 +38,7 @@ def dijkstra(blocked: NDArray[np.bool_], starts: NDArray[np.float64], cell: floa
         for between in paths._between(rows, columns):
             barred |= np.roll(blocked, between, (0, 1))
         ends = index[~barred]
-        length = cell * paths.SCALE * math.hypot(rows, columns)
+        length = cell * paths.LENGTH_SCALE * math.hypot(rows, columns)
         edges.append((ends - (rows * blocked.shape[1] + columns), ends, np.full(len(ends), length)))
     first = np.nonzero((starts.ravel() < paths.UNREACHABLE_LENGTH) & ~blocked.ravel())[0]
     edges.append((np.full(len(first), blocked.size), first, np.maximum(starts.ravel()[first], 1e-12)))  # 0 is no edge

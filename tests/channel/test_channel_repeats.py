@@ -135,8 +135,8 @@ def test_a_step_without_a_value_names_it_also_in_the_midst(make: Make) -> None:
 # Redraws
 
 
-def drawn(make: Make, parameters: str, steps: int = 200, *sets: str, seed: int = 0, term: str = "w") -> list[float]:
-    environment = make(f"reward={{w: {term}}}", *sets, more=f"parameters: {{{parameters}}}\n")
+def drawn(make: Make, parameters: str, steps: int = 200, *overrides: str, seed: int = 0, term: str = "w") -> list[float]:
+    environment = make(f"reward={{w: {term}}}", *overrides, more=f"parameters: {{{parameters}}}\n")
     return [row[3]["w"] for row in episode(environment, steps, seed=seed)]
 
 

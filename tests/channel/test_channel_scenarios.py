@@ -140,7 +140,7 @@ def test_ages_of_a_drawn_latency_lie_between_its_ends(make: Make) -> None:
 def test_what_is_made_of_messages_is_no_privilege(make: Make, tmp_path: Path, signal: str, codes: list[str]) -> None:
     names = f'inner: cart.rate * s / m, hidden: yaw(cart.cart) / rad, seen: "{signal}"'
     make("observation={seen: -1 .. 1}", more=f"parameters: {{limit: 2, wind: uniform(0 .. 1)}}\n{GRANT}\nsignals: {{{names}}}\n")
-    found = api.lint(tmp_path / "cart_0.yaml", sets=["observation={seen: -1 .. 1}"])
+    found = api.lint(tmp_path / "cart_0.yaml", overrides=["observation={seen: -1 .. 1}"])
     assert [finding.code for finding in found if finding.code == "DB609"] == codes
 
 
@@ -159,9 +159,9 @@ def test_a_new_episode_knows_nothing_of_the_last(make: Make) -> None:
 def test_what_happens_on_one_channel_leaves_the_other_alone(make: Make) -> None:
     """Robot `left` is out of reach of the supervisor in one world; what `right` hears and says stays the same, bit by bit."""
 
-    def right(reach: str, *sets: str) -> list[float]:
+    def right(reach: str, *overrides: str) -> list[float]:
         drawn = "{latency: uniform(0 .. 60 ms) each step, loss: 0.3, burst: 2, range: REACH}".replace("REACH", reach)
-        environment = make(f"messages={{to_robot: {drawn}, from_robot: {drawn}}}", *sets, text=PAIR.read_text())
+        environment = make(f"messages={{to_robot: {drawn}, from_robot: {drawn}}}", *overrides, text=PAIR.read_text())
         observations = [environment.reset(seed=3)[0]]
         observations += [environment.step(np.array([step % 3, 0]))[0] for step in range(50)]
         return [float(observation[2]) for observation in observations]

@@ -28,8 +28,8 @@ Make = Callable[..., CopiesSupervisor]
 def team() -> Iterator[Make]:
     opened: list[Any] = []
 
-    def make(*sets: str, engine: str = "exact", source: Path = TEAM) -> Any:
-        opened.append(api.make(source, sets=sets, engine=engine))
+    def make(*overrides: str, engine: str = "exact", source: Path = TEAM) -> Any:
+        opened.append(api.make(source, overrides=overrides, engine=engine))
         return opened[-1]
 
     yield make
@@ -69,13 +69,13 @@ def test_observations_and_actions_have_a_row_for_each_copy(team: Make) -> None:
 
 @pytest.mark.parametrize("engine", ["exact", "pybullet"])
 @pytest.mark.parametrize(
-    "sets",
+    "overrides",
     [(), ("messages.format=csv", "messages.timing=delayed"), ("agent={each: cart, action_repeat: 3, frame_stack: 2}", "termination={}")],
 )
-def test_each_copy_does_what_it_would_do_alone(team: Make, engine: str, sets: tuple[str, ...]) -> None:
+def test_each_copy_does_what_it_would_do_alone(team: Make, engine: str, overrides: tuple[str, ...]) -> None:
     together, alone = (
-        team(CALM, *sets, engine=engine),
-        team(CALM, *(text.replace("each: cart, ", "") for text in sets), source=RAIL, engine=engine),
+        team(CALM, *overrides, engine=engine),
+        team(CALM, *(text.replace("each: cart, ", "") for text in overrides), source=RAIL, engine=engine),
     )
     seen = [observation for observation, *_ in rows(together, 12)]
     for copy in range(3):
@@ -171,14 +171,16 @@ def test_channels_of_copies_share_no_draw(team: Make) -> None:
         assert 10 < np.sum(heard[:, one] == heard[:, other]) < 50
 
 
-@pytest.mark.parametrize("sets", [(), ("messages={from_robot: {latency: 30 ms, loss: 0.2}}",), ("agent={each: cart, action_repeat: 4}",)])
-def test_a_seed_gives_the_same_and_a_reset_world_is_as_new(team: Make, sets: tuple[str, ...]) -> None:
-    environment = team(*sets)
+@pytest.mark.parametrize(
+    "overrides", [(), ("messages={from_robot: {latency: 30 ms, loss: 0.2}}",), ("agent={each: cart, action_repeat: 4}",)]
+)
+def test_a_seed_gives_the_same_and_a_reset_world_is_as_new(team: Make, overrides: tuple[str, ...]) -> None:
+    environment = team(*overrides)
     first = as_bytes(rows(environment, 30, seed=3))
     rows(environment, 17, seed=4)
     assert as_bytes(rows(environment, 30, seed=3)) == first
     second = as_bytes(rows(environment, 30, seed=None))
-    other = team(*sets)
+    other = team(*overrides)
     assert as_bytes(rows(other, 30, seed=3)) == first
     assert as_bytes(rows(other, 30, seed=None)) == second != first
 
@@ -244,7 +246,7 @@ def test_errors_name_the_expression_as_ever(team: Make) -> None:
 
 @pytest.mark.parametrize("base", ["fixed", "free"])
 def test_a_team_can_be_filmed(base: str) -> None:
-    with closing(api.make(TEAM, sets=[f"robots.cart.base={base}"], render_mode="rgb_array")) as environment:
+    with closing(api.make(TEAM, overrides=[f"robots.cart.base={base}"], render_mode="rgb_array")) as environment:
         environment.reset(seed=0)
         assert environment.render().shape == (320, 480, 3)
 
@@ -255,6 +257,6 @@ def test_a_team_of_one_is_a_team(team: Make) -> None:
 
 
 def test_a_team_without_sense_is_refused_in_words() -> None:
-    for sets in (["agent={each: carts}"], ["robots.cart.count=integer(1 .. 3)"], ["robots.cart.count=2.5"], ["robots.cart.count=0"]):
+    for overrides in (["agent={each: carts}"], ["robots.cart.count=integer(1 .. 3)"], ["robots.cart.count=2.5"], ["robots.cart.count=0"]):
         with pytest.raises(DeepbotsError):
-            api.compile(TEAM, sets=sets)
+            api.compile(TEAM, overrides=overrides)

@@ -242,7 +242,7 @@ def test_scenarios_and_runs_are_listed_even_damaged_ones(deepbots, tmp_path):
     (tmp_path / "runs" / "no_run").mkdir()
     assert "cartpole" in [row["name"] for row in json.loads(deepbots("list", "--json").out)["scenarios"]]
     assert "free pole" in deepbots("list").out
-    assert [(row["name"], row["state"]) for row in json.loads(deepbots("runs", "--json").out)] == [("broken", "damaged")]
+    assert [(row["name"], row["state"]) for row in json.loads(deepbots("runs", "--json").out)] == [("broken", "unreadable")]
     shown = deepbots("runs")
     assert "broken: runs/broken/run.json is damaged: it is not valid JSON" in shown.err
 
@@ -264,7 +264,7 @@ def test_the_doctor_finds_this_installation_in_order(deepbots):
 
 
 def test_printed_findings_can_be_read():
-    found = api.load("cartpole", sets=["fall_angle=1lm"]).findings
+    found = api.load("cartpole", overrides=["fall_angle=1lm"]).findings
     assert repr(found) == "Findings(['--set fall_angle:1:13: DB501 unknown unit `lm`'])"
 
 

@@ -73,7 +73,7 @@ def test_the_size_of_a_message_is_what_its_codec_makes(format):
     from deepbots_cli.cli.inspection import message_size
     from deepbots_cli.runtime.messages import codec
 
-    program = api.compile("cartpole", sets=[f"messages.format={format}"]).program
+    program = api.compile("cartpole", overrides=[f"messages.format={format}"]).program
     for layout in (program.robots[0].to_robot, program.robots[0].from_robot):
         assert message_size(layout, format) == len(codec(layout, format).encode(*[0.5] * len(layout.fields)))
 

@@ -7,12 +7,14 @@ import csv
 import json
 import os
 import pty
+import re
 import shutil
 import signal
 import subprocess
 import sys
 import threading
 import time
+import urllib.request
 from importlib.util import find_spec
 from io import StringIO
 from xml.etree import ElementTree
@@ -20,6 +22,7 @@ from xml.etree import ElementTree
 import pytest
 
 from deepbots_cli.cli import main
+from deepbots_cli.cli.commands.train import _page
 from tests.cli.conftest import Ran
 
 FAST = ("--set", "train.n_epochs=1")
@@ -73,6 +76,19 @@ def test_a_run_is_never_overwritten(deepbots, trained):
     assert "not overwritten" in ran.err
 
 
+def test_the_address_of_the_page_of_a_training_is_shown_once_it_can_be_opened(trained, tmp_path, capfd):
+    pytest.importorskip("viser")
+    with _page(wanted=True, allow_code=False) as show_page:
+        show_page(tmp_path / "mine")
+        found, end = None, time.monotonic() + 120
+        while found is None and time.monotonic() < end:
+            time.sleep(0.1)
+            found = re.search(r"http://\S+", capfd.readouterr().err)
+        assert found is not None
+        with urllib.request.urlopen(found[0]) as answer:
+            assert answer.status == 200
+
+
 def test_a_trained_run_can_be_evaluated_listed_filmed_and_gone_on_with(deepbots, trained, tmp_path):
     shown = json.loads(deepbots("eval", "mine", "--episodes", "2", "--json").out)
     assert shown["episodes"] == 2
@@ -116,9 +132,12 @@ def test_a_demanded_result_that_is_not_met_ends_with_1(deepbots, trained):
     assert "not met: mean return of at least 1000" in ran.err
     ran = deepbots("eval", "mine", "--episodes", "40", "--min-return", "1", "--json")
     assert (ran.code, "met: mean return of at least 1 (" in ran.err) == (0, True)
-    assert 2 <= json.loads(ran.out)["episodes"] < 40
+    found = json.loads(ran.out)
+    assert found["episodes"] == 1, "no return is below 1"
+    assert (found["success_rate"], found["success_interval"]) == (None, None), "the scenario defines no success"
     refused = deepbots("eval", "mine", "--min-success", "90%")
     assert (refused.code, "CartPole defines no success; use --min-return" in refused.err) == (2, True)
+    assert "write" not in deepbots("eval", "mine", "--min-success", "101%").err
     refused = deepbots("eval", "mine", "--min-success", "90")
     assert (refused.code, "write 90% for a percentage" in refused.err) == (2, True)
 
@@ -261,7 +280,9 @@ def test_engines_are_compared_from_the_same_starts(deepbots, trained):
 
 def test_settings_of_an_evaluation_apply_to_the_scenario_that_it_names(deepbots, trained):
     elsewhere = ("--scenario", "cartpole", "--episodes", "2", "--json")
-    lengths = [json.loads(deepbots("eval", "mine", *elsewhere, *sets).out)["mean_length"] for sets in ((), ("--set", "fall_angle=3 deg"))]
+    lengths = [
+        json.loads(deepbots("eval", "mine", *elsewhere, *overrides).out)["mean_length"] for overrides in ((), ("--set", "fall_angle=3 deg"))
+    ]
     assert lengths[1] < lengths[0]
 
 
@@ -282,8 +303,8 @@ def test_inspect_shows_what_a_run_is_and_the_scenario_that_it_was_trained_with(d
 
 
 def test_the_list_tells_runs_of_different_scenarios_with_one_name_apart(deepbots, tmp_path):
-    for name, sets in (("one", ()), ("same", ()), ("other", ("--set", "fall_angle=3 deg"))):
-        words = ("train", "cartpole", "--timesteps", "1", *FAST, *sets, "--set", "evaluation={episodes: 1}", "--run", f"runs/{name}")
+    for name, overrides in (("one", ()), ("same", ()), ("other", ("--set", "fall_angle=3 deg"))):
+        words = ("train", "cartpole", "--timesteps", "1", *FAST, *overrides, "--set", "evaluation={episodes: 1}", "--run", f"runs/{name}")
         assert deepbots(*words).code == 0
     rows = {row["name"]: row["digest"] for row in json.loads(deepbots("runs", "--json").out)}
     assert rows["one"] == rows["same"] != rows["other"]

@@ -54,8 +54,8 @@ def test_a_docstring_says_what_the_text_says(text: str) -> None:
 @pytest.mark.parametrize("source", SCENARIOS, ids=lambda source: Path(source).stem)
 def test_generated_code_is_formatted(tmp_path: Path, source: str, format: str) -> None:
     file = tmp_path / "environment.py"
-    sets = ["messages={format: none}"] if format == "none" else [f"messages.format={format}"]  # without messages, nothing is late
-    file.write_text(api.compile(source, sets=sets).code)
+    overrides = ["messages={format: none}"] if format == "none" else [f"messages.format={format}"]  # without messages, nothing is late
+    file.write_text(api.compile(source, overrides=overrides).code)
     command = [
         sys.executable,
         "-m",

@@ -48,10 +48,10 @@ def test_inputs_are_all_files_and_stand_to_each_other_as_they_did(meshed):
     assert inputs["meshes/part.obj"] == MESH
 
 
-@pytest.mark.parametrize("sets", [(), ("world.gravity=0 0 -9.8 m/s^2", "world.substeps=5")])
+@pytest.mark.parametrize("overrides", [(), ("world.gravity=0 0 -9.8 m/s^2", "world.substeps=5")])
 @pytest.mark.parametrize("name", few(shipped.scenario_names(), LIGHT))
-def test_a_resolved_scenario_compiles_to_the_same_from_its_copies(tmp_path, name, sets):
-    compiled = api.compile(name, sets=sets)
+def test_a_resolved_scenario_compiles_to_the_same_from_its_copies(tmp_path, name, overrides):
+    compiled = api.compile(name, overrides=overrides)
     assert api.compile(unpack(compiled, tmp_path)).digest == compiled.digest
 
 

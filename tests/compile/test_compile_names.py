@@ -147,7 +147,7 @@ def test_a_star_without_quotes_is_one_finding(workshop, cartpole, joints):
 
 def test_a_pose_with_a_wrong_value_is_one_finding_and_not_an_unknown_name_wherever_it_is_used() -> None:
     with pytest.raises(ScenarioError) as refused:
-        api.compile("quadruped", sets=['robots.dog.poses.stand={"*_joint": 45 cm}'])
+        api.compile("quadruped", overrides=['robots.dog.poses.stand={"*_joint": 45 cm}'])
     assert [finding.headline for finding in refused.value.findings] == ["`*_joint` must be an angle (rad); this is a length (m)"]
 
 

@@ -47,14 +47,14 @@ class Case:
     """One scenario, with settings."""
 
     source: str
-    sets: tuple[str, ...] = ()
+    overrides: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        return "-".join([Path(self.source).stem, *(text.split("=")[1] for text in self.sets)])
+        return "-".join([Path(self.source).stem, *(text.split("=")[1] for text in self.overrides)])
 
     @cached_property
     def program(self) -> Program:
-        return api.compile(self.source, sets=self.sets).program
+        return api.compile(self.source, overrides=self.overrides).program
 
     def make(self, render_mode: str | None = None) -> Supervisor:
         return api.build(self.program, render_mode=render_mode)
@@ -62,7 +62,7 @@ class Case:
 
 CASES = [
     *(Case(name) for name in shipped.scenario_names()),
-    *(Case(str(DATA / f"{name}.yaml"), sets) for name, sets in MADE_FOR_TESTS),
+    *(Case(str(DATA / f"{name}.yaml"), overrides) for name, overrides in MADE_FOR_TESTS),
 ]
 
 

@@ -66,8 +66,8 @@ def digest(environment: Supervisor, seed: int) -> str:
 def main() -> None:
     """Cases on stdin: [[source, sets], ...]; digests on stdout, in that order."""
     found = []
-    for source, sets in json.load(sys.stdin):
-        environment = api.make(source, sets=sets)
+    for source, overrides in json.load(sys.stdin):
+        environment = api.make(source, overrides=overrides)
         found.append([digest(environment, 0)])
         environment.close()
     json.dump(found, sys.stdout)

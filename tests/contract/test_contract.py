@@ -100,7 +100,7 @@ def test_zero_is_a_seed_and_differs_from_others(environment: Supervisor) -> None
 
 def test_a_fresh_process_gives_the_same_bytes(cases: list[Any]) -> None:
     """One process for all cases, since a start costs half a second."""
-    asked = json.dumps([[case.source, case.sets] for case in cases])
+    asked = json.dumps([[case.source, case.overrides] for case in cases])
     program = [sys.executable, str(Path(__file__).with_name("rollout.py"))]
     answer = subprocess.run(program, input=asked, capture_output=True, text=True, check=True, timeout=600)
     for case, elsewhere in zip(cases, json.loads(answer.stdout), strict=True):
@@ -117,7 +117,7 @@ def test_every_message_format_gives_the_same_bytes(name: str, timing: str) -> No
     engine, source = ("exact", str(data)) if data.exists() else ("pybullet", name)
     found = {}
     for format in EXACT_FORMATS if timing == "immediate" else EXACT_FORMATS[:-1]:
-        environment = api.make(source, sets=[f"messages.format={format}", f"messages.timing={timing}"], engine=engine)
+        environment = api.make(source, overrides=[f"messages.format={format}", f"messages.timing={timing}"], engine=engine)
         found[format] = digest(environment, 3)
         environment.close()
     assert len(set(found.values())) == 1, found

@@ -77,7 +77,7 @@ def test_any_bytes_give_nodes_or_findings(tmp_path_factory, content: bytes) -> N
 @settings(max_examples=80, deadline=None)
 @given(TEXTS)
 def test_any_assignment_gives_a_document(text: str) -> None:
-    check(loads("parameters: {a: 1}\nb: {key: [1, 2]}\n", sets=[text, f"a={text}", f"b.key={text}"]))
+    check(loads("parameters: {a: 1}\nb: {key: [1, 2]}\n", overrides=[text, f"a={text}", f"b.key={text}"]))
 
 
 @settings(max_examples=150, deadline=None)

@@ -174,6 +174,17 @@ def test_no_reference_leads_out_of_the_project(tmp_path: Path, reference: str) -
     assert len(document.sources) == 1
 
 
+def test_a_symbolic_link_that_leads_outside_is_called_one(tmp_path: Path) -> None:
+    (tmp_path / "secret.yaml").write_text("password: 1\n")
+    path = write(tmp_path / "project", main="extends: link.yaml\n")
+    (tmp_path / "project" / "link.yaml").symlink_to(tmp_path / "secret.yaml")
+    (finding,) = load(path).findings
+    assert finding.headline == "`link.yaml` leads outside the project through a symbolic link"
+    path.write_text("extends: ../secret.yaml\n")
+    (finding,) = load(path).findings
+    assert finding.headline == "`../secret.yaml` lies outside the project"
+
+
 def test_an_allowed_path_may_be_read(tmp_path: Path) -> None:
     path = write(tmp_path / "project", main="extends: ../shared/base.yaml\n")
     write(tmp_path / "shared", base="a: 1\n")
@@ -269,14 +280,14 @@ BASE = "parameters: {pole: 1, track: 2 m}\nworld: {timestep: 32 ms, arena: {size
     ],
 )
 def test_an_assignment_replaces_the_value_at_its_path(assignment: str, path: tuple[str | int, ...], expected: object) -> None:
-    found: object = data(loads(BASE, sets=[assignment]))
+    found: object = data(loads(BASE, overrides=[assignment]))
     for step in path:
         found = found[step]  # type: ignore[index]
     assert found == expected
 
 
 def test_an_assigned_value_has_its_place_in_the_assignment() -> None:
-    document = loads(BASE, sets=["world.timestep=8 ms"])
+    document = loads(BASE, overrides=["world.timestep=8 ms"])
     world = document.root.get("world") if document.root else None
     assert isinstance(world, MappingNode)
     span = world.entries["timestep"].value.span
@@ -304,7 +315,7 @@ def test_an_assigned_value_has_its_place_in_the_assignment() -> None:
     ],
 )
 def test_an_assignment_that_cannot_be_made_is_reported_in_its_own_text(assignment: str, code: str, marked: str, hint: str) -> None:
-    document = loads(BASE, sets=[assignment])
+    document = loads(BASE, overrides=[assignment])
     (finding,) = document.findings
     assert (finding.code, finding.span.text) == (code, marked)
     assert finding.span.source.name == f"--set {assignment.partition('=')[0] or assignment}"
@@ -314,7 +325,7 @@ def test_an_assignment_that_cannot_be_made_is_reported_in_its_own_text(assignmen
 
 
 def test_a_section_that_the_file_leaves_out_is_begun_by_an_assignment() -> None:
-    document = loads("deepbots: 1\nname: X\n", sets=["messages.format=none", "train.policy.hidden=[8]"])
+    document = loads("deepbots: 1\nname: X\n", overrides=["messages.format=none", "train.policy.hidden=[8]"])
     assert document.root is not None
     assert to_data(document.root) == {
         "deepbots": 1,
@@ -325,7 +336,7 @@ def test_a_section_that_the_file_leaves_out_is_begun_by_an_assignment() -> None:
 
 
 def test_a_misspelt_section_in_an_assignment_is_not_begun() -> None:
-    document = loads("deepbots: 1\nname: X\nmessages: {format: csv}\n", sets=["mesages.format=none"])
+    document = loads("deepbots: 1\nname: X\nmessages: {format: csv}\n", overrides=["mesages.format=none"])
     assert [finding.code for finding in document.findings] == ["DB201"]
 
 

@@ -12,7 +12,7 @@ from deepbots_cli import frames
 from deepbots_cli.frames import quaternion
 from deepbots_cli.port import CAMERA_RANGE_M, View
 from deepbots_cli.program.world import Ground, Line, ObjectBody, RobotBody, WorldModel
-from deepbots_cli.robots.model import Box, Geometry, Inertial, Joint, Link, Pose, RobotModel, Sphere
+from deepbots_cli.robots.model import Box, Cylinder, Geometry, Inertial, Joint, Link, Pose, RobotModel, Sphere
 
 RED, GREEN = (1.0, 0.0, 0.0, 1.0), (0.0, 1.0, 0.0, 1.0)
 FOV, WIDE, HIGH = 0.9, 120, 84
@@ -105,6 +105,16 @@ def test_what_is_painted_gets_another_colour_and_what_is_absent_is_not_seen(engi
     assert look().colours[middle][0] < 200
     engine.reset()
     assert look().bodies[middle] == -1
+
+
+def test_a_flat_disc_is_not_shaded_as_a_cone(engine_name, build):
+    disc = ObjectBody("disc", Cylinder(0.3, 0.002), Pose((0, 0, 0.001)), colour=GREEN, fixed=True)
+    engine = build(engine_name, world(disc))
+    engine.place("scout", (0.0, 0.0, 1.0), frames.IDENTITY_ROTATION)
+    image = engine.camera(("scout", "head"), ((0.0, 0.0, -0.5), quaternion(0.0, pi / 2, 0.0)), HIGH, HIGH, 1.2)()
+    seen = image.colours[image.bodies == image.body_names.index("disc")]
+    assert len(seen) > 500
+    assert (seen.max(axis=0) - seen.min(axis=0)).max() < 3
 
 
 def test_looking_changes_nothing(engine_name, build):

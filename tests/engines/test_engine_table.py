@@ -71,7 +71,7 @@ try:
 except UsageError as error:
     print(error)
 try:
-    deepbots_cli.make('cartpole', sets=['world.engine=pybullet'])
+    deepbots_cli.make('cartpole', overrides=['world.engine=pybullet'])
 except ScenarioError as error:
     print(error)
 """)

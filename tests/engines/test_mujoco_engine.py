@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from hashlib import sha256
 from math import cos, pi, sin
 
 import pytest
@@ -22,6 +23,35 @@ HILLS = Terrain(Formula(constant(0.0).scalar, (4.0, 4.0)))
 def test_a_mesh_is_no_ground_and_the_message_says_what_to_do():
     with pytest.raises(EngineError, match=r"convex hull.*terrain of heights.*`pybullet`"):
         create("mujoco", WorldModel(0.02, 1, terrain=Terrain(Mesh("ground.stl", "00"))))
+
+
+def post(inertial: Inertial, *shapes: Mesh) -> WorldModel:
+    pieces = tuple(Geometry(shape) for shape in shapes)
+    model = RobotModel(
+        "post", (Link("foot"), Link("pole", inertial, pieces, pieces)), (Joint("hinge", "continuous", "foot", "pole"),), root="foot"
+    )
+    return WorldModel(0.02, 1, robots=(RobotBody("robot", model, fixed_base=True),))
+
+
+def test_an_impossible_inertia_names_robot_and_link_and_says_what_to_do():
+    message = r"^link 'pole' of 'robot' has an inertia that no rigid body can have, which MuJoCo refuses; .*the engine `pybullet`$"
+    for moments in ({"ixx": 1.0, "iyy": 1.0, "izz": 3.0}, {"ixx": 1.0, "iyy": 1.0, "izz": 1.0, "ixy": 2.0}):
+        with pytest.raises(EngineError, match=message):
+            create("mujoco", post(Inertial(1.0, **moments)))
+
+
+def test_the_rounded_inertia_of_a_thin_disc_is_possible(build):
+    build("mujoco", post(Inertial(0.2, Pose(rpy=(0.4, 0.3, 0.2)), ixx=0.0017, iyy=0.0017, izz=0.003401))).step(1)
+
+
+def test_what_the_compiler_refuses_is_an_error_that_names_robot_and_link(tmp_path):
+    path = tmp_path / "flat.obj"
+    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3\nf 2 4 3\n")
+    digest = sha256(path.read_bytes()).hexdigest()
+    with pytest.raises(
+        EngineError, match=r"^MuJoCo cannot build link 'pole' of 'robot': mesh has coplanar vertices, [a-z ]*; correct its "
+    ):
+        create("mujoco", post(Inertial(1.0, ixx=1.0, iyy=1.0, izz=1.0), Mesh(str(path), digest)))
 
 
 def test_distances_to_terrain_are_refused(build):

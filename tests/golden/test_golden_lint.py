@@ -46,7 +46,8 @@ def test_a_mistake_is_reported_once_in_these_short_and_plain_words(case: Case) -
 
 @pytest.mark.parametrize("case", GOOD)
 def test_a_scenario_without_mistake_is_silent_and_compiles(case: str) -> None:
-    assert api.lint(f"ok/{case}.yaml", preview=True) == []
+    found = api.lint(f"ok/{case}.yaml", preview=True)
+    assert found == [], render(found, "full")
     assert api.compile(f"ok/{case}.yaml").code
 
 

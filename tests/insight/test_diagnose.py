@@ -20,7 +20,7 @@ from deepbots_cli.errors import DeepbotsError, EvaluationError, RunError
 from deepbots_cli.insight.diagnosis import CAUSES, diagnose
 from deepbots_cli.insight.episode import ROWS, explain, explanation_json
 from deepbots_cli.insight.trace import last_evaluation, trace_episodes
-from deepbots_cli.insight.training import Training, probe, read
+from deepbots_cli.insight.training import TrainingEvidence, read_training, run_probes
 from deepbots_cli.learning import train
 from deepbots_cli.learning.group import GroupRecord
 from deepbots_cli.learning.run import Run
@@ -36,17 +36,17 @@ def short(tmp_path_factory) -> Path:
     return train("cartpole", total_timesteps=1024, seed=2, run=tmp_path_factory.mktemp("runs") / "short").run
 
 
-def _logs(short: Path, returns, lengths=None, ending="fallen", success=False, **scalars) -> Training:
+def _logs(short: Path, returns, lengths=None, ending="fallen", success=False, **scalars) -> TrainingEvidence:
     """A training with these logs in the place of its own, and without short episodes."""
     returns = np.asarray(returns, float)
     lengths = returns if lengths is None else np.asarray(lengths, float)
     columns = [np.cumsum(lengths), returns, lengths, np.full(len(returns), float(success)), np.full(len(returns), ending, object)]
     episodes = np.rec.fromarrays(columns, names="steps, returns, lengths, successes, endings")
     curves = {name.replace("__", "/"): (np.arange(len(values), dtype=float), np.asarray(values, float)) for name, values in scalars.items()}
-    return replace(read(Run.open(short)), episodes=episodes, scalars=curves, evaluations=[])
+    return replace(read_training(Run.open(short)), episodes=episodes, scalars=curves, evaluations=[])
 
 
-def _causes(training: Training) -> list[str]:
+def _causes(training: TrainingEvidence) -> list[str]:
     return [cause.cause for cause in diagnose(training)]
 
 
@@ -65,7 +65,7 @@ def test_logs_alone_tell_some_causes(short):
 def aiming(tmp_path_factory) -> Path:
     """A training of all its timesteps in a task with a success; not to be changed."""
     sets = ["termination.success={there: x > 0.3 m}", "train.total_timesteps=512"]
-    compiled = api.compile(api.load("cartpole", sets=sets))
+    compiled = api.compile(api.load("cartpole", overrides=sets))
     return train(compiled, total_timesteps=512, seed=2, run=tmp_path_factory.mktemp("runs") / "aiming").run
 
 
@@ -92,7 +92,7 @@ def test_a_policy_that_succeeds_in_a_later_evaluation_is_not_told_to_train_on(ai
     assert "in 97% of 30 episodes" in first.text
     run = shutil.copytree(aiming, tmp_path / "run")
     assert main(["eval", str(run), "--episodes", "9"]) == 0
-    assert len(read(Run.open(run)).evaluations[-1]["successes"]) == 9
+    assert len(read_training(Run.open(run)).evaluations[-1]["successes"]) == 9
 
 
 def test_steps_beyond_the_plan_read_sensibly(short):
@@ -103,9 +103,9 @@ def test_steps_beyond_the_plan_read_sensibly(short):
 
 def test_a_training_that_stops_at_a_reset_has_this_cause_alone(tmp_path, capsys):
     with pytest.raises(EvaluationError):
-        train(api.compile(api.load("cartpole", sets=["fall_angle=0.15 deg"])), total_timesteps=64, run=tmp_path / "run")
-    training = read(Run.open(tmp_path / "run"))
-    probe(training)
+        train(api.compile(api.load("cartpole", overrides=["fall_angle=0.15 deg"])), total_timesteps=64, run=tmp_path / "run")
+    training = read_training(Run.open(tmp_path / "run"))
+    run_probes(training)
     assert _causes(training) == ["ending_at_reset"]
     assert main(["explain-episode", str(tmp_path / "run")]) == 2
     assert "deepbots diagnose" in capsys.readouterr().err
@@ -119,12 +119,12 @@ def test_a_training_that_solves_its_task_has_no_causes(short):
 
 
 def test_an_action_without_effect_and_useless_ranges_are_found_in_short_episodes(short, tmp_path):
-    sets = ["robots.cart.apply.wheels=0 * drive * wheel_speed", "observation.x=-1e-6 .. 1e-6 m", "reward.alive=-1", "train.ent_coef=5"]
-    sets += ["augment.tilt=max(abs(cart.pole_angle) / rad, 0.19)", "observation.tilt=0.2 .. 0.4"]
-    compiled = api.compile(api.load("cartpole", sets=sets))
-    training = read(Run.open(train(compiled, total_timesteps=512, seed=2, run=tmp_path / "dead").run))
+    overrides = ["robots.cart.apply.wheels=0 * drive * wheel_speed", "observation.x=-1e-6 .. 1e-6 m", "reward.alive=-1", "train.ent_coef=5"]
+    overrides += ["augment.tilt=max(abs(cart.pole_angle) / rad, 0.19)", "observation.tilt=0.2 .. 0.4"]
+    compiled = api.compile(api.load("cartpole", overrides=overrides))
+    training = read_training(Run.open(train(compiled, total_timesteps=512, seed=2, run=tmp_path / "dead").run))
     assert "action_without_effect" not in _causes(training)
-    probe(training)
+    run_probes(training)
     assert _causes(training)[0] == "action_without_effect"
     assert {trace.ended_by for trace in training.policy} == {"fallen"}
     (warned,) = [cause for cause in diagnose(training) if cause.cause == "lint_warns"]
@@ -254,9 +254,9 @@ def test_half_a_line_of_a_log_is_left_out_and_any_other_damage_is_told(short, tm
         file.write(line)
     if damaged:
         with pytest.raises(RunError, match="one of its logs cannot be read"):
-            read(Run.open(run))
+            read_training(Run.open(run))
     else:
-        assert len(read(Run.open(run)).evaluations) == len(read(Run.open(short)).evaluations)
+        assert len(read_training(Run.open(run)).evaluations) == len(read_training(Run.open(short)).evaluations)
 
 
 def test_a_damaged_seed_of_a_group_hides_no_other_seed(short, tmp_path, capsys):
@@ -291,13 +291,13 @@ def test_the_planted_cause_comes_first_in_nine_of_twelve(tmp_path):
     first = {}
     for entry in BROKEN:
         run = tmp_path / entry["name"]
-        compiled = api.compile(api.load(entry["scenario"], sets=entry["set"]))
+        compiled = api.compile(api.load(entry["scenario"], overrides=entry["set"]))
         try:
             train(compiled, total_timesteps=entry["timesteps"], seed=SEED, run=run)
         except DeepbotsError:
             assert entry.get("fails")
-        training = read(Run.open(run))
-        probe(training)
+        training = read_training(Run.open(run))
+        run_probes(training)
         first[entry["name"]] = (_causes(training) or ["none"])[0]
     wrong = {entry["name"]: first[entry["name"]] for entry in BROKEN if first[entry["name"]] != entry["cause"]}
     assert len(wrong) <= 3, wrong

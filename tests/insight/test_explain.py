@@ -17,9 +17,9 @@ from deepbots_cli.cli import main
 from deepbots_cli.insight.episode import explain, explanation_json
 from deepbots_cli.insight.trace import Trace, trace_recorded
 from deepbots_cli.view import recordings
-from deepbots_cli.view.episodes import Source, player
+from deepbots_cli.view.episodes import Source, closing_player
 from deepbots_cli.view.frames import WorldFrame
-from deepbots_cli.view.replay import Replayed
+from deepbots_cli.view.replay import ReplayPlayer
 
 Frames = list[WorldFrame]
 
@@ -64,11 +64,11 @@ CASES: dict[str, tuple[str, Callable[[Frames], dict[str, float]], float]] = {
 
 def _check(scenario: str, path: Path, count: int) -> None:
     driver, independent, slack = CASES[scenario]
-    with player(Source(scenario), driver) as world:
+    with closing_player(Source(scenario), driver) as world:
         recordings.record(world, path, 11, range(count))
     opened = Source(str(path)).open()
     failed = 0
-    with closing(Replayed(opened)) as replayed:
+    with closing(ReplayPlayer(opened)) as replayed:
         for trace, recorded in zip(trace_recorded(opened, opened.recording.episodes), opened.recording.episodes, strict=True):
             frames = [replayed.begin(0, recorded.number)] if recorded.number else [replayed.begin(0, 0)]
             frames += [replayed.seek(place) for place in range(1, replayed.length)]
@@ -110,7 +110,7 @@ def test_they_are_in_fifty_failed_episodes(scenario, tmp_path):
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
     path = tmp_path_factory.mktemp("recordings") / "cartpole.mcap"
-    with player(Source("cartpole"), "random") as world:
+    with closing_player(Source("cartpole"), "random") as world:
         recordings.record(world, path, 3, [0, 1])
     return path
 
@@ -129,7 +129,7 @@ def test_every_sentence_has_a_number(recording):
 def test_endings_with_and_or_and_not(tmp_path):
     """Of a condition with several comparisons, the one that has just become true is named, with `not` taken into its sign."""
     ending = "not (abs(x) <= track) or (abs(cart.pole_angle) > fall_angle and step >= 3)"
-    with player(Source("cartpole", sets=[f"termination.failure={{over: {ending}}}"]), "random") as world:
+    with closing_player(Source("cartpole", overrides=[f"termination.failure={{over: {ending}}}"]), "random") as world:
         recordings.record(world, tmp_path / "one.mcap", 3, [0])
     trace = _traced(tmp_path / "one.mcap")
     end = explanation_json(trace, explain(trace))["end"]
@@ -173,7 +173,7 @@ def test_json_holds_the_same_statements(recording, capsys):
 
 def test_a_missed_duration_is_explained_by_the_comparisons_inside_it(tmp_path):
     sets = ["signals={rest: duration(abs(x) < 1 mm and abs(speed) < 0.001 mm/s)}", "termination.success={rested: rest > 0.3 s}"]
-    with player(Source("cartpole", sets=sets), "random") as world:
+    with closing_player(Source("cartpole", overrides=sets), "random") as world:
         recordings.record(world, tmp_path / "one.mcap", 3, [0])
     trace = _traced(tmp_path / "one.mcap")
     (found,) = [each for each in explain(trace) if each.cause == "conditions"]
@@ -187,7 +187,7 @@ def test_a_missed_duration_is_explained_by_the_comparisons_inside_it(tmp_path):
 
 def test_the_time_in_which_a_cost_arose_is_told(tmp_path):
     sets = ["reward={alive: 0.01, late: -1 when step > 5 and step < 9}"]
-    with player(Source("cartpole", sets=sets), "random") as world:
+    with closing_player(Source("cartpole", overrides=sets), "random") as world:
         recordings.record(world, tmp_path / "one.mcap", 3, [0])
     trace = _traced(tmp_path / "one.mcap")
     (found,) = [each for each in explain(trace) if each.cause == "moments"]

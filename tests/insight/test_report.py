@@ -75,32 +75,30 @@ def test_every_figure_is_a_file_too(written):
 
 def test_best_median_and_worst_are_those_of_the_evaluation_and_happen_again(run):
     report = Report.read(run)
-    shown = report.chosen(6)
+    shown = report.choose_episodes(6)
     assert len(shown) == 6
     returns = sorted(episode["total_return"] for episode in json.loads((run / "evaluations" / "0001.json").read_text())["outcomes"])
     assert [each.outcome.total_return for each in shown if each.label] == [returns[-1], returns[len(returns) // 2 - 1], returns[0]]
-    report.run_again(shown, lambda done, of: None, clips=False)
+    report.repeat_episodes(shown, lambda done, of: None, clips=False)
     assert report.notes == []  # a return that differs now would be noted
-    assert [len(each.points) - 1 for each in report.shown] == [each.outcome.length for each in shown]
+    assert [len(each.points) - 1 for each in report.episodes] == [each.outcome.length for each in shown]
 
 
 def test_a_return_that_is_another_one_now_is_noted(run):
     report = Report.read(run)
-    (episode,) = report.chosen(3)[:1]
+    (episode,) = report.choose_episodes(3)[:1]
     changed = Episode(**{field.name: getattr(episode.outcome, field.name) for field in fields(Episode)} | {"total_return": 99.0})
-    outcomes = [*episode.member.evaluation.outcomes]
+    outcomes = [*episode.run.evaluation.outcomes]
     outcomes[episode.number] = changed
-    member = type(episode.member)(
-        episode.member.run, episode.member.log, episode.member.evaluation.model_copy(update={"outcomes": tuple(outcomes)})
-    )
-    report.members = [member]
-    report.run_again(report.chosen(3)[:1], lambda done, of: None, clips=False)
+    member = type(episode.run)(episode.run.run, episode.run.log, episode.run.evaluation.model_copy(update={"outcomes": tuple(outcomes)}))
+    report.runs = [member]
+    report.repeat_episodes(report.choose_episodes(3)[:1], lambda done, of: None, clips=False)
     assert "99 in the evaluation" in report.notes[0]
 
 
 def test_a_group_leaves_damaged_seeds_out_and_says_so(group):
     report = Report.read(group)
-    assert len(report.members) == 1
+    assert len(report.runs) == 1
     assert [note[:20] for note in report.notes] == ["seed 1 is left out: ", "seed 2 is left out: "]
     assert "deepbots eval" in report.notes[1]
     assert "1 seed with 12 held-out episodes" in report.result

@@ -16,7 +16,7 @@ from deepbots_cli.api import Compiled, compile, make
 from deepbots_cli.cli.results import case_rows, evaluation_text, summary_text
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.expressions.dimensions import LENGTH
-from deepbots_cli.learning import TrainingResult, evaluate, evaluate_baselines, evaluate_cases, train
+from deepbots_cli.learning import TrainingResult, evaluate, evaluate_baselines, evaluate_cases, train, video
 from deepbots_cli.learning.episodes import Episode, Summary, by_drawn_value
 from deepbots_cli.learning.evaluation import solved_verdict
 from deepbots_cli.learning.report import to_json
@@ -129,6 +129,19 @@ def test_a_video_shows_the_first_episode(trained: TrainingResult, tmp_path: Path
         assert reader.count_frames() == result.mean_length + 1
 
 
+def test_a_video_of_short_steps_shows_about_thirty_pictures_a_second(tmp_path: Path) -> None:
+    imageio = pytest.importorskip("imageio.v2")
+    world = stand_in.build(stand_in.compiled(max_steps=100).program, render_mode="rgb_array")
+    with video.recording_video(world, tmp_path / "out.mp4", 0.008) as filmed:
+        filmed.reset(seed=0)
+        for _ in range(7):
+            filmed.step(filmed.action_space.sample())
+    world.close()
+    with imageio.get_reader(tmp_path / "out.mp4") as reader:
+        assert reader.get_meta_data()["fps"] == pytest.approx(31.25)
+        assert reader.count_frames() == 1 + 7 // 4
+
+
 @pytest.mark.parametrize(("name", "reason"), [("out.avi", "mp4"), ("missing/out.mp4", "no directory")])
 def test_a_video_that_cannot_be_written_is_refused_before_anything_runs(
     trained: TrainingResult, tmp_path: Path, name: str, reason: str
@@ -229,8 +242,8 @@ def test_success_by_drawn_value_counts_every_episode_once() -> None:
 
 def test_baselines_and_the_policy_have_the_same_starts(tmp_path: Path) -> None:
     run = train("pit_escape", run=tmp_path / "run", total_timesteps=1).run
-    results = evaluate_baselines(run, episodes=2, seed=5, scenario=compile("pit_escape", sets=["truncation.max_steps=20"]))
+    results = evaluate_baselines(run, episodes=2, seed=5, scenario=compile("pit_escape", overrides=["truncation.max_steps=20"]))
     assert [result.model for result in results] == ["random", "zero", "script forward_only", "script rocking"]
-    policy = evaluate(run, episodes=2, seed=5, scenario=compile("pit_escape", sets=["truncation.max_steps=20"]))
+    policy = evaluate(run, episodes=2, seed=5, scenario=compile("pit_escape", overrides=["truncation.max_steps=20"]))
     for result in results:
         assert [episode.drawn for episode in result.outcomes] == [episode.drawn for episode in policy.outcomes]

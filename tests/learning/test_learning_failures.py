@@ -41,13 +41,15 @@ def test_a_scenario_without_a_value_is_told_with_its_place_and_repeated_from_a_f
     pytest.importorskip(engine)
     with pytest.raises(DeepbotsError) as caught:
         train(odd(name), run=tmp_path / "run", total_timesteps=2_000, engine=engine)
-    text = str(caught.value)
+    text, notes = str(caught.value), caught.value.full_message
     path = tmp_path / "run" / "failures" / "0001.json"
     failure, error = reproduce(path)
     assert all(part in text for part in (f"episode {failure.episode} (seed ", "step ", field, f"deepbots run {path}"))
     assert failure.error in text
     assert error is not None
     assert text.startswith(error)
+    assert "nothing was learned before this; `deepbots lint --deep SCENARIO` finds" in notes
+    assert "deepbots eval" not in notes
 
 
 def hurled(push: str) -> Compiled:

@@ -14,14 +14,17 @@ import pytest
 import stand_in
 
 from deepbots_cli.cli import main
+from deepbots_cli.cli.commands.diff import scenario_changes
 from deepbots_cli.cli.commands.eval import Gates
+from deepbots_cli.cli.sources import open_source
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import TrainingResult, compare, evaluate, evaluate_group, resume_group, train, train_group
+from deepbots_cli.learning.comparison import GroupDifference
 from deepbots_cli.learning.group import Group, GroupTraining
 from deepbots_cli.learning.listing import list_runs, read_listed, sort_runs
 from deepbots_cli.learning.report import Reporter, TrainingProgress, to_json
 from deepbots_cli.learning.run import Run, run_lock, short_settings
-from deepbots_cli.learning.statistics import interquartile_mean, mean_interval
+from deepbots_cli.learning.statistics import compare_seeds, interquartile_mean, mean_interval
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Hyperparameter, Solved, Training
 
@@ -33,6 +36,14 @@ SCENARIO = stand_in.compiled(training=SHORT, solved=Solved(10, mean_return=195.0
 def trained_group(tmp_path_factory: pytest.TempPathFactory) -> GroupTraining:
     """Three short trainings; not to be changed."""
     return train_group(SCENARIO, (0, 1, 4), runs=tmp_path_factory.mktemp("runs"), build=stand_in.build)
+
+
+def test_the_scenario_of_a_group_is_opened_like_that_of_its_runs(trained_group: GroupTraining) -> None:
+    group = open_source(str(trained_group.group), (), (), allow_code=False)
+    run = open_source(str(trained_group.group / "seed-0"), (), (), allow_code=False)
+    assert scenario_changes(group, run) == []
+    with pytest.raises(UsageError, match="is a group, which stays as it was trained"):
+        open_source(str(trained_group.group), ("track=1 m",), (), allow_code=False)
 
 
 class InterruptsSeed(Reporter):
@@ -135,11 +146,24 @@ def test_two_groups_are_compared_by_their_seeds_though_their_scenario_is_the_sam
     resume_group(longer, total_timesteps=1_200, build=stand_in.build)
     found = compare([trained_group.group, longer], episodes=5, build=stand_in.build)
     assert [(group.name, len(group.evaluations)) for group in found.groups] == [("stand_in-seeds-1", 3), ("longer", 3)]
+    assert found.groups[0].solved_after == (None, None, None)
     (difference,) = found.differences
     assert difference.between_seeds
     assert difference.mean_return.mean == pytest.approx(found.groups[1].mean_return - found.groups[0].mean_return)
     with pytest.raises(UsageError, match="at least two runs"):
         compare([trained_group.group / "seed-0"], build=stand_in.build)
+
+
+def test_the_runs_of_one_group_are_compared_with_each_other(trained_group: GroupTraining) -> None:
+    found = compare([trained_group.group], episodes=2, build=stand_in.build)
+    assert [group.name for group in found.groups] == ["seed-0", "seed-1", "seed-4"]
+    assert len(found.differences) == 2
+
+
+def test_groups_of_equal_returns_differ_by_the_steps_until_they_are_solved() -> None:
+    equal, steps = compare_seeds([200.0] * 3, [200.0] * 3), compare_seeds([26_900, 26_300, 27_400], [46_400, 44_200, 48_800])
+    verdict = GroupDifference("wide", "narrow", equal, None, between_seeds=True, solved_after=steps).verdict
+    assert verdict.startswith("narrow: the same mean return in every run; it is solved after 19,600 more steps of training (95 % interval ")
 
 
 def test_variants_that_see_something_else_are_compared_in_their_own_scenarios(trained_group: GroupTraining, tmp_path: Path) -> None:
@@ -196,7 +220,7 @@ def _returns(run: Path) -> list[float]:
     return [float(line.split(",")[0]) for line in (run / "monitor.csv").read_text().splitlines()[2:]]
 
 
-def test_the_list_shows_the_last_evaluation_in_the_scenario_of_the_training(run_copy: Path) -> None:
+def test_the_list_shows_the_longest_evaluation_in_the_scenario_of_the_training(run_copy: Path) -> None:
     assert read_listed(run_copy).score == "training"
     plain = evaluate(run_copy, episodes=3, build=stand_in.build)
     run = Run.open(run_copy)
@@ -206,6 +230,9 @@ def test_the_list_shows_the_last_evaluation_in_the_scenario_of_the_training(run_
     (run_copy / "evaluations" / "0009.json").write_text("{")
     found = read_listed(run_copy)
     assert (found.score, found.mean_return, found.return_interval) == ("evaluation", plain.mean_return, plain.return_interval)
+    run.write_evaluation(to_json(plain) | {"mean_return": 1e6, "episodes": 2})  # such as one that a gate has stopped early
+    found = read_listed(run_copy)
+    assert (found.mean_return, found.evaluated_episodes) == (plain.mean_return, 3)
 
 
 def test_values_that_the_command_line_has_changed_are_listed(run_copy: Path) -> None:

@@ -253,3 +253,11 @@ def test_a_policy_acts_like_the_model_by_names_and_units_and_leaves_the_generato
     assert policy.named(0) == {"drive": "forward"}
     with pytest.raises(UsageError, match="tip_speed"):
         policy.observe({"x": 0.0})
+
+
+def test_a_policy_refuses_a_value_that_is_not_finite_and_names_it(trained: TrainingResult) -> None:
+    policy = load_policy(trained.run)
+    with pytest.raises(UsageError, match=r"^the value of speed is nan; it must be finite$"):
+        policy.observe({"x": 0.0, "speed": float("nan"), "cart.pole_angle": 0.0, "tip_speed": 0.0})
+    with pytest.raises(UsageError, match=r"^the observation holds a value of cart\.pole_angle that is not finite: inf$"):
+        policy(np.array([[0, 0, 0, 0], [0, 0, np.inf, 0]], np.float32))

@@ -294,7 +294,7 @@ def test_the_generated_environment_is_brought_back_in_the_middle_of_an_episode(t
             if 200 < progress.steps < 300:
                 os.kill(os.getpid(), signal.SIGINT)
 
-    compiled = api.compile("cartpole", sets=changes)
+    compiled = api.compile("cartpole", overrides=changes)
     train(compiled, run=tmp_path / "whole")
     assert train(compiled, run=tmp_path / "parts", progress=Stop()).interrupted
     assert resume(tmp_path / "parts").inexact == ()

@@ -98,7 +98,7 @@ def test_a_policy_is_measured_against_a_bar_at_every_level(trained: TrainingResu
     assert {condition.threshold.partition(";")[0] for condition in found.conditions} == {"holds at all levels"}
     starts = {tuple(episode.seed for episode in entry.evaluation.outcomes) for entry in levels}
     assert starts == {tuple(episode.seed for episode in found.nominal.outcomes)}
-    brief: dict[str, Any] = {"episodes": 1, "sets": ["truncation.max_steps=5"], "build": stand_in.build}
+    brief: dict[str, Any] = {"episodes": 1, "overrides": ["truncation.max_steps=5"], "build": stand_in.build}
     strict = evaluate_robustness(trained.run, min_return=1e6, **brief)
     # A single episode has no interval.
     assert {condition.threshold for condition in strict.conditions} == {"below the bar at all levels; uncertain at all levels"}

@@ -7,7 +7,7 @@ from statistics import NormalDist, fmean
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepbots_cli.learning import statistics as stats
@@ -39,7 +39,9 @@ def test_an_interval_of_a_mean_is_students():
     low, high = stats.mean_interval([1.0, 2.0, 3.0, 4.0, 5.0])
     assert (low, high) == pytest.approx((3 - 2.776445 * math.sqrt(2.5 / 5), 3 + 2.776445 * math.sqrt(2.5 / 5)), abs=1e-5)
     assert stats.mean_interval([1.0]) is None
-    assert stats.mean_interval([3.0, 3.0, 3.0]) == (3.0, 3.0)
+    assert stats.mean_interval([3.0, 3.0, 3.0]) is None
+    # At most the share 1 - 0.05^(1/5) = 0.451 of all values differs from five equal ones.
+    assert stats.mean_interval([200.0] * 5, (1.0, 200.0)) == pytest.approx((200 - 0.4507 * 199, 200.0), abs=0.01)
 
 
 @pytest.mark.parametrize(
@@ -66,6 +68,7 @@ def test_the_interquartile_mean_moves_with_its_values_and_ignores_their_order(va
 
 
 @given(st.integers(1, 300), st.data())
+@settings(deadline=None)  # the first example imports scipy.optimize
 def test_a_confidence_sequence_holds_the_rate_and_excludes_what_its_evidence_excludes(episodes, data):
     successes = data.draw(st.integers(0, episodes))
     low, high = stats.rate_sequence(successes, episodes)
@@ -81,11 +84,16 @@ def test_the_evidence_on_a_rate_is_the_ratio_of_likelihoods():
     assert stats.rate_evidence(1.0, 3, 4) == math.inf
 
 
-def test_the_evidence_on_a_mean_has_the_closed_form_for_equal_values():
-    # With n equal values away from the mean, S^2 = n V: the evidence is (n + 1)^((n - 1) / 2).
-    for count in (2, 5, 9):
-        assert stats.mean_evidence(0.0, [3.0] * count) == pytest.approx((count - 1) / 2 * math.log(count + 1))
-    assert stats.mean_evidence(3.0, [3.0] * 5) == 0
+def test_the_evidence_on_a_mean_is_the_capital_of_its_bets():
+    # Gains of 1 where at most 2 can be lost: no bet on the first, then the largest, which loses three quarters of the capital on -2.
+    above, below = stats.mean_evidence(2.0, [3.0] * 5, (0.0, 10.0))
+    assert above == pytest.approx(4 * math.log(1 + 0.75 / 2))
+    assert below == 0
+    # After gains of 1 and -0.5, the bet is the ratio of the mean to the mean square, 0.25 / 0.625.
+    above, _ = stats.mean_evidence(2.0, [3.0, 1.5, 4.0], (0.0, math.inf))
+    assert above == pytest.approx(math.log(1 - 0.375 * 0.5) + math.log(1 + 0.75 / 2 * 2))
+    assert stats.mean_evidence(3.0, [3.0] * 5, (0.0, 10.0)) == (0, 0)
+    assert stats.mean_evidence(2.0, [3.0] * 500, (-math.inf, math.inf)) == (0, 0)
 
 
 def simulate_gates(rate: float, required: float, gates: int, planned: int, seed: int) -> float:
@@ -107,13 +115,25 @@ def test_at_most_one_gate_in_twenty_decides_wrongly_before_its_last_episode(rate
     assert simulate_gates(rate, 0.9, 2000, 100, seed=1) <= stats.ALPHA
 
 
-def test_at_most_one_gate_in_twenty_on_a_mean_decides_wrongly():
-    generator = np.random.default_rng(2)
-    wrong = 0
-    for _ in range(1000):
-        returns = generator.normal(10, 5, 60)
-        wrong += any(stats.mean_evidence(10.0, returns[:count]) >= math.log(1 / stats.ALPHA) for count in range(2, 61))
-    assert wrong / 1000 <= stats.ALPHA
+RETURNS = {
+    "mostly the largest return": lambda generator: np.where(generator.random(100) < 0.95, 200.0, 20.0),
+    "half the largest return": lambda generator: np.where(generator.random(100) < 0.5, 200.0, 20.0),
+    "even": lambda generator: generator.uniform(0, 200, 100),
+    "skewed": lambda generator: 200 * generator.beta(0.2, 2, 100),
+}
+MEANS = {"mostly the largest return": 191.0, "half the largest return": 110.0, "even": 100.0, "skewed": 200 * 0.2 / 2.2}
+
+
+@pytest.mark.parametrize("returns", RETURNS)
+@pytest.mark.parametrize("off", [-0.5, 0.5])
+def test_at_most_one_gate_in_twenty_on_a_mean_decides_wrongly(returns, off):
+    generator, wrong = np.random.default_rng(2), 0
+    for _ in range(200):
+        done = RETURNS[returns](generator).tolist()
+        verdicts = (stats.gate_mean(MEANS[returns] + off, done[:count], 100, (0.0, 200.0)) for count in range(5, 100, 5))
+        decided = next((verdict.met for verdict in verdicts if verdict.met is not None and "sequence" in verdict.reason), None)
+        wrong += decided is (off > 0)
+    assert wrong / 200 <= stats.ALPHA
 
 
 def test_thirty_failures_decide_a_gate_of_95_percent_without_the_other_seventy():
@@ -131,6 +151,15 @@ def test_a_gate_is_decided_when_the_remaining_episodes_cannot_change_it():
     assert stats.gate_mean(1.0, [0.5, 1.6], 2).met is True
     assert stats.gate_mean(1.0, [0.5, 1.2], 2).met is False
     assert stats.gate_mean(1.0, [0.5, 1.2], 20).met is None
+    assert stats.gate_mean(0.5, [0.9, 0.8], 3, (0.0, 1.0)).met is True
+    assert stats.gate_mean(0.8, [0.5, 0.6], 3, (0.0, 1.0)).met is False
+
+
+def test_a_gate_on_a_mean_is_not_met_by_a_few_equal_returns():
+    """Five returns of 200 say little about a policy that fails in one of five episodes."""
+    assert stats.gate_mean(195.0, [200.0] * 5, 100, (1.0, 200.0)).met is None
+    assert stats.gate_mean(0.8, [0.91, 0.92] * 25, 100, (0.0, 1.0)).met is True
+    assert stats.gate_mean(195.0, [200.0, 90.0, 60.0] * 10, 100, (1.0, 200.0)).met is False
 
 
 @pytest.mark.parametrize("seeds", [3, 5])

@@ -49,18 +49,20 @@ def test_bodies_that_settle_are_looked_at_before_they_have(probed: Probed) -> No
 
 
 def test_a_pose_out_of_reach_is_reported_where_only_a_script_commands_it() -> None:
+    pytest.importorskip("pybullet_data")
     far = [
         "robots.panda.apply.hand=vector(0.6 m, 0.2 m, 0.3 m) + 2 m * reach",
         "scripts={away: {reach: 1, open: 0}, stay: {reach: 0, open: 1}}",
         "truncation.max_steps=5",
     ]
-    (found,) = simulate(api.load(str(ARM), sets=far)).findings
+    (found,) = simulate(api.load(str(ARM), overrides=far)).findings
     assert found.code == "DB315"
     assert "the script `away`" in found.notes[0]
-    assert simulate(api.load(str(ARM), sets=[far[0], "scripts={stay: {reach: 0, open: 1}}", far[2]])).findings == []
+    assert simulate(api.load(str(ARM), overrides=[far[0], "scripts={stay: {reach: 0, open: 1}}", far[2]])).findings == []
 
 
 def test_a_pose_out_of_reach_is_reported_beside_the_error_that_it_may_explain(probed: Probed) -> None:
+    pytest.importorskip("pybullet_data")
     strong = "stiffness: 100_000 N*m/rad, damping: 100_000 N*m*s/rad"
     found = probed(
         "robots:\n  cart:\n    actuators:\n"
@@ -81,6 +83,7 @@ def test_of_a_group_one_pair_is_told(probed: Probed) -> None:
 
 
 def test_a_robot_that_the_engine_cannot_hold_is_a_finding_at_its_name(probed: Probed, tmp_path: Path) -> None:
+    pytest.importorskip("pybullet")
     links = "".join(
         f'<link name="l{number}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
         for number in range(130)
@@ -101,7 +104,7 @@ def test_doing_nothing_is_the_option_of_zeros_or_the_value_that_is_nearest_to_ze
 
 
 def test_costly_scenarios_are_given_fewer_steps() -> None:
-    usual, costly = (simulation_plan(api.load("pit_escape", sets=sets).program) for sets in ([], ["world.substeps=100"]))
+    usual, costly = (simulation_plan(api.load("pit_escape", overrides=overrides).program) for overrides in ([], ["world.substeps=100"]))
     assert costly.enough < usual.enough
     assert max(rollout.steps for rollout in costly.rollouts) < max(rollout.steps for rollout in usual.rollouts)
 

@@ -160,13 +160,13 @@ def hover() -> Iterator[Row]:
     """Thrust that balances the weight: what is left to fall, of what a fall would be."""
     scenario = Path(__file__).parents[1] / "data" / "scenarios" / "drone.yaml"
     weight = (0.02572680943 + 4 * 0.0005) * G
-    sets = (
+    overrides = (
         "disturbances={}",
         "reset={place: {drone: {z: 1 m}}}",
         f"parameters.hover={weight / 4!r} N",
         "robots.drone.actuators.rotors={type: thrust, links: [prop_*], range: 0 .. 0.15 N}",
     )
-    environment = api.make(str(scenario), sets=sets, engine=ENGINE.get())
+    environment = api.make(str(scenario), overrides=overrides, engine=ENGINE.get())
     try:
         environment.reset(seed=0)
         for _ in range(100):

@@ -22,8 +22,8 @@ NAMES = ("turned", "crates", "things", "nearest", "room", "some", "every")
 def make() -> Iterator[Callable[..., Supervisor]]:
     opened: list[Supervisor] = []
 
-    def make_one(*sets: str) -> Supervisor:
-        opened.append(api.make(GROUPED, sets=sets))
+    def make_one(*overrides: str) -> Supervisor:
+        opened.append(api.make(GROUPED, overrides=overrides))
         return opened[-1]
 
     yield make_one

@@ -24,12 +24,12 @@ HALF = (0.75, 0.6)
 def make(tmp_path: Path) -> Iterator[Callable[..., Supervisor]]:
     opened: list[Supervisor] = []
 
-    def make_one(*sets: str, text: str | None = None) -> Supervisor:
+    def make_one(*overrides: str, text: str | None = None) -> Supervisor:
         file = PLACED
         if text is not None:
             file = tmp_path / "scenario.yaml"
             file.write_text(text, encoding="utf-8")
-        opened.append(api.make(file, sets=sets))
+        opened.append(api.make(file, overrides=overrides))
         return opened[-1]
 
     yield make_one

@@ -45,10 +45,10 @@ reset:
 def make(tmp_path: Path) -> Iterator[Callable[..., Supervisor]]:
     opened: list[Supervisor] = []
 
-    def make_one(*sets: str) -> Supervisor:
+    def make_one(*overrides: str) -> Supervisor:
         file = tmp_path / "table.yaml"
         file.write_text(TABLE, encoding="utf-8")
-        opened.append(api.make(file, sets=sets))
+        opened.append(api.make(file, overrides=overrides))
         return opened[-1]
 
     yield make_one

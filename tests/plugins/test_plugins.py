@@ -206,7 +206,7 @@ import deepbots_cli
 from deepbots_cli import api
 assert "self.drive_axle = self.actuator('axle')" in api.compile("acme_throttle").code.replace('"', "'")
 for sets in json.loads(sys.argv[1]):
-    env = deepbots_cli.make("acme_throttle", sets=sets)
+    env = deepbots_cli.make("acme_throttle", overrides=sets)
     env.reset(seed=0)
     print(json.dumps([float(env.step([0.5])[0][0]) * 20.0 for _ in range(60)]))
 """
@@ -218,8 +218,8 @@ DRIVES = [("1", "0 ms"), ("uniform(0.4 .. 0.5)", "0 ms"), ("1", "100 ms")]
 def driven(site):
     """The speeds of the wheel in rad/s, step by step, for each of `DRIVES`; all from one process."""
     place = "robots.spinner.actuators.axle"
-    sets = [[f"{place}.strength={strength}", f"{place}.delay={delay}"] for strength, delay in DRIVES]
-    done = python(site, "-c", THROTTLED, json.dumps(sets))
+    overrides = [[f"{place}.strength={strength}", f"{place}.delay={delay}"] for strength, delay in DRIVES]
+    done = python(site, "-c", THROTTLED, json.dumps(overrides))
     return dict(zip(DRIVES, map(json.loads, done.stdout.splitlines()), strict=True))
 
 
@@ -245,7 +245,7 @@ program = api.compile("acme_spin").program
 print({entry.name: entry.value for entry in program.policy.training.hyperparameters}, algorithms.check(program.policy.training))
 print([entry.value for entry in defaults.effective_hyperparameters(program, 1000) if entry.name == "n_epochs"])
 try:
-    train(api.compile("acme_spin", sets=["train.algorithm=NoTensors"]), run="refused")
+    train(api.compile("acme_spin", overrides=["train.algorithm=NoTensors"]), run="refused")
 except UsageError as error:
     print(error)
 """

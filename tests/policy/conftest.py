@@ -37,10 +37,10 @@ def small(tmp_path: Path) -> Iterator[Callable[..., Supervisor]]:
     """Makes an environment of that world with further sections and assignments, and closes it after the test."""
     opened: list[Supervisor] = []
 
-    def make(sections: str, *sets: str, engine: str = "exact") -> Supervisor:
+    def make(sections: str, *overrides: str, engine: str = "exact") -> Supervisor:
         file = tmp_path / "small.yaml"
         file.write_text(WORLD + sections)
-        opened.append(api.make(file, sets=sets, engine=engine))
+        opened.append(api.make(file, overrides=overrides, engine=engine))
         return opened[-1]
 
     yield make

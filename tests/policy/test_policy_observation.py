@@ -15,9 +15,11 @@ Small = Callable[..., Supervisor]
 CHOICES = ("action.drive={choices: {ahead: 1, back: -1, stay: 0}}",)
 
 
-def observe(small: Small, observation: str, *sets: str, sections: str = "reward: {pay: drive}\n", steps: Any = (1.0, -0.5, 0.25)) -> Any:
+def observe(
+    small: Small, observation: str, *overrides: str, sections: str = "reward: {pay: drive}\n", steps: Any = (1.0, -0.5, 0.25)
+) -> Any:
     """The observations of the reset and of one step per action, as lists."""
-    environment = small(sections, f"observation={observation}", *sets)
+    environment = small(sections, f"observation={observation}", *overrides)
     seen = [environment.reset(seed=1)[0]]
     for step in steps:
         action = np.array([step], np.float32) if isinstance(step, float) else step

@@ -20,8 +20,8 @@ SEND = "robots.cart.emit=[place, eye]"
 PUSH = "robots.cart.apply={motor: drive * 2 m/s}"
 
 
-def look(small: Small, observation: str, *sets: str) -> Supervisor:
-    return small(SECTIONS, EYE, SEND, PUSH, f"observation={observation}", *sets, engine="pybullet")
+def look(small: Small, observation: str, *overrides: str) -> Supervisor:
+    return small(SECTIONS, EYE, SEND, PUSH, f"observation={observation}", *overrides, engine="pybullet")
 
 
 def test_a_picture_stands_under_its_name_beside_the_numbers(small: Small) -> None:
@@ -78,8 +78,8 @@ def test_what_is_no_use_for_a_picture_is_a_finding(small: Small, entry: str) -> 
 @pytest.mark.parametrize(("seen", "shade"), [("0.5 m .. 2.5 m", 64), ("0 m .. 4 m", 64), ("1.2 m .. 2 m", 0), ("0.1 m .. 0.8 m", 255)])
 def test_a_picture_of_depth_grows_evenly_from_the_near_end_of_its_range_to_the_far_end(small: Small, seen: str, shade: int) -> None:
     box = "objects.box={shape: box, size: 20 40 400 cm, fixed: true, pose: {x: 1.4 m, z: 2 m}}"
-    sets = (box, "robots.cart.sensors.eye.channels=depth", f"robots.cart.sensors.eye.range={seen}")
-    environment = look(small, "{cart.eye: auto}", *sets)
+    overrides = (box, "robots.cart.sensors.eye.channels=depth", f"robots.cart.sensors.eye.range={seen}")
+    environment = look(small, "{cart.eye: auto}", *overrides)
     picture = environment.reset(seed=0)[0]["cart_eye"]
     assert picture.shape == (16, 24, 1)
     assert abs(int(picture[8, 12, 0]) - shade) <= 1  # the face of the box is 1 m ahead

@@ -48,8 +48,8 @@ def test_the_first_option_whose_condition_holds_is_taken(small: Small) -> None:
 
 def test_a_value_is_in_the_unit_of_the_range_and_clamped_to_it(small: Small) -> None:
     script = "scripts: {late: {drive: 10 mm + step * 20 mm}}\n"
-    sets = ("action.drive=20 .. 60 mm", "robots.cart.apply.motor=drive / s")
-    environment = small("reward: {pay: drive / mm}\n" + script, *sets)
+    overrides = ("action.drive=20 .. 60 mm", "robots.cart.apply.motor=drive / s")
+    environment = small("reward: {pay: drive / mm}\n" + script, *overrides)
     environment.reset(seed=0)
     pays = [environment.step(environment.script("late"))[1] for _ in range(5)]
     assert pays == pytest.approx([20, 30, 50, 60, 60], abs=1e-5)
@@ -66,8 +66,8 @@ def test_a_constant_beyond_the_range_is_clamped_too(small: Small) -> None:
 
 def test_components_of_a_vector_have_one_value_or_one_each() -> None:
     each = "{prop_fl: -30 mN, prop_fr: 15 mN, prop_rl: 0 N, prop_rr: 60 mN}"
-    sets = [f"scripts={{same: {{push: 15 mN}}, each: {{push: {each}}}, before: {{push: push + 3 mN}}}}"]
-    with closing(api.make(DATA / "drone.yaml", sets=sets)) as environment:
+    overrides = [f"scripts={{same: {{push: 15 mN}}, each: {{push: {each}}}, before: {{push: push + 3 mN}}}}"]
+    with closing(api.make(DATA / "drone.yaml", overrides=overrides)) as environment:
         environment.reset(seed=0)
         assert environment.script("same").tolist() == pytest.approx([0.5] * 4)
         assert environment.script("each").tolist() == pytest.approx([-1, 0.5, 0, 1])
@@ -77,8 +77,8 @@ def test_components_of_a_vector_have_one_value_or_one_each() -> None:
 
 
 def test_several_choices_are_an_array_and_stand_in_the_order_of_the_action() -> None:
-    sets = ["scripts={go: {hurry: {fast: time > 20 ms, slow: true}, both: apart}}"]
-    with closing(api.make(DATA / "pair.yaml", sets=sets, engine="exact")) as environment:
+    overrides = ["scripts={go: {hurry: {fast: time > 20 ms, slow: true}, both: apart}}"]
+    with closing(api.make(DATA / "pair.yaml", overrides=overrides, engine="exact")) as environment:
         environment.reset(seed=0)
         assert [said.tolist() for said in followed(environment, "go", 2)] == [[1, 0], [1, 1]]
         assert environment.action_space.contains(environment.script("go"))
@@ -93,8 +93,8 @@ def test_choices_beside_ranges_are_a_dictionary(small: Small) -> None:
 
 
 def test_every_copy_of_a_robot_follows_the_script_by_what_it_sees_itself() -> None:
-    sets = ["scripts={catch: {drive: {forward: cart.lean > 0 rad, backward: true}}}"]
-    with closing(api.make(TEAM, sets=sets, engine="exact")) as environment:
+    overrides = ["scripts={catch: {drive: {forward: cart.lean > 0 rad, backward: true}}}"]
+    with closing(api.make(TEAM, overrides=overrides, engine="exact")) as environment:
         leans = environment.reset(seed=4)[0][:, 2]
         said = environment.script("catch")
         assert environment.action_space.contains(said)
@@ -146,8 +146,8 @@ def test_a_script_that_asks_what_nothing_else_asks_gets_true_answers(small: Smal
     world = "world.lines={stripe: {points: [-1 0 m, 1 0 m], width: 20 mm}}"
     ball = "objects={ball: {shape: sphere, radius: 5 cm, pose: {x: 0.4 m}}}"
     way = "way: {drive: {forward: 'arc_length(cart, stripe) > 0.05 m', backward: true}}"
-    sets = [world, ball, f"scripts={{{way}, touch: {{drive: {{backward: collided(cart), forward: true}}}}}}"]
-    with closing(api.make("cartpole", sets=sets)) as environment:
+    overrides = [world, ball, f"scripts={{{way}, touch: {{drive: {{backward: collided(cart), forward: true}}}}}}"]
+    with closing(api.make("cartpole", overrides=overrides)) as environment:
         environment.reset(seed=0)
         assert environment.script("way") == 1
         touched = []
@@ -179,10 +179,12 @@ def test_a_case_may_have_a_script_of_its_own(small: Small) -> None:
 
 
 def test_asking_changes_nothing() -> None:
-    sets = ["scripts={go: {both: {apart: 'clearance(left.cart, right.cart) > 1 m', still: true}, hurry: {fast: ahead > 0 m, slow: true}}}"]
+    overrides = [
+        "scripts={go: {both: {apart: 'clearance(left.cart, right.cart) > 1 m', still: true}, hurry: {fast: ahead > 0 m, slow: true}}}"
+    ]
 
     def episode(*, asking: bool) -> list[bytes]:
-        with closing(api.make(DATA / "pair.yaml", sets=sets)) as environment:
+        with closing(api.make(DATA / "pair.yaml", overrides=overrides)) as environment:
             environment.reset(seed=3)
             steps = []
             for _ in range(30):
@@ -196,7 +198,7 @@ def test_asking_changes_nothing() -> None:
 
 def test_a_scenario_with_a_script_does_in_a_step_what_it_does_without_but_for_what_it_keeps() -> None:
     script = "scripts={catch: {drive: {forward: cart.pole_angle > 0 rad, backward: true}}}"
-    plain, scripted = (api.compile("cartpole", sets=sets).code for sets in ([], [script]))
+    plain, scripted = (api.compile("cartpole", overrides=overrides).code for overrides in ([], [script]))
     before = scripted.partition("    def script_")[0].splitlines()[3:]
     added = [line for line in before if line.strip() not in {other.strip() for other in plain.splitlines()}]
     assert {line.strip() for line in added} == {"self.last_cart_pole_angle = cart_pole_angle"}

@@ -148,7 +148,7 @@ def asked_baseline(scenario: str, wanted: Baseline) -> Asked:
 def compiled(scenario: str, sets: tuple[str, ...] = ()) -> Program:
     """A shipped scenario by name, or one by its path from the root of the repository."""
     file = ROOT / scenario
-    return api.compile(str(file) if file.suffix == ".yaml" and file.is_file() else scenario, sets=sets).program
+    return api.compile(str(file) if file.suffix == ".yaml" and file.is_file() else scenario, overrides=sets).program
 
 
 def _with(program: Program, policy: Mapping[str, Any], **changes: Any) -> Program:

@@ -42,8 +42,8 @@ def make() -> Iterator[Callable[..., Supervisor]]:
     """Makes environments, and closes them after the test."""
     opened: list[Supervisor] = []
 
-    def make_one(source: str | Path, *sets: str, engine: str = "exact") -> Supervisor:
-        opened.append(api.make(source, sets=sets, engine=engine))
+    def make_one(source: str | Path, *overrides: str, engine: str = "exact") -> Supervisor:
+        opened.append(api.make(source, overrides=overrides, engine=engine))
         return opened[-1]
 
     yield make_one
@@ -55,10 +55,10 @@ def make() -> Iterator[Callable[..., Supervisor]]:
 def small(tmp_path: Path, make: Callable[..., Supervisor]) -> Callable[..., Supervisor]:
     """Makes an environment of a cart on a rail with further sections: `small("reward: {a: 1}")`."""
 
-    def make_small(sections: str, *sets: str, robot: str = ROBOT, engine: str = "exact") -> Supervisor:
+    def make_small(sections: str, *overrides: str, robot: str = ROBOT, engine: str = "exact") -> Supervisor:
         file = tmp_path / "small.yaml"
         file.write_text(HEAD + robot + sections)
-        return make(file, *sets, engine=engine)
+        return make(file, *overrides, engine=engine)
 
     return make_small
 

@@ -42,7 +42,7 @@ def first(env: Any) -> list[float]:
 
 
 def test_a_scenario_of_ones_own_is_made_by_its_path(mine: Path) -> None:
-    env = gymnasium.make(ANY, scenario=str(mine), sets=["track=0.2m"], render_mode="rgb_array")
+    env = gymnasium.make(ANY, scenario=str(mine), overrides=["track=0.2m"], render_mode="rgb_array")
     env.reset(seed=0)
     assert env.render().shape[2] == 3
     assert env.unwrapped.scenario.name == "Mine"

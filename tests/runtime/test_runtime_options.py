@@ -91,7 +91,7 @@ def test_a_limit_as_a_float32_is_that_limit(env: Supervisor) -> None:
     ("options", "said"),
     [
         ({"marc": [0.6, 0]}, r"'marc': did you mean 'mark'\? Small draws 'mark', 'side', .*'reset\.set\.cart\.slider'"),
-        ({"stride": 0.1}, r"'stride': it is a fixed parameter.*by sets=\['stride=\.\.\.'\]"),
+        ({"stride": 0.1}, r"'stride': it is a fixed parameter.*by overrides=\['stride=\.\.\.'\]"),
         ({"twice": 0.1}, "'twice': it is computed from other parameters; set those"),
         ({"mark": [0.7, 0]}, r"'mark\.x' to 0\.7: it is drawn from -0\.5 to 0\.6"),
         ({"mark": 0.6}, r"'mark' to 0\.6: it is 2 numbers \(x, y\)"),

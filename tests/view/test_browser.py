@@ -114,7 +114,7 @@ def test_keys_buttons_and_tabs_work(new_tab):
 
 def test_a_narrow_window_shows_the_whole_world_above_the_panel(new_tab):
     with served("find_ball") as page:
-        page._todo.put(page.step_once)
+        page._tasks.put(page.step_once)
         tab = new_tab()
         tab.open(page.address, 480, 800)
         tab.wait("document.body.innerText.includes('reward terms of this step')")
@@ -127,7 +127,7 @@ def test_a_narrow_window_shows_the_whole_world_above_the_panel(new_tab):
 
 def test_two_worlds_are_seen_side_by_side(new_tab):
     with served("find_ball", compare=Source("find_ball"), driver="around") as page:
-        page._todo.put(page.step_once)
+        page._tasks.put(page.step_once)
         tab = new_tab()
         tab.open(page.address)
         tab.wait("document.body.innerText.includes('A: find_ball') && document.body.innerText.includes('B: find_ball')")
@@ -137,13 +137,13 @@ def test_two_worlds_are_seen_side_by_side(new_tab):
 
 def test_worlds_of_a_batch_are_chosen(new_tab):
     with served(Source("find_ball", engine="mujoco", worlds=4), driver="random") as page:
-        page._todo.put(page.step_once)
+        page._tasks.put(page.step_once)
         tab = new_tab()
         tab.open(page.address)
         tab.wait("document.body.innerText.includes('world 0 of 4')")
         _soon(lambda: _is_world(_world(tab), (215, 200, 80), 60))
         first = _world(tab)
-        page._todo.put(lambda: page._choose_world(2))
+        page._tasks.put(lambda: page._choose_world(2))
         tab.wait("document.body.innerText.includes('world 2 of 4')")
         _soon(lambda: (np.abs(_world(tab) - first).sum(axis=2) > 60).sum() > 20)  # the robot stands elsewhere
         assert tab.errors == []
@@ -186,11 +186,11 @@ def test_an_offline_page_turns_without_a_server(new_tab, tmp_path):
     from contextlib import closing
 
     from deepbots_cli.view.episodes import Player
-    from deepbots_cli.view.pictures import Shot, clip
+    from deepbots_cli.view.pictures import Viewpoint, write_clip
 
     out = tmp_path / "clip.html"
     with closing(Player(Source("find_ball").open(), "around")) as player:
-        clip(player, out, Shot(), seed=0, episode=0, seconds=2.0)
+        write_clip(player, out, Viewpoint(), seed=0, episode=0, seconds=2.0)
     tab = new_tab()
     tab.open(out.as_uri())
     _soon(lambda: _is_world(tab.see().astype(int), (215, 200, 80), 60))
@@ -206,7 +206,7 @@ def test_a_recording_is_scrubbed_beside_its_messages(new_tab, tmp_path):
         tab = new_tab()
         tab.open(page.address)
         tab.wait("document.body.innerText.includes('reward terms of this step')")
-        page._todo.put(lambda: page.seek(40))
+        page._tasks.put(lambda: page.seek(40))
         tab.wait("document.body.innerText.includes('step 40,')")
         tab.wait("document.body.innerText.includes('message to epuck')")
         assert tab.errors == []

@@ -43,7 +43,7 @@ def test_a_frame_holds_what_the_engine_says():
         frame = reader.read(observation)
         assert frame.links["epuck", "base_link"] == env.engine.pose("epuck")()
         assert frame.links["ball", "ball"][0] == pytest.approx((0.38, 0.38, 0.07))
-        assert len(frame.rays["epuck.proximity"]) == len(reader.layout.beams["epuck.proximity"].starts)
+        assert len(frame.rays["epuck.proximity"]) == len(reader.layout.sensor_rays["epuck.proximity"].starts)
         assert all(0 <= free <= 0.1 for free in frame.rays["epuck.proximity"])
         assert frame.readings["epuck.proximity"] == pytest.approx(env.controllers["epuck"].devices["proximity"].reading)
         fields = dict(zip([f.name for f in reader.layout.observation], frame.agents["agent"].observation, strict=True))
@@ -101,9 +101,9 @@ def test_worlds_of_a_batch_that_have_ended_rest_until_the_next_episodes():
         player.step()
         assert asdict(player.choose(world)) == asdict(ended)
         assert "fallen 2" in player.note
-        assert player.following(0) == 4
+        assert player.next_episode(0) == 4
         with pytest.raises(UsageError, match="leave out --worlds"):
-            player.drive("balance")
+            player.set_driver("balance")
 
 
 def test_bodies_that_take_no_part_in_the_episode_are_left_out():
@@ -141,7 +141,7 @@ def test_fields_have_units_ranges_and_options():
 def test_a_person_drives_by_the_names_of_action_fields():
     with closing(Player(Source("find_ball").open(), HAND)) as player:
         player.begin(0, 0)
-        player.hand = {"gas": 1.0, "wheel": -0.5}
+        player.manual_values = {"gas": 1.0, "wheel": -0.5}
         assert player.step().agents["agent"].action == pytest.approx((1.0, -0.5))
 
 

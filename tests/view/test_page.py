@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from contextlib import closing
@@ -11,14 +12,16 @@ import pytest
 
 pytest.importorskip("viser")
 import msgspec
+import numpy as np
 import viser
 from websockets.sync.client import connect
 
 import deepbots_cli.codegen
 from deepbots_cli.cli import main
 from deepbots_cli.errors import UsageError
+from deepbots_cli.frames import roll_pitch_yaw
 from deepbots_cli.view.episodes import HAND, Source
-from deepbots_cli.view.frames import Field
+from deepbots_cli.view.frames import PlottedField
 from deepbots_cli.view.manual_input import ManualInput
 from deepbots_cli.view.page import Page
 
@@ -72,13 +75,60 @@ def test_time_goes_on_stands_still_and_begins_again():
 def test_keys_drive_and_let_go():
     with closing(Page(Source("find_ball"), port=0, playing=True)) as page:
         assert page.player.driver_name == HAND
-        page._hand.hold(frozenset({"KeyW", "KeyD"}), ())
+        page._manual_input.hold(frozenset({"KeyW", "KeyD"}), ())
         page.step_once()
         assert page.player.frame.agents["agent"].action == pytest.approx((1.0, 1.0))
         time.sleep(0.3)
         page.step_once()
         assert page.player.frame.agents["agent"].action == pytest.approx((0.625, 0.0))
-        assert "onward" in page._banner.content or page._rival.driver_name == "onward"
+        assert "onward" in page._banner.content or page._compared_player.driver_name == "onward"
+
+
+@pytest.mark.parametrize("name", ["find_ball", "mine.yaml"])  # to the right is positive in one, and to the left in the other
+def test_the_right_arrow_turns_the_robot_to_the_right(tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", "mine", "--template", "wheeled"]) == 0
+    with closing(Page(Source(name), port=0, playing=True)) as page:
+        yaws = []
+        for key in ("ArrowRight", "ArrowLeft"):
+            page._begin()
+            (robot,), before = page.player.env.world.robots, page.player.frame.links
+            for _ in range(5):
+                page._manual_input.hold(frozenset({key}), ())
+                page.step_once()
+            one, other = (roll_pitch_yaw(links[robot.name, robot.model.root][1])[2] for links in (before, page.player.frame.links))
+            yaws.append(math.remainder(other - one, math.tau))
+        assert yaws[0] < -0.05
+        assert yaws[1] > 0.05
+
+
+def test_released_keys_give_zero_where_the_range_holds_it():
+    hand = ManualInput([PlottedField("gas", "gas", -0.3, 1.0, ""), PlottedField("turn", "turn", 0.5, 1.0, "rad")], turns_left=True)
+    assert hand.values() == pytest.approx({"gas": -0.35 / 0.65, "turn": 0.0})
+    assert hand.help() == "W / up arrow: more gas; S / down arrow: less gas; A / left arrow: more turn; D / right arrow: less turn"
+    for keys, axes, values in (
+        ({"KeyW", "KeyD"}, (), (1.0, -1.0)),
+        ({"KeyS", "KeyA"}, (), (-1.0, 1.0)),
+        (set(), (-0.5,), (-0.35 / 0.65, 0.5)),
+    ):
+        hand.hold(frozenset(keys), axes)
+        assert tuple(hand.values().values()) == pytest.approx(values)
+
+
+def test_rays_are_drawn_between_two_steps_as_the_robot_is():
+    with closing(Page(Source("find_ball"), port=0, driver="around")) as page:
+        ends = []
+        for _ in range(2):
+            page.step_once()
+            page.world.draw(1.0)
+            ends.append(page.world._rays.points.copy())
+        assert np.abs(ends[1] - ends[0]).max() > 1e-3
+        page.world.draw(0.25)
+        assert page.world._rays.points == pytest.approx(0.75 * ends[0] + 0.25 * ends[1], abs=1e-6)
+        frame, layout = page.player.frame, page.player.reader.layout
+        key = next(iter(layout.sensor_rays))
+        lines = layout.sensor_rays[key].lines(frame, key)
+        assert np.linalg.norm(lines[:, 1, :3] - lines[:, 0, :3], axis=1) == pytest.approx(frame.rays[key], abs=1e-6)
 
 
 def test_an_episode_that_was_driven_is_recorded_to_the_bit(tmp_path, monkeypatch):
@@ -87,7 +137,7 @@ def test_an_episode_that_was_driven_is_recorded_to_the_bit(tmp_path, monkeypatch
     with closing(Page(Source("find_ball"), port=0, playing=True, seed=4)) as page:
         assert "press a key to begin" in page._banner.content
         for keys in ({"KeyW"}, {"KeyW", "KeyD"}, {"KeyA"}):
-            page._hand.hold(frozenset(keys), ())
+            page._manual_input.hold(frozenset(keys), ())
             page.step_once()
         page._record(None)
         page._record(None)
@@ -99,7 +149,7 @@ def test_an_episode_that_was_driven_is_recorded_to_the_bit(tmp_path, monkeypatch
 
 
 def test_hands_know_options_by_their_names():
-    hand = ManualInput([Field("move", "move", 0, 2, "", ("left", "right", "stop"))])
+    hand = ManualInput([PlottedField("move", "move", 0, 2, "", ("left", "right", "stop"))])
     assert hand.values() == {"move": 2.0}
     hand.hold(frozenset({"ArrowLeft"}), ())
     assert hand.values() == {"move": 0.0}
@@ -178,9 +228,9 @@ def test_a_recording_is_played_and_scrubbed(tmp_path):
     with closing(Page(Source(str(path)), port=0)) as page:
         page.play(False)
         page.seek(7)
-        assert [frame.step for frame in page.shown[0].past] == list(range(8))
+        assert [frame.step for frame in page.panels[0].frames] == list(range(8))
         assert "step 7," in page._banner.content
-        page._tell()
+        page._update_texts()
         assert page._slider.value == 7
         page.play(True)
         _run(page, lambda: page.player.frame.ended_by is not None)
@@ -192,11 +242,11 @@ def test_a_recording_is_played_and_scrubbed(tmp_path):
 
 def test_two_worlds_begin_alike_and_go_on_until_both_have_ended():
     with closing(Page(Source("cartpole"), compare=Source("cartpole"), port=0, driver="zero")) as page:
-        one, other = page.shown
+        one, other = page.panels
         page.speed = 5.0
         assert one.player.frame.links == other.player.frame.links
         assert one.player.seed == other.player.seed
-        _run(page, lambda: one.ended and other.ended)
+        _run(page, lambda: one.has_ended and other.has_ended)
         assert "A: cartpole" in page._banner.content
         assert "B: cartpole" in page._banner.content
 
@@ -212,7 +262,7 @@ def test_a_page_shows_one_world_of_a_batch_after_another():
         third = page.player.frame
         page._choose_world(1)
         assert page.player.frame.links != third.links
-        assert len(page.shown[0].past) == 1
+        assert len(page.panels[0].frames) == 1
         _run(page, lambda: page.player.frame.step > 3)
         assert page.player.batch.step_count.min() > 3
         page._begin(1)
@@ -225,7 +275,7 @@ def test_a_changed_parameter_counts_at_the_same_seed():
         page._change("goal", "31 cm")
         old = page.player
         _run(page, lambda: page.player is not old)
-        assert page.shown[0].past[0].links == start
+        assert page.panels[0].frames[0].links == start
         assert page._values is panel  # and the panel stays as it is
         assert "0.31" in deepbots_cli.codegen.generate_module(page.player.program)
         page._change("goal", "31 kg")
@@ -237,6 +287,6 @@ def test_a_changed_parameter_counts_at_the_same_seed():
 def test_messages_are_shown_with_their_age():
     with closing(Page(Source("cartpole_wireless"), port=0)) as page:
         page.step_once()
-        page._tell()
+        page._update_texts()
         assert "message to cart" in page._values.content
         assert "32 ms old" in page._values.content or "64 ms old" in page._values.content

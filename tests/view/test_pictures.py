@@ -11,7 +11,7 @@ from PIL import Image
 from deepbots_cli.cli import main
 from deepbots_cli.port import View
 from deepbots_cli.view.episodes import Player, Source
-from deepbots_cli.view.pictures import Shot, clip, picture, projection, write_gif
+from deepbots_cli.view.pictures import Viewpoint, projection, render_picture, write_clip, write_gif
 
 
 def _yellow(image):
@@ -23,7 +23,7 @@ def test_a_point_is_projected_to_where_the_engine_draws_it():
     with closing(Player(Source("find_ball").open(), "around")) as player:
         player.begin(0, 0)
         view = View((0.9, -1.2, 1.0), (0.1, 0.1, 0.0), 640, 480)
-        rows, columns = np.nonzero(_yellow(picture(player, Shot(640, 480, view.eye, view.target))))
+        rows, columns = np.nonzero(_yellow(render_picture(player, Viewpoint(640, 480, view.eye, view.target))))
         assert projection(view)(player.frame.links["ball", "ball"][0]) == pytest.approx((columns.mean(), rows.mean()), abs=4)
         assert projection(view)((3.0, -6.0, 3.0)) is None
 
@@ -31,8 +31,8 @@ def test_a_point_is_projected_to_where_the_engine_draws_it():
 def test_a_path_is_painted_where_the_robot_went():
     with closing(Player(Source("find_ball").open(), "around")) as player:
         path = list(player.episode(0, 0))
-        bare = np.asarray(picture(player, Shot(400, 400), path=path[-1:]).convert("RGB")).astype(int)
-        painted = np.asarray(picture(player, Shot(400, 400), path=path).convert("RGB")).astype(int)
+        bare = np.asarray(render_picture(player, Viewpoint(400, 400), path=path[-1:]).convert("RGB")).astype(int)
+        painted = np.asarray(render_picture(player, Viewpoint(400, 400), path=path).convert("RGB")).astype(int)
     changed = np.abs(painted - bare).sum(axis=2) > 60
     assert 300 < changed[:370].sum() < 6000
 
@@ -40,8 +40,11 @@ def test_a_path_is_painted_where_the_robot_went():
 def test_labels_and_rays_are_painted():
     with closing(Player(Source("find_ball").open(), "around")) as player:
         player.begin(0, 0)
-        shots = [picture(player, Shot(400, 300, (-0.5, -0.8, 0.4), (-0.38, -0.38, 0.0)), **{what: True}) for what in ("labels", "rays")]
-        plain = picture(player, Shot(400, 300, (-0.5, -0.8, 0.4), (-0.38, -0.38, 0.0)))
+        shots = [
+            render_picture(player, Viewpoint(400, 300, (-0.5, -0.8, 0.4), (-0.38, -0.38, 0.0)), **{what: True})
+            for what in ("labels", "rays")
+        ]
+        plain = render_picture(player, Viewpoint(400, 300, (-0.5, -0.8, 0.4), (-0.38, -0.38, 0.0)))
     for shot in shots:
         assert np.abs(np.asarray(shot).astype(int) - np.asarray(plain)).max() > 60
 
@@ -50,7 +53,7 @@ def test_labels_and_rays_are_painted():
 def test_a_clip_can_be_read_and_moves(tmp_path, suffix):
     out = tmp_path / f"clip{suffix}"
     with closing(Player(Source("find_ball").open(), "around")) as player:
-        last = clip(player, out, Shot(160, 120), seed=0, episode=0, seconds=2.0)
+        last = write_clip(player, out, Viewpoint(160, 120), seed=0, episode=0, seconds=2.0)
     assert last.time == pytest.approx(2.048, abs=0.13)
     if suffix == ".gif":
         with Image.open(out) as image:
@@ -80,7 +83,7 @@ def test_an_offline_page_holds_the_episode(tmp_path):
     pytest.importorskip("viser")
     out = tmp_path / "clip.html"
     with closing(Player(Source("cartpole").open(), "zero")) as player:
-        clip(player, out, Shot(), seed=0, episode=0, seconds=1.0)
+        write_clip(player, out, Viewpoint(), seed=0, episode=0, seconds=1.0)
     text = out.read_text()
     assert "__VISER_EMBED_DATA__" in text
     assert "<title>CartPole</title>" in text

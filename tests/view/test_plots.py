@@ -56,7 +56,7 @@ def runs(tmp_path):
 
 
 def test_curves_are_means_over_the_window_and_the_band_holds_all_seeds(runs):
-    logs = plots.read([runs], window=2)
+    logs = plots.read_logs([runs], window=2)
     assert [log.name for log in logs] == ["a0", "a0", "b0"]
     steps, values = logs[0].returns
     assert list(steps) == [10, 20, 30, 40]
@@ -77,7 +77,7 @@ def test_groups_with_runs_of_the_same_seeds_are_lines_of_their_own(tmp_path):
         (tmp_path / group / "group.json").write_text("{}")
         for seed in (0, 1):
             _run(tmp_path / group / f"seed-{seed}", digest, [seed, 2, 4, 6])
-    figure = plots.plot(plots.read([tmp_path / "slow", tmp_path / "fast"]))
+    figure = plots.plot(plots.read_logs([tmp_path / "slow", tmp_path / "fast"]))
     assert [line.get_label() for line in figure.axes[0].get_legend_handles_labels()[0]] == ["slow (2 seeds)", "fast (2 seeds)"]
 
 
@@ -86,12 +86,12 @@ def test_runs_of_one_folder_name_are_told_apart_by_their_paths(tmp_path):
     for path in paths:
         path.parent.mkdir()
         _run(path, path.parent.name, [0, 2, 4, 6])
-    assert [log.name for log in plots.read(paths)] == [str(path) for path in paths]
+    assert [log.name for log in plots.read_logs(paths)] == [str(path) for path in paths]
 
 
 def test_reward_terms_of_scenarios_share_their_scale_and_no_place_is_left_for_unknown_successes(runs):
     _events(runs / "b0" / "tensorboard", reward__closer=[(10, 50.0), (40, 90.0)])
-    logs = plots.read([runs / "a0", runs / "b0"])
+    logs = plots.read_logs([runs / "a0", runs / "b0"])
     figure = plots.plot(logs)
     assert figure.axes[2].get_ylim() == figure.axes[4].get_ylim()
     assert figure.axes[2].get_ylim()[1] >= 90.0
@@ -101,10 +101,34 @@ def test_reward_terms_of_scenarios_share_their_scale_and_no_place_is_left_for_un
 
 
 def test_endings_are_shares_of_episodes(runs):
-    figure = plots.plot(plots.read([runs / "a0"]))
+    figure = plots.plot(plots.read_logs([runs / "a0"]))
     tops = [area.get_paths()[0].vertices[:, 1].max() for area in figure.axes[3].collections]
-    assert tops == [1.0, 1.0]
+    assert tops == pytest.approx([0.75, 1.0])
     assert [area.get_label() for area in figure.axes[3].collections] == ["crashed", "found"]
+
+
+def test_a_part_of_the_training_with_one_episode_is_no_spike_of_endings(runs):
+    lines = [f"1,10,0.1,{n},{n if n < 99 else 900 + n},0.1,{int(n == 99)},{'found' if n == 99 else 'crashed'}," for n in range(100)]
+    head = "r,l,t,episode,steps,simulated_hours,is_success,ended_by,stage"
+    (runs / "a0" / "monitor.csv").write_text("\n".join(['#{"t_start": 0}', head, *lines, ""]))
+    areas = plots.plot(plots.read_logs([runs / "a0"])).axes[3].collections
+    crashed = areas[0].get_paths()[0].vertices[:, 1]
+    assert [area.get_label() for area in areas] == ["crashed", "found"]
+    assert crashed[crashed > 0].min() == pytest.approx(0.99)
+
+
+def test_an_evaluation_after_the_training_is_a_diamond_and_dots_are_named_where_there_are_some(runs):
+    figure = plots.plot(plots.read_logs([runs / "a0"]))
+    assert figure.axes[0].get_title("left") == "return of training episodes; dots: evaluations"
+    (runs / "a0" / "evaluations" / "training.jsonl").unlink()
+    found = {"evaluated": "9", "model": "best", "seed": 0, "episodes": 9, "mean_return": 3.5, "return_interval": None,
+             "success_defined": True, "success_rate": 0.5, "success_interval": [0.1, 0.9], "solved": None}  # fmt: skip
+    (runs / "a0" / "evaluations" / "0001.json").write_text(json.dumps(found))
+    figure = plots.plot(plots.read_logs([runs / "a0"]))
+    returns, successes = figure.axes[:2]
+    assert returns.get_title("left") == "return of training episodes; diamond: evaluations"
+    assert returns.lines[-1].get_xydata().tolist() == [[40, 3.5]]
+    assert successes.lines[-1].get_xydata().tolist() == [[40, 0.5]]
 
 
 def test_files_of_other_programs_are_plotted(tmp_path, capsys):
@@ -119,12 +143,12 @@ def test_files_of_other_programs_are_plotted(tmp_path, capsys):
 
 def test_what_cannot_be_plotted_is_told(tmp_path, runs):
     with pytest.raises(RunError, match="neither a run nor a folder"):
-        plots.read([tmp_path / "nothing"])
+        plots.read_logs([tmp_path / "nothing"])
     with pytest.raises(RunError, match="hold none of"):
-        plots.read([_events(tmp_path / "other", loss=[(0, 1.0)])])
+        plots.read_logs([_events(tmp_path / "other", loss=[(0, 1.0)])])
     (runs / "a0" / "monitor.csv").write_text("#{}\nr,l\n")
     with pytest.raises(RunError, match="no finished episode"):
-        plots.read([runs / "a0"])
+        plots.read_logs([runs / "a0"])
 
 
 @pytest.mark.parametrize("steps", ["nan", "inf", "-9"])
@@ -132,7 +156,7 @@ def test_a_log_with_impossible_steps_is_damaged(runs, steps):
     log = runs / "a0" / "monitor.csv"
     log.write_text(log.read_text().replace(",40,", f",{steps},"))
     with pytest.raises(RunError, match="one of its logs cannot be read"):
-        plots.read([runs / "a0"])
+        plots.read_logs([runs / "a0"])
 
 
 @pytest.mark.parametrize("name", ["monitor.csv", "evaluations/training.jsonl", "tensorboard/events.out.tfevents.9"])
@@ -140,7 +164,7 @@ def test_a_pipe_in_the_place_of_a_log_is_not_opened(runs, name):
     (runs / "a0" / name).unlink(missing_ok=True)
     os.mkfifo(runs / "a0" / name)
     with pytest.raises(RunError, match="not a regular file"):
-        plots.read([runs / "a0"])
+        plots.read_logs([runs / "a0"])
 
 
 def test_names_of_others_are_text_and_not_formulas(runs, tmp_path):
@@ -148,6 +172,6 @@ def test_names_of_others_are_text_and_not_formulas(runs, tmp_path):
     rows = [f"1,10,0.1,{n},{10 * n},0.1,0,ending {n}," for n in range(1, 100)]
     log.write_text(log.read_text().replace("crashed", r"$\frac{$") + "\n" + "\n".join(rows) + "\n")
     assert main(["plot", str(runs / "a0"), "--out", str(tmp_path / "plot.png")]) == 0
-    labels = plots.plot(plots.read([runs / "a0"])).axes[3].get_legend_handles_labels()[1]
+    labels = plots.plot(plots.read_logs([runs / "a0"])).axes[3].get_legend_handles_labels()[1]
     assert len(labels) == 21
     assert "others" in labels

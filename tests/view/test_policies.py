@@ -19,8 +19,8 @@ from deepbots_cli.view.episodes import POLICY, Source
 SMALL = ["train.environments=1", "train.n_steps=64", "train.batch_size=64", "train.n_epochs=1"]
 
 
-def _trained(folder, name, *sets):
-    compiled = deepbots_cli.compile(name, sets=[*SMALL, *sets])
+def _trained(folder, name, *overrides):
+    compiled = deepbots_cli.compile(name, overrides=[*SMALL, *overrides])
     return learning.train(compiled, run=folder / "run", total_timesteps=64).run
 
 
@@ -67,10 +67,10 @@ def test_a_training_is_followed_to_its_newest_policy(tmp_path):
 def test_a_parameter_of_a_run_changes_its_world_and_a_policy_that_does_not_fit_is_refused(tmp_path):
     run = str(_trained(tmp_path, "cartpole"))
     assert Source(run).open().parameters["fall_angle"] == "15 deg"
-    with closing(Source(run, sets=["parameters.fall_angle=1 deg"]).open().player()) as player:
+    with closing(Source(run, overrides=["parameters.fall_angle=1 deg"]).open().player()) as player:
         *_, last = player.episode(0, 0)
         assert (player.driver_name, last.ended_by) == (POLICY, "fallen")
         assert last.agents["agent"].episode_return < 60
     with pytest.raises(RunError, match="does not fit the changed scenario"):
-        Source(run, sets=["action.drive.choices.stop=0"]).open().player()
-    assert Source(run, sets=["parameters.fall_angle=1 kg"]).open().program is None
+        Source(run, overrides=["action.drive.choices.stop=0"]).open().player()
+    assert Source(run, overrides=["parameters.fall_angle=1 kg"]).open().program is None

@@ -22,9 +22,9 @@ from mcap.writer import Writer
 from deepbots_cli.cli import main
 from deepbots_cli.view import recordings
 from deepbots_cli.view.episodes import Player, Source
-from deepbots_cli.view.frames import Beams, WorldFrame
+from deepbots_cli.view.frames import SensorRays, WorldFrame
 from deepbots_cli.view.recordings import Recording, RecordingError
-from deepbots_cli.view.replay import Replayed, verify
+from deepbots_cli.view.replay import ReplayPlayer, verify
 
 
 def _recorded(folder: Path, name: str, driver: str = "random", engine: str | None = None) -> tuple[Path, list[WorldFrame]]:
@@ -71,7 +71,7 @@ def _same(one, other) -> bool:
 def test_frames_come_back_and_a_replay_is_the_same(tmp_path, name, engine):
     path, frames = _recorded(tmp_path, name, engine=engine)
     opened = Source(str(path)).open()
-    with closing(Replayed(opened)) as player:
+    with closing(ReplayPlayer(opened)) as player:
         found = [frame for number in (2, 3) for frame in player.episode(0, number)]
     assert len(found) == len(frames)
     assert all(map(_same, frames, found))
@@ -188,7 +188,7 @@ def test_the_points_of_a_scan_are_where_the_rays_end(count):
     angles = np.linspace(-2.5, 2.5, count)
     tilt = np.array([[1, 0, 0], [0, 0.6, -0.8], [0, 0.8, 0.6]])
     ways = np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1) @ tilt.T
-    beams = Beams(("robot", "base"), np.tile([0.1, 0.2, 0.3], (count, 1)), ways, 4.0)
+    beams = SensorRays(("robot", "base"), np.tile([0.1, 0.2, 0.3], (count, 1)), ways, 4.0)
     free = list(np.linspace(1.0, 3.0, count))
     scan = recordings._scan(beams, recordings._fan(beams), free, {})
     from scipy.spatial.transform import Rotation

@@ -123,7 +123,7 @@ def test_rubbish_to_viser_changes_nothing_and_prints_nothing(page, capfd):
         "text",
         b"\x93\x01\x02\x03",
         b"\xdf\xff\xff\xff\xff",
-        b"x" * (server.MAX_MESSAGE + 1),
+        b"x" * (server.MAX_MESSAGE_BYTES + 1),
     ):
         with suppress(OSError, TimeoutError, ConnectionClosed), _open(port, origin=origin) as wire:
             wire.send(message)

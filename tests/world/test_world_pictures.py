@@ -72,7 +72,7 @@ def robot_bodies(environment: Supervisor) -> list[str]:
 
 
 def test_every_copy_of_a_row_begins_in_the_picture() -> None:
-    with closing(api.make(TEAM, sets=["robots.cart.count=9", "robots.cart.spacing=0 4 0 m"])) as environment:
+    with closing(api.make(TEAM, overrides=["robots.cart.count=9", "robots.cart.spacing=0 4 0 m"])) as environment:
         view = overview(environment.scenario)
         environment.reset(seed=0)
         for number in range(1, 10):

@@ -50,10 +50,10 @@ reset: {place: {puck: {x: 0.2 m, y: 0.25 m}}}
 def make(tmp_path: Path) -> Iterator[Callable[..., Supervisor]]:
     opened: list[Supervisor] = []
 
-    def make_one(*sets: str) -> Supervisor:
+    def make_one(*overrides: str) -> Supervisor:
         file = tmp_path / "yard.yaml"
         file.write_text(YARD, encoding="utf-8")
-        opened.append(api.make(file, sets=sets))
+        opened.append(api.make(file, overrides=overrides))
         return opened[-1]
 
     yield make_one

@@ -20,7 +20,7 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import terminal, throughput
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Scenario, Seed, Sets, known_engine, whole_number
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Overrides, Scenario, Seed, known_engine, whole_number
 from deepbots_cli.cli.tables import row_as_lines as aligned
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError
@@ -34,7 +34,7 @@ WARM_UP_STEPS = 3
 
 def command(
     scenario: Scenario,
-    sets: Sets = None,
+    overrides: Overrides = None,
     steps: Annotated[
         int | None,
         typer.Option("--steps", metavar="N", parser=whole_number(100), help="Steps of the agent per measurement; 2000 by default."),
@@ -48,7 +48,13 @@ def command(
             help="Number of pairs of measurements, one with and one without the environment; 9 by default.",
         ),
     ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Measure 3 pairs of 600 steps, which takes a tenth of the time.")] = False,
+    quick: Annotated[
+        bool,
+        typer.Option(
+            "--quick",
+            help="Measure 3 pairs of 600 steps, which takes a tenth of the time; with several engines or batch, one round instead of 3.",
+        ),
+    ] = False,
     seed: Seed = 0,
     engine: Annotated[
         str | None,
@@ -85,8 +91,8 @@ def command(
     if worlds is not None and throughput.BATCH not in names:
         raise UsageError("--worlds goes with --engine batch")
     several = len(names) > 1 or throughput.BATCH in names
-    changed = with_engine(sets, None if several or not names else names[0])
-    compiled = api.compile(scenario, sets=changed, allow_paths=allow_paths or (), allow_code=allow_code)
+    changed = with_engine(overrides, None if several or not names else names[0])
+    compiled = api.compile(scenario, overrides=changed, allow_paths=allow_paths or (), allow_code=allow_code)
     terminal.note_warnings(compiled.findings, scenario)
     if several:
         rounds = pairs or (1 if quick else 3)

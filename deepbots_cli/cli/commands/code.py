@@ -11,7 +11,7 @@ import typer
 import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Scenario, Sets
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Overrides, Scenario
 from deepbots_cli.cli.commands.new import Files, modeline, write_new
 from deepbots_cli.codegen import generate_module
 from deepbots_cli.codegen.text import class_name
@@ -27,7 +27,7 @@ from deepbots_cli.scenario.json_schema import schema_text
 
 def compile_(
     scenario: Scenario,
-    sets: Sets = None,
+    overrides: Overrides = None,
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", metavar="FILE", help="Write to this file, and replace it if it exists; by default, print."),
@@ -56,7 +56,7 @@ def compile_(
         raise UsageError("--program and --json exclude each other; --program prints JSON already")
     if target not in ("scalar", "batch"):
         raise UsageError(f"there is no target '{target}'; there are scalar and batch")
-    compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
+    compiled = api.compile(scenario, overrides=overrides or (), allow_paths=allow_paths or (), allow_code=allow_code)
     if output is not None and output.is_file() and output.read_bytes() in compiled.inputs.values():
         raise UsageError(f"{output} is an input of the scenario; name another output file")
     terminal.note_warnings(compiled.findings, scenario)
@@ -72,7 +72,7 @@ def compile_(
 def eject(
     scenario: Scenario,
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="A new or empty folder.")],
-    sets: Sets = None,
+    overrides: Overrides = None,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
@@ -87,7 +87,7 @@ def eject(
       cd my_cartpole && python run.py
     """
     _check(folder)
-    compiled = api.compile(scenario, sets=sets or (), allow_paths=allow_paths or (), allow_code=allow_code)
+    compiled = api.compile(scenario, overrides=overrides or (), allow_paths=allow_paths or (), allow_code=allow_code)
     terminal.note_warnings(compiled.findings, scenario)
     written = write_new(project_files(compiled), folder)
     if as_json:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
+from statistics import fmean
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -102,6 +103,10 @@ def _show(found: Comparison) -> None:
         }
         if has_success:
             row |= {"success": f"{group.success_rate:.1%}", "success_95 %": results.interval_text(group.success_interval, percent=True)}
+        solved = [steps for steps in group.solved_after if steps is not None]
+        if solved:
+            count = f" ({len(solved)} of {len(group.solved_after)})" if len(group.solved_after) > 1 else ""
+            row["solved_after_steps"] = f"{fmean(solved):,.0f}{count}"
         rows.append(row)
     terminal.print_result(table(rows))
     terminal.print_result(f"\nagainst {found.groups[0].name}")
@@ -111,6 +116,8 @@ def _show(found: Comparison) -> None:
         if entry.success_rate is not None:
             success = entry.success_rate
             row |= {"success": f"{success.mean:+.1%}", "success_95 %": results.interval_text(success.interval, percent=True)}
+        if entry.solved_after is not None:
+            row["solved_after_steps"] = f"{entry.solved_after.mean:+,.0f}"
         rows.append(row | {"probability_of_improvement" if entry.between_seeds else "episodes_better": entry.mean_return.improvement})
     terminal.print_result(table(rows))
     if not all(entry.between_seeds for entry in found.differences):

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Sets
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Overrides
 from deepbots_cli.cli.exits import FAILED, WRONG_USAGE
 from deepbots_cli.cli.sources import OpenedSource, open_source
 from deepbots_cli.cli.tables import cell_text, formula_text
@@ -30,7 +30,7 @@ from deepbots_cli.program.world import RobotBody, WorldModel
 from deepbots_cli.robots.model import RobotModel
 
 Kind = Literal["changed", "added", "removed"]
-LOOK = "look of "
+APPEARANCE_PREFIX = "look of "
 
 
 class Group(StrEnum):
@@ -50,21 +50,26 @@ _HEADINGS = {
     Group.training: "training or evaluation differs",
     Group.cosmetic: "names, colours, order of keys or last digits differ; the meaning is the same",
 }
-_Side = Annotated[str, typer.Argument(metavar="SCENARIO|RUN", help="A scenario file, the name of a shipped scenario, or a run directory.")]
+_Side = Annotated[
+    str,
+    typer.Argument(
+        metavar="SCENARIO|RUN|GROUP", help="A scenario file, the name of a shipped scenario, or the directory of a run or a group."
+    ),
+]
 
 
 def command(
     one: _Side,
     other: _Side,
-    sets: Sets = None,
+    overrides: Overrides = None,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
 ) -> None:
     """Compare the meaning of two scenarios.
 
-    The command compiles both scenarios and compares the values, so layout, comments and units make no difference. For a run directory
-    it uses the scenario of the training. --set overrides values of the second scenario.
+    The command compiles both scenarios and compares the values, so layout, comments and units make no difference. For a run or a
+    group it uses the scenario of the training. --set overrides values of the second scenario.
 
     Differences in names, summary, colours, order of keys or last digits are cosmetic. The exit code is 0 if there are no other
     differences, 1 if there are, and 2 if a scenario cannot be compiled.
@@ -75,7 +80,9 @@ def command(
       deepbots diff runs/cartpole-0-1 cartpole.yaml
     """
     try:
-        sides = [open_source(name, given, allow_paths or (), allow_code=allow_code) for name, given in ((one, ()), (other, sets or ()))]
+        sides = [
+            open_source(name, given, allow_paths or (), allow_code=allow_code) for name, given in ((one, ()), (other, overrides or ()))
+        ]
     except ScenarioError as error:
         terminal.show_findings(error.findings)
         raise typer.Exit(WRONG_USAGE) from None
@@ -165,10 +172,10 @@ _PATHS: tuple[tuple[str, str, Group], ...] = (
     (r"robots/([^/]+)/variables/([^/]+)", r"robots.\1.receive.\2", Group.task),
     (r"robots/([^/]+)/(\w+)/([^/]+)", r"robots.\1.\2.\3", Group.task),
     (r"(name|summary)", r"\1", Group.cosmetic),
-    (r"world/robots/([^/]+)/model/links/([^/]+)" + _COLOURED, LOOK + r"robots.\1.links.\2", Group.cosmetic),
-    (r"world/objects/([^/#]+)[^/]*" + _COLOURED, LOOK + r"objects.\1", Group.cosmetic),
-    (r"world/lines/([^/]+)" + _COLOURED, LOOK + r"world.lines.\1", Group.cosmetic),
-    (r"world/(\w+)" + _COLOURED, LOOK + r"world.\1", Group.cosmetic),
+    (r"world/robots/([^/]+)/model/links/([^/]+)" + _COLOURED, APPEARANCE_PREFIX + r"robots.\1.links.\2", Group.cosmetic),
+    (r"world/objects/([^/#]+)[^/]*" + _COLOURED, APPEARANCE_PREFIX + r"objects.\1", Group.cosmetic),
+    (r"world/lines/([^/]+)" + _COLOURED, APPEARANCE_PREFIX + r"world.lines.\1", Group.cosmetic),
+    (r"world/(\w+)" + _COLOURED, APPEARANCE_PREFIX + r"world.\1", Group.cosmetic),
     (r"world/(?!robots|objects|lines)(\w+)", r"world.\1", Group.world),
     (r"world/robots/([^/]+)/model/name", r"name of robots.\1.urdf", Group.cosmetic),
     (r"world/robots/([^/]+)/model/root", r"robots.\1.urdf", Group.world),
@@ -196,7 +203,7 @@ _AXES = {"rpy": ("roll", "pitch", "yaw")} | dict.fromkeys(("xyz", "size", "axis"
 _PLACES = (Program, WorldModel, RobotBody, RobotModel, Robot, Route, Policy, Truncation, Reset, JointStart, Training, Network)
 """Records that only hold other records; their class is not compared."""
 _NAME = re.compile(r"[a-z_][a-z0-9_]*")
-_LISTED = 3
+_MAX_LISTED = 3
 
 
 def scenario_changes(one: OpenedSource, other: OpenedSource) -> list[Change]:
@@ -243,7 +250,7 @@ def _translated(raw: str, *scenarios: Program) -> tuple[tuple[int, str, Group], 
     for rank, (pattern, template, group) in enumerate(_PATHS):
         if match := re.match(pattern, raw):
             path = match.expand(template)
-            if path.startswith(LOOK) and any(_is_seen(path, scenario) for scenario in scenarios):
+            if path.startswith(APPEARANCE_PREFIX) and any(_is_seen(path, scenario) for scenario in scenarios):
                 group = Group.world
             return (rank, path, group), raw[match.end() :].strip("/").replace("/", ".")
     return (len(_PATHS), raw.replace("/", "."), Group.task), ""
@@ -251,8 +258,8 @@ def _translated(raw: str, *scenarios: Program) -> tuple[tuple[int, str, Group], 
 
 def _is_seen(path: str, scenario: Program) -> bool:
     """Whether a robot has a camera, or the look belongs to a robot that has no other shapes."""
-    name = path.removeprefix(LOOK).split(".")[1]
-    bodies = [body for body in scenario.world.robots if path.startswith(f"{LOOK}robots.") and body.name == name]
+    name = path.removeprefix(APPEARANCE_PREFIX).split(".")[1]
+    bodies = [body for body in scenario.world.robots if path.startswith(f"{APPEARANCE_PREFIX}robots.") and body.name == name]
     shapeless = any(not any(link.collisions for link in body.model.links) for body in bodies)
     return shapeless or any(sensor.optics for robot in scenario.robots for sensor in robot.sensors)
 
@@ -262,7 +269,7 @@ def _change(path: str, group: Group, old: Mapping[str, str], new: Mapping[str, s
     section, _, name = path.partition(".")
     if section == "signals" and any(name in side.keys_at("augment") for side in (one, other)):
         path = f"augment.{name}"
-    written = f"{path.removeprefix(LOOK)}.colour" if path.startswith(LOOK) else path
+    written = f"{path.removeprefix(APPEARANCE_PREFIX)}.colour" if path.startswith(APPEARANCE_PREFIX) else path
     texts = one.text_at(written), other.text_at(written)
     kind = "changed" if all(texts) else _kind(bool(old), bool(new))
     if texts[0] != texts[1]:
@@ -278,10 +285,10 @@ def _kind(before: bool, after: bool) -> Kind:
 def _differing(old: Mapping[str, str], new: Mapping[str, str]) -> tuple[str, str]:
     """The first few values that differ; none of an item with many values that only one scenario has."""
     names = [name for name in dict.fromkeys((*old, *new)) if old.get(name) != new.get(name)]
-    if len(names) > _LISTED and not (old and new):
+    if len(names) > _MAX_LISTED and not (old and new):
         return "", ""
-    rest = [f"... {len(names)} in all"] if len(names) > _LISTED else []
-    shown = [[f"{name} {side[name]}".strip() for name in names[:_LISTED] if name in side] for side in (old, new)]
+    rest = [f"... {len(names)} in all"] if len(names) > _MAX_LISTED else []
+    shown = [[f"{name} {side[name]}".strip() for name in names[:_MAX_LISTED] if name in side] for side in (old, new)]
     return ", ".join([*shown[0], *rest] if shown[0] else []), ", ".join([*shown[1], *rest] if shown[1] else [])
 
 
@@ -395,7 +402,7 @@ def _path_of_draw(entry: RandomizedParameter) -> str:
     """The path in the language of a value that is drawn per episode."""
     body, *rest = (part.partition("#")[0] for part in entry.of) if entry.of else ("",)
     if entry.what == "colour":
-        return f"{LOOK}robots.{body}.links.{rest[0]}" if rest and rest[0] else f"{LOOK}objects.{body}"
+        return f"{APPEARANCE_PREFIX}robots.{body}.links.{rest[0]}" if rest and rest[0] else f"{APPEARANCE_PREFIX}objects.{body}"
     first = entry.scalars[0]
     if isinstance(first, Draw):
         return first.stream.partition("#")[0].partition(":")[0]

@@ -13,7 +13,17 @@ import typer
 
 from deepbots_cli import api, learning
 from deepbots_cli.cli import results, terminal
-from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Json, Sets, fraction, known_engine, whole_number
+from deepbots_cli.cli.command import (
+    MAX_SEED,
+    AllowCode,
+    AllowPaths,
+    Json,
+    Overrides,
+    fraction,
+    known_engine,
+    whole_number,
+    with_case_or_stage,
+)
 from deepbots_cli.cli.commands.insight import repeat_failed
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import table
@@ -24,12 +34,14 @@ from deepbots_cli.files import check_writable
 from deepbots_cli.learning import report
 from deepbots_cli.learning.group import Group, is_group
 from deepbots_cli.learning.run import Run
+from deepbots_cli.lint.rewards import possible_returns
 from deepbots_cli.program.identity import task_digest
 
 if TYPE_CHECKING:
     from deepbots_cli.api import Compiled
     from deepbots_cli.learning import EvaluationResult, GroupResult
-    from deepbots_cli.learning.episodes import Episode
+    from deepbots_cli.learning.episodes import Episode, Interval
+    from deepbots_cli.learning.evaluation import StopCondition
     from deepbots_cli.learning.statistics import Verdict
     from deepbots_cli.program import Program
 
@@ -44,12 +56,12 @@ def _engines(names: list[str] | None) -> list[str] | None:
     return found or None
 
 
-FAILED_ONES = "failed"
+FAILED_EPISODES = "failed"
 
 
 def _episodes(text: str) -> int | str:
     """A parser: a number of episodes, or `failed`."""
-    return text if text == FAILED_ONES else whole_number()(text)
+    return text if text == FAILED_EPISODES else whole_number()(text)
 
 
 def command(
@@ -77,7 +89,7 @@ def command(
     scenario: Annotated[
         str | None, typer.Option("--scenario", metavar="SCENARIO", help="Evaluate in this scenario; by default in the scenario of the run.")
     ] = None,
-    sets: Sets = None,
+    overrides: Overrides = None,
     case: Annotated[
         str | None,
         typer.Option("--case", metavar="NAME", help="Evaluate in this case only; by default in the scenario and in all its cases."),
@@ -173,10 +185,10 @@ def command(
     Next: `deepbots compare RUN RUN` compares policies on the same starts, `deepbots runs RUN` lists its evaluations, and
     `deepbots train --resume RUN --timesteps N --full` continues the training.
     """
-    if episodes == FAILED_ONES:
+    if episodes == FAILED_EPISODES:
         refused: dict[str, Any] = {
             "scenario": scenario,
-            "set": sets,
+            "set": overrides,
             "case": case,
             "stage": stage,
             "stochastic": stochastic,
@@ -213,13 +225,15 @@ def command(
         group = Group.open(run)
         one = f"evaluates a single run, and {run} is a group; name one of its runs, such as {group.runs[0] if group.runs else run}"
         _refuse(one, video=video, robustness=robustness, baselines=baselines, details=details)
-        judged = [_judged(run, group.record.engine, scenario, sets, name, allow_paths, allow_code) for name in several]
+        judged = [_judged(run, group.record.engine, scenario, overrides, name, allow_paths, allow_code) for name in several]
         chosen |= {"seed": seed or 0, "case": case, "stage": stage}
-        _evaluate_group(run, judged, gates, csv=csv, junit=junit, as_json=as_json, scenario=scenario, sets=tuple(sets or ()), **chosen)
+        _evaluate_group(
+            run, judged, gates, csv=csv, junit=junit, as_json=as_json, scenario=scenario, overrides=tuple(overrides or ()), **chosen
+        )
         return
     known = Run.open(run)
     if robustness:
-        changed = with_engine(sets, several[0])
+        changed = with_engine(overrides, several[0])
         _robustness(known, gates, changed, allow_paths or (), scenario, case, stage, as_json=as_json, seed=seed, mass_of=mass_of, **chosen)
         return
     chosen |= {"seed": seed}
@@ -229,14 +243,16 @@ def command(
             learning.evaluate_cases,
             learning.evaluate_baselines,
         )  # imports torch
-    found: list[_Found] = []
+    found: list[_EngineEvaluations] = []
     requirements: list[Requirement] = []
     for name in several:
-        compiled = _judged(run, known.record.engine, scenario, sets, name, allow_paths, allow_code)
+        compiled = _judged(run, known.record.engine, scenario, overrides, name, allow_paths, allow_code)
         program = known.program if compiled is None else compiled.program
         gates.check(program)
         usual = program.evaluation.episodes if case is None else program.case(case).episodes
-        until = None if require_solved or len(several) > 1 else partial(gates.decided, planned=episodes or usual)
+        until = gates.stop_condition(with_case_or_stage(program, case, stage), episodes or usual) if len(several) == 1 else None
+        if video is not None and not as_json:
+            terminal.note(f"{video} will show episode 0, which is drawn after the evaluation")
         with terminal.progress("episodes" if name is None else f"episodes in {name}", always=False) as show_episode:
             options = chosen | {"scenario": compiled, "engine": name, "on_episode": show_episode}
             result = evaluate(known, case=case, stage=stage, video_to=video, until=until, **options)
@@ -246,9 +262,9 @@ def command(
             if baselines:
                 options = {key: value for key, value in options.items() if key not in ("model", "deterministic")}
                 others = evaluate_baselines(known, case=case, stage=stage, **options | {"episodes": result.episodes})
-        elsewhere = _elsewhere(known, scenario, sets or (), compiled) if scenario is not None or sets else None
-        found.append(_Found(result, cases, others, elsewhere, tuple(sets or ())))
-        results.keep_evaluation(known, found[-1].as_json())
+        elsewhere = _elsewhere(known, scenario, overrides or (), compiled) if scenario is not None or overrides else None
+        found.append(_EngineEvaluations(result, cases, others, elsewhere, tuple(overrides or ())))
+        results.write_evaluation(known, found[-1].as_json())
         of = f"{result.engine}: " if len(several) > 1 else ""
         requirements += [(f"{of}{words}", met, reason) for words, met, reason in gates.requirements(result, episodes or usual)]
     if csv is not None:
@@ -263,18 +279,18 @@ def command(
 
 
 @dataclass(frozen=True)
-class _Found:
+class _EngineEvaluations:
     """The evaluations of a run in one engine; `elsewhere` is a scenario in words that replaces the scenario of the run."""
 
     result: EvaluationResult
     cases: Sequence[EvaluationResult]
     baselines: Sequence[EvaluationResult]
     elsewhere: str | None
-    sets: tuple[str, ...]
+    overrides: tuple[str, ...]
 
     def as_json(self) -> dict[str, Any]:
         data = {**with_cases(self.result, self.cases), "baselines": [report.to_json(other) for other in self.baselines]}
-        return data | {"elsewhere": self.elsewhere, "set": list(self.sets)}
+        return data | {"elsewhere": self.elsewhere, "set": list(self.overrides)}
 
     def show(self, *, details: bool) -> None:
         show(self.result, self.cases, elsewhere=self.elsewhere)
@@ -293,7 +309,7 @@ def _refuse(reason: str, **options: object) -> None:
             raise UsageError(f"--{option} {reason}")
 
 
-def _show_engines(run: Run, found: Sequence[_Found], *, as_json: bool) -> None:
+def _show_engines(run: Run, found: Sequence[_EngineEvaluations], *, as_json: bool) -> None:
     """The evaluations in several engines side by side, and the difference of each from the first, from the same starts."""
     from deepbots_cli.learning.comparison import compare_engines
 
@@ -304,7 +320,7 @@ def _show_engines(run: Run, found: Sequence[_Found], *, as_json: bool) -> None:
     ]
     if as_json:
         differences = [asdict(pair) for pair in pairs]
-        terminal.show_json({"evaluations": [each.as_json() for each in found], "differences": differences, "set": list(found[0].sets)})
+        terminal.show_json({"evaluations": [each.as_json() for each in found], "differences": differences, "set": list(found[0].overrides)})
         return
     first, elsewhere = found[0].result, found[0].elsewhere
     trained = f"trained in {run.record.engine}"
@@ -335,15 +351,15 @@ def _judged(
     folder: Path,
     trained_in: str,
     scenario: str | None,
-    sets: Sequence[str] | None,
+    overrides: Sequence[str] | None,
     engine: str | None,
     allow_paths: Sequence[Path] | None,
     allow_code: bool,
 ) -> Compiled | None:
     """The scenario to evaluate in, where it is not that of the run or group in `folder`."""
-    if scenario is None and not sets and engine in (None, trained_in):
+    if scenario is None and not overrides and engine in (None, trained_in):
         return None
-    options: dict[str, Any] = {"sets": with_engine(sets, engine), "allow_paths": allow_paths or (), "allow_code": allow_code}
+    options: dict[str, Any] = {"overrides": with_engine(overrides, engine), "allow_paths": allow_paths or (), "allow_code": allow_code}
     if scenario is None:
         return api.compile(api.load(folder / RESOLVED_NAME, project=folder, **options))
     compiled = api.compile(api.load(scenario, **options))
@@ -380,8 +396,8 @@ class Gates:
                 " or add `termination.success` or a `goal` to the scenario"
             )
 
-    def verdicts(self, episodes: Sequence[Episode], planned: int) -> Iterator[tuple[str, Verdict]]:
-        """Each requirement of a number in words, and its answer after these of `planned` episodes."""
+    def verdicts(self, episodes: Sequence[Episode], planned: int, bounds: Interval) -> Iterator[tuple[str, Verdict]]:
+        """Each requirement of a number in words, and its answer after these of `planned` episodes; `bounds` are those of a return."""
         from deepbots_cli.learning.statistics import gate_mean, gate_rate
 
         if self.min_success is not None:
@@ -389,17 +405,21 @@ class Gates:
             yield f"success rate of at least {self.min_success:g}", gate_rate(self.min_success, successes, len(episodes), planned)
         if self.min_return is not None:
             returns = [episode.total_return for episode in episodes]
-            yield f"mean return of at least {self.min_return:g}", gate_mean(self.min_return, returns, planned)
+            yield f"mean return of at least {self.min_return:g}", gate_mean(self.min_return, returns, planned, bounds)
 
-    def decided(self, episodes: Sequence[Episode], planned: int) -> bool:
+    def decided(self, episodes: Sequence[Episode], planned: int, bounds: Interval) -> bool:
         """Whether every requirement is certainly met, or one certainly not."""
-        answers = [verdict.met for _, verdict in self.verdicts(episodes, planned)]
+        answers = [verdict.met for _, verdict in self.verdicts(episodes, planned, bounds)]
         return bool(answers) and (False in answers or None not in answers)
+
+    def stop_condition(self, program: Program, planned: int) -> StopCondition | None:
+        """Whether the episodes so far decide every requirement of a number; None if all planned episodes are needed."""
+        return None if self.solved else partial(self.decided, planned=planned, bounds=possible_returns(program))
 
     def requirements(self, result: EvaluationResult, planned: int) -> list[Requirement]:
         """The answers for a run; a requirement that another one has left undecided is left out."""
         found = [("the task is solved", bool(result.solved), result.verdict)] if self.solved else []
-        answers = self.verdicts(result.outcomes, planned)
+        answers = self.verdicts(result.outcomes, planned, result.possible_returns)
         return found + [(words, verdict.met, verdict.reason) for words, verdict in answers if verdict.met is not None]
 
     def decided_of_group(self, episodes: Sequence[Episode], planned: int) -> bool:
@@ -441,7 +461,7 @@ def _evaluate_group(
     junit: Path | None,
     as_json: bool,
     scenario: str | None,
-    sets: tuple[str, ...],
+    overrides: tuple[str, ...],
     **chosen: Any,
 ) -> None:
     """Evaluate a group in each of the `judged` scenarios, which differ in their engine; None is the scenario of the group."""
@@ -462,7 +482,7 @@ def _evaluate_group(
             found = evaluate_group(folder, scenario=compiled, on_run=show_run, until=until, **chosen)
         elsewhere = scenario or ("the scenario of the run, changed" if compiled else None)
         for result in found.evaluations:
-            Run.open(result.run).write_evaluation({**with_cases(result, ()), "elsewhere": elsewhere, "set": list(sets)})
+            Run.open(result.run).write_evaluation({**with_cases(result, ()), "elsewhere": elsewhere, "set": list(overrides)})
         of = f"{found.evaluations[0].engine}: " if len(judged) > 1 else ""
         requirements += [(f"{of}{words}", met, reason) for words, met, reason in gates.requirements_of_group(found, planned)]
         groups.append(found)
@@ -483,7 +503,7 @@ def _evaluate_group(
 def _robustness(
     known: Run,
     gates: Gates,
-    sets: Sequence[str],
+    overrides: Sequence[str],
     allow_paths: Sequence[Path],
     scenario: str | None,
     case: str | None,
@@ -499,7 +519,7 @@ def _robustness(
         found = evaluate_robustness(
             known,
             scenario=scenario,
-            sets=sets,
+            overrides=overrides,
             allow_paths=allow_paths,
             min_success=gates.min_success,
             min_return=gates.min_return,
@@ -514,12 +534,12 @@ def _robustness(
         terminal.print_result(results.robustness_text(found))
 
 
-def _elsewhere(run: Run, scenario: str | None, sets: Sequence[str], compiled: Compiled | None) -> str | None:
+def _elsewhere(run: Run, scenario: str | None, overrides: Sequence[str], compiled: Compiled | None) -> str | None:
     """The name in the report of a scenario that replaces the scenario of the run."""
     if compiled is None:
         return None
     same = task_digest(compiled.program) == task_digest(run.program)
-    changed = "".join(f" --set {quote(text)}" for text in sets)
+    changed = "".join(f" --set {quote(text)}" for text in overrides)
     return f"{scenario or 'of the run'}{changed}, {'the same as in the training' if same else 'different from the training'}"
 
 

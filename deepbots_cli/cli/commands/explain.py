@@ -138,7 +138,7 @@ def _width() -> int:
 
 
 GLOSSARY = Path(__file__).parents[1] / "glossary.yaml"
-_SHOWN = 8
+_MAX_SHOWN = 8
 """Places: a name such as `range` is a key of many sections."""
 
 Lines = tuple[str, ...]
@@ -207,9 +207,9 @@ def _blocks(word: str) -> list[list[str]]:
         for lines in _explained_in(part, mark, word):
             places.setdefault(lines, {})[place] = None
     blocks = [block for block in (list(_of_function(word)), list(_of_unit(word))) if block]
-    for (what, *text), paths in list(places.items())[:_SHOWN]:
-        more = f" and {len(paths) - _SHOWN} more places" if len(paths) > _SHOWN else ""
-        blocks.append([f"{word}: {with_article(what)} of {', '.join([*paths][:_SHOWN])}{more}", *text])
+    for (what, *text), paths in list(places.items())[:_MAX_SHOWN]:
+        more = f" and {len(paths) - _MAX_SHOWN} more places" if len(paths) > _MAX_SHOWN else ""
+        blocks.append([f"{word}: {with_article(what)} of {', '.join([*paths][:_MAX_SHOWN])}{more}", *text])
     return blocks
 
 
@@ -233,7 +233,7 @@ def _others(word: str, shown: Iterable[str]) -> list[str]:
     concepts = [topic.name for topic in topics() if any(wanted <= set(_plain(name).split()) for name in (topic.name, *topic.names))]
     names = [name for name in _words() if wanted <= set(_plain(name).split())]
     others = [name for name in dict.fromkeys([*concepts, *names]) if name not in shown]
-    return [f'"{name}"' if " " in name else name for name in others[:_SHOWN]]
+    return [f'"{name}"' if " " in name else name for name in others[:_MAX_SHOWN]]
 
 
 @cache

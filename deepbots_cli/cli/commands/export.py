@@ -11,7 +11,7 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import AllowPaths, Json, Sets
+from deepbots_cli.cli.command import AllowPaths, Json, Overrides
 from deepbots_cli.cli.commands.new import write_new
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.errors import RunError, UsageError
@@ -35,7 +35,7 @@ def command(
     check: Annotated[
         str | None, typer.Option("--check", metavar="SCENARIO", help="Compare a bundle with a scenario, item by item; write nothing.")
     ] = None,
-    sets: Sets = None,
+    overrides: Overrides = None,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
 ) -> None:
@@ -56,9 +56,9 @@ def command(
     Next: the README.md of the bundle shows its inputs and outputs.
     """
     if check is not None:
-        _check(source, check, sets or (), allow_paths or (), as_json=as_json, writes=out is not None or last)
+        _check(source, check, overrides or (), allow_paths or (), as_json=as_json, writes=out is not None or last)
         return
-    if sets or allow_paths:
+    if overrides or allow_paths:
         raise UsageError("--set and --allow-path are for the scenario of --check; a run is exported as it was trained")
     if is_group(source):
         runs = Group.open(source).runs
@@ -71,9 +71,9 @@ def command(
     with terminal.transient_line("exporting the policy ..."):
         from deepbots_cli.insight import card  # torch, which exporting imports, takes a second
 
-        files = card.bundle(run, "last" if last else "best")
+        files = card.bundle_files(run, "last" if last else "best")
     write_new(files, folder)
-    known = card.read(folder)
+    known = card.read_card(folder)
     if as_json:
         terminal.show_json({"bundle": folder, **known.model_dump(mode="json")})
         return
@@ -86,17 +86,17 @@ def command(
 
 
 def _check(
-    folder: Path, scenario: str, sets: list[str] | tuple[()], allow_paths: list[Path] | tuple[()], *, as_json: bool, writes: bool
+    folder: Path, scenario: str, overrides: list[str] | tuple[()], allow_paths: list[Path] | tuple[()], *, as_json: bool, writes: bool
 ) -> None:
     from deepbots_cli.insight import card
 
     if writes:
         raise UsageError("--check writes nothing; leave out --out and --last")
-    known = card.read(folder)
-    compiled = api.compile(scenario, sets=sets, allow_paths=allow_paths, allow_code=True)
+    known = card.read_card(folder)
+    compiled = api.compile(scenario, overrides=overrides, allow_paths=allow_paths, allow_code=True)
     words = ("bundle", "scenario")
     differ = identity.compare_interfaces(known.interface, identity.interface(compiled.program), words=words)
-    given = "".join(f" --set {quote(text)}" for text in sets)
+    given = "".join(f" --set {quote(text)}" for text in overrides)
     remarks = card.remarks(known, compiled.program, f"deepbots diff {quote(str(folder / 'scenario.yaml'))} {quote(scenario)}{given}")
     if as_json:
         terminal.show_json({"bundle": folder, "scenario": scenario, "fits": not differ, "differences": differ, "remarks": remarks})

@@ -175,14 +175,14 @@ def diagnose(
         raise UsageError(f"{run} is a group without a run yet; train it with: deepbots train --resume {quote(str(run))}")
     with terminal.transient_line("reading the logs ..."):
         from deepbots_cli.insight.diagnosis import diagnose as find_causes
-        from deepbots_cli.insight.training import probe, read
+        from deepbots_cli.insight.training import read_training, run_probes
     found: list[dict[str, Any]] = []
     for folder in folders:
         try:
-            training = read(Run.open(folder))
+            training = read_training(Run.open(folder))
             if not only_logs and not training.solved:
                 with terminal.progress("short episodes", always=False) as show:
-                    probe(training, allow_code=allow_code, on_episode=show)
+                    run_probes(training, allow_code=allow_code, on_episode=show)
             causes = find_causes(training)
         except RunError as error:
             if folder == run:

@@ -10,7 +10,7 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import inspection, terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Engine, Json, Sets, Stage, with_case_or_stage
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Engine, Json, Overrides, Stage, with_case_or_stage
 from deepbots_cli.cli.sources import is_robot, open_robot, open_source
 from deepbots_cli.cli.tables import row_as_lines, table
 from deepbots_cli.diagnostics import Source, Span
@@ -45,7 +45,7 @@ def command(
             help="A scenario file, a robot file (URDF), the name of a shipped scenario or robot, or a run directory.",
         ),
     ],
-    sets: Sets = None,
+    overrides: Overrides = None,
     case: Case = None,
     stage: Stage = None,
     picture: Annotated[
@@ -80,7 +80,7 @@ def command(
     if is_robot(scenario):
         _inspect_robot(scenario, picture, chosen(engine), as_json)
         return
-    side = open_source(scenario, sets or (), allow_paths or (), allow_code=allow_code, engine=engine)
+    side = open_source(scenario, overrides or (), allow_paths or (), allow_code=allow_code, engine=engine)
     terminal.note_warnings(side.findings, scenario)
     program = with_case_or_stage(side.program, case, stage)
     root = side.root if isinstance(side.root, MappingNode) else MappingNode(Span(Source(scenario, ""), 0, 0), {})

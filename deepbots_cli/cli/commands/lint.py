@@ -15,7 +15,7 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Sets, whole_number
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Overrides, whole_number
 from deepbots_cli.cli.commands import rewriting
 from deepbots_cli.cli.exits import FAILED, INTERNAL_ERROR
 from deepbots_cli.compiler import CheckedScenario
@@ -43,7 +43,7 @@ class FailOn(StrEnum):
     never = "never"
 
 
-_FAILING: dict[str, tuple[Severity, ...]] = {"error": ("error",), "warning": ("error", "warning"), "never": ()}
+_FAILING_SEVERITIES: dict[str, tuple[Severity, ...]] = {"error": ("error",), "warning": ("error", "warning"), "never": ()}
 
 Codes = list[str] | None
 
@@ -55,7 +55,7 @@ def lint(
             metavar="SCENARIO", help="Scenario files, names of shipped scenarios, folders, or - for standard input; by default this folder."
         ),
     ] = None,
-    sets: Sets = None,
+    overrides: Overrides = None,
     format: Annotated[Format | None, typer.Option("--format", help="Output format; full by default, with the source lines.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Same as --format json.")] = False,
     select: Annotated[
@@ -123,15 +123,15 @@ def lint(
     )
     if deep:
         _check_simulator(fix or diff or unsafe_fixes)
-    look = LintOptions(tuple(sets or ()), tuple(allow_paths or ()), allow_code, previewed, deep, stdin_name)
+    look = LintOptions(tuple(overrides or ()), tuple(allow_paths or ()), allow_code, previewed, deep, stdin_name)
     names = scenario_names(scenarios or ["."], project)
     if stdin_name and STDIN not in names:
         raise UsageError("--stdin-filename needs - (standard input) as a scenario")
     format_ = Format.json if as_json else format or Format(project.format or Format.full)
-    failing = _FAILING["never" if exit_zero else fail_on or project.fail_on or "error"]
+    failing = _FAILING_SEVERITIES["never" if exit_zero else fail_on or project.fail_on or "error"]
     changes = False
     if fix or diff or unsafe_fixes:
-        _check_fixing(fix, diff, sets, names)
+        _check_fixing(fix, diff, overrides, names)
         if diff and (as_json or format):
             raise UsageError("--diff shows changes instead of findings, so it excludes --format and --json")
         findings, changes = _fixed(names, look, selection, unsafe=unsafe_fixes, show=diff)
@@ -143,7 +143,7 @@ def lint(
     if not diff:
         print(report(shown, format_, [look.called(name) for name in names], failing), end="")
         if format_ is Format.full:
-            _sum_up(shown, names, selection, fixable=not (fix or sets), deep=deep)
+            _sum_up(shown, names, selection, fixable=not (fix or overrides), deep=deep)
     hidden = [finding for finding in findings if finding.severity == "error" and not selection.selects(finding)]
     _note_hidden(hidden)
     if any(finding.is_internal_error for finding in shown):
@@ -168,10 +168,10 @@ def _check_simulator(fixing: bool) -> None:
     require_simulator()
 
 
-def _check_fixing(fix: bool, diff: bool, sets: list[str] | None, names: Sequence[str]) -> None:
+def _check_fixing(fix: bool, diff: bool, overrides: list[str] | None, names: Sequence[str]) -> None:
     if not (fix or diff):
         raise UsageError("--unsafe-fixes needs --fix, or --diff to show the changes")
-    if sets:
+    if overrides:
         raise UsageError("--set does not change files, so it excludes --fix and --diff")
     if STDIN in names:
         raise UsageError("standard input cannot be fixed; name the file")
@@ -248,7 +248,7 @@ _NAMELESS = "<stdin>"
 class LintOptions:
     """How each scenario is read, and whether it is simulated (`deep`); `stdin_name` is the file name for standard input."""
 
-    sets: tuple[str, ...] = ()
+    overrides: tuple[str, ...] = ()
     allow_paths: tuple[Path, ...] = ()
     allow_code: bool = False
     preview: bool = False
@@ -259,7 +259,7 @@ class LintOptions:
         """The findings of one scenario."""
         if name == STDIN:
             return self._of_stdin()
-        checked = api.load(name, sets=self.sets, allow_paths=self.allow_paths, allow_code=self.allow_code)
+        checked = api.load(name, overrides=self.overrides, allow_paths=self.allow_paths, allow_code=self.allow_code)
         return self._reviewed(checked, self.called(name))
 
     def _of_stdin(self) -> list[Finding]:
@@ -272,7 +272,7 @@ class LintOptions:
         path = Path(self.stdin_name or _NAMELESS).resolve()
         data = sys.stdin.buffer.read(files.MAX_BYTES + 1) if sys.stdin else b""
         display = self.stdin_name or _NAMELESS
-        document = load(path, self.sets, display=display, allow_paths=self.allow_paths, drafts={path: data})
+        document = load(path, self.overrides, display=display, allow_paths=self.allow_paths, drafts={path: data})
         return self._reviewed(check(replace(document, allow_code=self.allow_code)), display)
 
     def _reviewed(self, checked: CheckedScenario, called: str) -> list[Finding]:

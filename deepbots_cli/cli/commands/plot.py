@@ -41,7 +41,7 @@ def command(
 
     check_target(out, plots.SUFFIXES)
     with terminal.transient_line("reading the logs ..."):
-        logs = plots.read(runs, window)
+        logs = plots.read_logs(runs, window)
     figure = plots.plot(logs, theme="dark" if dark else "light")
     with atomic_write(out) as draft:
         figure.savefig(draft, format=out.suffix[1:].lower(), dpi=130)

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Json, Seed, Sets, Stage, whole_number
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Json, Overrides, Seed, Stage, whole_number
 from deepbots_cli.cli.commands.view import Driver, EngineOrRun, Episode, ScenarioOrRun
 from deepbots_cli.errors import UsageError
 
@@ -28,7 +28,7 @@ def command(
         int | None,
         typer.Option("--steps", metavar="N", parser=whole_number(1), help="Record at most N steps of each episode; by default all."),
     ] = None,
-    sets: Sets = None,
+    overrides: Overrides = None,
     case: Case = None,
     stage: Stage = None,
     engine: EngineOrRun = None,
@@ -52,13 +52,13 @@ def command(
     Next: `deepbots view RECORDING` plays it in the browser.
     """
     from deepbots_cli.view import pictures
-    from deepbots_cli.view.episodes import Source, player
+    from deepbots_cli.view.episodes import Source, closing_player
     from deepbots_cli.view.recordings import SUFFIX, record
 
     if shown.endswith(SUFFIX):
         raise UsageError(f"{shown} is already a recording; `deepbots clip {shown}` makes a video of it")
-    source = Source(shown, sets or (), allow_paths or (), allow_code, engine, case, stage)
-    with player(source, driver) as world, terminal.progress(always=False) as show:
+    source = Source(shown, overrides or (), allow_paths or (), allow_code, engine, case, stage)
+    with closing_player(source, driver) as world, terminal.progress(always=False) as show:
         path = out or Path(f"{Path(shown).stem}-{seed}-{episode}{SUFFIX}")
         pictures.check_target(path, (SUFFIX,))
         if out is None and path.exists():

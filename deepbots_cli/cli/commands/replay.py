@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deepbots_cli.cli import sources, terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Sets
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Overrides
 from deepbots_cli.cli.commands.diff import Change, Group
 from deepbots_cli.cli.commands.diff import scenario_changes as changes_of_meaning
 from deepbots_cli.cli.exits import FAILED
@@ -20,7 +20,7 @@ from deepbots_cli.errors import ScenarioError, UsageError
 from deepbots_cli.program import identity
 
 if TYPE_CHECKING:
-    from deepbots_cli.view.episodes import Opened
+    from deepbots_cli.view.episodes import SourceState
 
 
 def command(
@@ -35,7 +35,7 @@ def command(
     scenario: Annotated[
         str | None, typer.Option("--scenario", metavar="SCENARIO", help="With --verify, run the episodes in this scenario instead.")
     ] = None,
-    sets: Sets = None,
+    overrides: Overrides = None,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
@@ -60,16 +60,16 @@ def command(
     """
     from deepbots_cli.view.episodes import Player
     from deepbots_cli.view.episodes import Source as Shown
-    from deepbots_cli.view.replay import Replayed, changes, verify
+    from deepbots_cli.view.replay import ReplayPlayer, verify, version_changes
 
     opened = Shown(recording if recording.endswith(".mcap") else f"{recording}.mcap", allow_code=allow_code).open()
-    found, notes = opened.recording, changes(opened.recording)
+    found, notes = opened.recording, version_changes(opened.recording)
     if not to_verify and (tolerance or scenario):
         raise UsageError("--tolerance and --scenario are for --verify")
-    if sets and not scenario:
+    if overrides and not scenario:
         raise UsageError("--set needs --scenario: it changes a scenario, and not the recording; add --scenario and its name")
     if not to_verify:
-        with closing(Replayed(opened)) as player:
+        with closing(ReplayPlayer(opened)) as player:
             ends = [(each.number, player.begin(0, each.number), player.seek(len(each.steps))) for each in found.episodes]
         rows = [
             {"episode": number, "steps": last.step, "ending": last.ending, "return": next(iter(last.agents.values())).episode_return}
@@ -88,7 +88,7 @@ def command(
         return
     shown = opened
     if scenario is not None:
-        shown, changed = _elsewhere(opened, scenario, sets or (), allow_paths or (), allow_code=allow_code)
+        shown, changed = _elsewhere(opened, scenario, overrides or (), allow_paths or (), allow_code=allow_code)
         notes += changed
     elif opened.checked().digest != found.metadata.get("digest"):
         notes.append("the scenario in the recording means something else than when it was recorded; it or deepbots has changed")
@@ -113,8 +113,8 @@ def command(
 
 
 def _elsewhere(
-    opened: Opened, scenario: str, sets: Sequence[str], allow_paths: Sequence[Path], *, allow_code: bool
-) -> tuple[Opened, list[str]]:
+    opened: SourceState, scenario: str, overrides: Sequence[str], allow_paths: Sequence[Path], *, allow_code: bool
+) -> tuple[SourceState, list[str]]:
     """Another scenario for the episodes of a recording, and a line for each setting that differs.
 
     Raises:
@@ -123,7 +123,7 @@ def _elsewhere(
     from deepbots_cli.view.episodes import Source as Shown
 
     recorded = opened.source
-    other = Shown(scenario, sets, allow_paths, allow_code, recorded.engine, recorded.case, recorded.stage).open()
+    other = Shown(scenario, overrides, allow_paths, allow_code, recorded.engine, recorded.case, recorded.stage).open()
     if other.program is None or opened.program is None:
         raise ScenarioError(other.findings)
     differ = identity.differences(opened.program, other.program, words=("recording", "scenario"))

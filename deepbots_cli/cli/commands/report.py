@@ -60,7 +60,7 @@ def command(
     with terminal.transient_line("reading the run ..."):
         report = Report.read(run)
     with terminal.progress("episodes") as show:
-        report.run_again(report.chosen(episodes), show or (lambda done, of: None), clips=clips, allow_code=allow_code)
+        report.repeat_episodes(report.choose_episodes(episodes), show or (lambda done, of: None), clips=clips, allow_code=allow_code)
     with terminal.transient_line("drawing ..."):
         with atomic_write(target) as draft:
             draft.write_text(report.html(), encoding="utf-8")

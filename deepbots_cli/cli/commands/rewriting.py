@@ -95,7 +95,7 @@ def _tidied(path: Path) -> Rewrite | None:
 Step = Callable[[str, Tree], str]
 """From a text and its tree to the text in the next version of the language."""
 
-_TELLING = frozenset({"extends", "action", "observation", "reward", "robots"})
+_SCENARIO_KEYS = frozenset({"extends", "action", "observation", "reward", "robots"})
 _BOM = "\ufeff"
 
 
@@ -133,7 +133,7 @@ def upgrade(
 
 
 @dataclass(frozen=True)
-class Upgraded:
+class Upgrade:
     """The version of a file, the rewrites of it and of its included files, and the former names with the present ones."""
 
     version: int
@@ -141,7 +141,7 @@ class Upgraded:
     renamed: dict[str, str]
 
 
-def upgraded(path: Path) -> Upgraded:
+def upgraded(path: Path) -> Upgrade:
     """The upgrade of a file to the current version.
 
     Raises:
@@ -164,7 +164,7 @@ def upgraded(path: Path) -> Upgraded:
     if before != (mended := fixer.drafts[place]):
         rewrites[place] = Rewrite(place, before, mended)
     edits = [edit for finding in fixer.fixed if finding.fix for edit in finding.fix.edits]
-    return Upgraded(version, list(rewrites.values()), {edit.span.text: edit.text for edit in edits})
+    return Upgrade(version, list(rewrites.values()), {edit.span.text: edit.text for edit in edits})
 
 
 def _name_the_version(text: str, root: Tree) -> str:
@@ -202,7 +202,7 @@ def _version(path: Path, root: Tree) -> int:
     """The version that a file names; 0 if it names none."""
     entry = root.entries.get("deepbots")
     if entry is None:
-        if not _TELLING & root.entries.keys():
+        if not _SCENARIO_KEYS & root.entries.keys():
             raise UsageError(f"{path} is not a whole scenario; a file that scenarios include has no version")
         return 0
     version = entry.value.value if isinstance(entry.value, ScalarNode) else None

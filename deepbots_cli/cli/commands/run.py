@@ -21,9 +21,9 @@ from deepbots_cli.cli.command import (
     Case,
     Engine,
     Json,
+    Overrides,
     Scenario,
     Seed,
-    Sets,
     Stage,
     whole_number,
     with_case_or_stage,
@@ -32,6 +32,7 @@ from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.episodes import Episode, EpisodeAccumulator, Summary, zero_action
+from deepbots_cli.lint.rewards import possible_returns
 from deepbots_cli.program.task import ActionRange, Choices
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ class Policy(StrEnum):
 
 def command(
     scenario: Scenario,
-    sets: Sets = None,
+    overrides: Overrides = None,
     case: Case = None,
     stage: Stage = None,
     policy: Annotated[
@@ -107,11 +108,11 @@ def command(
     if len(given) > 1:
         raise UsageError(f"{' and '.join(given)} exclude each other")
     if scenario.endswith(".json") and Path(scenario).parent.name == "failures":
-        if given or any((sets, case, stage, engine, allow_paths, steps, seed)) or episodes != EPISODES:
+        if given or any((overrides, case, stage, engine, allow_paths, steps, seed)) or episodes != EPISODES:
             raise UsageError("the file of a failed episode keeps its scenario, start and actions; it takes only --json and --allow-code")
         _reproduce(Path(scenario), allow_code=allow_code, as_json=as_json)
         return
-    compiled = api.compile(scenario, sets=with_engine(sets, engine), allow_paths=allow_paths or (), allow_code=allow_code)
+    compiled = api.compile(scenario, overrides=with_engine(overrides, engine), allow_paths=allow_paths or (), allow_code=allow_code)
     terminal.note_warnings(compiled.findings, scenario)
     program = with_case_or_stage(compiled.program, case, stage)
     if script is not None:
@@ -131,7 +132,7 @@ def command(
                 done.append(episode)
                 if show and episodes > MAX_SHOWN:
                     show(len(done), episodes)
-    summary = Summary.of_episodes(done)
+    summary = Summary.of_episodes(done, possible_returns(program))
     if as_json:
         totals = {"success_defined": program.defines_success, **vars(summary)}
         known = {

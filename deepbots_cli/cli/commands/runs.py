@@ -109,7 +109,7 @@ def _row(run: ListedRun, *, with_file: bool = False) -> Row:
         "steps": run.steps,
         "return": run.mean_return,
         "success": "" if run.success_rate is None else f"{run.success_rate:.0%}",
-        "score": run.score,
+        "score": f"{run.score} ({run.evaluated_episodes})" if run.evaluated_episodes else run.score,
         "solved": "" if run.solved is None else "yes" if run.solved else "no",
         "cpu_s": None if run.cpu_seconds is None else round(run.cpu_seconds, 1),
         "set": short_settings(run.settings),

@@ -13,7 +13,7 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import results, terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Engine, Json, Sets
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Engine, Json, Overrides
 from deepbots_cli.cli.commands.lint import scenario_names
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import Row, table
@@ -27,7 +27,7 @@ from deepbots_cli.runtime.streams import derive_seed
 
 
 @dataclass(frozen=True)
-class _Tested:
+class _ScenarioResults:
     """The results of one scenario; with errors in its file there are `findings` instead."""
 
     scenario: str
@@ -44,7 +44,7 @@ def command(
         list[str], typer.Argument(metavar="SCENARIO", help="Scenario files, folders, or names of scenarios that come with deepbots.")
     ],
     only: Annotated[str | None, typer.Option("-k", metavar="NAME", help="Run only the tests whose names contain this text.")] = None,
-    sets: Sets = None,
+    overrides: Overrides = None,
     engine: Engine = None,
     junit: Annotated[Path | None, typer.Option("--junit", metavar="FILE", help="Write the results as JUnit XML.")] = None,
     as_json: Json = False,
@@ -68,9 +68,14 @@ def command(
     if junit is not None:
         check_writable(junit)
     began, names = time.perf_counter(), scenario_names(scenarios, settings())
-    options: dict[str, Any] = {"sets": with_engine(sets, engine), "allow_paths": allow_paths or (), "allow_code": allow_code, "tests": True}
+    options: dict[str, Any] = {
+        "overrides": with_engine(overrides, engine),
+        "allow_paths": allow_paths or (),
+        "allow_code": allow_code,
+        "tests": True,
+    }
     given = [f"--engine {engine}"] if engine else []
-    given += [f"--set {quote(text)}" for text in sets or ()]
+    given += [f"--set {quote(text)}" for text in overrides or ()]
     done = []
     for name in names:
         done.append(_tested(name, only, engine, options))
@@ -89,21 +94,21 @@ def command(
         raise typer.Exit(FAILED)
 
 
-def _tested(name: str, only: str | None, engine: str | None, options: dict[str, Any]) -> _Tested:
+def _tested(name: str, only: str | None, engine: str | None, options: dict[str, Any]) -> _ScenarioResults:
     checked = api.load(name, **options)
     try:
         compiled = api.compile(checked)
     except ScenarioError as error:
-        return _Tested(name, findings=tuple(error.findings))
+        return _ScenarioResults(name, findings=tuple(error.findings))
     tests = [test for test in checked.tests if only is None or only in test.name]
     if tests:
         terminal.note_warnings(compiled.findings, name)
     with terminal.progress(f"episodes of {name}", always=False) as show:
         found = run_tests(compiled.program, tests, engine=engine, allow_code=compiled.allow_code, on_episode=show)
-        return _Tested(name, tuple(sorted(found, key=lambda result: tests.index(result.test))))
+        return _ScenarioResults(name, tuple(sorted(found, key=lambda result: tests.index(result.test))))
 
 
-def _show(found: _Tested, given: Sequence[str]) -> None:
+def _show(found: _ScenarioResults, given: Sequence[str]) -> None:
     if found.findings:
         terminal.show_findings(found.findings)
         terminal.print_result(f"{found.scenario}: not tested, because the file has errors\n")
@@ -134,7 +139,7 @@ def _command(scenario: str, result: TestResult, miss: UnmetExpectation, given: S
     return f"deepbots run {where} --actions={actions} --steps {len(test.policy)} --episodes 1 --seed {seed}"
 
 
-def _sum_up(done: Sequence[_Tested], seconds: float) -> None:
+def _sum_up(done: Sequence[_ScenarioResults], seconds: float) -> None:
     every = [result for found in done for result in found.results]
     failed, broken = sum(not result.passed for result in every), sum(bool(found.findings) for found in done)
     untested = [found.scenario for found in done if not found.results and not found.findings]
@@ -145,7 +150,7 @@ def _sum_up(done: Sequence[_Tested], seconds: float) -> None:
     terminal.print_result(f"{', '.join(words)} in {seconds:.1f} s")
 
 
-def _junit(found: _Tested) -> list[results.JUnitCase]:
+def _junit(found: _ScenarioResults) -> list[results.JUnitCase]:
     cases = [results.JUnitCase("the scenario has no errors", False, finding.headline) for finding in found.findings[:1]]
     for result in found.results:
         reason = "; ".join(f"{miss.expected} ({miss.where}): {miss.measured}" for miss in result.misses)
@@ -153,7 +158,7 @@ def _junit(found: _Tested) -> list[results.JUnitCase]:
     return cases
 
 
-def _data(found: _Tested, given: Sequence[str]) -> dict[str, Any]:
+def _data(found: _ScenarioResults, given: Sequence[str]) -> dict[str, Any]:
     tests = [
         {
             "test": result.test.name,

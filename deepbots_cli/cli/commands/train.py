@@ -6,17 +6,18 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from shlex import quote
+from threading import Thread
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from deepbots_cli import api, learning
 from deepbots_cli.cli import results, terminal
-from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Engine, Json, Sets, seed_list, whole_number
+from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Engine, Json, Overrides, seed_list, whole_number
 from deepbots_cli.cli.commands.eval import show, with_cases
 from deepbots_cli.cli.exits import FAILED, INTERRUPTED
 from deepbots_cli.engine_kinds import with_engine
@@ -35,7 +36,7 @@ def command(
     scenario: Annotated[
         str | None, typer.Argument(metavar="SCENARIO", help="A scenario file, or the name of a scenario that comes with deepbots.")
     ] = None,
-    sets: Sets = None,
+    overrides: Overrides = None,
     seed: Annotated[
         int | None,
         typer.Option("--seed", metavar="N", parser=whole_number(0, MAX_SEED), help="Root seed of all random numbers; 0 by default."),
@@ -122,7 +123,7 @@ def command(
     """
     progress = not quiet
     if resume is not None:
-        made_with = (scenario, sets, seed, seeds, run, stage, engine, allow_paths, keep_checkpoints, initialize_from)
+        made_with = (scenario, overrides, seed, seeds, run, stage, engine, allow_paths, keep_checkpoints, initialize_from)
         if any(option is not None for option in made_with):
             raise UsageError(
                 "a resumed run keeps its scenario and options;"
@@ -145,7 +146,7 @@ def command(
         raise UsageError(f"--run: {run} already exists; choose another directory, because runs are not overwritten")
     else:
         listed = None if seeds is None else seed_list(seeds)
-        compiled = api.compile(scenario, sets=with_engine(sets, engine), allow_paths=allow_paths or (), allow_code=allow_code)
+        compiled = api.compile(scenario, overrides=with_engine(overrides, engine), allow_paths=allow_paths or (), allow_code=allow_code)
         terminal.note_warnings(compiled.findings, scenario)
         settings: dict[str, Any] = {
             "total_timesteps": timesteps,
@@ -189,18 +190,18 @@ def _announce(program: Program, seeds: str, timesteps: int | None, *, full: bool
 def _page(*, wanted: bool, allow_code: bool) -> Iterator[Callable[[Path], None]]:
     """Yield a function that shows a run in the browser, where this is wanted; the page ends with the block.
 
-    It is a process of its own with a low priority, so that the training does not wait for it.
+    It is a process of its own, so that the training does not wait for it, and has a low priority once it serves its address: on a busy
+    machine, a page that began with a low priority served none for 40 s.
     """
     if wanted and find_spec("viser") is None:
         raise MissingExtraError("view", "a page in the browser")
-    started: list[subprocess.Popen[bytes]] = []
+    started: list[subprocess.Popen[str]] = []
 
     def show(run: Path) -> None:
         if wanted:
             command = [sys.executable, "-m", "deepbots_cli", "view", str(run), *(["--allow-code"] if allow_code else [])]
-            started.append(subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=sys.stderr))
-            if hasattr(os, "setpriority"):
-                os.setpriority(os.PRIO_PROCESS, started[0].pid, 15)
+            started.append(subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True))
+            Thread(target=_await_page, args=(started[0],), daemon=True).start()
 
     try:
         yield show
@@ -208,6 +209,17 @@ def _page(*, wanted: bool, allow_code: bool) -> Iterator[Callable[[Path], None]]
         for process in started:
             process.kill()  # which, unlike SIGTERM, it does not report
             process.wait()
+
+
+def _await_page(page: subprocess.Popen[str]) -> None:
+    """Show the address of a page once it serves it, and lower its priority."""
+    assert page.stdout is not None
+    print(page.stdout.readline(), end="", file=sys.stderr, flush=True)
+    if hasattr(os, "setpriority"):
+        threads = Path(f"/proc/{page.pid}/task")  # in Linux, the priority of a process is that of its first thread
+        with suppress(OSError):  # it has ended
+            for thread in [int(each.name) for each in threads.iterdir()] if threads.is_dir() else [page.pid]:
+                os.setpriority(os.PRIO_PROCESS, thread, 15)
 
 
 def _announce_seed(seed: int, number: int, count: int) -> None:
@@ -227,7 +239,7 @@ def _finish_group(group: GroupTraining, *, quiet: bool, as_json: bool, allow_cod
     with terminal.progress("runs", always=False) as show_run:
         evaluation = learning.evaluate_group(group.group, allow_code=allow_code, on_run=show_run)
     for found in evaluation.evaluations:
-        results.keep_evaluation(Run.open(found.run), {**with_cases(found, ()), "engine": Group.open(group.group).record.engine})
+        results.write_evaluation(Run.open(found.run), {**with_cases(found, ()), "engine": Group.open(group.group).record.engine})
     if as_json:
         terminal.show_json({"training": results.group_training_json(group), "evaluation": results.group_json(evaluation)})
     else:
@@ -257,7 +269,7 @@ def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, allow_code: b
     with terminal.progress(always=False) as show_episode:
         evaluation = learning.evaluate(trained, allow_code=allow_code, on_episode=show_episode)
         cases = learning.evaluate_cases(trained, allow_code=allow_code, on_episode=show_episode)
-    results.keep_evaluation(trained, with_cases(evaluation, cases))
+    results.write_evaluation(trained, with_cases(evaluation, cases))
     if as_json:
         terminal.show_json({"training": report.to_json(result), "evaluation": with_cases(evaluation, cases)})
         return
@@ -269,6 +281,6 @@ def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, allow_code: b
         return
     terminal.note(
         "\nnext:\n" + (f"  deepbots diagnose {run}\n" if evaluation.solved is False else "") + f"  deepbots eval {run} --video {film}\n"
-        f"  deepbots train --resume {run} --timesteps {2 * result.total_timesteps} --full\n"
+        f"  deepbots train --resume {run} --timesteps {2 * max(result.steps, result.total_timesteps)} --full\n"
         f"  tensorboard --logdir {logs}"
     )

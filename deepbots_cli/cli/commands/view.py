@@ -1,4 +1,4 @@
-"""What people see of a world: `view` and `play` serve a page in the browser, `picture` and `clip` write files."""
+"""What people see of a world: `view` and `play` serve a page in the browser, `render_picture` and `write_clip` write files."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Seed, Sets, Stage, known_engine, whole_number
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Overrides, Seed, Stage, known_engine, whole_number
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import atomic_write
 
@@ -105,7 +105,7 @@ def view(
         ),
     ] = None,
     world: Annotated[int, typer.Option("--world", metavar="K", parser=whole_number(0), help="The world to show first, with --worlds.")] = 0,
-    sets: Sets = None,
+    overrides: Overrides = None,
     case: Case = None,
     stage: Stage = None,
     engine: EngineOrRun = None,
@@ -141,7 +141,7 @@ def view(
         reason = f"a batch of {worlds} worlds has worlds 0 to {worlds - 1}" if worlds else "add --worlds N"
         raise UsageError(f"there is no world {world}; {reason}")
     engine = engine or ("mujoco" if worlds else None)
-    source = replace(_source(shown, sets, case, stage, engine, allow_paths, allow_code), worlds=worlds or 0)
+    source = replace(_source(shown, overrides, case, stage, engine, allow_paths, allow_code), worlds=worlds or 0)
     other = replace(source, reference=compare) if compare else None
     _serve(source, open_, compare=other, host=host, port=port, driver=driver, seed=seed, episode=episode, world=world, watch=watch)
 
@@ -150,7 +150,7 @@ def play(
     shown: ScenarioOrRun,
     seed: Seed = 0,
     episode: Episode = 0,
-    sets: Sets = None,
+    overrides: Overrides = None,
     case: Case = None,
     stage: Stage = None,
     engine: EngineOrRun = None,
@@ -172,13 +172,13 @@ def play(
 
     Next: `deepbots train SCENARIO` trains a policy.
     """
-    source = _source(shown, sets, case, stage, engine, allow_paths, allow_code)
+    source = _source(shown, overrides, case, stage, engine, allow_paths, allow_code)
     _serve(source, open_, host=host, port=port, seed=seed, episode=episode, playing=True)
 
 
 def _source(
     shown: str,
-    sets: Sets,
+    overrides: Overrides,
     case: Case,
     stage: Stage,
     engine: EngineOrRun,
@@ -187,7 +187,7 @@ def _source(
 ) -> Source:
     from deepbots_cli.view.episodes import Source
 
-    return Source(shown, sets or (), allow_paths or (), allow_code, engine, case, stage)
+    return Source(shown, overrides or (), allow_paths or (), allow_code, engine, case, stage)
 
 
 def _serve(source: Source, open_: bool, **options: Any) -> None:
@@ -219,7 +219,7 @@ def picture(
     driver: Driver = None,
     seed: Seed = 0,
     episode: Episode = 0,
-    sets: Sets = None,
+    overrides: Overrides = None,
     case: Case = None,
     stage: Stage = None,
     engine: EngineOrRun = None,
@@ -240,14 +240,14 @@ def picture(
     Next: `deepbots clip SCENARIO` writes a video.
     """
     from deepbots_cli.view import pictures
-    from deepbots_cli.view.episodes import player
+    from deepbots_cli.view.episodes import closing_player
 
     pictures.check_target(out, (".png",))
-    source = _source(shown, sets, case, stage, engine, allow_paths, allow_code)
-    shot = pictures.Shot(size[0], size[1], eye, target)
-    with player(source, driver) as world:
+    source = _source(shown, overrides, case, stage, engine, allow_paths, allow_code)
+    shot = pictures.Viewpoint(size[0], size[1], eye, target)
+    with closing_player(source, driver) as world:
         trace = list(world.episode(seed, episode, None if path and not steps else steps))
-        image = pictures.picture(world, shot, labels=labels, rays=rays, path=trace if path else ())
+        image = pictures.render_picture(world, shot, labels=labels, rays=rays, path=trace if path else ())
     with atomic_write(out) as draft:
         image.save(draft, "PNG")
     terminal.print_result(str(out))
@@ -273,7 +273,7 @@ def clip(
     target: At = None,
     seed: Seed = 0,
     episode: Episode = 0,
-    sets: Sets = None,
+    overrides: Overrides = None,
     case: Case = None,
     stage: Stage = None,
     engine: EngineOrRun = None,
@@ -292,13 +292,13 @@ def clip(
     Next: `deepbots view SCENARIO` shows it live.
     """
     from deepbots_cli.view import pictures
-    from deepbots_cli.view.episodes import player
+    from deepbots_cli.view.episodes import closing_player
 
     pictures.check_target(out, pictures.SUFFIXES)
-    source = _source(shown, sets, case, stage, engine, allow_paths, allow_code)
-    with player(source, driver) as world, terminal.transient_line("running the episode ..."):
-        frame = pictures.clip(
-            world, out, pictures.Shot(size[0], size[1], eye, target), seed=seed, episode=episode, seconds=seconds, speed=speed
+    source = _source(shown, overrides, case, stage, engine, allow_paths, allow_code)
+    with closing_player(source, driver) as world, terminal.transient_line("running the episode ..."):
+        frame = pictures.write_clip(
+            world, out, pictures.Viewpoint(size[0], size[1], eye, target), seed=seed, episode=episode, seconds=seconds, speed=speed
         )
     agent = next(iter(frame.agents.values()))
     state = frame.ending or "not ended"

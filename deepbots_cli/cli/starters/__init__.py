@@ -27,9 +27,9 @@ _GRAVITY = 9.81
 _COLUMN, _WIDTH = 40, 110
 _PLAIN = re.compile(r"(?:package://|(?:\.\./)+)?[A-Za-z_][A-Za-z0-9_./-]*")
 _OTHER_YAML = frozenset({"true", "false", "null", "yes", "no", "on", "off", "y", "n"})
-_NEAR = 0.02
+_TIP_TOLERANCE = 0.02
 """How near to its target the tip of a limb must come, as a fraction of the limb's reach."""
-_CROUCHED = 0.75
+_STANDING_LEG_SHARE = 0.75
 """The length of a standing leg, as a fraction of its reach."""
 
 
@@ -350,7 +350,7 @@ def _reachable_box(build: Build, limb: Limb) -> tuple[Triple, Triple, dict[str, 
     """A box in front of an arm, or beside it, whose corners its tip reaches, and joint positions with the tip in its middle."""
     bending = [limb.joints[0], *(joint for joint in limb.joints if abs(build.axis(joint)[2]) < 0.3)]
     shoulder = next((joint for joint in limb.joints if abs(build.axis(joint)[2]) < 0.7), limb.joints[0])
-    far, near = limb.reach, _NEAR * limb.reach
+    far, near = limb.reach, _TIP_TOLERANCE * limb.reach
     sides = ((1.0, 0.0), (0.0, 1.0), (0.0, -1.0), (-1.0, 0.0))
     for half, (x, y), rise in product((0.2, 0.12, 0.06), sides, (0.1, 0.3, 0.0)):
         middle = frames.add(build.frames[shoulder.child][0], (0.5 * far * x, 0.5 * far * y, rise * far))
@@ -381,7 +381,7 @@ def _standing(build: Build, limb: Limb, down: Triple) -> dict[str, float]:
     leg = frames.subtract(build.frames[limb.tip][0], hip)
     aside = frames.subtract(leg, frames.scaled(down, frames.dot(leg, down)))
     kept = aside if hypot(*aside) < 0.35 * limb.reach else (0.0, 0.0, 0.0)
-    return limb.positions_for(frames.add(hip, frames.add(kept, frames.scaled(down, _CROUCHED * limb.reach))))[0]
+    return limb.positions_for(frames.add(hip, frames.add(kept, frames.scaled(down, _STANDING_LEG_SHARE * limb.reach))))[0]
 
 
 # Text

@@ -21,12 +21,12 @@ Positions = Mapping[str, float]
 """Joint positions by name, in rad or m; joints that are not named are at 0."""
 
 _ROTOR = re.compile(r"prop|rotor", re.IGNORECASE)
-_LEVEL, _UPRIGHT = 0.3, 0.7
+_MAX_LEVEL_Z, _MIN_UPRIGHT_Z = 0.3, 0.7
 """The z component of a unit axis: at most of a level one, at least of an upright one."""
-_ROUND = 0.15
+_WHEEL_TOLERANCE = 0.15
 """Tolerance of a wheel's roundness and of its height above the ground, as a fraction of its radius."""
-_ROUNDS = 80
-_BENT = 0.4
+_MAX_ITERATIONS = 80
+_INITIAL_BEND = 0.4
 """Where a search for joint positions begins, in rad: a straight limb does not know which way to bend."""
 
 
@@ -77,7 +77,7 @@ class Limb:
         used = self.joints if using is None else using
         positions = {joint.name: neutral(joint) for joint in self.joints}
         positions |= {joint.name: _bent(joint, number) for number, joint in enumerate(used)}
-        for _ in range(_ROUNDS):
+        for _ in range(_MAX_ITERATIONS):
             for joint in reversed(used):
                 placed = self.frames(positions)
                 (pivot, turn), tip = placed[joint.name], placed[self.path[-1].name][0]
@@ -111,7 +111,7 @@ def neutral(joint: Joint, margin: float = 0.0) -> float:
 
 def _bent(joint: Joint, number: int) -> float:
     low, high = range_of(joint)
-    bend = 0.0 if number == 0 else _BENT if number % 2 else -_BENT
+    bend = 0.0 if number == 0 else _INITIAL_BEND if number % 2 else -_INITIAL_BEND
     return (low + high) / 2 if joint.type == "prismatic" else _clamped(joint, neutral(joint) + bend)
 
 
@@ -198,7 +198,7 @@ class Build:
     @property
     def poles(self) -> list[Joint]:
         """Level hinges without a motor below the mass that they carry, such as the hinge of a pole on a cart."""
-        level = [joint for joint in self.idle if joint.type != "prismatic" and abs(self.axis(joint)[2]) < _LEVEL]
+        level = [joint for joint in self.idle if joint.type != "prismatic" and abs(self.axis(joint)[2]) < _MAX_LEVEL_Z]
         return [joint for joint in level if self._centre_of_mass(joint.child)[2] > self.frames[joint.child][0][2]]
 
     def _centre_of_mass(self, link: str) -> Triple:
@@ -216,7 +216,7 @@ class Build:
         axle = self.axis(joint)
         endless = joint.type == "continuous" or (joint.type == "revolute" and joint.limit.lower is None)
         links = self.rigid(joint.child)
-        if not endless or abs(axle[2]) > _LEVEL or any(other.moves and other.parent in links for other in self.model.joints):
+        if not endless or abs(axle[2]) > _MAX_LEVEL_Z or any(other.moves and other.parent in links for other in self.model.joints):
             return None
         boxes = [self.boxes[name] for name in links if name in self.boxes]
         if not boxes:
@@ -224,10 +224,10 @@ class Build:
         (low_x, low_y, low_z), (high_x, high_y, high_z) = _around(boxes)
         centre = self.frames[joint.child][0]
         radius = centre[2] - low_z
-        if radius <= 0.0 or abs(high_z - centre[2] - radius) > _ROUND * radius or low_z - self.lowest > _ROUND * radius:
+        if radius <= 0.0 or abs(high_z - centre[2] - radius) > _WHEEL_TOLERANCE * radius or low_z - self.lowest > _WHEEL_TOLERANCE * radius:
             return None
         across = high_x - low_x if abs(axle[1]) > abs(axle[0]) else high_y - low_y
-        if abs(across - 2.0 * radius) >= 4.0 * _ROUND * radius:
+        if abs(across - 2.0 * radius) >= 4.0 * _WHEEL_TOLERANCE * radius:
             return None
         length = hypot(axle[0], axle[1])
         return Wheel(joint, radius, (axle[0] / length, axle[1] / length, 0.0), centre)
@@ -241,7 +241,7 @@ class Build:
     @property
     def steering(self) -> list[Joint]:
         """The upright hinges that carry a wheel."""
-        upright = [joint for joint in self.driven if joint.type != "prismatic" and abs(self.axis(joint)[2]) > _UPRIGHT]
+        upright = [joint for joint in self.driven if joint.type != "prismatic" and abs(self.axis(joint)[2]) > _MIN_UPRIGHT_Z]
         return [joint for joint in upright if any(wheel.joint.parent in self.rigid(joint.child) for wheel in self.wheels)]
 
     @property
@@ -255,7 +255,7 @@ class Build:
     def rotors(self) -> list[str]:
         """The links named after rotors whose z axis is upright: three at least, or none."""
         named = [link.name for link in self.model.links if _ROTOR.search(link.name)]
-        upright = [name for name in named if frames.rotate(self.frames[name][1], (0.0, 0.0, 1.0))[2] > _UPRIGHT]
+        upright = [name for name in named if frames.rotate(self.frames[name][1], (0.0, 0.0, 1.0))[2] > _MIN_UPRIGHT_Z]
         return upright if len(upright) > 2 else []
 
     @cached_property

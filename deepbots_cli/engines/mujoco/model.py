@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from itertools import combinations
@@ -113,6 +114,8 @@ class ModelBuilder:
         self._wheels: set[str] = set()
         self._tyres: set[str] = set()
         self._elements = self._absent = 0
+        self._links: list[tuple[int, str, str]] = []
+        """The number of the first element of each link, its body and its name, for errors."""
         self.pools: list[Pool[Body]] = []
         if for_rendering:
             self._add_light()
@@ -129,14 +132,14 @@ class ModelBuilder:
         """The model; the bodies then know their ids.
 
         Raises:
-            EngineError: MuJoCo refuses the world.
+            EngineError: MuJoCo refuses the world; names the link.
         """
         if not self._for_rendering:
             self._add_pairs()
         try:
             model = self._spec.compile()
         except ValueError as error:
-            raise EngineError(f"MuJoCo cannot build this world: {error}") from error
+            raise self._refusal(str(error)) from error
         if model.ntree == 1:  # looking for islands of contacts takes 5 % of a step, and finds the only body that moves
             model.opt.disableflags |= mj.mjtDisableBit.mjDSBL_ISLAND
             if _branches(model):  # the rows of a contact are then half zeros: 12 % of a step of the quadruped
@@ -151,6 +154,17 @@ class ModelBuilder:
                 first = model.body_jntadr[body.root_id]
                 body.position_index, body.velocity_index = int(model.jnt_qposadr[first]), int(model.jnt_dofadr[first])
         return model
+
+    def _refusal(self, text: str) -> EngineError:
+        """Why MuJoCo refuses the world. Its text is `Error: REASON`, and in the next line `Element name 'NAME', id ID`."""
+        first, _, rest = text.partition("\n")
+        reason = re.split(r"[.;]\s", re.sub(r":? '?m\d+'?", "", first.removeprefix("Error: ")))[0]
+        element = re.search(r"'[bgjm](\d+)'", rest)
+        number = int(element[1]) if element else 0
+        owner = next(((body, link) for start, body, link in reversed(self._links) if start <= number), None)
+        if owner is None:
+            return EngineError(f"MuJoCo cannot build this world: {reason}")
+        return EngineError(f"MuJoCo cannot build link '{owner[1]}' of '{owner[0]}': {reason}; correct its inertia, shapes or joint")
 
     # Ground
 
@@ -259,14 +273,17 @@ class ModelBuilder:
             link, above = model.link(name), joint_of.get(name)
             position, turned = body.initial_pose if above is None else frames.frame(above.origin)
             parent = self._spec.worldbody if above is None else links[above.parent]
-            links[name] = made = parent.add_body(pos=position, quat=_wxyz(turned), gravcomp=float(pooled and not body.fixed))
+            self._elements += 1
+            self._links.append((self._elements, body.name, name))
+            weightless = float(pooled and not body.fixed)
+            links[name] = made = parent.add_body(name=f"b{self._elements}", pos=position, quat=_wxyz(turned), gravcomp=weightless)
             if above is None:
                 made.mocap = body.fixed
                 if not body.fixed:
                     made.add_freejoint()
             elif above.moves:
                 joints[above.name] = self._joint(made, above)
-            self._set_inertia(made, link, ROOT_MASS_FRACTION * subtree_mass[name] if above is None or above.moves else 0.0)
+            self._set_inertia(made, body.name, link, ROOT_MASS_FRACTION * subtree_mass[name] if above is None or above.moves else 0.0)
             geoms[name] = [self._surface(made, piece, place, pooled) for piece in self._pieces(link)]
             if self._flat and above is not None:
                 geoms[name] += self._add_tyres(made, link, above, geoms[name])
@@ -277,8 +294,12 @@ class ModelBuilder:
     def _pieces(self, link: Link) -> tuple[Geometry, ...]:
         return (link.visuals or link.collisions) if self._for_rendering else link.collisions
 
-    def _set_inertia(self, made: MjObject, link: Link, trace: float) -> None:
-        """Mass and inertia; a link that moves and states none gets a `trace` of what it carries, since MuJoCo takes no such link."""
+    def _set_inertia(self, made: MjObject, body: str, link: Link, trace: float) -> None:
+        """Mass and inertia; a link that moves and states none gets a `trace` of what it carries, since MuJoCo takes no such link.
+
+        Raises:
+            EngineError: No rigid body can have the inertia.
+        """
         known = link.inertial
         mass = known.mass if known else 0.0
         if known is None or mass <= 0.0:
@@ -286,8 +307,14 @@ class ModelBuilder:
         else:
             tensor = frames.rotate_tensor(known.matrix, frames.rotation_matrix(known.origin.rpy))
             at = known.origin.xyz
-            if max(known.ixx, known.iyy, known.izz) <= 0.0:
+            if not known.is_stated:
                 tensor = self._made_up(link, mass)
+            elif not known.is_plausible:
+                lack = ENGINES.own["mujoco"].implausible_inertia
+                assert lack is not None
+                raise EngineError(f"link '{link.name}' of '{body}' {lack.reason}; {lack.help}")
+            else:
+                tensor = _without_excess(tensor)
         made.explicitinertial = True
         made.mass, made.ipos = mass, at
         if mass > 0.0:
@@ -417,6 +444,17 @@ def _branches(model: MjObject) -> bool:
     for body in range(1, model.nbody):  # a parent stands before its children
         moved[body] = moved[model.body_parentid[body]] + int(model.body_dofnum[body])
     return bool(2 * max(moved) <= model.nv)
+
+
+def _without_excess(tensor: Matrix) -> Matrix:
+    """The inertia, raised in all directions where the largest moment exceeds the sum of the others by rounding; MuJoCo allows none."""
+    smallest, middle, largest = np.linalg.eigvalsh(tensor).tolist()
+    excess = largest - middle - smallest
+    if excess <= 0.0:
+        return tensor
+    more = excess + 1e-9 * largest
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = tensor
+    return ((xx + more, xy, xz), (xy, yy + more, yz), (xz, yz, zz + more))
 
 
 def _is_wheel(shape: Cylinder, at: Frame, axle: Joint) -> bool:

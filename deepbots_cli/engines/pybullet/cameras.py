@@ -169,15 +169,6 @@ def pose_of_view(view: View) -> CameraPose:
     return CameraPose(view.eye, ahead, left, cross(ahead, left))
 
 
-class BodyImage(NamedTuple):
-    """`colours` and `depth` as in `CameraImage`, of bodies alone; `body_numbers` (-1 for none) and `rays` are those of the pixels."""
-
-    colours: Image
-    depth: NDArray[np.float32]
-    body_numbers: NDArray[np.int32]
-    rays: NDArray[np.float32]
-
-
 class Camera:
     """`height` x `width` pixels; `fov` is the vertical angle (rad). A pixel is what its centre sees."""
 
@@ -192,7 +183,8 @@ class Camera:
         frustum = (near * edge for edge in (shift - across, shift + across, shift - upward, shift + upward))
         self._projection = p.computeProjectionMatrix(*frustum, near, CAMERA_RANGE_M)
 
-    def capture(self, aim: CameraPose) -> BodyImage:
+    def _rendered(self, aim: CameraPose) -> tuple[Image, NDArray[np.float32], NDArray[np.int32]]:
+        """Colours, the buffer of depths, and the numbers of bodies (-1 for none), of bodies alone."""
         width, height = self._size
         eye = add(aim.eye, scaled(aim.ahead, EYE_OFFSET_M))
         _, _, pixels, buffer, numbers = p.getCameraImage(
@@ -210,42 +202,38 @@ class Camera:
             physicsClientId=self._client,
         )
         shape = (height, width)
-        depth = CAMERA_RANGE_M * NEAR_CLIP_M / (
-            CAMERA_RANGE_M - (CAMERA_RANGE_M - NEAR_CLIP_M) * np.asarray(buffer, np.float32).reshape(shape)
-        ) + np.float32(EYE_OFFSET_M)
-        rays = self._rays.reshape(-1, 3) @ np.array(aim[1:], np.float32)
-        colours = np.asarray(pixels, np.uint8).reshape(*shape, 4)[..., :3].copy()
-        return BodyImage(colours, depth, np.asarray(numbers, np.int32).reshape(shape), rays.reshape(*shape, 3))
+        colours = np.asarray(pixels, np.uint8).reshape(*shape, 4)[..., :3]
+        return colours, np.asarray(buffer, np.float32).reshape(shape), np.asarray(numbers, np.int32).reshape(shape)
 
-    def render(self, aim: CameraPose, background: Image | None = None) -> Image:
-        """Colours with what is behind all bodies, drawn unless it is given."""
-        shot = self.capture(aim)
-        bare = shot.body_numbers < 0
-        if background is not None:
-            return np.where(bare[..., None], background, shot.colours)
-        fill_background(shot.colours, bare, aim.eye, shot.rays, self._pixel, self._floor)
-        return shot.colours
+    def _world_rays(self, aim: CameraPose) -> NDArray[np.float32]:
+        """The line of sight of each pixel in the world frame, with a length of 1 ahead."""
+        return (self._rays.reshape(-1, 3) @ np.array(aim[1:], np.float32)).reshape(self._rays.shape)
+
+    def render(self, aim: CameraPose, background: Image) -> Image:
+        """Colours of bodies, before a background."""
+        colours, _, numbers = self._rendered(aim)
+        return np.where((numbers < 0)[..., None], background, colours)
 
     def background(self, aim: CameraPose) -> Image:
         """Floor and sky."""
         width, height = self._size
-        rays = (self._rays.reshape(-1, 3) @ np.array(aim[1:], np.float32)).reshape(height, width, 3)
         picture = np.zeros((height, width, 3), np.uint8)
-        fill_background(picture, np.ones((height, width), np.bool_), aim.eye, rays, self._pixel, self._floor)
+        fill_background(picture, np.ones((height, width), np.bool_), aim.eye, self._world_rays(aim), self._pixel, self._floor)
         return picture
 
     def camera_image(self, aim: CameraPose, places: NDArray[np.int32], ground: int, names: tuple[str, ...]) -> CameraImage:
         """All that is seen; `places` are those of PyBullet's numbers among `names`, `ground` is that of the floor."""
-        shot = self.capture(aim)
-        bare = shot.body_numbers < 0
-        bodies = np.where(bare, np.int32(-1), places[shot.body_numbers])
-        shot.depth[bare] = CAMERA_RANGE_M
+        seen, buffer, numbers = self._rendered(aim)
+        colours, bare, rays = seen.copy(), numbers < 0, self._world_rays(aim)
+        depth = CAMERA_RANGE_M * NEAR_CLIP_M / (CAMERA_RANGE_M - (CAMERA_RANGE_M - NEAR_CLIP_M) * buffer) + np.float32(EYE_OFFSET_M)
+        bodies = np.where(bare, np.int32(-1), places[numbers])
+        depth[bare] = CAMERA_RANGE_M
         if self._floor is not None and aim.eye[2] > 0.0:
-            floor = bare & (shot.rays[..., 2] < -1e-6)
+            floor = bare & (rays[..., 2] < -1e-6)
             bodies[floor] = ground
-            shot.depth[floor] = np.minimum(np.float32(-aim.eye[2]) / shot.rays[floor][:, 2], CAMERA_RANGE_M)
-        fill_background(shot.colours, bare, aim.eye, shot.rays, self._pixel, self._floor)
-        return CameraImage(shot.colours, shot.depth, bodies, names)
+            depth[floor] = np.minimum(np.float32(-aim.eye[2]) / rays[floor][:, 2], CAMERA_RANGE_M)
+        fill_background(colours, bare, aim.eye, rays, self._pixel, self._floor)
+        return CameraImage(colours, depth, bodies, names)
 
 
 def _length(v: Triple) -> float:

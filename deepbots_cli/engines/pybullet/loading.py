@@ -20,7 +20,7 @@ from deepbots_cli.geometry import HeightGrid, height_grid, mesh_triangles
 from deepbots_cli.port import ZERO_VECTOR
 from deepbots_cli.program.world import GROUND
 from deepbots_cli.robots.meshes import read_verified
-from deepbots_cli.robots.model import Friction, Joint, Limit, Link, Mesh, RobotModel, to_urdf
+from deepbots_cli.robots.model import Cylinder, Friction, Joint, Limit, Link, Mesh, RobotModel, Shape, to_urdf
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -40,6 +40,7 @@ measured; a ball that rolls over an edge of a triangle may be further away than 
 """
 TERRAIN_COLOUR = (0.72, 0.63, 0.48, 1.0)
 _MAX_VISUAL_CELLS = 100  # cells of what is drawn along either side; a finer picture would take longer than it shows
+_CYLINDER = "cylinder.obj"
 OPEN_JOINT_LIMIT = 1e9  # rad or m; the open end of a range with one end
 MAX_JOINTS = 127  # of one robot; a larger one loads, but its joints cannot be read
 UNLIMITED_RANGE = (1.0, -1.0)  # the loader reads a missing limit as 0, and lower > upper as unlimited
@@ -95,7 +96,8 @@ def _loaded(client: int, world: WorldModel) -> Iterator[Pool[Body]]:
         yield Pool(GROUND, [(GROUND, floor)], pooled=False)
     parked = 0
     with tempfile.TemporaryDirectory(prefix="deepbots-") as folder:
-        file = Path(folder, "body.urdf")
+        file, cylinder = Path(folder, "body.urdf"), Path(folder, _CYLINDER)
+        cylinder.write_text(_cylinder_mesh(), encoding="ascii")
         for thing in (*(arena_walls(world.arena) if world.arena else ()), *world.objects):
             variants = [(name, _object(client, form, file)) for name, form in forms_of(thing).items()]
             for _, body in variants if thing.pooled else ():
@@ -135,7 +137,7 @@ def _object(client: int, thing: ObjectBody, file: Path) -> Body:
 
 
 def _load(client: int, name: str, model: RobotModel, fixed: bool, file: Path, inertia_known: bool = True) -> Body:
-    file.write_text(to_urdf(for_loader(model)), encoding="utf-8")
+    file.write_text(to_urdf(for_loader(model, file.parent)), encoding="utf-8")
     flags = p.URDF_USE_IMPLICIT_CYLINDER | (p.URDF_USE_INERTIA_FROM_FILE if inertia_known else 0)
     with capture_native_output() as said:
         try:
@@ -248,10 +250,11 @@ def _ground_body(client: int, number: int, friction: Friction) -> Body:
     return Body(GROUND, number, RobotModel(GROUND, (Link(GROUND, friction=friction),), (), GROUND), True, client)
 
 
-def for_loader(model: RobotModel) -> RobotModel:
+def for_loader(model: RobotModel, folder: Path) -> RobotModel:
     """The model with both ends on each range of a joint, a colour on all that is seen, and meshes still as they were checked.
 
-    A link without visuals shows what it collides with.
+    A link without visuals shows what it collides with. Cylinders are seen as the mesh in `folder`: those of the library share normals
+    between side and caps, so that a flat disc looked like a cone.
 
     Raises:
         EngineError: A mesh cannot be read or has changed.
@@ -262,9 +265,34 @@ def for_loader(model: RobotModel) -> RobotModel:
             if isinstance(geometry.shape, Mesh):
                 read_verified(geometry.shape)
         colour = LINK_COLOURS[index % len(LINK_COLOURS)]
-        visuals = tuple(replace(seen, colour=seen.colour or colour) for seen in link.visuals or link.collisions)
+        visuals = tuple(
+            replace(seen, colour=seen.colour or colour, shape=_seen_shape(seen.shape, folder)) for seen in link.visuals or link.collisions
+        )
         links.append(replace(link, visuals=visuals))
     return replace(model, links=tuple(links), joints=tuple(replace(joint, limit=_explicit_limits(joint)) for joint in model.joints))
+
+
+def _seen_shape(shape: Shape, folder: Path) -> Shape:
+    match shape:
+        case Cylinder(radius, length):
+            return Mesh(str(folder / _CYLINDER), "", (radius, radius, length))
+        case _:
+            return shape
+
+
+def _cylinder_mesh(sides: int = 48) -> str:
+    """A cylinder of radius 1 and length 1 as OBJ: two corners and a normal for each side, the normals of the caps, and their middles."""
+    angles = 2 * np.pi * np.arange(sides) / sides
+    rim = [f"{x:.6f} {y:.6f}" for x, y in zip(np.cos(angles), np.sin(angles), strict=True)]
+    lines = [f"v {x_y} {z}" for x_y in rim for z in (-0.5, 0.5)] + ["v 0 0 -0.5", "v 0 0 0.5"]
+    lines += [f"vn {x_y} 0" for x_y in rim] + ["vn 0 0 -1", "vn 0 0 1"]
+    below, above = 2 * sides + 1, 2 * sides + 2
+    for here in range(1, sides + 1):
+        after = here % sides + 1
+        a, b, c, d = 2 * here - 1, 2 * after - 1, 2 * after, 2 * here
+        lines += [f"f {a}//{here} {b}//{after} {c}//{after}", f"f {a}//{here} {c}//{after} {d}//{here}"]
+        lines += [f"f {below}//{sides + 1} {b}//{sides + 1} {a}//{sides + 1}", f"f {above}//{sides + 2} {d}//{sides + 2} {c}//{sides + 2}"]
+    return "\n".join([*lines, ""])
 
 
 def _explicit_limits(joint: Joint) -> Limit:

@@ -16,7 +16,8 @@ EXPERIMENTS = (
         scenario="cartpole",
         title="CartPole",
         prose="A cart on four wheels keeps a free pole upright by driving back or forth at full speed. Two layers of ten ReLU units, "
-        "PPO. It counts as solved when the mean return of 100 consecutive training episodes is at least 195 of 200.",
+        "PPO. It counts as solved when the mean return of 100 consecutive training episodes is at least 195 of 200. A second set of seeds: "
+        "101 to 105 were trained before the engine ignored contacts that carry nothing, and were solved after 0.230 to 0.256 h.",
         trainings=(Training(seeds(5, first=201)),),
         baselines=(RANDOM,),
         bars=BARS,
