@@ -86,19 +86,7 @@ class Card(BaseModel):
     @property
     def result_text(self) -> str:
         """The result in a sentence."""
-        return result_text(self.result) if self.result else "not evaluated since the end of the training"
-
-
-def result_text(found: EvaluationRecord) -> str:
-    """Mean return and success rate with their intervals, and what they are of."""
-    text = f"mean return {found.mean_return:.4g}"
-    if found.return_interval is not None:
-        text += " (95 % interval {:.4g} .. {:.4g})".format(*found.return_interval)
-    if found.success_rate is not None and found.success_interval is not None:
-        low, high = found.success_interval
-        text += f", success rate {found.success_rate:.1%} (95 % interval {low:.1%} .. {high:.1%})"
-    solved = {True: "; solved", False: "; not solved", None: ""}[found.solved]
-    return f"{text}, over {found.episodes:,} held-out episodes from seed {found.seed}{solved}"
+        return self.result.text if self.result else "not evaluated since the end of the training"
 
 
 def bundle_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:

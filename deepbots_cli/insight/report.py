@@ -28,11 +28,11 @@ from deepbots_cli.errors import DeepbotsError, EngineError, MissingExtraError, R
 from deepbots_cli.files import atomic_write
 from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.insight import figures
-from deepbots_cli.insight.card import render_template, result_text
-from deepbots_cli.insight.trace import last_evaluation
+from deepbots_cli.insight.card import render_template
 from deepbots_cli.insight.training import lint_findings
 from deepbots_cli.learning.episodes import UNBOUNDED, Episode
 from deepbots_cli.learning.group import Group, is_group
+from deepbots_cli.learning.listing import last_episodes
 from deepbots_cli.learning.run import EvaluationWithEpisodes, Run, is_training
 from deepbots_cli.view import pictures, plots
 from deepbots_cli.view.episodes import Player, Source
@@ -68,7 +68,7 @@ class ReportRun:
             RunError: It is damaged, or lacks one of the two; says what to do.
         """
         run = Run.open(path)
-        found = last_evaluation(run)
+        found = last_episodes(run)
         if found is None:
             raise RunError(f"{path} holds no evaluation of its best model since its training ended; next: deepbots eval {quote(str(path))}")
         (log,) = plots.read_logs([path])
@@ -141,7 +141,7 @@ class Report:
         """The result in one line, with its interval."""
         found = [member.evaluation for member in self.runs]
         if not is_group(self.path):
-            return result_text(found[0])
+            return found[0].text
         text = "mean return " + _seed_statistics("{:.4g}", [each.mean_return for each in found])
         rates = [each.success_rate for each in found if each.success_rate is not None]
         if len(rates) == len(found):
@@ -162,9 +162,7 @@ class Report:
         labels = dict(zip((len(every) - 1, middle, 0), reversed(EPISODE_LABELS), strict=True))
         return [ReportEpisode(every[place].run, every[place].number, labels.get(place, "")) for place in sorted(places)]
 
-    def repeat_episodes(
-        self, shown: Sequence[ReportEpisode], on_episode: OnEpisode, *, clips: bool = True, allow_code: bool = False
-    ) -> None:
+    def repeat_episodes(self, shown: Sequence[ReportEpisode], on_episode: OnEpisode, *, clips: bool, allow_code: bool = False) -> None:
         """Run episodes of the evaluation again, for their paths and clips."""
         self.episodes, self.link = shown, ""
         ordered = sorted(shown, key=lambda each: self.runs.index(each.run))
@@ -260,7 +258,7 @@ class Report:
             "report.html.j2", html=True, report=self, program=run.program, record=run.record, figures=drawn, findings=found, clips=clips,
             lines=(run.path / RESOLVED_NAME).read_text("utf-8").splitlines(),
             marked={finding.span.start_position.line for finding in found if finding.span.source.name.endswith(RESOLVED_NAME)},
-            rows=[(member.run.path.name, member.run.record, result_text(member.evaluation)) for member in self.runs],
+            rows=[(member.run.path.name, member.run.record, member.evaluation.text) for member in self.runs],
             command=join(run.record.command) or "(from Python)", version=deepbots_cli.__version__, python=platform.python_version(),
             matplotlib=version("matplotlib"), notes=dict.fromkeys([*self.notes, *(note for m in self.runs for note in m.run.notes())]),
         )  # fmt: skip

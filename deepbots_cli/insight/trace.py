@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from deepbots_cli import api
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.insight.conditions import InstrumentedProgram, MeasuredComparison, StepValues, deciding_comparison, instrument_program
-from deepbots_cli.learning import failures, listing
-from deepbots_cli.learning.run import EvaluationWithEpisodes, ModelName, Run, read_json
+from deepbots_cli.learning import failures
+from deepbots_cli.learning.run import ModelName, Run
 from deepbots_cli.program import Program
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.streams import derive_seed
@@ -31,7 +31,6 @@ from deepbots_cli.view.recordings import RecordedEpisode, Recording, observation
 from deepbots_cli.view.replay import actions, observation_hash_at, version_changes
 
 Array = NDArray[np.float64]
-_MAX_EVALUATION_BYTES = 200_000_000
 
 
 @dataclass(eq=False)
@@ -148,19 +147,6 @@ class TraceRecorder(gym.Wrapper[Any, Any, Any, Any]):
 # Runs
 
 
-def last_evaluation(run: Run, *, plain: bool = True) -> tuple[Path, EvaluationWithEpisodes] | None:
-    """The file and content of the last evaluation in the scenario of a run since its training ended; None without one.
-
-    Args:
-        plain: Only one of the best model without sampled actions.
-
-    Raises:
-        RunError: It is damaged.
-    """
-    found = listing.last_evaluation(run.path, run.record, plain=plain)
-    return None if found is None else (found[0], read_json(found[0], EvaluationWithEpisodes, _MAX_EVALUATION_BYTES))
-
-
 def trace_episodes(
     run: Run,
     numbers: Sequence[int],
@@ -192,9 +178,8 @@ def trace_episodes(
                 evaluation.repeat_episode(policy, acted, begin, number, deterministic=deterministic)
             trace = world.trace(f"episode {number} of {run.path}", notes=run.notes())
             row = list(world.world.agents).index(trace.agent) if trace.agent else None
-            trace.critic = evaluation.critic_values(
-                policy, [seen if row is None else value_of_row(seen, row) for seen in world.observations[:-1]]
-            )
+            observations = [seen if row is None else value_of_row(seen, row) for seen in world.observations[:-1]]
+            trace.critic = evaluation.critic_values(policy, observations)
             yield trace
 
 

@@ -21,10 +21,11 @@ from deepbots_cli.diagnostics import Finding
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.insight.conditions import instrument_program
-from deepbots_cli.insight.trace import Array, Trace, TraceRecorder, last_evaluation
+from deepbots_cli.insight.trace import Array, Trace, TraceRecorder
 from deepbots_cli.learning import failures
 from deepbots_cli.learning.defaults import effective_hyperparameters
 from deepbots_cli.learning.episodes import meets_solved
+from deepbots_cli.learning.listing import last_episodes
 from deepbots_cli.learning.run import Run, changed_settings
 from deepbots_cli.lint import all_findings
 from deepbots_cli.program import Program
@@ -137,10 +138,9 @@ def read_training(run: Run) -> TrainingEvidence:
     failure = failures.read_failure(files[-1])[0] if files else None
     error = "" if failure is None else f"episode {failure.episode:,}, {failure.error}"
     episodes, evaluations = logs_of(run.path)
-    if (last := last_evaluation(run)) is not None:
-        outcomes = last[1].outcomes
-        kept = {"returns": [each.total_return for each in outcomes], "successes": [each.is_success for each in outcomes]}
-        evaluations = [*evaluations, kept]
+    if (last := last_episodes(run)) is not None:
+        done = last[1].outcomes
+        evaluations.append({"returns": [each.total_return for each in done], "successes": [each.is_success for each in done]})
     return TrainingEvidence(run, episodes, evaluations, scalars_of(run.tensorboard), error)
 
 

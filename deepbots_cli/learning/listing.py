@@ -18,11 +18,12 @@ from deepbots_cli.learning.group import Group, is_group
 from deepbots_cli.learning.run import (
     RECORD_NAME,
     EvaluationRecord,
+    EvaluationWithEpisodes,
+    Run,
     RunRecord,
     changed_settings,
     is_training,
     numbered_files,
-    read_evaluation,
 )
 
 State = Literal["training", "finished", "interrupted", "failed", "unreadable"]
@@ -171,7 +172,7 @@ def evaluations(run: Path) -> list[tuple[int, EvaluationRecord | str]]:
     found: list[tuple[int, EvaluationRecord | str]] = []
     for number, path in numbered_files(run / "evaluations"):
         try:
-            found.append((number, read_evaluation(path)))
+            found.append((number, EvaluationRecord.read(path)))
         except RunError as error:
             found.append((number, str(error)))
     return found
@@ -187,12 +188,22 @@ def last_evaluation(path: Path, record: RunRecord, *, plain: bool = True) -> tup
     return found[-1] if found else None
 
 
+def last_episodes(run: Run, *, plain: bool = True) -> tuple[Path, EvaluationWithEpisodes] | None:
+    """`last_evaluation` with its episodes.
+
+    Raises:
+        RunError: It is damaged.
+    """
+    found = last_evaluation(run.path, run.record, plain=plain)
+    return None if found is None else (found[0], EvaluationWithEpisodes.read(found[0]))
+
+
 def _own_evaluations(path: Path, record: RunRecord, *, plain: bool) -> list[tuple[Path, EvaluationRecord]]:
     """The evaluations of `last_evaluation`, in the order of their numbers; unreadable ones are left out."""
     kept = []
     for _, file in numbered_files(path / "evaluations"):
         try:
-            found = read_evaluation(file)
+            found = EvaluationRecord.read(file)
         except RunError:
             continue
         own = not (found.set or found.elsewhere or found.case or found.stage) and found.engine in (None, record.engine)

@@ -344,6 +344,26 @@ class EvaluationRecord(BaseModel):
     elsewhere: str | None = None
     engine: str | None = None
 
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """An evaluation that was kept.
+
+        Raises:
+            RunError: The file is damaged.
+        """
+        return read_json(path, cls, _MAX_EVALUATION_BYTES)
+
+    @property
+    def text(self) -> str:
+        """Mean return and success rate with their intervals, and what they are of."""
+        text = f"mean return {self.mean_return:.4g}"
+        if self.return_interval is not None:
+            text += " (95 % interval {:.4g} .. {:.4g})".format(*self.return_interval)
+        if self.success_rate is not None and self.success_interval is not None:
+            text += f", success rate {self.success_rate:.1%} (95 % interval {{:.1%}} .. {{:.1%}})".format(*self.success_interval)
+        solved = {True: "; solved", False: "; not solved", None: ""}[self.solved]
+        return f"{text}, over {self.episodes:,} held-out episodes from seed {self.seed}{solved}"
+
 
 class EvaluationWithEpisodes(EvaluationRecord):
     """An evaluation that a run keeps, with its episodes."""
@@ -415,15 +435,6 @@ def write_numbered(folder: Path, text: str) -> Path:
         path.unlink()
         raise
     return path
-
-
-def read_evaluation(path: Path) -> EvaluationRecord:
-    """An evaluation that was kept.
-
-    Raises:
-        RunError: The file is damaged.
-    """
-    return read_json(path, EvaluationRecord, _MAX_EVALUATION_BYTES)
 
 
 def _check_plain(run: Path) -> None:

@@ -19,10 +19,11 @@ from deepbots_cli.cli import main
 from deepbots_cli.errors import DeepbotsError, EvaluationError, RunError
 from deepbots_cli.insight.diagnosis import CAUSES, diagnose
 from deepbots_cli.insight.episode import ROWS, explain, explanation_json
-from deepbots_cli.insight.trace import last_evaluation, trace_episodes
+from deepbots_cli.insight.trace import trace_episodes
 from deepbots_cli.insight.training import TrainingEvidence, read_training, run_probes
 from deepbots_cli.learning import train
 from deepbots_cli.learning.group import GroupRecord
+from deepbots_cli.learning.listing import last_episodes
 from deepbots_cli.learning.run import Run
 
 DOCS = Path(__file__).parents[2] / "docs" / "diagnose.md"
@@ -165,7 +166,7 @@ def test_episodes_of_an_evaluation_are_repeated_to_the_bit(short, tmp_path, caps
     assert main(["eval", str(run), "--episodes", "10", "--json"]) == 0
     outcomes = json.loads(capsys.readouterr().out)["outcomes"]
     opened = Run.open(run)
-    _, kept = last_evaluation(opened)
+    _, kept = last_episodes(opened)
     assert kept.failed(opened.program) == list(range(10))
     for trace, number in zip(trace_episodes(opened, (9, 3), **kept.circumstances), (9, 3), strict=True):
         known = outcomes[number]
