@@ -108,7 +108,7 @@ def browser() -> Iterator[Any]:
     from websockets.sync.client import connect
 
     assert CHROMIUM is not None
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:  # helpers of Chromium may still write there
         process = subprocess.Popen(
             [CHROMIUM, *FLAGS, f"--user-data-dir={folder}", "about:blank"], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True
         )

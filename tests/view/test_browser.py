@@ -101,11 +101,11 @@ def test_keys_buttons_and_tabs_work(new_tab):
         tab.key("KeyD", down=True)
         _soon(lambda: _wheel(page) == 1.0)
         tab.key("KeyD", down=False)
-        _soon(lambda: _wheel(page) == 0.0)
+        _soon(lambda: not _wheel(page))  # 0, or none where the episode has ended meanwhile
         tab.run("navigator.getGamepads = () => [{axes: [0.5, -1, 0, 0]}]; 1")  # stick up and to the right
         _soon(lambda: _wheel(page) == pytest.approx(0.5))
         tab.run("navigator.getGamepads = () => []; 1")
-        _soon(lambda: _wheel(page) == 0.0)
+        _soon(lambda: not _wheel(page))
         for name in ("Plots", "Show"):
             tab.click(name)
         tab.click("names")
