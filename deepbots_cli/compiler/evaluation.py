@@ -317,8 +317,8 @@ class _Reader:
         known = len(self._values.findings.errors)
         policy = self._actions(spec) if spec.actions is not None else self._policy(spec)
         cases, stages = self._scenario.evaluation.cases, [stage.name for stage in self._scenario.curriculum]
-        for word, given, others in (("case", spec.case, list(cases)), ("stage", spec.stage, stages)):
-            if given is not None and given not in others:
+        for word, section, given, others in (("case", "cases", spec.case, list(cases)), ("stage", "curriculum", spec.stage, stages)):
+            if given is not None and given not in others and not self._values.is_invalid(section):
                 self._values.report_unknown(self._values.field(spec, word).span, word, given, others)
         expected = tuple(self._expected(spec.expect))
         steps = self._steps(spec, policy)
@@ -431,14 +431,14 @@ class _Reader:
         return low, high
 
     def _ends_by(self, spec: Expectation) -> Iterator[ExpectedResult]:
-        termination, limits = self._scenario.termination, self._program.truncation
-        cuts = [name for name in ("max_steps", "max_time") if getattr(limits, name) is not None]
+        termination, limits = self._scenario.termination, self._scenario.truncation
+        cuts = [name for name in ("max_steps", "max_time") if getattr(limits, name, None) is not None]
         known = [*termination.success, *termination.failure, *cuts]
         several = isinstance(spec.ends_by, tuple)
         names = spec.ends_by if isinstance(spec.ends_by, tuple) else (spec.ends_by or "",)
         for index, name in enumerate(names):
             self._namespace.mark_used(name)
-            if name not in known:
+            if name not in known and not self._values.is_invalid("truncation" if name.startswith("max_") else "termination"):
                 place: NodePath = (*spec.path, "ends_by", index) if several else (*spec.path, "ends_by")
                 self._values.report_unknown(self._values.span(place), "ending", name, known)
         yield ExpectedResult("ends_by", self._values.span((*spec.path, "ends_by")), " or ".join(names), endings=tuple(names))

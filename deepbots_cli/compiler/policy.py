@@ -160,7 +160,7 @@ class Actions:
         parts = self.parts()
         if not parts:
             written = self._values.root.get("action")  # of which findings may have left nothing
-            has_some = isinstance(written, MappingNode) and written.entries
+            has_some = (isinstance(written, MappingNode) and written.entries) or self._values.is_invalid("action")
             return Symbol(name, None, refusal=None if has_some else "the agent does nothing in this scenario")
         if len(parts) < len(self._parts):
             return Symbol(name, None)
@@ -466,11 +466,11 @@ class Decisions:
     def read(self, place: NodePath, given: Mapping[str, object], description: str) -> tuple[ScriptedChoice | ScriptedRange, ...] | None:
         """The decisions at `place`, which findings call `description`; None after a finding."""
         self._called = description
-        for part in given:
-            if part not in self._names:
-                self._values.report_unknown(self._values.key_span((*place, part)), "action", part, self._names)
+        strange = [part for part in given if part not in self._names]
+        for part in strange:
+            self._values.report_unknown(self._values.key_span((*place, part)), "action", part, self._names)
         for part in self._names:
-            if part not in given and not self._values.is_invalid(part):
+            if part not in given and not strange and not self._values.is_invalid(part):
                 headline = f"{description} does not decide `{part}`"
                 self._values.findings.add("DB102", self._values.key_span(place), headline, help=self._example(part))
         decided = {part: self._decision((*place, part), self._parts[part], given[part]) for part in self._parts if part in given}
@@ -531,6 +531,8 @@ class Decisions:
         if not _WORD.fullmatch(word):
             help = f"name one option, or write a condition for each: `{{{options[0]}: x > 0 m, {options[-1]}: true}}`"
             self._values.findings.add("DB103", span, f"an expression where an option of `{part.name}` is needed", help=help)
+        elif word not in options and self._values.is_invalid("action"):
+            return None  # it may be an option of the action that has a finding
         elif word not in options:
             self._values.report_unknown(span, "choice", word, options)
         else:

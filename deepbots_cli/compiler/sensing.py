@@ -118,7 +118,7 @@ class SensorsCompiler:
 
     def _reaching(self, sensor: Sensor, spec: RaySensor, faults: NoiseModel | None) -> Sensor:
         """The sensor with rays that go to the end of its range."""
-        if "range" not in spec.model_fields_set:
+        if "range" not in spec.model_fields_set and not self._values.is_invalid("range"):
             headline = f"the range of `{sensor.name}` is not known"
             self._values.findings.add("DB102", self._values.key_span(spec.path), headline, help="give its `range: 0 .. 1 m`, or a `lookup`")
         reach = max(faults.high) if faults and faults.high else 0.0
@@ -213,10 +213,11 @@ def _rays(namespace: Namespace, spec: RayScan) -> dict[str, Pose] | None:
         return {name: _frame(namespace, ray) for name, ray in spec.rays.items()}
     count = spec.rays or 1
     if spec.angle_range is None:
-        if count > 1:
+        if count > 1 and not values.is_invalid("angle_range"):
             headline = f"{count} rays have no directions"
             help = "add `angle_range: 90 .. -90 deg`, or give each ray by name, as in `rays: {left: {yaw: 30 deg}}`"
             values.findings.add("DB102", values.span((*spec.path, "rays")), headline, help=help)
+        if count > 1:
             return None
         return {"": Pose()} if spec.rays is None else {"r0": Pose()}
     ends = namespace.ends(spec, "angle_range", what="the fan", falling=True)

@@ -69,7 +69,8 @@ def of_file(path: Path) -> Iterator[Injected]:
             fit = [fault for fault in group if _fits(fault, style)]
             for fault in chance.sample(fit, min(PER_GROUP, len(fit))):
                 yield _on_one_line(name, text, fault) if style == "one line" else _in_style(name, text, fault, style)
-        for fault in chance.sample(group, min(PER_GROUP, len(group))):
+        inherited = [fault for fault in group if fault.section != "tests"]
+        for fault in chance.sample(inherited, min(PER_GROUP, len(inherited))):
             style = chance.choice([style for style in (*ANYWHERE, *IN_BLOCKS) if _fits(fault, style)])
             yield _extended(_in_style(name, text, fault, style))
         for fault in chance.sample(group, min(PER_GROUP, len(group))):

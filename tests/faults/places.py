@@ -22,7 +22,7 @@ OF_NAMES = frozenset(
     (
         *("parameters", "signals", "augment", "observation", "action", "reward", "success", "failure", "robots", "objects", "sensors"),
         *("actuators", "emit", "apply", "receive", "choices", "set", "links", "joints", "groups", "poses", "lines", "walls", "layouts"),
-        *("cases", "place", "rays", "scripts", "forbid", "legend", "spin", "one_of", "disturbances", "remove"),
+        *("cases", "place", "rays", "scripts", "forbid", "legend", "spin", "one_of", "disturbances", "remove", "tests"),
     )
 )
 SETTLED = frozenset(("choices", "set", "poses", "layouts", "scripts", "forbid", "legend", "spin", "remove", "extends", "include"))
@@ -46,10 +46,12 @@ _QUANTITY = re.compile(r"[\d.]+ (?:deg|rad|s|ms)")
 class Fault:
     """In the scalar at [start, end) of the text, characters [low, high) become `instead`; `codes` are right for that.
 
-    `at` and `until` are the characters of the new value that the finding has to name, and `is_whole` says that they are all of it.
+    `section` is the key at the top level above it. `at` and `until` are the characters of the new value that the finding has to name, and
+    `is_whole` says that they are all of it.
     """
 
     kind: str
+    section: str
     codes: tuple[str, ...]
     start: int
     end: int
@@ -151,7 +153,8 @@ def _fault(
     at, until = named or (low, low + len(instead))
     start, end = piece.node.start_mark.index, piece.node.end_mark.index
     is_whole = (low, high) == (0, len(piece.node.value)) and named is None
-    return Fault(kind, codes, start, end, low, high, instead, at, until, piece.is_key, piece.in_flow, is_whole)
+    section = piece.path[0] if piece.path else piece.node.value
+    return Fault(kind, section, codes, start, end, low, high, instead, at, until, piece.is_key, piece.in_flow, is_whole)
 
 
 _LINE = re.compile(r"^[ ]*[\w.]+: (?P<flow>[{\[][^#\n\"']*[}\]])$", re.MULTILINE)

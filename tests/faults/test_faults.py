@@ -45,6 +45,10 @@ FOLLOWED = {
     "a misspelt policy leaves copies without one": ("multi_cartpole", "agent: {each:", "agent: {eacch:", "DB101"),
     "a misspelt spacing leaves copies at one place": ("multi_cartpole", "spacing:", "spacinng:", "DB101"),
     "a misspelt place leaves copies of an object without one": ("tag", "  place:", "  placce:", "DB101"),
+    "a misspelt limit leaves an ending that a test expects without one": ("balancer", "{max_time: 10", "{max_timme: 10", "DB101"),
+    "a misspelt name of a stage leaves a test without its stage": ("find_ball_random", "- {name: open", "- {nname: open", "DB101"),
+    "a misspelt range leaves rays without an end": ("find_and_avoid", "rays: 13, range:", "rays: 13, rangge:", "DB101"),
+    "a misspelt action of a test leaves another one undecided": ("find_ball", "[{gas: 1, wheel: -1}", "[{gas: 1, wheeel: -1}", "DB201"),
     "a parenthesis left out puts two comparisons in a row": ("line_follower", "2 * width) > 1 s", "2 * width > 1 s", "DB401"),
 }  # fmt: skip
 
