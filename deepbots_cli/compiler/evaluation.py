@@ -381,7 +381,7 @@ class _Reader:
         steps = min(own, self._program.truncation.max_episode_steps(period), len(policy) if isinstance(policy, tuple) else own)
         total = steps * self._program.action_repeat * spec.episodes
         if total > MAX_STEPS and self._program.truncation != Truncation():
-            help = "give fewer `episodes`, `max_steps` or `max_time`"
+            help = "give fewer `episodes`, or a smaller `max_steps` or `max_time`"
             headline = f"a test of {total:_} timesteps, which is more than {MAX_STEPS:_}"
             self._values.findings.add("DB105", self._values.key_span(spec.path), headline, help=help)
         return steps

@@ -428,7 +428,7 @@ class Layouts:
         spec, layouts = self._spec.reset.layout, self._spec.reset.layouts
         shares = self._shares() if isinstance(spec, dict) else {spec: 1.0} if spec is not None else dict.fromkeys(list(layouts)[:1], 1.0)
         if spec is None and len(layouts) > 1:
-            help = f"name one layout, or several with their shares: `layout: {next(iter(layouts))}`"
+            help = f"name one layout, as in `layout: {next(iter(layouts))}`, or give several with their shares"
             self._values.findings.add("DB102", self._values.key_span(("reset", "layouts")), "missing key `layout`", help=help)
         for name in shares:
             if name not in layouts:

@@ -172,7 +172,7 @@ def _remedy(value: Typed, needed: Dimension) -> str:
         return "divide by the angle: `/ rad`"
     if needed / given == ANGLE:
         return "multiply by the angle: `* rad`"
-    return f"one of its units is wrong, or a factor with the unit {needed / given} is missing"
+    return f"a unit is wrong, or a factor with the unit {needed / given} is missing"
 
 
 def components_of(values: Sequence[Typed], place: Place, report: FindingReporter) -> Components | None:

@@ -254,7 +254,7 @@ def undefined_value(simulation: Simulation) -> Iterator[Finding]:
     """DB808: an episode cannot begin or continue, for a reason that no other code reports."""
     stop, failed = simulation.report.stop or {}, simulation.failed
     if failed is not None and failed.section == "other":
-        help = "write an expression that is always defined, such as `x / max(y, 1 cm)`"
+        help = "write an expression that is always defined, such as `x / max(y, 1 cm)` for a length `y`"
         yield Finding("DB808", failed.span, f"`{failed.name}` has no value", help=help, notes=failed.notes)
     elif failed is None and stop.get("kind") == "value":
         span = simulation.values.key_span(("reset",) if simulation.report.where.activity == "reset" else ("robots",))
@@ -489,7 +489,7 @@ def idle_test(context: RuleContext) -> Iterator[Finding]:
                 headline = f"the test `{test.name}` cannot pass: `{expected.key}` never holds"
                 if outcome:
                     headline = f"`{expected.key}` of the test `{test.name}` checks nothing: it holds whatever happens"
-                help = "expect something that a wrong scenario misses" if outcome else "expect something that can be reached"
+                help = "expect a result that a wrong scenario does not reach" if outcome else "expect a result that can be reached"
                 yield Finding("DB813", expected.span, headline, help=help)
 
 

@@ -68,9 +68,8 @@ def _unbounded(context: RuleContext, term: Expression, found: Singularity) -> Fi
     also = () if found.value is term else (Label(term.span, f"`{term.name}` depends on it"),)
     if found.is_divisor:
         headline = f"`{term.name}` grows without bound as `{part}` approaches zero"
-        return Finding(
-            "DB701", place, headline, help="keep the divisor away from zero, as in `max(x, 1 cm)`, or use `exp(-x / 10 cm)`", labels=also
-        )
+        help = "keep the divisor away from zero, as in `max(x, 1 cm)` for a length, or use `exp(-x / 10 cm)`"
+        return Finding("DB701", place, headline, help=help, labels=also)
     headline = f"`{term.name}` grows with the exponential of `{part}`, which has no upper bound"
     return Finding("DB701", place, headline, help="bound the argument, as in `min(x, 3)`", labels=also)
 
@@ -160,10 +159,11 @@ def term_dominates(context: RuleContext) -> Iterator[Finding]:
             continue
         low = _smallest_sum(reward, node)
         if low > _DOMINANCE_RATIO * prize:
-            headline = f"the absolute sum of `{term.name}` over an episode is at least {low:.4g}, and an ending pays at most {prize:.4g}"
+            headline = f"the absolute sum of `{term.name}` over an episode is at least {low:.4g}"
+            headline += f", and the absolute reward of an ending is at most {prize:.4g}"
             also = tuple(Label(paid.span, "paid at the end") for paid, _ in final)
             yield Finding(
-                "DB702", term.span, headline, help=f"scale `{term.name}` down, or increase the rewards of the endings", labels=also
+                "DB702", term.span, headline, help=f"scale `{term.name}` down, or increase the absolute rewards of the endings", labels=also
             )
 
 
@@ -284,7 +284,7 @@ def non_finite_reward(simulation: Simulation) -> Iterator[Finding]:
     """DB707: a term is NaN or infinite."""
     failed = simulation.failed
     if failed is not None and failed.section == "reward":
-        help = "avoid a division by zero, as in `1 / max(x, 1 cm)`, and an overflow, as in `exp(min(x, 3))`"
+        help = "avoid a division by zero, as in `1 / max(x, 1 cm)` for a length, and an overflow, as in `exp(min(x, 3))`"
         yield Finding("DB707", failed.span, f"`{failed.name}` is not finite", help=help, notes=failed.notes)
 
 

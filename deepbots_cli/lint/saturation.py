@@ -135,7 +135,8 @@ def _unseen(context: RuleContext, analysis: Analysis, view: BlindNumber, ending:
     number, name, limit = view.number, view.number.name, view.threshold.limit
     help, fix = "widen its range, or the range of its `clamp`, beyond the limit", None
     if analysis.identity(number.node) == analysis.identity(view.threshold.quantity):
-        headline = f"the range of `{name}` ends at {with_unit(view.edge, number.dimension)}, and the episode fails"
+        end = "high" if view.threshold.above else "low"
+        headline = f"the {end} end of the range of `{name}` is {with_unit(view.edge, number.dimension)}, and the episode fails"
         headline += f" at {with_unit(limit, number.dimension)}"
         beyond = limit + (_RANGE_FACTOR - 1.0) * abs(limit) * (1.0 if view.threshold.above else -1.0)
         other = -beyond if number.low == -number.high else beyond
@@ -143,10 +144,10 @@ def _unseen(context: RuleContext, analysis: Analysis, view: BlindNumber, ending:
         help = f"widen the range beyond the limit, for example to `{range_text(wide, number.dimension)}`"
         fix = replace_range(context, number, wide, number.dimension)
     elif (dimension := view.threshold.dimension) is not None:
-        headline = f"`{name}` is constant while the value in the condition of `{ending.name}` goes"
-        headline += f" from {with_unit(view.edge, dimension)} to {with_unit(limit, dimension)}"
+        headline = f"`{name}` does not change while the value that `{ending.name}` compares goes"
+        headline += f" from {with_unit(view.edge, dimension)} to its limit, {with_unit(limit, dimension)}"
     else:
-        headline = f"`{name}` is constant for some distance before `{ending.name}` ends the episode"
+        headline = f"`{name}` does not change for some distance before `{ending.name}` ends the episode"
     place = ending.span
     if comparison.value.owner:
         place = context.text(comparison.value.owner).part(comparison.node.start, comparison.node.end)
@@ -186,7 +187,8 @@ def _saturated_at_start(context: RuleContext) -> Iterator[Finding]:
         if drawn is not None and drawn.is_finite:  # exactly what is drawn, not a wider range around it
             is_beyond = drawn.high > number.high + number.slack or drawn.low < number.low - number.slack
         if is_beyond:
-            headline = f"`{number.name}` can start outside its range: its initial value is {bounds_text(first, number.dimension)}"
+            verb = "starts" if first.is_single else "can start"
+            headline = f"`{number.name}` {verb} outside its range: its initial value is {bounds_text(first, number.dimension)}"
             yield Finding("DB611", context.range_span(number.entry), headline, help="widen the range, or start inside the range")
 
 
@@ -219,7 +221,8 @@ def _saturated_by_gravity(context: RuleContext) -> Iterator[Finding]:
         axis = leaf.component if isinstance(leaf, Name) else ""
         size = abs(reading) * _RANGE_FACTOR
         wide = Interval(min(number.low, -size), max(number.high, size))
-        headline = f"the range of `{number.name}` ends at {with_unit(number.high if reading > 0 else number.low, ACCELERATION)}"
+        edge = f"the {'high' if reading > 0 else 'low'} end of the range of `{number.name}`"
+        headline = f"{edge} is {with_unit(number.high if reading > 0 else number.low, ACCELERATION)}"
         headline += f", and its {axis} at rest is {with_unit(reading, ACCELERATION)}"
         help = f"widen the range beyond gravity, for example to `{range_text(wide, ACCELERATION)}`"
         fix = replace_range(context, number, wide, ACCELERATION)

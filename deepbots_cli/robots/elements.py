@@ -292,6 +292,8 @@ def _parsed(builder: _Builder) -> Element | None:
         at = min(builder.offset(max(builder.parser.ErrorByteIndex, 0)), len(source.text))
         also = tuple(Label(element.span, "opened here and not closed") for element in builder.open[-1:])
         what = "the file is empty" if not source.text.strip() else f"this is not XML: {expat.ErrorString(error.code)}"
+        if builder.open and error.code == expat.errors.codes[expat.errors.XML_ERROR_NO_ELEMENTS]:
+            what = "the file ends inside an element"
         misplaced = error.code == expat.errors.codes[expat.errors.XML_ERROR_MISPLACED_XML_PI]
         help = "move <?xml ...?> to the start of the file" if misplaced else None
         findings.add("DB301", Span(source, at, min(at + 1, len(source.text))), what, help=help, labels=also)

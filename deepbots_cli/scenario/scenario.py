@@ -179,7 +179,7 @@ class DiscreteAction(Section):
     identifying_keys: ClassVar[frozenset[str]] = frozenset({"choices", "forbid"})
 
     choices: Annotated[dict[LocalName, Annotated[dict[SharedName, Choice] | Choice, FORMS]], Size(2, "choice")]
-    """The options by name, each with a number, or with the variables that it sets: `{forward: {left: 1, right: 1}}`."""
+    """The options by name. Each has a number, or the variables that it sets: `{ahead: {left: 1, right: 1}, stop: {left: 0, right: 0}}`."""
     forbid: dict[Annotated[str, Reference("choice")], Annotated[str, Expression("forbid", boolean=True)]] = {}
     """For each option, the condition under which it may not be chosen."""
 

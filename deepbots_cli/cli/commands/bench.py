@@ -52,7 +52,8 @@ def command(
         bool,
         typer.Option(
             "--quick",
-            help="Measure 3 pairs of 600 steps, which takes a tenth of the time; with several engines or batch, one round instead of 3.",
+            help="Measure 3 pairs of 600 steps, which takes a tenth of the time. "
+            "With several engines or batch, measure one round instead of three.",
         ),
     ] = False,
     seed: Seed = 0,

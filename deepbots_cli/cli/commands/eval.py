@@ -151,12 +151,13 @@ def command(
     --require-solved, --min-success and --min-return check the result in the scenario itself. With --case or --stage, they check the result
     in that case or stage. For a group, every seed is evaluated on the same starts, and the requirements apply to the means over the seeds.
 
-    With --min-success or --min-return, the evaluation of a run stops as soon as it is certain whether the requirement is met: the
-    remaining episodes cannot change it, or a 95 % confidence sequence excludes the required value. The evaluation of a group stops early
+    With --min-success or --min-return, the evaluation of a run stops as soon as the answer is decided: the remaining episodes
+    cannot change it, or a 95 % confidence sequence excludes the required value. The evaluation of a group stops early
     only for --min-success, and only if the remaining episodes of all seeds cannot change it.
 
-    --robustness changes one condition at a time by several amounts. It shows the level at which the result falls below a bar:
-    --min-success or --min-return; if neither is given, `solved` of the scenario; without `solved`, 80 % of the result without a change.
+    --robustness changes one condition at a time by several amounts. It shows the level at which the result falls below a bar.
+    The bar is --min-success or --min-return. If neither is given, it is `solved` of the scenario. If the scenario has no `solved`, it is
+    80 % of the result without a change.
 
     --set overrides values of the scenario of the run, or of the scenario that --scenario names. This scenario must have the
     observation, action and messages of the training; its world may differ. --engine runs the episodes in another engine. With several
@@ -165,8 +166,8 @@ def command(
     apply to every engine.
 
     --episodes failed runs the failed episodes of the last kept evaluation again, and counts their endings. For the first 10, it prints the
-    ending, and how far the value in the condition of the ending is beyond its bound. With --video FILE.mp4, it films these episodes:
-    FILE-K.mp4 shows episode K.
+    ending and the margin: how far the value that the ending compares with a limit is past the limit. With --video FILE.mp4, it films
+    these episodes: FILE-K.mp4 shows episode K.
 
     \b
       deepbots eval runs/cartpole-0-1

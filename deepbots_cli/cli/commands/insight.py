@@ -48,9 +48,10 @@ def explain_episode(
 ) -> None:
     """Explain why an episode ended as it did.
 
-    The episode runs again, from its seed or with its recorded actions. The command prints the ending and its time, how far the value in
-    the condition of the ending is beyond its bound, the part of each reward term in the return, the largest drop of the critic's value,
-    and the observations and actions that reached an end of their range. --json holds the same numbers in SI units.
+    The episode runs again, from its seed or with its recorded actions. The command prints the ending, its time and its
+    margin: how far the value that the ending compares with a limit is past the limit. It also prints the part of each reward term in
+    the return, the largest drop of the critic's value, and the observations and actions that reached an end of their range.
+    --json holds the same numbers in SI units.
 
     \b
       deepbots explain-episode runs/cartpole-0-1
@@ -58,7 +59,7 @@ def explain_episode(
       deepbots explain-episode find_ball-0-0.mcap --json
       deepbots explain-episode runs/cartpole-0-1/failures/0001.json
 
-    Next: `deepbots clip RUN --episode K` shows the episode, `deepbots diagnose RUN` tells why a training does not learn.
+    Next: `deepbots clip RUN --episode K` shows the episode, and `deepbots diagnose RUN` tells why a training does not learn.
     """
     with terminal.transient_line("running the episode again ..."):
         from deepbots_cli.insight.episode import explain, explanation_json

@@ -95,9 +95,9 @@ def command(
 ) -> None:
     """Train a policy in a new run directory, and evaluate it.
 
-    Training stops when the scenario counts as solved, or at the total number of timesteps. Ctrl-C stops it after the current roll-out and
-    keeps the policy.
-    The run directory holds the inputs, the models and the results. A run never overwrites another one.
+    Training stops when an evaluation confirms that the scenario is solved, or at the total number of timesteps. Ctrl-C stops it after the
+    current roll-out and keeps the policy. The run directory holds the inputs, the models and the results. A run never overwrites another
+    one.
 
     \b
       deepbots train cartpole

@@ -41,7 +41,10 @@ def point(text: str) -> tuple[float, float, float]:
 
 
 Shown = Annotated[
-    str, typer.Argument(metavar="SCENARIO|RUN", help="A scenario file, the name of a shipped scenario, a run directory or a recording.")
+    str,
+    typer.Argument(
+        metavar="SCENARIO|RUN|RECORDING", help="A scenario file, the name of a shipped scenario, a run directory or a recording."
+    ),
 ]
 ScenarioOrRun = Annotated[
     str, typer.Argument(metavar="SCENARIO|RUN", help="A scenario file, the name of a shipped scenario, or a run directory.")
