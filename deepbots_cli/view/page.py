@@ -94,10 +94,12 @@ class Page:
         world: int = 0,
         watch: bool = False,
         playing: bool = False,
+        frame_rate: int = FRAME_RATE,
     ) -> None:
         """Compile the source and start the server; `playing` makes a page to drive by hand, with a score.
 
-        With `compare`, both worlds stand side by side, and begin each episode from the same seed. Of a batch, `world` is shown.
+        With `compare`, both worlds stand side by side, and begin each episode from the same seed. Of a batch, `world` is shown. The page
+        gets `frame_rate` pictures per second.
 
         Raises:
             UsageError, RunError: There is no such source or driver, or the address cannot be used.
@@ -113,7 +115,7 @@ class Page:
         self._changed_at = 0.0
         self._controls: Any = None
         self.seed, self.episode, self.paused, self.speed = seed, episode, False, 1.0
-        self._world_number = world
+        self._world_number, self._frame_rate = world, frame_rate
         self._error_title, self._message, self._waiting = "", "", playing
         self._best, self._successes, self._played = -math.inf, 0, 0
         opened = source.open()
@@ -567,7 +569,7 @@ class Page:
 
     def run(self, until: Callable[[], bool] = lambda: False) -> None:
         """Serve the page until `until` says so, or Ctrl-C; time goes on while a browser shows the page."""
-        period, drawn, due, checked = 1 / FRAME_RATE, 0, time.perf_counter(), time.monotonic()
+        period, drawn, due, checked = 1 / self._frame_rate, 0, time.perf_counter(), time.monotonic()
         while not until():
             while not self._tasks.empty():
                 self._run_or_stop(self._tasks.get())

@@ -31,6 +31,9 @@ if TYPE_CHECKING:
     from deepbots_cli.learning.group import GroupTraining
     from deepbots_cli.program import Program
 
+_PAGE_FRAME_RATE = 10
+"""Pictures per second of the page of a training: a browser that draws in software shares the cores with the training."""
+
 
 def command(
     scenario: Annotated[
@@ -199,7 +202,8 @@ def _page(*, wanted: bool, allow_code: bool) -> Iterator[Callable[[Path], None]]
 
     def show(run: Path) -> None:
         if wanted:
-            command = [sys.executable, "-m", "deepbots_cli", "view", str(run), *(["--allow-code"] if allow_code else [])]
+            command = [sys.executable, "-m", "deepbots_cli", "view", str(run), "--fps", str(_PAGE_FRAME_RATE)]
+            command += ["--allow-code"] if allow_code else []
             started.append(subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True))
             Thread(target=_await_page, args=(started[0],), daemon=True).start()
 

@@ -108,6 +108,12 @@ def view(
         ),
     ] = None,
     world: Annotated[int, typer.Option("--world", metavar="K", parser=whole_number(0), help="The world to show first, with --worlds.")] = 0,
+    frame_rate: Annotated[
+        int,
+        typer.Option(
+            "--fps", metavar="N", parser=whole_number(1, 60), help="Pictures per second. A browser without a graphics card needs fewer."
+        ),
+    ] = 30,
     overrides: Overrides = None,
     case: Case = None,
     stage: Stage = None,
@@ -146,7 +152,8 @@ def view(
     engine = engine or ("mujoco" if worlds else None)
     source = replace(_source(shown, overrides, case, stage, engine, allow_paths, allow_code), worlds=worlds or 0)
     other = replace(source, reference=compare) if compare else None
-    _serve(source, open_, compare=other, host=host, port=port, driver=driver, seed=seed, episode=episode, world=world, watch=watch)
+    settings = {"driver": driver, "seed": seed, "episode": episode, "world": world, "watch": watch, "frame_rate": frame_rate}
+    _serve(source, open_, compare=other, host=host, port=port, **settings)
 
 
 def play(
