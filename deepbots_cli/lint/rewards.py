@@ -68,7 +68,7 @@ def _unbounded(context: RuleContext, term: Expression, found: Singularity) -> Fi
     also = () if found.value is term else (Label(term.span, f"`{term.name}` depends on it"),)
     if found.is_divisor:
         headline = f"`{term.name}` grows without bound as `{part}` approaches zero"
-        help = "keep the divisor away from zero, as in `max(x, 1 cm)` for a length, or use `exp(-x / 10 cm)`"
+        help = "keep the divisor away from zero, or use an exponential; for a length `d`: `max(d, 1 cm)` or `exp(-d / 10 cm)`"
         return Finding("DB701", place, headline, help=help, labels=also)
     headline = f"`{term.name}` grows with the exponential of `{part}`, which has no upper bound"
     return Finding("DB701", place, headline, help="bound the argument, as in `min(x, 3)`", labels=also)
@@ -284,7 +284,7 @@ def non_finite_reward(simulation: Simulation) -> Iterator[Finding]:
     """DB707: a term is NaN or infinite."""
     failed = simulation.failed
     if failed is not None and failed.section == "reward":
-        help = "avoid a division by zero, as in `1 / max(x, 1 cm)` for a length, and an overflow, as in `exp(min(x, 3))`"
+        help = "prevent a division by zero with `1 / max(d, 1 cm)`, if `d` is a length, and an overflow with `exp(min(x, 3))`"
         yield Finding("DB707", failed.span, f"`{failed.name}` is not finite", help=help, notes=failed.notes)
 
 

@@ -12,6 +12,7 @@ from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.expressions.dimensions import ACCELERATION
 from deepbots_cli.expressions.intervals import NEVER, SIGNED_UNIT, Interval
 from deepbots_cli.expressions.scalar import Draw, Name, Scalar, World, children
+from deepbots_cli.expressions.types import Typed, walk
 from deepbots_cli.lint.analysis import Analysis, Comparison, RuleContext, Threshold, thresholds
 from deepbots_cli.lint.observations import RangedNumber, clipped_once, ranged_numbers, replace_range
 from deepbots_cli.lint.ranges import Ranges, bounds_text, range_text, with_unit
@@ -144,15 +145,26 @@ def _unseen(context: RuleContext, analysis: Analysis, view: BlindNumber, ending:
         help = f"widen the range beyond the limit, for example to `{range_text(wide, number.dimension)}`"
         fix = replace_range(context, number, wide, number.dimension)
     elif (dimension := view.threshold.dimension) is not None:
-        headline = f"`{name}` does not change while the value that `{ending.name}` compares goes"
-        headline += f" from {with_unit(view.edge, dimension)} to its limit, {with_unit(limit, dimension)}"
+        part = _part_of(comparison, analysis, view.threshold.quantity)
+        shown = f"`{comparison.value.text[part.start : part.end]}`" if part else f"the value that `{ending.name}` compares"
+        headline = f"`{name}` does not change while {shown} goes from {with_unit(view.edge, dimension)} to {with_unit(limit, dimension)}"
+        headline += f", the limit of `{ending.name}`"
     else:
-        headline = f"`{name}` does not change for some distance before `{ending.name}` ends the episode"
+        headline = f"`{name}` stops changing before `{ending.name}` reaches its limit"
     place = ending.span
     if comparison.value.owner:
         place = context.text(comparison.value.owner).part(comparison.node.start, comparison.node.end)
     also = (Label(place, f"`{ending.name}` ends the episode here"),)
     return Finding("DB603", context.range_span(number.entry), headline, help=help, labels=also, fix=fix)
+
+
+def _part_of(comparison: Comparison, analysis: Analysis, quantity: Scalar) -> Typed | None:
+    """The part of a comparison that is written for the quantity; None where nothing is."""
+    wanted = analysis.identity(quantity)
+    for part in walk(comparison.node):
+        if part is not comparison.node and wanted in map(analysis.identity, analysis.lowered(part, comparison.value.owner)):
+            return part
+    return None
 
 
 def observation_saturates(context: RuleContext) -> Iterator[Finding]:
@@ -223,7 +235,7 @@ def _saturated_by_gravity(context: RuleContext) -> Iterator[Finding]:
         wide = Interval(min(number.low, -size), max(number.high, size))
         edge = f"the {'high' if reading > 0 else 'low'} end of the range of `{number.name}`"
         headline = f"{edge} is {with_unit(number.high if reading > 0 else number.low, ACCELERATION)}"
-        headline += f", and its {axis} at rest is {with_unit(reading, ACCELERATION)}"
+        headline += f", and {f'`{number.name}.{axis}`' if axis else 'its value'} at rest is {with_unit(reading, ACCELERATION)}"
         help = f"widen the range beyond gravity, for example to `{range_text(wide, ACCELERATION)}`"
         fix = replace_range(context, number, wide, ACCELERATION)
         yield Finding("DB611", context.range_span(number.entry), headline, help=help, fix=fix)

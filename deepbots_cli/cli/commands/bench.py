@@ -53,7 +53,7 @@ def command(
         typer.Option(
             "--quick",
             help="Measure 3 pairs of 600 steps, which takes a tenth of the time. "
-            "With several engines or batch, measure one round instead of three.",
+            "With several engines or batch, measure each once instead of three times.",
         ),
     ] = False,
     seed: Seed = 0,

@@ -151,9 +151,9 @@ def command(
     --require-solved, --min-success and --min-return check the result in the scenario itself. With --case or --stage, they check the result
     in that case or stage. For a group, every seed is evaluated on the same starts, and the requirements apply to the means over the seeds.
 
-    With --min-success or --min-return, the evaluation of a run stops as soon as the answer is decided: the remaining episodes
-    cannot change it, or a 95 % confidence sequence excludes the required value. The evaluation of a group stops early
-    only for --min-success, and only if the remaining episodes of all seeds cannot change it.
+    With --min-success or --min-return, the evaluation of a run stops as soon as it is decided whether the requirement is met: the
+    remaining episodes cannot change this, or a 95 % confidence sequence excludes the required value. The evaluation of a group stops
+    early only for --min-success, and only if the remaining episodes of all seeds cannot change it.
 
     --robustness changes one condition at a time by several amounts. It shows the level at which the result falls below a bar.
     The bar is --min-success or --min-return. If neither is given, it is `solved` of the scenario. If the scenario has no `solved`, it is
@@ -166,8 +166,8 @@ def command(
     apply to every engine.
 
     --episodes failed runs the failed episodes of the last kept evaluation again, and counts their endings. For the first 10, it prints the
-    ending and the margin: how far the value that the ending compares with a limit is past the limit. With --video FILE.mp4, it films
-    these episodes: FILE-K.mp4 shows episode K.
+    ending and its margin. An ending compares a value with a limit; the margin is how far the value is past the limit. With
+    --video FILE.mp4, it films these episodes: FILE-K.mp4 shows episode K.
 
     \b
       deepbots eval runs/cartpole-0-1

@@ -45,7 +45,8 @@ def command(
     --verify compiles the scenario in the recording, and runs each episode again from its seed with its recorded actions. The command
     names the first step and the first quantity that differ, with exit code 1. On the machine of the recording, with the same
     versions, nothing differs. On another machine or with other versions, use --tolerance X: numbers may then differ by X, or by the
-    fraction X if they are above 1. With a tolerance, hashes, images and contact forces are not compared.
+    fraction X if they are above 1. Hashes, images and contact forces are not compared if there is a
+    tolerance.
 
     --scenario runs the episodes in another scenario with the same observation, action and messages, such as a later state of the same file,
     and names the settings that differ. --set overrides its values.

@@ -98,7 +98,7 @@ def command(
 ) -> None:
     """Train a policy in a new run directory, and evaluate it.
 
-    Training stops when an evaluation confirms that the scenario is solved, or at the total number of timesteps. Ctrl-C stops it after the
+    Training stops when an evaluation confirms that the task is solved, or at the total number of timesteps. Ctrl-C stops it after the
     current roll-out and keeps the policy. The run directory holds the inputs, the models and the results. A run never overwrites another
     one.
 
