@@ -254,7 +254,7 @@ def undefined_value(simulation: Simulation) -> Iterator[Finding]:
     """DB808: an episode cannot begin or continue, for a reason that no other code reports."""
     stop, failed = simulation.report.stop or {}, simulation.failed
     if failed is not None and failed.section == "other":
-        help = "write an expression that is always defined; for a length `d`: `x / max(d, 1 cm)`"
+        help = "write an expression that is always defined; keep divisors away from zero, as in `1 / max(d, 1 cm)` for a length `d`"
         yield Finding("DB808", failed.span, f"`{failed.name}` has no value", help=help, notes=failed.notes)
     elif failed is None and stop.get("kind") == "value":
         span = simulation.values.key_span(("reset",) if simulation.report.where.activity == "reset" else ("robots",))

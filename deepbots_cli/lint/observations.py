@@ -365,7 +365,7 @@ def outside_space(simulation: Simulation) -> Iterator[Finding]:
                 )
     failed = simulation.failed
     if failed is not None and failed.section == "observation":
-        help = "write an expression that is always defined; for a length `d`: `x / max(d, 1 cm)`"
+        help = "write an expression that is always defined; keep divisors away from zero, as in `1 / max(d, 1 cm)` for a length `d`"
         yield Finding("DB607", failed.span, f"`{failed.name}` in the observation has no value", help=help, notes=failed.notes)
 
 

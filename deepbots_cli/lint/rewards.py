@@ -284,7 +284,7 @@ def non_finite_reward(simulation: Simulation) -> Iterator[Finding]:
     """DB707: a term is NaN or infinite."""
     failed = simulation.failed
     if failed is not None and failed.section == "reward":
-        help = "prevent a division by zero with `1 / max(d, 1 cm)`, if `d` is a length, and an overflow with `exp(min(x, 3))`"
+        help = "against a division by zero, write `1 / max(d, 1 cm)` for a length `d`; against an overflow, `exp(min(n, 3))` for a number"
         yield Finding("DB707", failed.span, f"`{failed.name}` is not finite", help=help, notes=failed.notes)
 
 

@@ -48,7 +48,7 @@ _HEADINGS = {
     Group.task: "sensors, actions, rewards or endings differ",
     Group.world: "world, messages or starts differ, so the difficulty differs",
     Group.training: "training or evaluation differs",
-    Group.cosmetic: "name, summary, unseen colours, order of keys or last digits differ; the meaning is the same",
+    Group.cosmetic: "only names, the summary, colours that no camera sees, the order of keys or rounding differ; the meaning is the same",
 }
 _Side = Annotated[
     str,
@@ -71,9 +71,9 @@ def command(
     The command compiles both scenarios and compares the values, so layout, comments and units make no difference. For a run or a
     group it uses the scenario of the training. --set overrides values of the second scenario.
 
-    Differences are cosmetic if they are in the name or summary of the scenario, in the name inside a robot file, in colours that no
-    camera sees, in the order of keys or in last digits. The exit code is 0 if there are no other differences, 1 if there are, and 2 if
-    a scenario cannot be compiled.
+    Differences are cosmetic if they are in the name or summary of the scenario, in the name of a robot in its URDF file, in colours
+    that no camera sees, in the order of keys, or in a number from its 13th digit on. The exit code is 0 if there are no other
+    differences, 1 if there are, and 2 if a scenario cannot be compiled.
 
     \b
       deepbots diff pit_escape pit_escape_as_printed

@@ -153,7 +153,7 @@ def command(
 
     With --min-success or --min-return, the evaluation of a run stops as soon as it is decided whether the requirement is met: the
     remaining episodes cannot change this, or a 95 % confidence sequence excludes the required value. The evaluation of a group stops
-    early only for --min-success, and only if the remaining episodes of all seeds cannot change it.
+    early only for --min-success, and only if the remaining episodes of all seeds cannot change this.
 
     --robustness changes one condition at a time by several amounts. It shows the level at which the result falls below a bar.
     The bar is --min-success or --min-return. If neither is given, it is `solved` of the scenario. If the scenario has no `solved`, it is
@@ -166,8 +166,8 @@ def command(
     apply to every engine.
 
     --episodes failed runs the failed episodes of the last kept evaluation again, and counts their endings. For the first 10, it prints the
-    ending and its margin. An ending compares a value with a limit; the margin is how far the value is past the limit. With
-    --video FILE.mp4, it films these episodes: FILE-K.mp4 shows episode K.
+    ending and its margin; with --video FILE.mp4, it also films these 10: FILE-K.mp4 shows episode K. If an ending compares a value with a
+    limit, the margin is how far the value is past the limit.
 
     \b
       deepbots eval runs/cartpole-0-1

@@ -48,8 +48,8 @@ def explain_episode(
 ) -> None:
     """Explain why an episode ended as it did.
 
-    The episode runs again, from its seed or with its recorded actions. The command prints the ending, its time and its margin. An
-    ending compares a value with a limit; the margin is how far the value is past the limit. The command also prints the part of each
+    The episode runs again, from its seed or with its recorded actions. The command prints the ending, its time and its margin. If the
+    ending compares a value with a limit, the margin is how far the value is past the limit. The command also prints the part of each
     reward term in the return, the largest drop of the critic's value, and the observations and actions that reached an end of their
     range. --json holds the same numbers in SI units.
 
