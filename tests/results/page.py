@@ -325,7 +325,7 @@ def _held(name: str, held: Mapping[int, Entry]) -> Iterator[tuple[str, ...]]:
         yield (name, str(seed), *_outcome(entry))
     if len(held) > 1:
         entries = held.values()
-        successes, episodes = sum(entry["successes"] for entry in entries), sum(entry["episodes"] for entry in entries)
+        successes, episodes = sum(entry["successes"] or 0 for entry in entries), sum(entry["episodes"] for entry in entries)
         together = {
             "episodes": episodes,
             "success_defined": next(iter(entries))["success_defined"],
