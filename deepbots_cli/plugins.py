@@ -32,11 +32,11 @@ T = TypeVar("T")
 
 def entry_points_of(group: str) -> tuple[EntryPoint, ...]:
     """The entry points of a group, in the order in which packages are found."""
-    return tuple(_every(tuple(sys.path)).select(group=group))
+    return tuple(_entry_points_on_path(tuple(sys.path)).select(group=group))
 
 
 @cache
-def _every(_path: tuple[str, ...]) -> EntryPoints:
+def _entry_points_on_path(_path: tuple[str, ...]) -> EntryPoints:
     """Those of all packages on the path, whose files are read once."""
     from importlib.metadata import entry_points
 

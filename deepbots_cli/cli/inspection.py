@@ -239,13 +239,13 @@ def _scenario(scenario: Program) -> Row:
 def _view(scenario: Program) -> str:
     numbers = len(policy_inputs(scenario.policy.numbers, scenario.policy.frame_stack))
     parts = [f"Box({numbers})"] if numbers or not scenario.policy.images else []
-    parts += [f"{entry.key} {_sides(entry, scenario)}" for entry in scenario.policy.images]
+    parts += [f"{entry.key} {_image_size_text(entry, scenario)}" for entry in scenario.policy.images]
     if scenario.policy.goal is not None:
         parts.append(f"two goals of {len(scenario.policy.goal.low)}")
     return ", ".join(parts)
 
 
-def _sides(entry: ImageObservation, scenario: Program) -> str:
+def _image_size_text(entry: ImageObservation, scenario: Program) -> str:
     rows, columns, channels = entry.shape
     return f"{rows} x {columns} x {channels * len(entry.ages(scenario.policy.frame_stack))}"
 
@@ -459,7 +459,8 @@ def _observation(scenario: Program) -> list[Row]:
         for index, (entry, ago) in enumerate(seen)
     ]
     pictures: list[Row] = [
-        {"index": None, "name": entry.key, "seen_as": f"{_sides(entry, scenario)} of 0 .. 255"} for entry in scenario.policy.images
+        {"index": None, "name": entry.key, "seen_as": f"{_image_size_text(entry, scenario)} of 0 .. 255"}
+        for entry in scenario.policy.images
     ]
     return rows + pictures
 

@@ -182,12 +182,12 @@ class Printer:
         if found is not None:
             poses = [self.scope.readers.pose(body, self.needs) for body in found[1]]
             return Code(f"{found[0]}({', '.join(poses)})")
-        seen = _local(tree)
+        seen = _body_frame_component(tree)
         if seen is not None:
-            return Code(f"{self._seen(seen)}[{seen.axis}]")
+            return Code(f"{self._body_frame_code(seen)}[{seen.axis}]")
         return None
 
-    def _seen(self, seen: _BodyFrameComponent) -> str:
+    def _body_frame_code(self, seen: _BodyFrameComponent) -> str:
         return f"to_body_frame({self.scope.readers.pose(seen.body, self.needs)}, {self.vector(seen.vector)})"
 
     def _reduction_code(self, tree: Op) -> Code | None:
@@ -224,9 +224,9 @@ class Printer:
         if all(isinstance(tree, World) for tree in trees):
             found = self.scope.readers.vector([tree for tree in trees if isinstance(tree, World)], self.needs)
             return None if found is None else Column(*found)
-        seen = [found for found in map(_local, trees) if found is not None]
+        seen = [found for found in map(_body_frame_component, trees) if found is not None]
         if [found.axis for found in seen] == [0, 1, 2] == list(range(len(trees))) and len({found[::2] for found in seen}) == 1:
-            return Column(self._seen(seen[0]))
+            return Column(self._body_frame_code(seen[0]))
         return None
 
     # Memories
@@ -400,7 +400,7 @@ def _patterns() -> dict[str, list[tuple[str, Scalar]]]:
 
 
 _PATTERNS = _patterns()
-_ROWS = [
+_BODY_FRAME_PATTERNS = [
     Op("add", tuple(Op("mul", (rotation(_ONE, row, axis), Name(f"{row}"))) for row in range(3))) for axis in range(3)
 ]  # what `lower` makes of `to_body_frame`
 
@@ -414,8 +414,8 @@ def _of_poses(tree: Op) -> tuple[str, list[str]] | None:
     return None
 
 
-def _local(tree: Scalar) -> _BodyFrameComponent | None:
-    for axis, pattern in enumerate(_ROWS if isinstance(tree, Op) and tree.op == "add" else ()):
+def _body_frame_component(tree: Scalar) -> _BodyFrameComponent | None:
+    for axis, pattern in enumerate(_BODY_FRAME_PATTERNS if isinstance(tree, Op) and tree.op == "add" else ()):
         bodies: dict[str, str] = {}
         vector: dict[str, Scalar] = {}
         if _matches(pattern, tree, bodies, vector):

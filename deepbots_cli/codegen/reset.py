@@ -51,7 +51,7 @@ def begin_method(workspace: Workspace) -> list[str]:
             printer.line(_placing(place, printer))
         for start in reset.joint_starts:
             _print_joints(start, printer)
-        printer.lines += _forgetting(workspace)
+        printer.lines += _reset_paths_lines(workspace)
     _print_first_pushes(workspace, printer)
     printer.lines += [
         f"self.robot_{robot.name}.hold()" for robot in scenario.robots if ActuatorBindings(scenario, robot, workspace.constants).actuators
@@ -98,7 +98,7 @@ def _arrange(workspace: Workspace) -> list[str]:
     printer.line("bodies.put()")
     for start in reset.joint_starts:
         _print_joints(start, printer)
-    printer.lines += _forgetting(workspace)
+    printer.lines += _reset_paths_lines(workspace)
     if reset.require is None:
         printer.line("return True")
     else:
@@ -113,7 +113,7 @@ def _releasing(scenario: Program) -> list[str]:
     return [f"self.robot_{robot.name}.release()" for robot in scenario.robots if ActuatorBindings(scenario, robot, Constants()).has_devices]
 
 
-def _forgetting(workspace: Workspace) -> list[str]:
+def _reset_paths_lines(workspace: Workspace) -> list[str]:
     """Statements after which no chart shows the episode before."""
     return ["self.ways.reset()"] if workspace.readers.needs_paths else []
 

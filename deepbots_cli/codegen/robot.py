@@ -239,14 +239,14 @@ class ActuatorBindings:
             case Cartesian():
                 arguments = ["engine", robot, quoted(actuator.link), self._constants.strings(actuator.joints), _limits(actuator)]
                 arguments += [f"rpy={actuator.rpy!r}"] if actuator.rpy is not None else []
-                return f"Cartesian({', '.join([*arguments, *self._answers(actuator)])})"
+                return f"Cartesian({', '.join([*arguments, *self._response_arguments(actuator)])})"
             case CustomActuator():
                 return f"self.actuator({quoted(actuator.name)})"
             case Motor() if self._is_device(actuator):
                 arguments = ["engine", quoted(actuator.kind), robot, self._constants.strings(actuator.joints), _limits(actuator)]
                 gains = (("stiffness", actuator.stiffness), ("damping", actuator.damping))
                 arguments += [f"{name}={gain!r}" for name, gain in gains if gain is not None]
-                return f"Motor({', '.join([*arguments, *self._answers(actuator)])})"
+                return f"Motor({', '.join([*arguments, *self._response_arguments(actuator)])})"
             case Motor():
                 strength = actuator.response.strength
                 arguments = [robot, self._constants.strings(actuator.joints), _limits(actuator, strength)]
@@ -261,9 +261,9 @@ class ActuatorBindings:
         if not isinstance(actuator, Motor):
             return True
         varies = any(self._varies(actuator, value) for value in ("strength", "max_torque", "stiffness", "damping"))
-        return varies or self._responds(actuator) or (actuator.kind == "torque_motor" and actuator.response.strength != 1.0)
+        return varies or self._acts_each_substep(actuator) or (actuator.kind == "torque_motor" and actuator.response.strength != 1.0)
 
-    def _responds(self, actuator: Motor | Cartesian) -> bool:
+    def _acts_each_substep(self, actuator: Motor | Cartesian) -> bool:
         """Whether it follows its commands in every substep, rather than at once."""
         response = actuator.response
         late = (
@@ -274,9 +274,9 @@ class ActuatorBindings:
         )
         return late or bool(_rates(actuator))
 
-    def _answers(self, actuator: Motor | Cartesian) -> list[str]:
+    def _response_arguments(self, actuator: Motor | Cartesian) -> list[str]:
         """The arguments that say how strongly and promptly it answers."""
-        if not self._responds(actuator):
+        if not self._acts_each_substep(actuator):
             return _strength(actuator)
         rates = _rates(actuator)
         limited = [f"rates={constants_tuple_code([_number(rate) for rate in rates])}"] if rates else []

@@ -114,7 +114,7 @@ def supervisor(scenario: Program, constants: Constants) -> list[str]:
         tables=[*tables, ""] if tables else [],
         binding=_bind(workspace),
         methods=methods,
-        seen=docstring(f"What the policy sees, float32 in [-1, 1]: {_seen(workspace)}."),
+        seen=docstring(f"What the policy sees, float32 in [-1, 1]: {_observation_text(workspace)}."),
         observation=_observation(workspace),
         summed=docstring(f"The sum of {sentence_list([term.name for term in scenario.policy.reward])}."),
         ended=docstring(f"Whether {', and whether '.join(_ends(scenario))}."),
@@ -147,7 +147,7 @@ def _bind(workspace: Workspace) -> list[str]:
 # The paper's methods, which read what `_observe` left and change nothing
 
 
-def _seen(workspace: Workspace) -> str:
+def _observation_text(workspace: Workspace) -> str:
     histories = {entry.name: entry.history for entry in workspace.scenario.policy.observation}
     seen = sentence_list([name if many == 1 else f"{name} ({many} in a row)" for name, many in histories.items()])
     seen += f"; {workspace.scenario.policy.frame_stack} times in a row" if workspace.scenario.policy.frame_stack > 1 else ""
@@ -228,7 +228,7 @@ def _script(workspace: Workspace, script: Script) -> list[str]:
         if isinstance(part, Choices) and isinstance(decided, ScriptedChoice):
             choices.append(_print_pick(workspace, printer, part, decided))
         elif isinstance(part, ActionRange) and isinstance(decided, ScriptedRange):
-            ranges += [_share(printer, part, value) for value in decided.scalars]
+            ranges += [_normalized_code(printer, part, value) for value in decided.scalars]
     printer.line(f"return self.acting({tuple_code(choices) if choices else '()'}, {tuple_code(ranges) if ranges else '()'})")
     return block(
         f"def script_{script.name}(self) -> Any:", printer.method_lines(docstring(f"The next action of the script {script.name}."))
@@ -249,7 +249,7 @@ def _print_pick(workspace: Workspace, printer: Printer, part: Choices, pick: Scr
     return target
 
 
-def _share(printer: Printer, part: ActionRange, value: Scalar) -> str:
+def _normalized_code(printer: Printer, part: ActionRange, value: Scalar) -> str:
     """The code of the number in [-1, 1] that stands for the value; a constant is clamped here."""
     half, middle = (part.high - part.low) / 2, (part.high + part.low) / 2
     share = fold_operation("div", fold_operation("sub", value, Const(middle)), Const(half))

@@ -24,11 +24,11 @@ ReaderKey = tuple[str, str]
 ReaderKeys = dict[ReaderKey, None]
 """The readers that a method calls, in order of first use."""
 
-_AND = "\0"
+_PART_SEPARATOR = "\0"
 """Between two parts of the world that one reader is about: no name holds it, and those of the pieces of walls hold blanks."""
 _KINDS = ("joints", "torques", "pose", "velocity")
 _POSES = {"position": "pose", "orientation": "pose", "velocity": "velocity", "angular_velocity": "velocity"}
-_ITEM = {
+_RESULT_INDEX = {
     "position": 0,
     "orientation": 1,
     "velocity": 0,
@@ -42,7 +42,7 @@ _ITEM = {
 _XYZ = "xyzw"
 CHANNEL_VALUES = ("age", "message_received")
 """Values that the channel has, not the engine."""
-_SINGLE = {
+_SCALAR_READERS = {
     "clearance": "engine.clearance({0}, {1})",
     "contact": "engine.contact({0}, ({1},))",
     "collided": "engine.contact({0}, ground=False)",
@@ -51,7 +51,7 @@ _SINGLE = {
     "visible": "self.robot_{robot}.sees({sensor}, {body})",
 }
 """Facts that are one number or truth value each, and the reader of each; {0} and {1} are parts of the world."""
-_ORDER = (*_KINDS, *_SINGLE, "line")
+_READER_ORDER = (*_KINDS, *_SCALAR_READERS, "line")
 
 
 class Readers:
@@ -74,14 +74,14 @@ class Readers:
 
     def code(self, leaf: World, needs: ReaderKeys) -> str:
         """The code of one number."""
-        what, item = leaf.function, _ITEM.get(leaf.function)
+        what, item = leaf.function, _RESULT_INDEX.get(leaf.function)
         if what in _POSES:
             return f"{self._need((_POSES[what], leaf.subjects[0]), needs)}[{item}][{_XYZ.index(leaf.component or 'x')}]"
-        if what in _SINGLE:
-            return self._need((what, _AND.join(leaf.subjects)), needs)
+        if what in _SCALAR_READERS:
+            return self._need((what, _PART_SEPARATOR.join(leaf.subjects)), needs)
         if what in ("cross_track_error", "arc_length"):
             self.pose(leaf.subjects[0], needs)
-            return f"{self._need(('line', _AND.join(leaf.subjects)), needs)}[{item}]"
+            return f"{self._need(('line', _PART_SEPARATOR.join(leaf.subjects)), needs)}[{item}]"
         code, index = self._joint(leaf, needs)
         return f"{code}[{index}]" if what == "joint_torque" else f"{code}[{index}][{item}]"
 
@@ -97,19 +97,19 @@ class Readers:
         if what in _POSES:
             parts = "".join(leaf.component or "" for leaf in leaves)
             whole = len(set(subjects)) == 1 and parts == _XYZ[: 4 if what == "orientation" else 3]
-            return (f"{self._need((_POSES[what], leaves[0].subjects[0]), needs)}[{_ITEM[what]}]", "") if whole else None
+            return (f"{self._need((_POSES[what], leaves[0].subjects[0]), needs)}[{_RESULT_INDEX[what]}]", "") if whole else None
         if what in ("joint_position", "joint_velocity", "joint_torque"):
             robot, names = subjects[0][0].partition(".")[0], [one.partition(".")[2] for (one,) in subjects]
             if any(one.partition(".")[0] != robot for (one,) in subjects) or len(names) < 2:
                 return None
             key = _of_joints(leaves[0], names)
             self._joints[key] = names
-            return self._need(key, needs), "" if what == "joint_torque" else f"[{_ITEM[what]}]"
+            return self._need(key, needs), "" if what == "joint_torque" else f"[{_RESULT_INDEX[what]}]"
         if what == "contact" and len(leaves) > 2 and len({others[1:] for others in subjects}) == 1:
             robot = subjects[0][0].partition(".")[0]
             if all(one.partition(".")[0] == robot and "." in one for one, *_ in subjects):
-                links = _AND.join(one.partition(".")[2] for one, *_ in subjects)
-                return self._need(("contacts", _AND.join((robot, subjects[0][1], links))), needs), ""
+                links = _PART_SEPARATOR.join(one.partition(".")[2] for one, *_ in subjects)
+                return self._need(("contacts", _PART_SEPARATOR.join((robot, subjects[0][1], links))), needs), ""
         return None
 
     def _joint(self, leaf: World, needs: ReaderKeys) -> tuple[str, int]:
@@ -136,7 +136,7 @@ class Readers:
         for key in self._sorted(needs):
             kind, subject = key
             local = self._local(key)
-            place = f"{self._local(('pose', subject.partition(_AND)[0]))}[0]" if kind == "line" else ""
+            place = f"{self._local(('pose', subject.partition(_PART_SEPARATOR)[0]))}[0]" if kind == "line" else ""
             many = kind == "contacts"
             lines.append(f"{local} = [a() for a in self.read_{local}]" if many else f"{local} = self.read_{local}({place})")
         return lines
@@ -151,17 +151,17 @@ class Readers:
         return any(kind in ("path_distance", "reachable") for kind, _ in self._bound)
 
     def _sorted(self, keys: ReaderKeys) -> list[ReaderKey]:
-        return sorted(keys, key=lambda key: _ORDER.index(key[0].removesuffix("s") if key[0] == "contacts" else key[0]))
+        return sorted(keys, key=lambda key: _READER_ORDER.index(key[0].removesuffix("s") if key[0] == "contacts" else key[0]))
 
     def _local(self, key: ReaderKey) -> str:
         kind, subject = key
-        parts = subject.split(_AND)
+        parts = subject.split(_PART_SEPARATOR)
         said = [self._short.get(part, part) for part in parts[: {"contacts": 2, "joints": 1, "torques": 1}.get(kind)]]
         return self._names.identifier(f"{kind}\1{subject}", *said, kind)
 
     def _reader(self, key: ReaderKey) -> str:
         kind, subject = key
-        parts = subject.split(_AND)
+        parts = subject.split(_PART_SEPARATOR)
         body, _, link = subject.partition(".")
         if self._on_columns and kind not in _KINDS:
             name = quoted(f"read_{self._local(key)}")
@@ -177,23 +177,23 @@ class Readers:
             case "contacts":
                 robot, other, *links = parts
                 variable = LOOP_VARIABLES[0]
-                touched = _SINGLE["contact"].format(f"({quoted(robot)}, {variable})", _part(other))
+                touched = _SCALAR_READERS["contact"].format(f"({quoted(robot)}, {variable})", _part(other))
                 return f"[{touched} for {variable} in {self._constants.strings(tuple(links))}]"
             case "visible":
                 robot, _, sensor = parts[0].partition(".")
-                return _SINGLE[kind].format(robot=robot, sensor=quoted(sensor), body=quoted(parts[1]))
+                return _SCALAR_READERS[kind].format(robot=robot, sensor=quoted(sensor), body=quoted(parts[1]))
             case _:
-                return _SINGLE[kind].format(*map(_part, parts))
+                return _SCALAR_READERS[kind].format(*map(_part, parts))
 
 
 def _of_joints(leaf: World, names: Sequence[str]) -> ReaderKey:
     """The reader of certain joints that are read as a vector, or of all that are read one by one."""
     kind = "torques" if leaf.function == "joint_torque" else "joints"
-    return kind, _AND.join((leaf.subjects[0].partition(".")[0], *names))
+    return kind, _PART_SEPARATOR.join((leaf.subjects[0].partition(".")[0], *names))
 
 
 def _robot(key: ReaderKey) -> str:
-    return key[1].partition(_AND)[0]
+    return key[1].partition(_PART_SEPARATOR)[0]
 
 
 def _part(name: str) -> str:
@@ -373,13 +373,13 @@ class Workspace:
         if leaf.function == "present":
             group, _, count = leaf.subjects[0].partition("#")
             return f"({self.present_count(group)} >= {count})"
-        return self._arrival(leaf) if leaf.function in CHANNEL_VALUES else self.readers.code(leaf, needs)
+        return self._channel_value(leaf) if leaf.function in CHANNEL_VALUES else self.readers.code(leaf, needs)
 
-    def _arrival(self, leaf: World) -> str:
+    def _channel_value(self, leaf: World) -> str:
         """Values of the channel of a robot: the age of the message that the supervisor uses, and whether it arrived in this timestep."""
         name = leaf.subjects[0]
         if leaf.function == "age" and name in self._ages:
-            return f"({self._arrival(World('age', (name.partition('.')[0],)))} + {self.local(self._ages[name])})"
+            return f"({self._channel_value(World('age', (name.partition('.')[0],)))} + {self.local(self._ages[name])})"
         robot = next(robot for robot in self.scenario.robots if robot.name == name.partition(".")[0])
         if self.scenario.format != "none" and not robot.from_route.perfect:
             return f"self.from_{robot.name}.{leaf.function}"

@@ -369,7 +369,7 @@ class Signals:
         for name, given in spec.signals.items():
             self._define(name, given, Origin.SIGNAL, ("signals", name), Context.SIGNAL)
         if not isinstance(spec.augment, dict):
-            self._check_granted(spec.augment)
+            self._check_augmented(spec.augment)
         self._outcomes: dict[str, Outcome] = {}
         outcomes: tuple[tuple[Outcome, dict[str, str | PythonTerm]], ...] = (
             ("success", spec.termination.success),
@@ -386,7 +386,7 @@ class Signals:
                 self._outcomes[name] = outcome
                 self._define(name, condition, Origin.ENDING, ("termination", outcome, name), Context.ENDING)
 
-    def _check_granted(self, granted: Sequence[str]) -> None:
+    def _check_augmented(self, granted: Sequence[str]) -> None:
         """A list under `augment` names values that exist, which the policy may see."""
         kinds = (Origin.PARAMETER, Origin.SIGNAL)
         for index, name in enumerate(granted):
@@ -434,13 +434,13 @@ def reward_terms(namespace: Namespace) -> tuple[Expression, ...]:
             terms.append(python_term(name, given, namespace, boolean=False))
             continue
         text = namespace.values.field(namespace.scenario, "reward", name)
-        typed = _amount(text, namespace)
+        typed = _reward_value(text, namespace)
         if typed is not None:
             terms.append(text.expression(typed))
     return tuple(terms)
 
 
-def _amount(text: SourceText, namespace: Namespace) -> Typed | None:
+def _reward_value(text: SourceText, namespace: Namespace) -> Typed | None:
     """The value of a reward term."""
     report = namespace.values.report(text)
     typed = namespace.values.expression(text, SupervisorScope(namespace, Context.REWARD))

@@ -237,7 +237,7 @@ class _Maker:
                 inside = any(span.source is found.span.source and span.start <= found.span.start <= span.end for span in written)
                 also = found.labels if inside else (*found.labels, Label(here, f"in this {word}"))
                 self._findings.append(replace(found, labels=also))
-        return checked.program if checked.program is not None and self._is_bearable(checked.program, word, name, here) else None
+        return checked.program if checked.program is not None and self._admits_same_policy(checked.program, word, name, here) else None
 
     def _tests(self, word: VariantKind, name: str) -> Iterator[NodePath]:
         """The paths that a variant leaves out of `tests`: all other tests, and the keys that name the variant."""
@@ -261,7 +261,7 @@ class _Maker:
         self._findings.add("DB407", entry.key.span, f"a {word} that changes `{head}`", help=help)
         return True
 
-    def _is_bearable(self, program: Program, word: VariantKind, name: str, here: Span) -> bool:
+    def _admits_same_policy(self, program: Program, word: VariantKind, name: str, here: Span) -> bool:
         """Whether a policy for the scenario itself can act in this one, else after a finding."""
         lines = identity.differences(self._base, program, words=("elsewhere", "here"))
         if word == "stage" and program.world.timestep != self._base.world.timestep:
@@ -288,7 +288,7 @@ PLAIN_POLICIES = ("random", "zero")
 _COMPARISONS = frozenset({"less", "less_equal", "greater", "greater_equal", "equal", "not_equal"})
 _RATE_KEYS: tuple[ExpectedKey, ...] = ("success_rate", "failure_rate", "mean_return")
 _CONDITIONS: tuple[ExpectedKey, ...] = ("always", "eventually")
-_COMPARED = 4
+_MAX_SHOWN_VALUES = 4
 """Values that a failed condition shows."""
 
 
@@ -451,7 +451,7 @@ class _Reader:
                 Expression(text.text[part.start : part.end], text.span, text.text[part.start : part.end], part, text.owner)
                 for part in _compared(typed)
             )
-            yield ExpectedResult(key, text.span, text.text, condition=text.expression(typed), compared=compared[:_COMPARED])
+            yield ExpectedResult(key, text.span, text.text, condition=text.expression(typed), compared=compared[:_MAX_SHOWN_VALUES])
 
 
 def _compared(tree: Typed) -> Iterator[Typed]:

@@ -434,10 +434,10 @@ def _rgba(word: str) -> Colour:
 
 AFTER_SIGNALS = (Context.REWARD, Context.ENDING, Context.TEST)
 """Where endings and the goal have a value."""
-_FROM_ZERO = Interval(0.0, float("inf"))
+_NON_NEGATIVE = Interval(0.0, float("inf"))
 _END_FLAGS = ("terminated", "truncated", "ended")
 _PAST_REWARDS = ("previous_reward", "episode_return")
-GOAL_AFTER_SIGNALS = "the goal is computed after the signals, and only endings and rewards can use it"
+GOAL_AFTER_SIGNALS_MESSAGE = "the goal is computed after the signals, and only endings and rewards can use it"
 _BUILT_IN = ("time", "step", "previous_action", "goal_reached", *_PAST_REWARDS, *_END_FLAGS)
 
 
@@ -484,7 +484,7 @@ class SupervisorScope(_Scope):
         if origin is Origin.ENDING and self.context not in AFTER_SIGNALS:
             return Symbol(name, None, refusal="endings are computed after the signals; use the condition itself")
         if origin is Origin.GOAL and self.context not in AFTER_SIGNALS:
-            return Symbol(name, None, refusal=GOAL_AFTER_SIGNALS)
+            return Symbol(name, None, refusal=GOAL_AFTER_SIGNALS_MESSAGE)
         robot, _, rest = name.partition(".")
         scene = self.namespace.robots.get(robot)
         if origin is None and scene is not None and rest in scene.spec.sensors and not self.namespace.is_invalid(name):
@@ -493,9 +493,9 @@ class SupervisorScope(_Scope):
 
     def _built_in(self, name: str) -> Symbol | None:
         if name == "time":
-            return Symbol(name, Type(TIME, interval=_FROM_ZERO, stage=Stage.STEP))
+            return Symbol(name, Type(TIME, interval=_NON_NEGATIVE, stage=Stage.STEP))
         if name == "step":
-            return Symbol(name, Type(NUMBER, interval=_FROM_ZERO, stage=Stage.STEP))
+            return Symbol(name, Type(NUMBER, interval=_NON_NEGATIVE, stage=Stage.STEP))
         if name in _PAST_REWARDS:
             return Symbol(name, Type(NUMBER, stage=Stage.STEP))
         if name in self.namespace.built_in:

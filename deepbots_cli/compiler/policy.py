@@ -9,7 +9,7 @@ from dataclasses import replace
 from functools import partial
 
 from deepbots_cli.compiler.controllers import driven_parts
-from deepbots_cli.compiler.namespace import AFTER_SIGNALS, GOAL_AFTER_SIGNALS, Namespace, Origin, SupervisorScope
+from deepbots_cli.compiler.namespace import AFTER_SIGNALS, GOAL_AFTER_SIGNALS_MESSAGE, Namespace, Origin, SupervisorScope
 from deepbots_cli.compiler.values import SourceText
 from deepbots_cli.document.nodes import MappingNode, NodePath
 from deepbots_cli.expressions import syntax
@@ -42,7 +42,7 @@ from deepbots_cli.scenario.scenario import ContinuousAction, DiscreteAction, Obs
 from deepbots_cli.scenario.scenario import Goal as GoalSpec
 
 _NOT_YET = 'remove it; docs/language.md lists under "Not yet" what is not supported'
-_TOGETHER: tuple[tuple[NodePath, str], ...] = (
+_UNSUPPORTED_WITH_COPIES: tuple[tuple[NodePath, str], ...] = (
     (("goal",), "a goal"),
     (("world", "terrain"), "terrain"),
     (("reset", "require"), "`require`"),
@@ -84,7 +84,7 @@ def copies(namespace: Namespace) -> RobotCopies | None:
 
 def _refuse_others(name: str, namespace: Namespace) -> None:
     """DB108 for what would have to be agreed upon between the copies."""
-    values, paths = namespace.values, list(_TOGETHER)
+    values, paths = namespace.values, list(_UNSUPPORTED_WITH_COPIES)
     paths += [(("robots", other), f"the robot `{other}`") for other in namespace.scenario.robots if other != name]
     paths += [
         (("objects", thing), f"the group `{thing}`")
@@ -113,7 +113,7 @@ class Actions:
             else:
                 self._parts[name] = None
                 namespace.define(name, Origin.ACTION, ("action", name), partial(self._interval, name, part))
-        namespace.built_in["previous_action"] = self._own_action
+        namespace.built_in["previous_action"] = self._last_action_symbol
 
     def parts(self) -> tuple[Choices | ActionRange, ...]:
         for name in self._namespace.names_of(Origin.ACTION):
@@ -150,7 +150,7 @@ class Actions:
                 )
         return found
 
-    def _own_action(self, context: Context) -> Symbol:
+    def _last_action_symbol(self, context: Context) -> Symbol:
         """The last action as the agent gave it: numbers in [-1, 1], and each choice as one-hot."""
         name = "previous_action"
         if context is Context.RECEIVE:
@@ -408,7 +408,7 @@ class Goals:
     def _reached(self, context: Context) -> Symbol:
         name = "goal_reached"
         if context not in AFTER_SIGNALS:
-            return Symbol(name, None, refusal=GOAL_AFTER_SIGNALS)
+            return Symbol(name, None, refusal=GOAL_AFTER_SIGNALS_MESSAGE)
         for part in self._namespace.names_of(Origin.GOAL):
             symbol = self._namespace.resolve(part)
             if symbol is None or symbol.type is None:
@@ -422,7 +422,7 @@ def _check_rewards(terms: Iterable[Expression], namespace: Namespace) -> None:
         if term.foreign is not None:
             help = "write an expression of `achieved` and `desired`"
             namespace.values.findings.add("DB709", term.span, "a reward in Python, which hindsight cannot recompute", help=help)
-        for odd in _beyond(term.typed):
+        for odd in _parts_besides_goal(term.typed):
             text = namespace.values.text(tuple(term.owner.split(".", 1)), term.text)
             headline = f"the term `{term.name}` depends on values other than the goal"
             help = "use `achieved`, `desired`, `goal_reached` and fixed values: hindsight recomputes the reward for other goals"
@@ -430,7 +430,7 @@ def _check_rewards(terms: Iterable[Expression], namespace: Namespace) -> None:
             break
 
 
-def _beyond(value: Typed) -> Iterator[Typed]:
+def _parts_besides_goal(value: Typed) -> Iterator[Typed]:
     """The parts of a value that are not made of the goal and of fixed values."""
     match value:
         case Reference(symbol=symbol) if symbol.value is None and symbol.name not in _RECOMPUTED:
@@ -439,7 +439,7 @@ def _beyond(value: Typed) -> Iterator[Typed]:
             yield value
         case _:
             for part in children(value):
-                yield from _beyond(part)
+                yield from _parts_besides_goal(part)
 
 
 _WORD = re.compile(r"\w+", re.ASCII)

@@ -71,7 +71,7 @@ class SensorsCompiler:
             return
         faults, reach = _noise_model(self._namespace, spec, known)
         if isinstance(spec, RaySensor) and spec.lookup is None:
-            sensor = self._reaching(sensor, spec, faults)
+            sensor = self._with_ray_reach(sensor, spec, faults)
         unit = "" if known.boolean or known.picture else str(known.dimension)
         self._sensors[name] = replace(sensor, unit=unit, faults=faults, parameters=own)
         self.symbols[name] = Symbol(name, known._replace(interval=reach, stage=Stage.STEP))
@@ -116,7 +116,7 @@ class SensorsCompiler:
             return sensor, Type(picture=picture, stage=Stage.STEP)
         return sensor, Type(dimension, components or None, boolean=spec.boolean, interval=interval, stage=Stage.STEP)
 
-    def _reaching(self, sensor: Sensor, spec: RaySensor, faults: NoiseModel | None) -> Sensor:
+    def _with_ray_reach(self, sensor: Sensor, spec: RaySensor, faults: NoiseModel | None) -> Sensor:
         """The sensor with rays that go to the end of its range."""
         if "range" not in spec.model_fields_set and not self._values.is_invalid("range"):
             headline = f"the range of `{sensor.name}` is not known"
@@ -267,7 +267,7 @@ def _lookup(namespace: Namespace, spec: TableSpec) -> tuple[CalibrationTable, Di
 
 MAX_TICKS = 100_000
 """The longest period and latency; a reading that old tells nothing, and each is kept."""
-_OF_NUMBERS = ("noise", "bias", "drift", "resolution", "range")
+_NUMERIC_SENSOR_KEYS = ("noise", "bias", "drift", "resolution", "range")
 
 
 def _noise_model(namespace: Namespace, spec: SensorSpec, known: Type) -> tuple[NoiseModel | None, Interval]:
@@ -292,7 +292,7 @@ def _noise_model(namespace: Namespace, spec: SensorSpec, known: Type) -> tuple[N
 
 
 def _refuse_errors(values: ValueReader, spec: SensorSpec, known: Type) -> None:
-    tells, keys = ("takes pictures", _OF_NUMBERS[:-2]) if known.picture else ("reads true or false", _OF_NUMBERS)
+    tells, keys = ("takes pictures", _NUMERIC_SENSOR_KEYS[:-2]) if known.picture else ("reads true or false", _NUMERIC_SENSOR_KEYS)
     for key in keys:
         if key in spec.model_fields_set:
             values.findings.add("DB403", values.key_span((*spec.path, key)), f"a sensor that {tells} has no `{key}`", help="remove it")

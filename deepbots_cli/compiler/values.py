@@ -37,8 +37,8 @@ _KEY_BEFORE = re.compile(r"(?<![\w.])([\w.]+)['\"]?\s*:\s*$")
 ANY_NAME = "*"
 """Stands for all names: those of a section that is no mapping cannot be told."""
 
-_OF_NAMES = frozenset({"parameters", "augment", "signals", "success", "failure"})
-_REACH = 200  # how far before a finding its key may stand, in characters
+_NAME_SECTIONS = frozenset({"parameters", "augment", "signals", "success", "failure"})
+_MAX_KEY_DISTANCE = 200  # how far before a finding its key may stand, in characters
 
 
 def invalid_names(root: MappingNode, pruned: Iterable[NodePath], found: Iterable[Span]) -> set[str]:
@@ -50,12 +50,12 @@ def invalid_names(root: MappingNode, pruned: Iterable[NodePath], found: Iterable
         if steps == len(path):
             near = replacement_for(data, path)
             names.update([key.text] if key else [], [near.text] if near else [], _names(node))
-            if path[-1:] and path[-1] in _OF_NAMES and not isinstance(node, MappingNode):
+            if path[-1:] and path[-1] in _NAME_SECTIONS and not isinstance(node, MappingNode):
                 names.add(ANY_NAME)
     for span in found:
-        before = _KEY_BEFORE.search(span.source.text, max(0, span.start - _REACH), span.start)
+        before = _KEY_BEFORE.search(span.source.text, max(0, span.start - _MAX_KEY_DISTANCE), span.start)
         names.update([before[1]] if before else [])
-        names.update([span.text] if span.end - span.start < _REACH else [])
+        names.update([span.text] if span.end - span.start < _MAX_KEY_DISTANCE else [])
     return names
 
 

@@ -28,7 +28,7 @@ _NEGATED = re.compile(r"[:,{\[][ \t]+!\(")
 _HIDDEN_IN_BRACKETS = re.compile(r"[\s\[{,](#[^\s,}\]]+)")
 _GLUED = re.compile(r"[\w.]+:(?=\S)")
 _ASSIGNED = re.compile(r"([A-Za-z_][\w.]*)[ \t]*(?<![<>=!])=(?!=)[ \t]*(\S.*)")
-_PARTED = re.compile(r"([a-z_][\w.]*)(?:[ \t]+(?=[-+.\d{\[\"'])|$)(.*)")
+_MISSING_COLON = re.compile(r"([a-z_][\w.]*)(?:[ \t]+(?=[-+.\d{\[\"'])|$)(.*)")
 _MAX_SHOWN = 60
 
 
@@ -182,7 +182,7 @@ def _line_without_key(problem: _Problem, start: int, line: str) -> Finding:
         help, edit = "put a space after the colon", (found.end(), found.end(), " ")
     elif found := _ASSIGNED.match(line):
         help, edit = f"write a colon: `{found[1]}: {found[2][:_MAX_SHOWN]}`", (found.end(1), found.start(2), ": ")
-    elif found := _PARTED.match(line):
+    elif found := _MISSING_COLON.match(line):
         help, edit = f"write a colon after the key: `{f'{found[1]}: {found[2]}'.rstrip()}`", (found.end(1), found.end(1), ":")
     fix = Fix((Edit(Span(problem.source, start + edit[0], start + edit[1]), edit[2]),), safe=False) if edit else None
     return problem.finding(_NO_KEY, help, start, max(1, len(line)), fix)

@@ -19,7 +19,7 @@ NodePath = tuple[str | int, ...]
 Style = Literal["plain", "single", "double", "literal", "folded"]
 Value = None | bool | int | float | str
 
-_SEPARATING = re.compile(r"""[][{},'"#]|:\s|^\s|\s$|^$""")
+_NEEDS_QUOTES = re.compile(r"""[][{},'"#]|:\s|^\s|\s$|^$""")
 _COMMENT = re.compile(r"(?:^|(?<=\s))#.*$", re.MULTILINE)
 _MAX_DOTTED = 1000
 """Characters of a dotted path, which is matched against keys piece by piece."""
@@ -125,7 +125,7 @@ def inline_text(node: Node) -> str:
 
 def _item_on_line(node: Node) -> str:
     """An item of a collection; a quoted text keeps its quotes if it holds separators."""
-    quoted = isinstance(node, ScalarNode) and node.style in ("single", "double") and _SEPARATING.search(node.text)
+    quoted = isinstance(node, ScalarNode) and node.style in ("single", "double") and _NEEDS_QUOTES.search(node.text)
     return " ".join(node.span.text.split()) if quoted else inline_text(node)
 
 

@@ -44,7 +44,7 @@ Scalars = tuple[Scalar, ...]
 # The right or left argument that leaves the other as it is: x + 0, x - 0, x * 1, x / 1, x ^ 1. Units become such factors.
 _NEUTRAL_RIGHT = {"add": 0.0, "sub": 0.0, "mul": 1.0, "div": 1.0, "pow": 1.0}
 _NEUTRAL_LEFT = {"add": 0.0, "mul": 1.0}
-_IDENTITY_OF_ONE = frozenset({"add", "min", "max", "and", "or"})
+_UNCHANGED_IF_SINGLE = frozenset({"add", "min", "max", "and", "or"})
 
 
 def fold_operation(name: str, *args: Scalar) -> Scalar:
@@ -53,7 +53,7 @@ def fold_operation(name: str, *args: Scalar) -> Scalar:
     An operation without a value (a division by zero, an overflow, an argument out of the domain) stays, and fails where
     it runs.
     """
-    if len(args) == 1 and name in _IDENTITY_OF_ONE:
+    if len(args) == 1 and name in _UNCHANGED_IF_SINGLE:
         return args[0]
     values = [arg.value for arg in args if isinstance(arg, Const)]
     if len(values) == len(args):
@@ -133,11 +133,11 @@ class Lowering:
                 return self._world(value, function)
             case Family.STATEFUL:
                 columns = self._columns(value, value.args)
-                return tuple(State(function.name, args, self._place(value, index)) for index, args in enumerate(columns))
+                return tuple(State(function.name, args, self._slot_name(value, index)) for index, args in enumerate(columns))
             case Family.DRAW:
                 columns = self._columns(value, value.args)
                 target = "" if value.type.components else self._target
-                return tuple(Draw(function.name, args, self._place(value, index) + target) for index, args in enumerate(columns))
+                return tuple(Draw(function.name, args, self._slot_name(value, index) + target) for index, args in enumerate(columns))
         if function.name == "length":  # of a line, known before anything runs
             return (Const(value.type.interval.low),)
         if function.reduction is not None and value.type.components is None and value.args[0].type.components is not None:
@@ -166,7 +166,7 @@ class Lowering:
         pieces = {subject.name: subject.pieces for subject in value.subjects if subject.pieces}
         return tuple(_of_pieces(function, pair, pieces) for pair in pairs)
 
-    def _place(self, value: Invocation, index: int) -> str:
+    def _slot_name(self, value: Invocation, index: int) -> str:
         components = value.type.components
         return f"{self._owner}#{value.occurrence}" + (f".{components[index]}" if components else "")
 

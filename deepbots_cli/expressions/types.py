@@ -316,7 +316,7 @@ def is_bare_zero(value: Typed) -> bool:
 MAX_SIZE = 10_000
 """Operations of a checked expression: nested vector functions repeat their arguments and could grow to millions."""
 _WORLD_SIZE = 40  # operations of the largest world function, per component of its result
-_ROTATION_READS = 3  # every component of a turned vector reads all three of the argument
+_READS_PER_ROTATED_COMPONENT = 3  # every component of a turned vector reads all three of the argument
 
 
 def size(node: Typed) -> int:
@@ -325,7 +325,7 @@ def size(node: Typed) -> int:
     if isinstance(node, (Constant, Reference)):
         return min(own, 2 * MAX_SIZE)
     of_world = isinstance(node, Invocation) and bool(node.subjects)
-    repeated = _ROTATION_READS if of_world else 1
+    repeated = _READS_PER_ROTATED_COMPONENT if of_world else 1
     total = own * (_WORLD_SIZE if of_world else 1)
     for child in children(node):
         single = child.type.components is None and not isinstance(node, Vector)

@@ -28,7 +28,7 @@ _UNLEARNABLE = {"DB705", "DB711", "DB807", "DB810"}
 """Lint shows by these that failing at once earns most, that all policies earn the same, or that what is required is out of reach."""
 _CERTAIN_SHARE, _SYMPTOMS = 0.9, {"too_few_steps", "short_training", "one_ending"}
 """Beside a cause that is as likely as this, the length of the training and its most frequent ending are no causes of their own."""
-_NOT_YET = {"success_never_seen", "silent_terms", "one_ending", "exploration_too_large"}
+_PROVISIONAL_CAUSES = {"success_never_seen", "silent_terms", "one_ending", "exploration_too_large"}
 """What may still change in a training that was cut short: a cause only after half of the planned timesteps, or if it is certain."""
 
 
@@ -51,7 +51,7 @@ def diagnose(training: TrainingEvidence) -> list[Statement]:
     causes = (exploration_hides_success, exploration_too_large) if training.solved else CAUSES
     found = sorted(statements_about(causes, training), key=lambda statement: -statement.evidence["likelihood"])
     unlikely = [statement for statement in found if statement.evidence["likelihood"] < _CERTAIN_SHARE]
-    left_out = (_SYMPTOMS if len(unlikely) < len(found) else set()) | (_NOT_YET if _length(training)["share"] < 0.5 else set())
+    left_out = (_SYMPTOMS if len(unlikely) < len(found) else set()) | (_PROVISIONAL_CAUSES if _length(training)["share"] < 0.5 else set())
     return [statement for statement in found if not (statement in unlikely and statement.cause in left_out)]
 
 

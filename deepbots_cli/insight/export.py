@@ -32,7 +32,7 @@ from deepbots_cli.runtime.spaces import action_space, observation_space
 _OPSET = 17
 _IR_VERSION = 8
 """Of onnx 1.13 and onnxruntime 1.14, from 2023, and later."""
-_FORBIDDEN = -1e8
+_FORBIDDEN_LOGIT = -1e8
 """The logit of a forbidden option, as in sb3-contrib."""
 _CHECKED = 1000
 TOLERANCE = 1e-5
@@ -246,7 +246,7 @@ def _choices(graph: _Graph, value: str, model: BaseAlgorithm, program: Program, 
     sizes = [len(part.options) for part in parts]
     if takes_masks(model, program):
         allowed = graph.input("action_mask", np.bool_, "batch", sum(sizes))
-        value = graph.add("Where", allowed, value, graph.constant(_FORBIDDEN))
+        value = graph.add("Where", allowed, value, graph.constant(_FORBIDDEN_LOGIT))
     rows = graph.add("Split", value, graph.constant(sizes, np.int64), outputs=len(sizes), axis=1) if len(sizes) > 1 else [value]
     found = [graph.add("ArgMax", row, axis=1, keepdims=int(len(sizes) > 1 and not si)) for row in rows]
     if not si:

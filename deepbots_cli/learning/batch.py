@@ -115,7 +115,7 @@ class BatchVectorEnvironment(VectorEnvironment):
 
     def reset(self) -> VecEnvObs:
         for stage in dict.fromkeys(self.stages):
-            with self._recorded(stage):
+            with self._recording_failures(stage):
                 self._batch_of(stage).reset(self.starts)
         for _, sums in self._batches.values():
             sums.clear()
@@ -140,7 +140,7 @@ class BatchVectorEnvironment(VectorEnvironment):
         for stage, (worlds, sums) in self._batches.items():
             acting = self._in(stage)
             known = len(worlds.losses)
-            with self._recorded(stage):
+            with self._recording_failures(stage):
                 outcome = worlds.advance(self._actions, None if acting.all() else ~acting)
             if self._recorder is not None:
                 for loss in worlds.losses[known:]:
@@ -164,7 +164,7 @@ class BatchVectorEnvironment(VectorEnvironment):
         return self.last_observations, rewards, dones, infos
 
     @contextmanager
-    def _recorded(self, stage: int) -> Iterator[None]:
+    def _recording_failures(self, stage: int) -> Iterator[None]:
         """Within, an error of the batch becomes that of the episode which fails, if this is found."""
         try:
             yield
@@ -179,7 +179,7 @@ class BatchVectorEnvironment(VectorEnvironment):
     def _begin_in(self, stage: int, beginning: Sequence[tuple[int, int | None]]) -> None:
         """Let worlds begin an episode in a stage; the first ones that enter it find the others at rest there."""
         is_new, worlds = stage not in self._batches, self._batch_of(stage)
-        with self._recorded(stage):
+        with self._recording_failures(stage):
             if is_new:
                 worlds.reset(self.starts)
             worlds.begin(*zip(*beginning, strict=True))

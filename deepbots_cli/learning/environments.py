@@ -71,7 +71,7 @@ class VectorEnvironment(VecEnv):
         on_episode: Callable[[int, Episode], None] = lambda world, episode: None,
         next_world: Callable[[int], tuple[World, int] | None] = lambda world: None,
     ) -> None:
-        self.worlds = [_guarded(world) for world in worlds]
+        self.worlds = [_with_failure_recorder(world) for world in worlds]
         self.starts = list(seeds)
         self._on_step = on_step
         self._on_episode = on_episode
@@ -146,7 +146,7 @@ class VectorEnvironment(VecEnv):
             return self._begin(index, None)
         self.worlds[index].close()
         world, seed = following
-        self.worlds[index] = _guarded(world)
+        self.worlds[index] = _with_failure_recorder(world)
         return self._begin(index, seed)
 
     def _begin(self, index: int, seed: int | None) -> list[Any]:
@@ -217,7 +217,7 @@ class VectorEnvironment(VecEnv):
         return [agents[index] for index in self._get_indices(indices)]
 
 
-def _guarded(world: World) -> FailureRecorder:
+def _with_failure_recorder(world: World) -> FailureRecorder:
     return world if isinstance(world, FailureRecorder) else FailureRecorder(world)
 
 

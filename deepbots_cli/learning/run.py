@@ -56,7 +56,7 @@ M = TypeVar("M", bound=BaseModel)
 
 _MAX_RECORD_BYTES = 4_000_000
 _MAX_EVALUATION_BYTES = 200_000_000
-_DISTRIBUTIONS = ("gymnasium", "mujoco", "numpy", "pybullet", "stable-baselines3", "torch")
+_VERSIONED_PACKAGES = ("gymnasium", "mujoco", "numpy", "pybullet", "stable-baselines3", "torch")
 _FILES = (RECORD_NAME, RESOLVED_NAME, "monitor.csv", ".lock")
 _FOLDERS = (INPUTS_FOLDER, "tensorboard", "models", "evaluations", "logs", "checkpoints", "failures")
 
@@ -544,7 +544,7 @@ def timestamp() -> str:
 def versions() -> dict[str, str]:
     """Of Python and of what a training result depends on."""
     found = {"python": platform.python_version()}
-    for name in _DISTRIBUTIONS:
+    for name in _VERSIONED_PACKAGES:
         try:
             found[name] = version(name)
         except PackageNotFoundError:

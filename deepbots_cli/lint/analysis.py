@@ -389,13 +389,13 @@ class RewardTerms:
         """Ranges in a step after which the episode goes on."""
         steps = steps or self._steps
         if steps not in self._running:
-            self._running[steps] = Ranges(self.analysis, self._holding(None, truncated=False), steps)
+            self._running[steps] = Ranges(self.analysis, self._end_flags_at(None, truncated=False), steps)
         return self._running[steps]
 
     def ranges_at(self, ending: Ending | None) -> Ranges:
         """Ranges in the step in which this ending holds, and no other; None stands for the truncation."""
         if ending not in self._at:
-            self._at[ending] = Ranges(self.analysis, self._holding(ending, truncated=ending is None), self._steps)
+            self._at[ending] = Ranges(self.analysis, self._end_flags_at(ending, truncated=ending is None), self._steps)
         return self._at[ending]
 
     @property
@@ -403,7 +403,7 @@ class RewardTerms:
         """All endings, and None for the truncation."""
         return (*self.program.endings, None)
 
-    def _holding(self, ending: Ending | None, *, truncated: bool) -> dict[str, Interval]:
+    def _end_flags_at(self, ending: Ending | None, *, truncated: bool) -> dict[str, Interval]:
         holds = {entry.value.name: entry is ending for entry in self.program.endings}
         holds |= {"terminated": ending is not None, "truncated": truncated, "ended": truncated or ending is not None}
         return {name: ALWAYS if held else NEVER for name, held in holds.items()}

@@ -191,9 +191,12 @@ class Fixer:
         for edit in edits:
             by_source.setdefault(edit.span.source, []).append(edit)
         paths = linted.editable
-        return {paths[source]: self._mark(paths[source], source) + _apply(source, edits).encode() for source, edits in by_source.items()}
+        return {
+            paths[source]: self._byte_order_mark(paths[source], source) + _apply(source, edits).encode()
+            for source, edits in by_source.items()
+        }
 
-    def _mark(self, path: Path, source: Source) -> bytes:
+    def _byte_order_mark(self, path: Path, source: Source) -> bytes:
         """The byte order mark of a file, or nothing; keeps the original contents."""
         if path not in self._originals:
             data = files.read(path)

@@ -67,7 +67,7 @@ def ranged_numbers(analysis: Analysis) -> Iterator[RangedNumber]:
                 yield RangedNumber(entry, node, low, high)
 
 
-def clipped_once(analysis: Analysis) -> Iterator[RangedNumber]:
+def first_of_each_clipped(analysis: Analysis) -> Iterator[RangedNumber]:
     """The first component of each clipped entry, and further components whose range differs."""
     met = set()
     for number in ranged_numbers(analysis):
@@ -339,7 +339,7 @@ def bounds_mismatch(context: RuleContext) -> Iterator[Finding]:
         observation: {cart.pole_angle: -20 .. 20 deg}
     """
     analysis = context.analysis
-    for number in clipped_once(analysis):
+    for number in first_of_each_clipped(analysis):
         known = analysis.ranges.of(number.node)
         if number.is_outside(known):
             headline = f"`{number.name}` is {bounds_text(known, number.dimension)}, outside of its range in the observation"

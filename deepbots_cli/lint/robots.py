@@ -463,7 +463,7 @@ class Heights:
 
     def _top_of_robot(self, body: RobotBody) -> float:
         root = self._root(body)
-        if root is None or root[1] != frames.IDENTITY_ROTATION or not _keeps(body.model, _HIGHEST):
+        if root is None or root[1] != frames.IDENTITY_ROTATION or not _end_is_motionless(body.model, _HIGHEST):
             return inf
         return root[0][2] + footprint.robot_bounds(body.model)[1][2]
 
@@ -481,7 +481,7 @@ def _position(joint: Joint, share: float) -> float:
     return low + share * (high - low)
 
 
-def _keeps(model: RobotModel, end: int) -> bool:
+def _end_is_motionless(model: RobotModel, end: int) -> bool:
     """Whether no joint moves the lowest (0) or the highest (1) point of a robot: wheels do not, legs move both, arms the highest.
 
     Meshes do not count.
@@ -492,7 +492,7 @@ def _keeps(model: RobotModel, end: int) -> bool:
 
 
 def _can_lift(world: WorldModel) -> bool:
-    return not all(_keeps(robot.model, _HIGHEST) for robot in world.robots)
+    return not all(_end_is_motionless(robot.model, _HIGHEST) for robot in world.robots)
 
 
 def _standing_height(model: RobotModel) -> float | None:
@@ -501,7 +501,7 @@ def _standing_height(model: RobotModel) -> float | None:
     stands = contact_points and all(
         min(foot[axis] for foot in contact_points) < centre[axis] < max(foot[axis] for foot in contact_points) for axis in (0, 1)
     )
-    return footprint.resting_height(model) if stands and _keeps(model, _LOWEST) else None
+    return footprint.resting_height(model) if stands and _end_is_motionless(model, _LOWEST) else None
 
 
 def _centre_of_mass(model: RobotModel) -> tuple[float, float]:

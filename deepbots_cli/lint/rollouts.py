@@ -55,7 +55,7 @@ _MIN_TERM_SIZE = 1e-9
 """The same for a term of the reward."""
 _FIRST_EPISODES, _FIRST_STEPS = 2, 10
 """Episodes in which the first command of each arm is checked, and the steps within which it must arrive."""
-_VARIANTS = "cases and stages"
+_VARIANTS_LABEL = "cases and stages"
 
 
 class StoppedError(Exception):
@@ -95,8 +95,8 @@ class Simulator:
             self._run_variants()
         except StoppedError:
             return
-        self._write({"measured": {by: counter.rows_by_part() for by, counter in self._counters.items() if by != _VARIANTS}})
-        self._write({"still": self._still(), "silent": self._silent()})
+        self._write({"measured": {by: counter.rows_by_part() for by, counter in self._counters.items() if by != _VARIANTS_LABEL}})
+        self._write({"still": self._constant_numbers(), "silent": self._silent()})
         self._write({"clearances": [[*both, *clearance] for both, clearance in self._rays.clearances.items()]})
 
     def _build(self, program: Program) -> Supervisor:
@@ -214,7 +214,7 @@ class Simulator:
 
     # What has been constant so far
 
-    def _still(self) -> list[int]:
+    def _constant_numbers(self) -> list[int]:
         """The places of the numbers of the observation that were the same in every step of every episode; pictures after them."""
         whole = functools.reduce(Counter.joined, self._counters.values(), Counter(self._program))
         return [place for place in range(len(self._program.policy.numbers) + len(self._program.policy.images)) if not whole.varies(place)]
@@ -231,12 +231,12 @@ class Simulator:
         """Run cases and stages, which may vary what is constant in the scenario itself."""
         own = self._program
         for program in (*(case.program for case in own.cases), *(stage.program for stage in own.curriculum)):
-            if not self._still() and not self._silent():
+            if not self._constant_numbers() and not self._silent():
                 return
             sizes = [(len(each.numbers) + len(each.images), len(each.reward)) for each in (own.policy, program.policy)]
             if sizes[0] == sizes[1]:
                 with closing(self._build(program)) as environment:
-                    self._run_episodes(environment, variant_plan(program), counted_as=_VARIANTS)
+                    self._run_episodes(environment, variant_plan(program), counted_as=_VARIANTS_LABEL)
 
     def _stopped(self, environment: Supervisor, error: DeepbotsError) -> StoppedError:
         """Write what stopped an episode; returns the exception to raise."""
@@ -448,7 +448,7 @@ class SpeedWatch:
 _DISTANCE = 0.005  # m
 _ANGLE = radians(1.0)
 """Tolerance of a pose. A search that succeeds ends within 0.1 um."""
-_TURN = radians(90.0)
+_LARGE_TURN = radians(90.0)
 _MAX_TURNING_DISTANCE_M = 0.2
 """m; an arm that starts farther away, such as stretched out, turns on its way."""
 _LIMIT_TOLERANCE = 1e-6  # rad or m; the search clips positions to the limits exactly
@@ -517,7 +517,7 @@ class ArmWatch:
             return
         place, attitude = world.engine.pose(key[0], actuator.link)()
         turn = _angle(frames.multiply(drive.attitude, frames.inverse(attitude)))
-        if turn > _TURN and dist(place, target) < _MAX_TURNING_DISTANCE_M:
+        if turn > _LARGE_TURN and dist(place, target) < _MAX_TURNING_DISTANCE_M:
             start = frames.roll_pitch_yaw(attitude)
             self._misses[key] = UnreachedPose(*key, 0.0, 0.0, {}, turn=turn, start=start, step=world.step_count)
 

@@ -14,7 +14,7 @@ from deepbots_cli.expressions.intervals import NEVER, SIGNED_UNIT, Interval
 from deepbots_cli.expressions.scalar import Draw, Name, Scalar, World, children
 from deepbots_cli.expressions.types import Typed, walk
 from deepbots_cli.lint.analysis import Analysis, Comparison, RuleContext, Threshold, thresholds
-from deepbots_cli.lint.observations import RangedNumber, clipped_once, ranged_numbers, replace_range
+from deepbots_cli.lint.observations import RangedNumber, first_of_each_clipped, ranged_numbers, replace_range
 from deepbots_cli.lint.ranges import Ranges, bounds_text, range_text, with_unit
 from deepbots_cli.program.values import Expression
 
@@ -190,7 +190,7 @@ def observation_saturates(context: RuleContext) -> Iterator[Finding]:
 
 def _saturated_at_start(context: RuleContext) -> Iterator[Finding]:
     analysis = context.analysis
-    for number in clipped_once(analysis):
+    for number in first_of_each_clipped(analysis):
         if number.is_outside(analysis.ranges.of(number.node)):
             continue  # DB602
         first, fact = analysis.start.of(number.node), analysis.resolve_aliases(number.node)

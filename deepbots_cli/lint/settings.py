@@ -137,7 +137,7 @@ def _list(value: object, key: str, name: str) -> tuple[str, ...]:
 # Scenarios in folders
 
 _VERSION = re.compile(rb"(?:^|\A\xef\xbb\xbf|\A(?:\s|#[^\n]*+)*+\{\s*)(['\"]?)deepbots\1[ \t]*:", re.MULTILINE)
-_SEARCHED = 65_536
+_MAX_SEARCHED_BYTES = 65_536
 """Bytes at the beginning of a file in which the key `deepbots` is searched."""
 _SUFFIXES = (".yaml", ".yml")
 _NOT_SEARCHED = frozenset({"run.json", "pyvenv.cfg"})
@@ -148,7 +148,7 @@ _MAX_LEVELS = 64
 
 def is_scenario(data: bytes) -> bool:
     """Whether a text has the key `deepbots` at its top level; a file without it is a part that scenarios include."""
-    return _VERSION.search(data, 0, _SEARCHED) is not None
+    return _VERSION.search(data, 0, _MAX_SEARCHED_BYTES) is not None
 
 
 def scenarios_in(folder: Path, project: Settings) -> list[Path]:
@@ -164,7 +164,7 @@ def scenarios_in(folder: Path, project: Settings) -> list[Path]:
     found = []
     for path in _yaml_files(folder, project, excluded):
         with path.open("rb") as file:
-            if is_scenario(file.read(_SEARCHED)):
+            if is_scenario(file.read(_MAX_SEARCHED_BYTES)):
                 found.append(path)
     if not found and not excluded:
         raise UsageError(f"there is no scenario in {folder}: no .yaml or .yml file in it has a `deepbots:` key")

@@ -253,7 +253,7 @@ def pays_towards_failure(context: RuleContext) -> Iterator[Finding]:
         for term in _towards(reward, threshold, ordinary):
             headline = f"`{term.name}` pays more as the episode approaches `{ending.value.name}`"
             also = (Label(ending.value.span, "a failure"),)
-            yield Finding("DB710", term.span, headline, help=_opposite(compared[0], threshold), labels=also)
+            yield Finding("DB710", term.span, headline, help=_opposite_help(compared[0], threshold), labels=also)
 
 
 def _counts_from_middle(reward: RewardTerms, threshold: Threshold) -> bool:
@@ -295,7 +295,7 @@ def _concerns(analysis: Analysis, node: Scalar) -> set[str]:
     return found
 
 
-def _opposite(compared: Comparison, threshold: Threshold) -> str:
+def _opposite_help(compared: Comparison, threshold: Threshold) -> str:
     side = compared.node.args[0 if compared.node.operator.startswith("greater") else 1]
     quantity = compared.value.text[side.start : side.end]
     assert threshold.dimension is not None  # a length or an angle

@@ -101,7 +101,9 @@ def odd_scale(context: RuleContext) -> Iterator[Finding]:
             if path in met or not values.is_present(path):
                 continue  # another copy of a group, or a wall
             met.add(path)
-            found = _around(context.analysis.start, thing, kind, robots, path, values) or _odd_mass(thing, kind, robots, path, values)
+            found = _object_around_robot(context.analysis.start, thing, kind, robots, path, values) or _odd_mass(
+                thing, kind, robots, path, values
+            )
             if found is not None:
                 yield found
 
@@ -115,7 +117,9 @@ def _forms(thing: ObjectBody) -> Iterator[tuple[NodePath, Variant]]:
         yield path, Variant(thing.name, thing.shape, thing.mass, fixed=thing.fixed)
 
 
-def _around(start: StartRanges, thing: ObjectBody, kind: Variant, robots: _Robots, path: NodePath, values: ValueReader) -> Finding | None:
+def _object_around_robot(
+    start: StartRanges, thing: ObjectBody, kind: Variant, robots: _Robots, path: NodePath, values: ValueReader
+) -> Finding | None:
     """An object with a small robot inside, wherever both are placed."""
     if not thing.solid or isinstance(kind.shape, Mesh):
         return None

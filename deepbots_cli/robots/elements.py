@@ -29,7 +29,7 @@ _BLANKS = " \t\r\n"
 _START_TAG = re.compile(r"""<[^\s/>"']++(?:[^"'>]++|"[^"]*+"|'[^']*+')*+>""")
 _ATTRIBUTE = re.compile(r"""([^\s=/<>"']+)\s*=\s*(?:"([^"]*)"|'([^']*)')""")
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?")
-_OPTIONAL = re.compile(r"\$\(optenv [A-Za-z0-9_]{1,80} ([-+.0-9eE ]{1,120})\)")
+_OPTENV = re.compile(r"\$\(optenv [A-Za-z0-9_]{1,80} ([-+.0-9eE ]{1,120})\)")
 
 
 def quoted(text: str) -> str:
@@ -193,7 +193,7 @@ class Element:
     def _expanded(self, name: str) -> str:
         """The value; `$(optenv NAME default)` of an unexpanded xacro file stands for its default."""
         value = self.attributes[name]
-        found = _OPTIONAL.fullmatch(value.strip())
+        found = _OPTENV.fullmatch(value.strip())
         if found is None:
             return value
         self.warn("a xacro substitution that has not been expanded", attribute=name, help=f"its default is read: {found[1]}")

@@ -31,7 +31,7 @@ MESH_SUFFIXES = (".stl", ".obj", ".dae")
 _VERTEX = re.compile(rb"^[ \t]*v[ \t]", re.MULTILINE)
 _NOT_FINITE = re.compile(rb"^[ \t]*v[ \t][^\n]*(?:nan|inf)", re.MULTILINE | re.IGNORECASE)
 _NOT_FINITE_STL = re.compile(rb"vertex[ \t][^\n]*(?:nan|inf)", re.IGNORECASE)
-_PLACE = re.compile(rb"^[ \t]*v[ \t]+([-+.0-9eE \t]+)", re.MULTILINE)
+_VERTEX_COORDINATES = re.compile(rb"^[ \t]*v[ \t]+([-+.0-9eE \t]+)", re.MULTILINE)
 _PLACE_STL = re.compile(rb"vertex[ \t]+([-+.0-9eE \t]+)", re.IGNORECASE)
 _FACE = re.compile(rb"^[ \t]*f([ \t][^\n]*)", re.MULTILINE)
 _INDEX = re.compile(rb"[ \t]-?0*([0-9]+)")
@@ -259,7 +259,7 @@ def mesh_size(suffix: str, data: bytes) -> MeshSize | None:
     if suffix == ".dae":
         return None
     if suffix == ".obj":
-        numbers = [float(number) for vertex in _PLACE.findall(data) for number in vertex.split()[:3]]
+        numbers = [float(number) for vertex in _VERTEX_COORDINATES.findall(data) for number in vertex.split()[:3]]
         faces = sum(max(len(_INDEX.findall(face)) - 2, 1) for face in _FACE.findall(data))
     elif data.lstrip()[:5].lower() == b"solid" and b"facet" in data:
         numbers = [float(number) for vertex in _PLACE_STL.findall(data) for number in vertex.split()[:3]]

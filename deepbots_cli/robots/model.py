@@ -208,7 +208,7 @@ class RobotModel:
 
 # Simple shapes: inertia in kg m^2 about the centre of mass, in axes parallel to the shape's own
 
-_HERE = Pose()
+_IDENTITY_POSE = Pose()
 # Published files round to three digits, and a flat plate lies exactly on the boundary.
 _TOLERANCE = 1e-3
 
@@ -228,7 +228,7 @@ def volume(shape: Shape) -> float | None:
             return None
 
 
-def homogeneous_inertial(shape: Shape, mass: float, origin: Pose = _HERE) -> Inertial | None:
+def homogeneous_inertial(shape: Shape, mass: float, origin: Pose = _IDENTITY_POSE) -> Inertial | None:
     """The inertial of a homogeneous body of `mass` kg whose shape has the pose `origin`; None for a mesh."""
     match shape:
         case Box((x, y, z)):
@@ -378,7 +378,7 @@ def _joint(joint: Joint) -> Lines:
 
 # Changes: an impossible one returns a sentence with the reason. The link or joint must exist: callers report unknown names
 
-_ALIGNED = 1e-6
+_ALIGNMENT_TOLERANCE = 1e-6
 
 
 def with_link(model: RobotModel, link: Link) -> RobotModel:
@@ -492,7 +492,7 @@ def _with_matrix(old: Inertial, tensor: Matrix) -> Inertial:
 def _stretched(old: Geometry, scale: Vector) -> Geometry:
     """The shape's own axes stay at right angles exactly if S is diagonal in them."""
     own = rotate_tensor(diagonal(scale), transposed(rotation_matrix(old.origin.rpy)))
-    if max(abs(own[0][1]), abs(own[0][2]), abs(own[1][2])) > _ALIGNED * max(scale):
+    if max(abs(own[0][1]), abs(own[0][2]), abs(own[1][2])) > _ALIGNMENT_TOLERANCE * max(scale):
         raise _ShapeError("it is turned against the axes of the link, which would make it oblique")
     shape = _stretched_shape(old.shape, (own[0][0], own[1][1], own[2][2]))
     return Geometry(shape, replace(old.origin, xyz=_along(old.origin.xyz, scale)), old.colour)
@@ -500,8 +500,8 @@ def _stretched(old: Geometry, scale: Vector) -> Geometry:
 
 def _stretched_shape(shape: Shape, scale: Vector) -> Shape:
     x, y, z = scale
-    round_about_z = math.isclose(x, y, rel_tol=_ALIGNED)
-    uniform = round_about_z and math.isclose(x, z, rel_tol=_ALIGNED)
+    round_about_z = math.isclose(x, y, rel_tol=_ALIGNMENT_TOLERANCE)
+    uniform = round_about_z and math.isclose(x, z, rel_tol=_ALIGNMENT_TOLERANCE)
     match shape:
         case Box(size):
             return Box(_along(size, scale))

@@ -47,20 +47,20 @@ _BALL = "spherical"  # a type of joint that URDF lacks and PyBullet reads
 _AXES: tuple[Vector, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 _JOINT_TYPES: tuple[JointType, ...] = get_args(JointType)
 
-_VALUE = ("", "value")
-_PLACED = ("origin geometry material", "name")
+_VALUE_VOCABULARY = ("", "value")
+_PLACED_VOCABULARY = ("origin geometry material", "name")
 _VOCABULARY = {
     "robot": ("link joint material", "name"),
     "link": ("inertial visual collision contact", "name"),
     "inertial": ("origin mass inertia", ""),
-    "visual": _PLACED,
-    "collision": _PLACED,
+    "visual": _PLACED_VOCABULARY,
+    "collision": _PLACED_VOCABULARY,
     "contact": ("lateral_friction spinning_friction rolling_friction restitution", ""),
-    "lateral_friction": _VALUE,
-    "spinning_friction": _VALUE,
-    "rolling_friction": _VALUE,
-    "restitution": _VALUE,
-    "mass": _VALUE,
+    "lateral_friction": _VALUE_VOCABULARY,
+    "spinning_friction": _VALUE_VOCABULARY,
+    "rolling_friction": _VALUE_VOCABULARY,
+    "restitution": _VALUE_VOCABULARY,
+    "mass": _VALUE_VOCABULARY,
     "inertia": ("", "ixx ixy ixz iyy iyz izz"),
     "origin": ("", "xyz rpy"),
     "geometry": ("box sphere cylinder capsule mesh", ""),
@@ -103,7 +103,7 @@ class RobotFile:
 
 
 MAX_CLEAN = 32
-_CLEAN: dict[tuple[bytes, str], RobotFile] = {}
+_CACHE: dict[tuple[bytes, str], RobotFile] = {}
 
 
 def read(path: Path, display: str, findings: Findings, *, resolve_mesh: ResolveMesh | None = None) -> RobotFile | None:
@@ -132,14 +132,14 @@ def read_bytes(data: bytes, display: str, findings: Findings, *, resolve_mesh: R
 
     A robot without meshes and findings is read once: the scenarios of a folder share few robots.
     """
-    if (known := _CLEAN.get((data, display))) is not None:
+    if (known := _CACHE.get((data, display))) is not None:
         return known
     before = len(findings)
     robot = _read(data, display, findings, resolve_mesh)
     if robot is not None and not robot.meshes and len(findings) == before:
-        if len(_CLEAN) >= MAX_CLEAN:
-            _CLEAN.clear()
-        _CLEAN[data, display] = robot
+        if len(_CACHE) >= MAX_CLEAN:
+            _CACHE.clear()
+        _CACHE[data, display] = robot
     return robot
 
 

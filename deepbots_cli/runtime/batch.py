@@ -326,7 +326,7 @@ class BatchSupervisor(_BatchPart, ABC):
         done = np.flatnonzero(ended if resting is None else ended & ~resting)
         if not len(done):
             return BatchStep(observations, rewards, terms, terminated, truncated, done, None, [])
-        last, infos = _taken(observations, done), [self.info(world) for world in done.tolist()]
+        last, infos = _rows_of_worlds(observations, done), [self.info(world) for world in done.tolist()]
         return BatchStep(observations, rewards, terms, terminated, truncated, done, last, infos)
 
     def begin(self, worlds: Sequence[int], seeds: Sequence[int | None]) -> None:
@@ -582,6 +582,6 @@ def _joined(rows: Sequence[Any]) -> Any:
     return {key: np.array([row[key] for row in rows]) for key in rows[0]} if isinstance(rows[0], dict) else np.array(rows)
 
 
-def _taken(observations: Any, worlds: Column) -> Any:
+def _rows_of_worlds(observations: Any, worlds: Column) -> Any:
     """The rows of some worlds."""
     return {key: part[worlds] for key, part in observations.items()} if isinstance(observations, dict) else observations[worlds]

@@ -152,7 +152,7 @@ def recompute_rewards(scenario: Program, achieved: Goals, desired: Goals) -> NDA
     size = len(goal.low)
     if achieved.ndim != 2 or achieved.shape[1] != size or achieved.shape != desired.shape:
         raise UsageError(f"goals of shape {achieved.shape} and {desired.shape}, where this scenario has {size} numbers in each")
-    values = {**_meant(goal, goal.names("achieved"), achieved), **_meant(goal, goal.names("desired"), desired)}
+    values = {**_goal_values_in_unit(goal, goal.names("achieved"), achieved), **_goal_values_in_unit(goal, goal.names("desired"), desired)}
     values[Name("goal_reached")] = evaluate(goal.reached, values)
     total = np.zeros(len(achieved))
     for term in scenario.policy.reward:
@@ -163,7 +163,7 @@ def recompute_rewards(scenario: Program, achieved: Goals, desired: Goals) -> NDA
     return total
 
 
-def _meant(goal: Goal, names: tuple[Name, ...], seen: Goals) -> dict[Name, Any]:
+def _goal_values_in_unit(goal: Goal, names: tuple[Name, ...], seen: Goals) -> dict[Name, Any]:
     """The columns in the unit of the goal; exactly what the names mean in a step."""
     columns = seen.astype(np.float64).T
     return {

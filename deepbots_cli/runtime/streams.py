@@ -49,7 +49,7 @@ class Streams:
         generator = self._generators.get(name)
         if generator is None:
             own = f"{self.copy}/" if self.copy and not name.startswith("parameters.") else ""
-            seed = np.random.SeedSequence(_words(f"{self.root}/{own}{name}"))
+            seed = np.random.SeedSequence(_seed_integers(f"{self.root}/{own}{name}"))
             generator = self._generators[name] = np.random.Generator(np.random.PCG64(seed))
         return generator
 
@@ -88,7 +88,7 @@ class Streams:
         return value
 
 
-def _words(text: str) -> list[int]:
+def _seed_integers(text: str) -> list[int]:
     digest = hashlib.sha256(text.encode()).digest()
     return [int.from_bytes(digest[i : i + 4], "little") for i in range(0, 16, 4)]
 

@@ -233,7 +233,7 @@ class _Writer:
         plain = [option.json_schema() if isinstance(option, FieldType) else self.schema(option) for option in shape.options]
         schema = plain.pop()
         for option, form in zip(reversed(shape.options[:-1]), reversed(plain), strict=True):
-            schema = {"if": _form_of(option), "then": form, "else": self._with_marks(option, schema)}
+            schema = {"if": _form_of(option), "then": form, "else": self._with_identifying_keys(option, schema)}
         types = (
             {}
             if any(isinstance(option, FieldType) for option in shape.options)
@@ -245,7 +245,7 @@ class _Writer:
         offers += [OfferedNames(dict.fromkeys(option.words, "")) for option in shape.options if isinstance(option, Word)]
         return schema | (offers[0].added_to({}, noun_of(shape)) if offers else {})
 
-    def _with_marks(self, form: Shape, other: Json) -> Json:
+    def _with_identifying_keys(self, form: Shape, other: Json) -> Json:
         """The schema of the other forms, with the marks of this form as completions."""
         if not isinstance(form, type) or not form.identifying_keys:
             return other

@@ -1,6 +1,6 @@
 """How the policy is trained: one model per algorithm; hyperparameters have the names that Stable-Baselines3 and sb3-contrib give them.
 
-A test compares them with the signatures there. Devices, seeds, classes of buffers and loggers are left out; `ELSEWHERE` says where
+A test compares them with the signatures there. Devices, seeds, classes of buffers and loggers are left out; `SET_ELSEWHERE_HELP` says where
 they are set instead.
 """
 
@@ -300,7 +300,7 @@ _BUILT_IN = (PPO, A2C, DQN, SAC, TD3, DDPG, MaskablePPO, RecurrentPPO, TQC)
 ALGORITHMS: PluginTable[type[Training]] = PluginTable("deepbots.algorithms", {model.__name__: model for model in _BUILT_IN}, _read)
 AnyTraining = Annotated[Training, Kinds("algorithm", ALGORITHMS)]
 
-ELSEWHERE: Mapping[str, str] = {
+SET_ELSEWHERE_HELP: Mapping[str, str] = {
     "seed": "give it when you train: `--seed 1`",
     "verbose": "give it when you train: `--quiet`",
     "tensorboard_log": "every run writes its TensorBoard log into its own directory",

@@ -40,7 +40,7 @@ from deepbots_cli.scenario.base import (
 )
 from deepbots_cli.scenario.fields import FieldType, error, mismatch
 from deepbots_cli.scenario.scenario import VERSION, Scenario
-from deepbots_cli.scenario.training import ELSEWHERE, Training
+from deepbots_cli.scenario.training import SET_ELSEWHERE_HELP, Training
 
 # The language is nine levels deep; each round takes out at least the innermost faulty one.
 _MAX_ROUNDS = 16
@@ -48,7 +48,7 @@ _MAX_SHOWN_CHARACTERS = 40
 _MAX_EXAMPLE_CHARACTERS = 120
 _RESERVED = {"agents": "competing agents are kept for a later version of the language"}
 
-_OWN_SECTION = "it is a top-level section, which begins at the left edge: remove the indentation of the key and of the lines below it"
+_OWN_SECTION_HELP = "it is a top-level section, which begins at the left edge: remove the indentation of the key and of the lines below it"
 # Stand-ins for required sections that had findings, so that the other sections are still looked at.
 _REQUIRED_SECTION_DEFAULTS: dict[str, object] = {
     "deepbots": VERSION,
@@ -98,7 +98,7 @@ def validate(root: nodes.MappingNode, findings: Findings) -> Scenario | None:
         problems = [_problem(root, data, error) for error in errors]
         if round_number == 0:
             new = [problem for problem in problems if not (_is_follow_up(root, problem) or _is_misspelt(problem, problems))]
-            found = [problem.finding for problem in _together(root, _in_place(root, data, new))]
+            found = [problem.finding for problem in _merge_missing_sections(root, _merge_misplaced_section(root, data, new))]
             for one in found:
                 findings.append(one)
             if findings.limit is not None and len(problems) >= findings.limit:  # the rest would be in the way of later passes
@@ -247,13 +247,15 @@ def _is_misspelt(problem: _Problem, problems: list[_Problem]) -> bool:
     return any(near is not None and near.text in problem.missing for near in misspelt)
 
 
-def _in_place(root: nodes.MappingNode, data: Any, problems: list[_Problem]) -> list[_Problem]:
+def _merge_misplaced_section(root: nodes.MappingNode, data: Any, problems: list[_Problem]) -> list[_Problem]:
     """Replace all problems of a section that is indented into another section by a single one."""
     moved: dict[NodePath, _Problem] = {}
     kept = []
     for problem in problems:
         if path := _displaced(root, data, problem.path):
-            moved[path] = _Problem(path, Finding("DB101", _key_span(root, path), f"`{path[-1]}` stands {_place(path[:-1])}", _OWN_SECTION))
+            moved[path] = _Problem(
+                path, Finding("DB101", _key_span(root, path), f"`{path[-1]}` stands {_place(path[:-1])}", _OWN_SECTION_HELP)
+            )
         else:
             kept.append(problem)
     lacking = {(str(path[-1]),) for path in moved}
@@ -271,7 +273,7 @@ def _displaced(root: nodes.MappingNode, data: object, path: NodePath) -> NodePat
     return None
 
 
-def _together(root: nodes.MappingNode, problems: list[_Problem]) -> list[_Problem]:
+def _merge_missing_sections(root: nodes.MappingNode, problems: list[_Problem]) -> list[_Problem]:
     """Replace the problems of missing sections by a single one: a new file lacks many. Its notes explain all but the first."""
     lacking = [problem for problem in problems if problem.finding.code == "DB102" and not problem.path]
     if len(lacking) < 2:
@@ -292,10 +294,10 @@ def _advise(root: nodes.MappingNode, data: Any, findings: Findings) -> None:
     for path, node in walk(root) if vague else ():
         for key in node.keys_without_value if isinstance(node, nodes.MappingNode) else ():
             if found := vague.get(key.span):
-                findings.replace_help(found, _wanted(data, (*path, key.text)))
+                findings.replace_help(found, _help_for_missing_value(data, (*path, key.text)))
 
 
-def _wanted(data: object, path: NodePath) -> str:
+def _help_for_missing_value(data: object, path: NodePath) -> str:
     """The help for a key without a value."""
     message = about_key(data, path)
     if message is not None and message.startswith(f"`{path[-1]}`"):
@@ -376,8 +378,8 @@ def _help_for_unknown(data: object, path: NodePath) -> str | None:
         return None
     if not parent and key in _RESERVED:
         return _RESERVED[key]
-    if issubclass(section, Training) and key in ELSEWHERE:
-        return ELSEWHERE[key]
+    if issubclass(section, Training) and key in SET_ELSEWHERE_HELP:
+        return SET_ELSEWHERE_HELP[key]
     known = tuple(section.model_fields)
     here = f"here the keys are {_listed(known)}"
     kinds = shape_at(Scenario, data, parent, choose=False)

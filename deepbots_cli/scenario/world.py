@@ -178,7 +178,7 @@ class World(Section):
 
 # Poses
 
-_ONE_WAY = tuple(KeyCount((whole, part)) for whole, parts in (("xyz", "xyz"), ("rpy", ("roll", "pitch", "yaw"))) for part in parts)
+_POSE_KEY_RULES = tuple(KeyCount((whole, part)) for whole, parts in (("xyz", "xyz"), ("rpy", ("roll", "pitch", "yaw"))) for part in parts)
 
 Coordinate = Annotated[Scalar, Quantity("length")]
 Angle = Annotated[Scalar, Quantity("angle")]
@@ -187,7 +187,7 @@ Angle = Annotated[Scalar, Quantity("angle")]
 class SensorFrame(Section):
     """A frame on a link; it is fixed."""
 
-    key_rules: ClassVar[tuple[KeyCount, ...]] = _ONE_WAY
+    key_rules: ClassVar[tuple[KeyCount, ...]] = _POSE_KEY_RULES
 
     x: Coordinate = 0
     """Position along x of the link, m."""
@@ -210,7 +210,7 @@ class SensorFrame(Section):
 class Pose(Section):
     """A pose in the world, which may be drawn in every episode."""
 
-    key_rules: ClassVar[tuple[KeyCount, ...]] = _ONE_WAY
+    key_rules: ClassVar[tuple[KeyCount, ...]] = _POSE_KEY_RULES
 
     x: RandomizableCoordinate | None = None
     """Position along x of the world, m."""

@@ -167,7 +167,7 @@ def verify(
             time = begun + round(frame.time * NS_PER_S)
             new = describer.encode(time, recorded.number, recorded.seed)
             with damaged(recording.path):
-                for topic in sorted(new, key=_cause):
+                for topic in sorted(new, key=_topic_rank):
                     if topic.startswith("/image/") or new[topic] == old.get(topic) or (tolerance and topic.startswith("/scan/")):
                         continue
                     before, after = msgspec.json.decode(old.get(topic, b"{}")), msgspec.json.decode(new[topic])
@@ -192,7 +192,7 @@ def version_changes(recording: Recording) -> list[str]:
     ]
 
 
-def _cause(topic: str) -> int:
+def _topic_rank(topic: str) -> int:
     """What comes first in a step."""
     kind = "/to_robot" if topic.endswith("/to_robot") else topic.split("/")[1]
     return ("episode", "/to_robot", "world", "tf", "scan", "message", "agent", "step", "image").index(kind)

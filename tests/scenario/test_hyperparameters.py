@@ -8,7 +8,7 @@ import pytest
 
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.scenario import Scenario
-from deepbots_cli.scenario.training import ALGORITHMS, ELSEWHERE, Training
+from deepbots_cli.scenario.training import ALGORITHMS, SET_ELSEWHERE_HELP, Training
 
 Check = Callable[[str], tuple[Scenario | None, list[Finding]]]
 EXCLUDED = {"self", "policy", "env", "verbose", "device", "seed", "tensorboard_log", "policy_kwargs", "_init_setup_model"} | {
@@ -41,7 +41,7 @@ def test_the_defaults_of_the_algorithm_may_be_written(algorithm: str, check: Che
 
 
 def test_what_is_said_elsewhere_is_no_hyperparameter() -> None:
-    assert not [name for name in ELSEWHERE if any(name in model.model_fields for model in ALGORITHMS.values())]
+    assert not [name for name in SET_ELSEWHERE_HELP if any(name in model.model_fields for model in ALGORITHMS.values())]
 
 
 @pytest.mark.parametrize(

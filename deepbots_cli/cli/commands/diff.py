@@ -151,7 +151,7 @@ class Change:
         return f"changed by the parameter{'s' * (len(self.through) > 1)} {', '.join(listed)}"
 
 
-_COLOURED = r"(?=/(?:.*/)?(?:colour|visuals)\b)"
+_LOOKS_PATH = r"(?=/(?:.*/)?(?:colour|visuals)\b)"
 _POLICY = r"policies/[^/]+/"
 _PATHS: tuple[tuple[str, str, Group], ...] = (
     # the path of a value in a compiled scenario, the first that matches; its path in the language; its group
@@ -173,10 +173,10 @@ _PATHS: tuple[tuple[str, str, Group], ...] = (
     (r"robots/([^/]+)/variables/([^/]+)", r"robots.\1.receive.\2", Group.task),
     (r"robots/([^/]+)/(\w+)/([^/]+)", r"robots.\1.\2.\3", Group.task),
     (r"(name|summary)", r"\1", Group.cosmetic),
-    (r"world/robots/([^/]+)/model/links/([^/]+)" + _COLOURED, APPEARANCE_PREFIX + r"robots.\1.links.\2", Group.cosmetic),
-    (r"world/objects/([^/#]+)[^/]*" + _COLOURED, APPEARANCE_PREFIX + r"objects.\1", Group.cosmetic),
-    (r"world/lines/([^/]+)" + _COLOURED, APPEARANCE_PREFIX + r"world.lines.\1", Group.cosmetic),
-    (r"world/(\w+)" + _COLOURED, APPEARANCE_PREFIX + r"world.\1", Group.cosmetic),
+    (r"world/robots/([^/]+)/model/links/([^/]+)" + _LOOKS_PATH, APPEARANCE_PREFIX + r"robots.\1.links.\2", Group.cosmetic),
+    (r"world/objects/([^/#]+)[^/]*" + _LOOKS_PATH, APPEARANCE_PREFIX + r"objects.\1", Group.cosmetic),
+    (r"world/lines/([^/]+)" + _LOOKS_PATH, APPEARANCE_PREFIX + r"world.lines.\1", Group.cosmetic),
+    (r"world/(\w+)" + _LOOKS_PATH, APPEARANCE_PREFIX + r"world.\1", Group.cosmetic),
     (r"world/(?!robots|objects|lines)(\w+)", r"world.\1", Group.world),
     (r"world/robots/([^/]+)/model/name", r"name of robots.\1.urdf", Group.cosmetic),
     (r"world/robots/([^/]+)/model/root", r"robots.\1.urdf", Group.world),
@@ -201,7 +201,7 @@ _PATHS: tuple[tuple[str, str, Group], ...] = (
     (_POLICY + r"scripts/([^/]+)", r"scripts.\1", Group.training),
 )
 _AXES = {"rpy": ("roll", "pitch", "yaw")} | dict.fromkeys(("xyz", "size", "axis", "spacing", "scale", "gravity"), ("x", "y", "z"))
-_PLACES = (Program, WorldModel, RobotBody, RobotModel, Robot, Route, Policy, Truncation, Reset, JointStart, Training, Network)
+_CONTAINER_RECORDS = (Program, WorldModel, RobotBody, RobotModel, Robot, Route, Policy, Truncation, Reset, JointStart, Training, Network)
 """Records that only hold other records; their class is not compared."""
 _NAME = re.compile(r"[a-z_][a-z0-9_]*")
 _MAX_LISTED = 3
@@ -360,7 +360,7 @@ def _leaves(value: Any, path: str) -> Iterator[tuple[str, str]]:
     if members is not None and "scalars" in members:
         members = {"": members["scalars"], **{name: members[name] for name in ("noise", "foreign", "redraw") if name in members}}
     elif members is not None:
-        kind = {} if type(value) in _PLACES else {"kind": type(value).__name__.lower()}
+        kind = {} if type(value) in _CONTAINER_RECORDS else {"kind": type(value).__name__.lower()}
         key = path.rpartition("/")[2]
         members = kind | {name: member for name, member in members.items() if name not in ("name", "body", "robot") or member != key}
     elif isinstance(value, tuple) and not isinstance(value, Scalar) and not all(isinstance(entry, str) for entry in value):

@@ -189,7 +189,7 @@ def balance(draft: Draft) -> dict[str, object]:
         if tilts:
             values["place"] = draft.raised | {"pitch" if along_x else "roll": "uniform(-2 .. 2 deg)"}
     else:
-        values["pushed"] = [_pushed(draft, unit, joints) for unit, joints in by_unit(build.driven)]
+        values["pushed"] = [_add_joint_motor(draft, unit, joints) for unit, joints in by_unit(build.driven)]
     if not tilts:
         values["poles"] = draft.group("poles", build.poles)
         draft.starts[str(values["poles"])] = "uniform(-1 .. 1 deg)"
@@ -198,7 +198,7 @@ def balance(draft: Draft) -> dict[str, object]:
     return values
 
 
-def _pushed(draft: Draft, name: str, joints: Sequence[Joint]) -> dict[str, object]:
+def _add_joint_motor(draft: Draft, name: str, joints: Sequence[Joint]) -> dict[str, object]:
     """A motor on the joints of one unit; what the template says of their sensors, ranges and ends."""
     group = draft.group(name, joints)
     unit = "m" if name == "slides" else "rad"

@@ -350,7 +350,7 @@ class PyBulletEngine:
 
     def _require_open(self) -> PyBulletEngine:
         if not self._release.alive:
-            _refuse()
+            _raise_closed()
         return self
 
     def _pool(self, name: str) -> Pool[Body]:
@@ -381,8 +381,8 @@ def _index(body: Body, link: str | None, none: int = BASE_LINK) -> int:
 
 def _release(client: int, substeps: SubstepCallbacks) -> None:
     p.disconnect(client)
-    substeps.replace_all(_refuse)  # another world may get this client's number
+    substeps.replace_all(_raise_closed)  # another world may get this client's number
 
 
-def _refuse() -> None:
+def _raise_closed() -> None:
     raise EngineError("this world was closed")

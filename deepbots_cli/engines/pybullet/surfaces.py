@@ -158,7 +158,7 @@ class Rays:
             numThreads=1,
             parentObjectUniqueId=body.number,
             parentLinkIndex=index,
-            collisionFilterMask=~self._group(body),
+            collisionFilterMask=~self._collision_group_bit(body),
             physicsClientId=self._client,
         )
         refresh = None if index == BASE_LINK else partial(p.getLinkState, body.number, index, 0, 1, self._client)
@@ -178,7 +178,7 @@ class Rays:
 
         return read
 
-    def _group(self, body: Body) -> int:
+    def _collision_group_bit(self, body: Body) -> int:
         """The bit of a body's own group; what it collides with stays as it was."""
         if body.number not in self._groups:
             place = FIRST_GROUP + len(self._groups)
