@@ -35,7 +35,7 @@ _PROVISIONAL_CAUSES = {"success_never_seen", "silent_terms", "one_ending", "expl
 def diagnose(training: TrainingEvidence) -> list[Statement]:
     """The causes that apply, the most likely first; none for a training that solves its task, or of late succeeds in most episodes.
 
-    A policy that solves it in evaluations, which act without exploration, and not in the training may still be random there.
+    A policy that solves its task in evaluations, which act without exploration, has learned, unless it is still random in the training.
 
     Raises:
         RunError: The training has finished no episode, and has not failed either.
@@ -44,11 +44,11 @@ def diagnose(training: TrainingEvidence) -> list[Statement]:
         raise RunError(
             f"{training.run.path} holds no finished episode yet; train it longer, with: deepbots train --resume {training.run.path}"
         )
-    late, program = training.episodes.successes[-100:], training.program
-    succeeds = program.solved is None and program.defines_success and len(late) >= _MIN_EPISODES and float(late.mean()) >= 0.8
+    late, can_succeed = training.episodes.successes[-100:], training.program.solved is None and training.program.defines_success
+    succeeds, evaluated = (can_succeed and len(of) >= _MIN_EPISODES and fmean(of) >= 0.8 for of in (late, training.last_successes))
     if training.solved_while_exploring or succeeds:
         return []
-    causes = (exploration_hides_success, exploration_too_large) if training.solved else CAUSES
+    causes = (exploration_too_large,) if training.solved or evaluated else CAUSES
     found = sorted(statements_about(causes, training), key=lambda statement: -statement.evidence["likelihood"])
     unlikely = [statement for statement in found if statement.evidence["likelihood"] < _CERTAIN_SHARE]
     left_out = (_SYMPTOMS if len(unlikely) < len(found) else set()) | (_PROVISIONAL_CAUSES if _length(training)["share"] < 0.5 else set())
@@ -351,19 +351,14 @@ def exploration_hides_success(t: TrainingEvidence) -> Numbers | None:
     """Without exploration the policy succeeds in {without} of {episodes} episodes of its last evaluation, and while it explored in {with}
     of the last {late} episodes of the training: the noise of the exploration prevents the success.
 
-    Try: Use the policy as it is, since `deepbots view`, `eval` and `export` do not explore. To let the training succeed too, lower
-    `train.ent_coef`, or loosen what the success requires.
+    Try: Use the policy as it is, since `deepbots view`, `eval` and `export` do not explore. To let the training succeed too, lower its
+    exploration (`train.ent_coef` or `train.action_noise`), or loosen what the success requires.
     """
-    late, last = t.episodes_between(0.75, 1.0).successes[-100:], t.evaluations[-1]["successes"] if t.evaluations else ()
-    if min(len(late), len(last)) < _MIN_EPISODES or not t.program.defines_success or fmean(last) < max(0.5, late.mean() + 0.3):
+    late, last = t.episodes_between(0.75, 1.0).successes[-100:], t.last_successes
+    if min(len(late), len(last)) < _MIN_EPISODES or fmean(last) < max(0.5, late.mean() + 0.3):
         return None
-    return {
-        "likelihood": 0.94,
-        "without": Percentage(fmean(last)),
-        "episodes": len(last),
-        "with": Percentage(late.mean()),
-        "late": len(late),
-    }
+    return {"likelihood": 0.94, "without": Percentage(fmean(last)), "episodes": len(last), "with": Percentage(late.mean()),
+            "late": len(late)}  # fmt: skip
 
 
 def _random_entropy(t: TrainingEvidence) -> float | None:

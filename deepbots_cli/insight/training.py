@@ -45,8 +45,8 @@ class TrainingEvidence:
 
     `episodes` and `evaluations` are those of `logs_of`, with the last evaluation since the training as the last one. `scalars` are curves
     of TensorBoard by tag: steps and values. `failure` is the error that ended the training. The short episodes have the same starts:
-    `policy` those of the last policy, `random` those of random actions, `still` those of an action that commands zeros, and `constant`
-    one for each constant action, by the part of the action that alone differs.
+    `policy` those of the last policy, `random` those of random actions, `idle` those of an action that commands zeros, and
+    `constant_actions` one for each constant action, by the part of the action that alone differs.
     """
 
     run: Run
@@ -101,6 +101,11 @@ class TrainingEvidence:
     def solved_while_exploring(self) -> bool:
         """Whether the episodes of the training met what `solved` asks for."""
         return self.run.record.result is not None and self.run.record.result.solved_at is not None
+
+    @property
+    def last_successes(self) -> Sequence[bool]:
+        """Whether each episode of the last evaluation succeeded; empty without an evaluation or a success."""
+        return self.evaluations[-1]["successes"] if self.evaluations and self.program.defines_success else ()
 
     @property
     def solved(self) -> bool:

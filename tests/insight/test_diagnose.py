@@ -87,10 +87,15 @@ def test_a_training_without_a_success_is_not_first_told_to_train_on(aiming):
 
 def test_a_policy_that_succeeds_in_a_later_evaluation_is_not_told_to_train_on(aiming, tmp_path, capsys):
     training = _logs(aiming, 30 + np.arange(200) / 4, np.full(200, 100))
-    evaluation = {"returns": [300.0] * 30, "successes": [True] * 29 + [False]}
-    first = diagnose(replace(training, evaluations=[evaluation]))[0]
+
+    def evaluated(mean_return: float) -> list:
+        last = {"returns": [mean_return] * 30, "successes": [True] * 29 + [False]}
+        return diagnose(replace(training, evaluations=[last]))
+
+    first = evaluated(100.0)[0]
     assert first.cause == "exploration_hides_success"
     assert "in 97% of 30 episodes" in first.text
+    assert evaluated(300.0) == []  # which solves the task
     run = shutil.copytree(aiming, tmp_path / "run")
     assert main(["eval", str(run), "--episodes", "9"]) == 0
     assert len(read_training(Run.open(run)).evaluations[-1]["successes"]) == 9

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from pathlib import Path
 from shlex import quote
+from statistics import fmean
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -196,9 +197,9 @@ def diagnose(
         if as_json:
             continue
         if not causes:
-            terminal.print_result(
-                f"{folder}: no cause found after {training.steps:,} steps ({'solved' if training.solved else 'not solved'})"
-            )
+            last, state = training.last_successes, "solved" if training.solved else "not solved"
+            result = f"; its policy succeeds in {fmean(last):.0%} of the {len(last)} episodes of the last evaluation" if len(last) else ""
+            terminal.print_result(f"{folder}: no cause found after {training.steps:,} steps ({state}){result}")
             continue
         terminal.print_result(f"{folder}: {len(causes)} cause{'s' * (len(causes) > 1)}, the most likely first")
         for number, cause in enumerate(causes, start=1):
