@@ -27,7 +27,7 @@ MIN_STEPS = 60
 class Row:
     """Medians over the rounds, per step of one world: CPU in us of all, of physics steps and of resets; steps per second by the clock.
 
-    `physics_share` is the share of the physics in the CPU time, `clock_share` that by the clock.
+    `physics_share` is the share of the physics in the CPU time, `wall_clock_share` that by the clock.
     """
 
     engine: str
@@ -37,7 +37,7 @@ class Row:
     physics_us: float
     reset_us: float
     physics_share: float
-    clock_share: float
+    wall_clock_share: float
 
 
 class CallTimer:
@@ -80,7 +80,7 @@ def measure(compiled: Compiled, engines: list[str], worlds: list[int], *, steps:
                 made = _batch(compiled, count, steps, seed) if name == BATCH else _single(compiled, name, steps, seed)
                 found[name, count].append(made)
         tell(rounds * len(cases), rounds * len(cases))
-    columns = ("steps_per_second", "step_us", "physics_us", "reset_us", "physics_share", "clock_share")
+    columns = ("steps_per_second", "step_us", "physics_us", "reset_us", "physics_share", "wall_clock_share")
     return [Row(*case, *(median(getattr(row, column) for row in rows) for column in columns)) for case, rows in found.items()]
 
 

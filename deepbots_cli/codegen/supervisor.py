@@ -229,7 +229,7 @@ def _script(workspace: Workspace, script: Script) -> list[str]:
             choices.append(_print_pick(workspace, printer, part, decided))
         elif isinstance(part, ActionRange) and isinstance(decided, ScriptedRange):
             ranges += [_normalized_code(printer, part, value) for value in decided.scalars]
-    printer.line(f"return self.acting({tuple_code(choices) if choices else '()'}, {tuple_code(ranges) if ranges else '()'})")
+    printer.line(f"return self.make_action({tuple_code(choices) if choices else '()'}, {tuple_code(ranges) if ranges else '()'})")
     return block(
         f"def script_{script.name}(self) -> Any:", printer.method_lines(docstring(f"The next action of the script {script.name}."))
     )

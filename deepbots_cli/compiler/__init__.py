@@ -182,7 +182,7 @@ def _program(namespace: Namespace) -> Program:
         action_repeat=action_repeat,
         evaluation=Evaluation(spec.evaluation.episodes),
         disturbances=disturbances(namespace),
-        augmented=frozenset(spec.augment),
+        augmented_signals=frozenset(spec.augment),
         engine=spec.world.engine,
     )
     return with_reading_ages(program)

@@ -138,45 +138,45 @@ class _ConditionBuilder:
         sides = ("the distance from achieved to desired", "goal.tolerance")
         return Comparison("goal_reached", "greater" if negated else "less_equal", _GOAL_SIGNAL, f"{_GOAL_SIGNAL}_bound", goal.unit, sides)
 
-    def _condition(self, node: Typed, home: Expression, *, negated: bool, joined: Literal["any", "all"] = "any") -> Condition:
-        """The condition of a truth value in the text of `home`, with `not` pushed down to the comparisons."""
+    def _condition(self, node: Typed, expression: Expression, *, negated: bool, joined: Literal["any", "all"] = "any") -> Condition:
+        """The condition of a truth value in the text of `expression`, with `not` pushed down to the comparisons."""
         match node:
             case Operation(operator="not", args=(inner,)):
-                return self._condition(inner, home, negated=not negated, joined=joined)
+                return self._condition(inner, expression, negated=not negated, joined=joined)
             case Operation(operator="and" | "or" as joining, args=args) if node.type.components is None:
                 both: Literal["and", "or"] = "or" if (joining == "or") != negated else "and"
-                return CompoundCondition(both, tuple(self._condition(arg, home, negated=negated) for arg in args))
+                return CompoundCondition(both, tuple(self._condition(arg, expression, negated=negated) for arg in args))
             case Operation(operator=written, args=(left, right)) if written in SIGN_OF_OPERATOR and not left.type.boolean:
                 used = _NEGATED[written] if negated else written
-                value, bound = self.probe(left, home), self.probe(right, home)
-                sides = (home.text[left.start : left.end], home.text[right.start : right.end])
-                text, unit = home.text[node.start : node.end], str(left.type.dimension)
-                return Comparison(text, used, value, bound, unit, sides, joined, self._lasting(left, home))
+                value, bound = self.probe(left, expression), self.probe(right, expression)
+                sides = (expression.text[left.start : left.end], expression.text[right.start : right.end])
+                text, unit = expression.text[node.start : node.end], str(left.type.dimension)
+                return Comparison(text, used, value, bound, unit, sides, joined, self._lasting(left, expression))
             case Invocation(function="any" | "all" as function, args=(inner,)) if not inner.type.has_group_components:
                 every: Literal["any", "all"] = "any" if (function == "any") != negated else "all"
                 if isinstance(inner, Operation) and inner.operator in SIGN_OF_OPERATOR:
-                    return self._condition(inner, home, negated=negated, joined=every)
+                    return self._condition(inner, expression, negated=negated, joined=every)
             case Reference(symbol=symbol) if symbol.name == "goal_reached" and self._program.policy.goal is not None:
                 return self.goal(self._program.policy.goal, negated=negated)
             case Reference(symbol=symbol) if symbol.name in self._named and node.type.components is None:
                 other = self._named[symbol.name]
                 if not any(map(is_drawn, other.scalars)):
                     return self._condition(other.typed, other, negated=negated)
-        return Comparison(home.text[node.start : node.end], "not_equal" if negated else "equal", self.probe(node, home))
+        return Comparison(expression.text[node.start : node.end], "not_equal" if negated else "equal", self.probe(node, expression))
 
-    def _lasting(self, node: Typed, home: Expression) -> Condition | None:
+    def _lasting(self, node: Typed, expression: Expression) -> Condition | None:
         """The condition in `duration(...)`, also behind the name of a signal."""
         match node:
             case Reference(symbol=symbol) if symbol.name in self._named and node.type.components is None:
                 return self._lasting(self._named[symbol.name].typed, self._named[symbol.name])
             case Invocation(function="duration", args=(inner,)) if inner.type.components is None:
                 with suppress(_UnmeasuredError):
-                    return self._condition(inner, home, negated=False)
+                    return self._condition(inner, expression, negated=False)
         return None
 
-    def probe(self, node: Typed, home: Expression) -> str:
+    def probe(self, node: Typed, expression: Expression) -> str:
         """The name of a signal that has the value of a part of an expression."""
-        made = Expression("", home.span, home.text[node.start : node.end], node, home.owner, home.per_component)
+        made = Expression("", expression.span, expression.text[node.start : node.end], node, expression.owner, expression.per_component)
         if not self.is_measurable(made):
             raise _UnmeasuredError
         name = f"{_SIGNAL_PREFIX}{len(self.probes)}"

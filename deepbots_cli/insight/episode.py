@@ -22,7 +22,7 @@ def explain(trace: Trace) -> list[Statement]:
 def explanation_json(trace: Trace, statements: Sequence[Statement]) -> dict[str, Any]:
     """The explanation as a dictionary, in SI units; `margin` is how far the value was beyond the bound."""
     said = {each.cause: each.evidence for each in statements}
-    limit, drop = said.get("limit"), said.get("critic")
+    limit, drop = said.get("truncation_limit"), said.get("critic")
     return {
         "episode": trace.title,
         "scenario": trace.program.name,
@@ -78,7 +78,7 @@ def margin(trace: Trace) -> Numbers | None:
             "by": quantity_text(abs(end.margin), unit, 3), "where": where}  # fmt: skip
 
 
-def fact(trace: Trace) -> Numbers | None:
+def truth_ending(trace: Trace) -> Numbers | None:
     """`{condition}` became {truth} in step {step}; it is a truth value, so 0 or 1 and without a margin."""
     end = trace.end
     if end is None or end.bound is not None:
@@ -86,7 +86,7 @@ def fact(trace: Trace) -> Numbers | None:
     return {**end.as_json(), "step": trace.steps, "truth": "true" if end.value else "false"}
 
 
-def limit(trace: Trace) -> Numbers | None:
+def truncation_limit(trace: Trace) -> Numbers | None:
     """The episode reached {shown} of at most {limit} ({condition})."""
     limits = trace.program.truncation
     if trace.outcome not in ("time limit", "success") or trace.ended_by not in ("max_steps", "max_time"):
@@ -171,7 +171,7 @@ def terms(trace: Trace) -> Numbers | None:
             "parts": list_text([f"{name} {sums[name]:+.4g} ({share:.0%})" for name, share in shares.items()])}  # fmt: skip
 
 
-def moments(trace: Trace) -> Numbers | None:
+def concentrated_rewards(trace: Trace) -> Numbers | None:
     """At least 80% of a large reward term arose in a part of the episode: {parts}."""
     whole, found = sum(abs(float(np.nansum(values))) for values in trace.terms.values()), {}
     for name, values in trace.terms.items():
@@ -211,7 +211,7 @@ def saturation(trace: Trace) -> Numbers | None:
     return _shares({n.full_name: float(at_end[place]) for place, n in enumerate(numbers) if n.clip and not n.is_truth})
 
 
-def limits(trace: Trace) -> Numbers | None:
+def action_limits(trace: Trace) -> Numbers | None:
     """Actions at a limit of their range, as a share of steps: {parts}."""
     names = [name for part in trace.program.policy.action if isinstance(part, ActionRange) for name in part.names]
     at_limit = np.abs(trace.action_array("ranges")) >= 0.999
@@ -236,7 +236,7 @@ def choices(trace: Trace) -> Numbers | None:
     return {"options": options, "parts": list_text(said, len(said))}
 
 
-def several(trace: Trace) -> Numbers | None:
+def further_endings(trace: Trace) -> Numbers | None:
     """{count} further ending held in step {step} too: {names}."""
     held = [
         name for name, condition in trace.instrumented.conditions.items() if condition is not None and holds(condition, trace.values[-1])
@@ -246,7 +246,7 @@ def several(trace: Trace) -> Numbers | None:
 
 
 ROWS: tuple[StatementRule[Trace], ...] = (
-    ending, error, not_ended, margin, fact, limit, several, approach, nearest, conditions, terms, moments, critic, unforeseen, saturation,
-    choices, limits,
+    ending, error, not_ended, margin, truth_ending, truncation_limit, further_endings, approach, nearest, conditions, terms,
+    concentrated_rewards, critic, unforeseen, saturation, choices, action_limits,
 )  # fmt: skip
 """What is said of an episode, in this order."""

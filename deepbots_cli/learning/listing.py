@@ -97,7 +97,7 @@ def _listed_run(path: Path) -> ListedRun:
     mean: float | None
     success: float | None
     evaluation = max(  # of equals the last one
-        (found for _, found in reversed(_own_evaluations(path, record, plain=True))), key=lambda found: found.episodes, default=None
+        (own for _, own in reversed(_own_evaluations(path, record, best_deterministic=True))), key=lambda own: own.episodes, default=None
     ) if state != "training" else None  # fmt: skip
     steps, episodes = recent[-1][:2] if recent else (result.steps, result.episodes) if result else (0, 0)
     if evaluation is not None:
@@ -178,27 +178,27 @@ def evaluations(run: Path) -> list[tuple[int, EvaluationRecord | str]]:
     return found
 
 
-def last_evaluation(path: Path, record: RunRecord, *, plain: bool = True) -> tuple[Path, EvaluationRecord] | None:
+def last_evaluation(path: Path, record: RunRecord, *, best_deterministic: bool = True) -> tuple[Path, EvaluationRecord] | None:
     """The last evaluation in the scenario of the training, since the training ended, and its file.
 
     Args:
-        plain: Only one of the best model without sampled actions.
+        best_deterministic: Only one of the best model without sampled actions.
     """
-    found = _own_evaluations(path, record, plain=plain)
+    found = _own_evaluations(path, record, best_deterministic=best_deterministic)
     return found[-1] if found else None
 
 
-def last_episodes(run: Run, *, plain: bool = True) -> tuple[Path, EvaluationWithEpisodes] | None:
+def last_episodes(run: Run, *, best_deterministic: bool = True) -> tuple[Path, EvaluationWithEpisodes] | None:
     """`last_evaluation` with its episodes.
 
     Raises:
         RunError: It is damaged.
     """
-    found = last_evaluation(run.path, run.record, plain=plain)
+    found = last_evaluation(run.path, run.record, best_deterministic=best_deterministic)
     return None if found is None else (found[0], EvaluationWithEpisodes.read(found[0]))
 
 
-def _own_evaluations(path: Path, record: RunRecord, *, plain: bool) -> list[tuple[Path, EvaluationRecord]]:
+def _own_evaluations(path: Path, record: RunRecord, *, best_deterministic: bool) -> list[tuple[Path, EvaluationRecord]]:
     """The evaluations of `last_evaluation`, in the order of their numbers; unreadable ones are left out."""
     kept = []
     for _, file in numbered_files(path / "evaluations"):
@@ -207,7 +207,7 @@ def _own_evaluations(path: Path, record: RunRecord, *, plain: bool) -> list[tupl
         except RunError:
             continue
         own = not (found.set or found.elsewhere or found.case or found.stage) and found.engine in (None, record.engine)
-        acts = found.model == "best" and found.deterministic if plain else found.model in ("best", "last")
+        acts = found.model == "best" and found.deterministic if best_deterministic else found.model in ("best", "last")
         if own and acts and found.evaluated >= record.updated:
             kept.append((file, found))
     return kept

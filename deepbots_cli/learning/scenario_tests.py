@@ -138,7 +138,7 @@ def _episode(environment: Supervisor, test: ScenarioTest, number: int, misses: l
 def _policy(environment: Supervisor, test: ScenarioTest) -> Callable[[int], Any]:
     """Returns the action of a step, which counts from 1."""
     if not isinstance(test.policy, str):
-        actions = [environment.acting(action.choices, action.ranges) for action in test.policy]
+        actions = [environment.make_action(action.choices, action.ranges) for action in test.policy]
         return lambda step: actions[step - 1]
     if any(script.name == test.policy for script in environment.scenario.policy.scripts):
         name = test.policy

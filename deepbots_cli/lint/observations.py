@@ -114,9 +114,9 @@ def privileged_observation(context: RuleContext) -> Iterator[Finding]:
 
 def _privileged(program: Program) -> set[str]:
     """Drawn parameters, and signals that depend on them or on the world, except those listed under `augment`."""
-    found = {value.name for value in program.parameters} - program.augmented
+    found = {value.name for value in program.parameters} - program.augmented_signals
     for value in program.signals:
-        if value.name not in program.augmented and any(_is_privileged(node, found) for node in walk(value.typed)):
+        if value.name not in program.augmented_signals and any(_is_privileged(node, found) for node in walk(value.typed)):
             found.add(value.name)
     return found
 

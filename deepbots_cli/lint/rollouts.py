@@ -165,7 +165,7 @@ class Simulator:
         self, environment: Supervisor, rollouts: tuple[Rollout, ...], arms: ArmWatch | None = None, counted_as: str | None = None
     ) -> None:
         for rollout in rollouts:
-            if counted_as is None and rollout.policy in (RANDOM, HELD_RANDOM) and self._random_steps() >= self._plan.enough:
+            if counted_as is None and rollout.policy in (RANDOM, HELD_RANDOM) and self._random_steps() >= self._plan.min_random_steps:
                 continue
             counter = self._counters.setdefault(counted_as or rollout.policy, Counter(self._program))
             self._write({"at": [rollout.policy, rollout.seed]})
@@ -340,7 +340,7 @@ def _random(environment: Supervisor, hold: int) -> Iterator[Any]:
 def _idle(environment: Supervisor) -> Iterator[Any]:
     wanted = idle_action(environment.scenario)
     assert wanted is not None  # or it would not be in the plan
-    action = environment.acting(*wanted)
+    action = environment.make_action(*wanted)
     while True:
         yield action
 

@@ -150,7 +150,7 @@ def _unseen(context: RuleContext, analysis: Analysis, view: BlindNumber, ending:
         headline = f"`{name}` does not change while {shown} goes from {with_unit(view.edge, dimension)} to {with_unit(limit, dimension)}"
         headline += f", the limit of `{ending.name}`"
     else:
-        headline = f"`{name}` does not change over the last part of the way to the limit of `{ending.name}`"
+        headline = f"`{name}` is already constant shortly before `{ending.name}` reaches its limit"
     place = ending.span
     if comparison.value.owner:
         place = context.text(comparison.value.owner).part(comparison.node.start, comparison.node.end)

@@ -65,11 +65,11 @@ class Rollout:
 
 @dataclass(frozen=True)
 class Plan:
-    """Resets with the seeds from 0 on, then the episodes; those with random actions until they have `enough` steps together."""
+    """Resets with the seeds from 0 on, then the episodes; those with random actions until they have `min_random_steps` steps together."""
 
     resets: int
     rollouts: tuple[Rollout, ...]
-    enough: int
+    min_random_steps: int
 
 
 def simulation_plan(program: Program) -> Plan:
@@ -300,13 +300,13 @@ class Limits(NamedTuple):
     """Limits of the process.
 
     Ordinary scenarios take 1 to 8 s of CPU time; reaching `cpu` or `wall` is no finding. A single step, reset or construction of the
-    world that takes longer than `step` is taken for an endless loop. A world of 500 bodies takes 0.6 GB of address space, most of it
-    for libraries.
+    world that takes longer than `step_seconds` is taken for an endless loop. A world of 500 bodies takes 0.6 GB of address space, most
+    of it for libraries.
     """
 
     cpu: int = 120
     """s of CPU time in all."""
-    step: float = 30.0
+    step_seconds: float = 30.0
     """s of CPU time for a step."""
     memory: int = 4096
     """MiB of address space."""
@@ -382,7 +382,7 @@ def _halt(code: int, limits: Limits) -> Halt:
     """Why the process ended before it was done."""
     name = signal.Signals(-code).name if -code in signal.valid_signals() else ""
     if name == "SIGPROF":
-        return Halt("hang", f"{limits.step:g} s of CPU time")
+        return Halt("hang", f"{limits.step_seconds:g} s of CPU time")
     if name == "SIGXCPU":
         return Halt("slow", f"{limits.cpu} s of CPU time")
     if code == OUT_OF_MEMORY:

@@ -31,7 +31,7 @@ def main(limits: Limits) -> None:
     _limit(limits)
     request = json.loads(sys.stdin.buffer.read())
     try:
-        _simulate(request, out, limits.step)
+        _simulate(request, out, limits.step_seconds)
     except (MemoryError, SystemError):  # the latter when a library in C is imported without enough memory
         os._exit(OUT_OF_MEMORY)
     except Exception as error:  # noqa: BLE001  # a fault of deepbots, which the parent reports

@@ -75,7 +75,7 @@ _COLON = re.compile(r"[\w]*[ \t]*:")
 def completion(view: CursorView) -> CompletionList:
     """All completions at the place; the client filters them by the text before the cursor.
 
-    The list is marked as incomplete until the current text is analysed, so that the client asks again at the next letter.
+    The list is models_by_marker as incomplete until the current text is analysed, so that the client asks again at the next letter.
     """
     place = view.place
     if view.document.is_blank:
@@ -130,8 +130,8 @@ def _kind_keys(shape: Kinds, data: Any) -> Iterator[Choice]:
         yield from _section_keys(found)
         return
     yield Choice(shape.key, CompletionItemKind.Property, f"one of {', '.join(shape.names)}")
-    for mark, model in shape.marked.items():
-        yield Choice(mark, CompletionItemKind.Property, summary(model, mark), hover_text(model, mark))
+    for marker, model in shape.models_by_marker.items():
+        yield Choice(marker, CompletionItemKind.Property, summary(model, marker), hover_text(model, marker))
 
 
 # Values

@@ -21,7 +21,7 @@ MAX_DEPTH = 64
 MAX_ELEMENTS = 100_000
 MAX_REPORTED = 100  # errors, and warnings, of one file
 MAX_MAGNITUDE = 1e18  # PyBullet answered with NaN at 1e200 and worked at 1e18
-MAX_LENIENT = 40  # words, and characters of one, of a vector that is shown corrected
+MAX_CORRECTED_LENGTH = 40  # words, and characters of one, of a vector that is shown corrected
 
 _BLANKS = " \t\r\n"
 
@@ -154,7 +154,7 @@ class Element:
                 self.text(name)
             return stand_in
         words = self._expanded(name).split()
-        if len(words) <= MAX_LENIENT and all(len(word) <= MAX_LENIENT for word in words):
+        if len(words) <= MAX_CORRECTED_LENGTH and all(len(word) <= MAX_CORRECTED_LENGTH for word in words):
             words = self._as_pybullet_reads(words, name, size)
         wrong = next((word for word in words if not _NUMBER.fullmatch(word)), None)
         if wrong is not None:

@@ -102,7 +102,7 @@ class RobotFile:
         return {shape.path: shape.digest for shape in shapes if isinstance(shape, Mesh)}
 
 
-MAX_CLEAN = 32
+MAX_CACHED_FILES = 32
 _CACHE: dict[tuple[bytes, str], RobotFile] = {}
 
 
@@ -137,7 +137,7 @@ def read_bytes(data: bytes, display: str, findings: Findings, *, resolve_mesh: R
     before = len(findings)
     robot = _read(data, display, findings, resolve_mesh)
     if robot is not None and not robot.meshes and len(findings) == before:
-        if len(_CACHE) >= MAX_CLEAN:
+        if len(_CACHE) >= MAX_CACHED_FILES:
             _CACHE.clear()
         _CACHE[data, display] = robot
     return robot

@@ -30,20 +30,20 @@ class Response:
 
     A command takes effect in the first substep that begins `delay` after it was sent, or later. From there on what is
     followed approaches it: in a substep of h seconds by the share 1 - exp(-h / time_constant) of what is left, a lag of
-    first order exactly, and by at most `rate` * h. It starts from what `origin` says when the first command takes effect.
+    first order exactly, and by at most `rate` * h. It starts from what `initial_value` says when the first command takes effect.
 
     `delay` and `time_constant` are in s, `rates` in units of the command per s, one per component; they are in force from the
     next `reset`. A negative one, such as a normal distribution may draw, counts as 0.
     """
 
     def __init__(
-        self, substep: float, origin: InitialValue, delay: float = 0.0, time_constant: float = 0.0, rates: Sequence[float] = ()
+        self, substep: float, initial_value: InitialValue, delay: float = 0.0, time_constant: float = 0.0, rates: Sequence[float] = ()
     ) -> None:
         """`substep` is the length of one, s; without `rates` a command may jump."""
         self.delay = delay
         self.time_constant = time_constant
         self._substep = substep
-        self._origin = origin
+        self._initial_value = initial_value
         self._most = [rate * substep for rate in rates]
         self._sent: deque[tuple[int, Sequence[float]]] = deque()
         self.reset()
@@ -78,7 +78,7 @@ class Response:
         if self._jumps:
             self._still = True
             return self._goal
-        before, share = self._origin() if self._value is None else self._value, self._share
+        before, share = self._initial_value() if self._value is None else self._value, self._share
         after = [old + share * (goal - old) for old, goal in zip(before, self._goal, strict=True)]
         if self._most:
             after = [
@@ -424,7 +424,7 @@ class Push:
         self._torque: Triple = ZERO_VECTOR
 
     @property
-    def acting(self) -> Triple:
+    def current_force(self) -> Triple:
         """The force (N) that pushes now; zero between two pushes."""
         return self._force if self._left > 0.0 else ZERO_VECTOR
 

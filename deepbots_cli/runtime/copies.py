@@ -227,9 +227,9 @@ class CopiesSupervisor(Supervisor):
         """Every copy follows the script."""
         return _rows([agent.scripted(name) for agent in self.agents.values()])
 
-    def acting(self, choices: Sequence[int], ranges: Sequence[float]) -> Any:
+    def make_action(self, choices: Sequence[int], ranges: Sequence[float]) -> Any:
         """Every copy takes the same action."""
-        return _rows([agent.acting(choices, ranges) for agent in self.agents.values()])
+        return _rows([agent.make_action(choices, ranges) for agent in self.agents.values()])
 
     def get_observations(self) -> Any:
         return _rows([agent.get_observations() for agent in self.agents.values()])
@@ -251,8 +251,8 @@ class CopiesSupervisor(Supervisor):
             "each": {what: tuple(getattr(agent, what) for agent in agents) for what in ("reward", "terminated", "is_success")},
         }
 
-    def _strayed(self) -> Triple:
-        return next(iter(self.agents.values()))._strayed()
+    def _view_shift(self) -> Triple:
+        return next(iter(self.agents.values()))._view_shift()
 
     def allowed(self) -> tuple[tuple[bool, ...], ...]:
         return tuple(mask for agent in self.agents.values() for mask in agent.allowed())

@@ -160,11 +160,11 @@ def _all_round(box: Bounds) -> Bounds:
 
 
 def _placed(
-    box: Bounds, home: Triple, place: Placement | None, world: WorldModel, places: dict[str, Placement], parameters: Parameters
+    box: Bounds, own_position: Triple, place: Placement | None, world: WorldModel, places: dict[str, Placement], parameters: Parameters
 ) -> Bounds:
     low, high = box
     if place is None:
-        return add(low, home), add(high, home)
+        return add(low, own_position), add(high, own_position)
     ends = [_ends(scalar, parameters) for scalar in place.xyz]
     if isinstance(place.spot, Top):
         support = next(thing for thing in world.objects if thing.name == place.spot.of)

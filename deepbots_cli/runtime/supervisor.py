@@ -96,7 +96,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
     timestep_count: int
     episode_values: dict[str, float]
     """The present values, in SI units, of what `options` of `reset` can set, by its names."""
-    _viewed: tuple[float, float] | None  # where the robot was that pictures follow
+    _followed_from: tuple[float, float] | None  # where the robot was that pictures follow
 
     def __init__(self, scenario: Program, engine: Engine, render_mode: str | None = None) -> None:
         """Takes over `engine`, which holds the scenario's world, and closes it with itself.
@@ -281,16 +281,16 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
 
     def view(self, width: int = 480, height: int = 320) -> View:
         """The view of `render` in another size: it holds the whole scene, and follows a robot that may leave it."""
-        return moved_view(overview(self.scenario, width, height), self._strayed())
+        return moved_view(overview(self.scenario, width, height), self._view_shift())
 
-    def _strayed(self) -> Triple:
+    def _view_shift(self) -> Triple:
         """How far the view follows: nowhere within an arena or on terrain, else as far as the first free robot went."""
         world = self.scenario.world
         if not follows_robot(world):
             return ZERO_VECTOR
         x, y, _ = self.engine.pose(next(robot.name for robot in world.robots if not robot.fixed_base))()[0]
-        self._viewed = self._viewed or (x, y)
-        return x - self._viewed[0], y - self._viewed[1], 0.0
+        self._followed_from = self._followed_from or (x, y)
+        return x - self._followed_from[0], y - self._followed_from[1], 0.0
 
     def close(self) -> None:
         """Release the engine; may be called twice."""
@@ -361,7 +361,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
             raise self._no_value(error) from error
         return found
 
-    def acting(self, choices: Sequence[int], ranges: Sequence[float]) -> Any:
+    def make_action(self, choices: Sequence[int], ranges: Sequence[float]) -> Any:
         """An action of these options, by number, and these values from -1 to 1."""
         return compose_action(self.action_space, choices, ranges)
 
@@ -506,7 +506,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         self.ended_by = None
         self.endings = ()
         self.episode_values = {}
-        self._viewed = None
+        self._followed_from = None
 
     def _refuse(self, action: Any) -> None:
         """Stands in for `_advance` while no episode runs."""

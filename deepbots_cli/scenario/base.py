@@ -146,7 +146,7 @@ class MappingOf:
 
 @dataclass(frozen=True)
 class Forms:
-    """A union that is discriminated by the form of the value; sections with `marks` come first. `FORMS` marks one in an annotation."""
+    """A union that is discriminated by the form of the value; sections with `identifying_keys` first. `FORMS` is one in an annotation."""
 
     options: tuple[Shape, ...] = ()
     annotations: tuple[Any, ...] = ()
@@ -210,12 +210,12 @@ def _forms_of(annotation: Any) -> Forms:
 class Kinds:
     """A union of sections that is discriminated by the word under `key`.
 
-    `marked` holds the models that have no such word and are known by another key.
+    `models_by_marker` holds the models that have no such word and are known by another key.
     """
 
     key: str
     models: Mapping[str, type[Section]]
-    marked: Mapping[str, type[Section]] = field(default_factory=dict)
+    models_by_marker: Mapping[str, type[Section]] = field(default_factory=dict)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -224,7 +224,7 @@ class Kinds:
     @property
     def distinct_models(self) -> tuple[type[Section], ...]:
         """Each model once."""
-        return tuple(dict.fromkeys((*self.models.values(), *self.marked.values())))
+        return tuple(dict.fromkeys((*self.models.values(), *self.models_by_marker.values())))
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.with_info_plain_validator_function(self.validate)
@@ -238,7 +238,7 @@ class Kinds:
         word = value.get(self.key)
         if isinstance(word, str) and word in self.models:
             return self.models[word]
-        return next((model for mark, model in self.marked.items() if word is None and mark in value), None)
+        return next((model for marker, model in self.models_by_marker.items() if word is None and marker in value), None)
 
     def validate(self, value: object, info: ValidationInfo) -> Section:
         model = self.find(value)
@@ -247,9 +247,9 @@ class Kinds:
         if not isinstance(value, Mapping):
             raise mismatch("a mapping", f"write it like `{{{self.key}: {self.names[0]}}}`", value=value)
         if self.key not in value:
-            wanted = " or ".join(f"`{key}`" for key in (self.key, *self.marked))
+            wanted = " or ".join(f"`{key}`" for key in (self.key, *self.models_by_marker))
             help = f"give `{self.key}`: one of {', '.join(f'`{name}`' for name in self.names)}"
-            raise error("DB102", f"missing key {wanted}", help, missing=(self.key, *self.marked))
+            raise error("DB102", f"missing key {wanted}", help, missing=(self.key, *self.models_by_marker))
         word = value[self.key]
         if not isinstance(word, str):
             raise error_at(self.key, mismatch(f"the name of {with_article(self.key)}", choices_help("", self.names), value=word))
@@ -427,7 +427,9 @@ def shape_at(shape: Shape, data: object, path: NodePath, *, choose: bool = True)
     return chosen_shape(shape, data) if choose else shape
 
 
-def walk_sections(shape: Shape, path: tuple[str, ...] = (), mark: str = "") -> Iterator[tuple[tuple[str, ...], type[Section] | Kinds, str]]:
+def walk_sections(
+    shape: Shape, path: tuple[str, ...] = (), kind_key: str = ""
+) -> Iterator[tuple[tuple[str, ...], type[Section] | Kinds, str]]:
     """Yield every section and every union of kinds below a shape: its path, and the key of its kind.
 
     In the path `*` stands for a name that the user chooses.
@@ -442,10 +444,10 @@ def walk_sections(shape: Shape, path: tuple[str, ...] = (), mark: str = "") -> I
                 yield from walk_sections(option, path)
         case Kinds():
             yield path, shape, ""
-            for name, model in (*shape.models.items(), *shape.marked.items()):
+            for name, model in (*shape.models.items(), *shape.models_by_marker.items()):
                 yield from walk_sections(model, path, shape.key if name in shape.models else "")
         case type():
-            yield path, shape, mark
+            yield path, shape, kind_key
             for name, below in section_fields(shape).items():
                 yield from walk_sections(below, (*path, name))
 

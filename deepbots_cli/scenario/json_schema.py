@@ -258,12 +258,12 @@ class _Writer:
             {"if": {"properties": {key: {"const": name}}, "required": [key]}, "then": self.reference(model)}
             for name, model in shape.models.items()
         ]
-        for mark, model in shape.marked.items():
-            branches.append({"if": {"required": [mark], "not": {"required": [key]}}, "then": self.reference(model)})
+        for marker, model in shape.models_by_marker.items():
+            branches.append({"if": {"required": [marker], "not": {"required": [key]}}, "then": self.reference(model)})
         kinds = {"enum": list(shape.models), "enumDescriptions": [section_description(shape.models[name]) for name in shape.models]}
         first = shape.models[shape.names[0]]
         properties: Json = {key: kinds | {"description": _text(first, key, shape.names[0])}}
-        properties |= {mark: {"description": _text(model, mark)} for mark, model in shape.marked.items()}
+        properties |= {marker: {"description": _text(model, marker)} for marker, model in shape.models_by_marker.items()}
         return {"type": "object", "properties": properties | {"include": INCLUDE}, "allOf": branches}
 
     def _section(self, section: type[Section]) -> Json:
@@ -331,7 +331,7 @@ def _form_of(shape: Shape) -> Json:
         case FieldType():
             return {"type": ["string", "number", "boolean"]}
         case type() if shape.identifying_keys:
-            return {"type": "object", "anyOf": [{"required": [mark]} for mark in sorted(shape.identifying_keys)]}
+            return {"type": "object", "anyOf": [{"required": [marker]} for marker in sorted(shape.identifying_keys)]}
         case _:
             return {"type": "object"}
 

@@ -353,4 +353,4 @@ OBJECTS: dict[str, type[PlacedBody]] = {
     "capsule": CapsuleObject,
     "mesh": MeshObject,
 }
-AnyObject = Annotated[PlacedBody, Kinds("shape", OBJECTS, marked={"one_of": VariedObject})]
+AnyObject = Annotated[PlacedBody, Kinds("shape", OBJECTS, models_by_marker={"one_of": VariedObject})]

@@ -170,7 +170,7 @@ def action_from_values(env: Supervisor, values: Mapping[str, float]) -> Any:
             choices.append(int(values.get(part.name, 0)))
         else:
             ranges += [float(values.get(name, 0.0)) for name in part.names]
-    return env.acting(choices, ranges)
+    return env.make_action(choices, ranges)
 
 
 class PolicyDriver(Driver):

@@ -285,7 +285,7 @@ class FrameReader:
             rays={key: tuple(map(float, read())) for key, read in self._rays.items()},
             readings={key: tuple(map(float, sensor.reading)) for key, sensor in self._sensors.items()},
             forces={part: force for part, force in forces.items() if force > 0.0},
-            pushes=tuple((part, force) for part, push in self._pushes if (force := push.acting) != ZERO_VECTOR),
+            pushes=tuple((part, force) for part, push in self._pushes if (force := push.current_force) != ZERO_VECTOR),
             variants=self._variants | {body: variant.name for body, variant in chosen.items() if body in self._variants},
             messages={key: tap.message(channel) for key, (channel, tap) in self._message_recorders.items()},
             cameras={key: np.asarray(seen[0] if isinstance(seen, list | tuple) else seen) for key, seen in images.items()},

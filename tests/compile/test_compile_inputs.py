@@ -64,6 +64,18 @@ def test_so_does_one_whose_project_is_gone(meshed, tmp_path_factory):
     assert identity.to_json(again.program) != identity.to_json(compiled.program)  # the mesh lies elsewhere, which does not count
 
 
+def test_so_does_one_with_a_file_that_only_an_evaluation_case_names(meshed, tmp_path_factory):
+    folder = meshed.parents[1]
+    shutil.copy(folder / "robots" / "mine.urdf", folder / "robots" / "other.urdf")
+    case = "evaluation:\n  cases:\n    other: {set: {robots.cart.urdf: ../robots/other.urdf}}\n"
+    meshed.write_text(meshed.read_text(encoding="utf-8") + case, encoding="utf-8")
+    compiled = api.compile(meshed)
+    assert "robots/other.urdf" in compiled.inputs
+    resolved = unpack(compiled, tmp_path_factory.mktemp("elsewhere"))
+    shutil.rmtree(folder)
+    assert api.compile(resolved).digest == compiled.digest
+
+
 def test_another_mesh_is_another_scenario(meshed):
     before = api.compile(meshed).digest
     (meshed.parents[1] / "meshes" / "part.obj").write_bytes(MESH + b"v 2 2 2\n")

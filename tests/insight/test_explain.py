@@ -190,7 +190,7 @@ def test_the_time_in_which_a_cost_arose_is_told(tmp_path):
     with closing_player(Source("cartpole", overrides=sets), "random") as world:
         recordings.record(world, tmp_path / "one.mcap", 3, [0])
     trace = _traced(tmp_path / "one.mcap")
-    (found,) = [each for each in explain(trace) if each.cause == "moments"]
+    (found,) = [each for each in explain(trace) if each.cause == "concentrated_rewards"]
     begin, end = found.evidence["spans"]["late"]
     assert end - begin == pytest.approx(3 * trace.program.period)
     assert f"late from {begin:.2f} s to {end:.2f} s" in found.text

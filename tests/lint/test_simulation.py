@@ -105,7 +105,7 @@ def test_doing_nothing_is_the_option_of_zeros_or_the_value_that_is_nearest_to_ze
 
 def test_costly_scenarios_are_given_fewer_steps() -> None:
     usual, costly = (simulation_plan(api.load("pit_escape", overrides=overrides).program) for overrides in ([], ["world.substeps=100"]))
-    assert costly.enough < usual.enough
+    assert costly.min_random_steps < usual.min_random_steps
     assert max(rollout.steps for rollout in costly.rollouts) < max(rollout.steps for rollout in usual.rollouts)
 
 

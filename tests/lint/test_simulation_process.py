@@ -40,7 +40,7 @@ def fail(supervisor):
 def shout(supervisor):
     import os; os.write(1, b'{"done": true}\\n~99\\n'); print("{"); return 0.0
 """
-TIGHT = Limits(cpu=60, step=2.0)
+TIGHT = Limits(cpu=60, step_seconds=2.0)
 
 
 @pytest.fixture
@@ -88,7 +88,7 @@ def test_a_world_that_does_not_fit_into_the_memory_is_a_finding(checked) -> None
 
 def test_a_scenario_that_is_merely_slow_is_left_alone_with_a_word(checked) -> None:
     """The system ends a process after whole seconds of CPU."""
-    probed = simulate(checked("hang"), limits=Limits(cpu=1, step=60.0))
+    probed = simulate(checked("hang"), limits=Limits(cpu=1, step_seconds=60.0))
     assert probed.findings == []
     assert probed.incomplete is not None
     assert "after 1 s of CPU time" in probed.incomplete

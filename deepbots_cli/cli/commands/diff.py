@@ -45,10 +45,10 @@ class Group(StrEnum):
 
 _HEADINGS = {
     Group.policy: "a policy trained in one scenario does not fit the other",
-    Group.task: "sensors, actions, rewards or endings differ",
+    Group.task: "sensors, actuators, rewards or endings differ",
     Group.world: "world, messages or starts differ, so the difficulty differs",
     Group.training: "training or evaluation differs",
-    Group.cosmetic: "only names, the summary, colours that no camera sees, the order of keys or rounding differ; the meaning is the same",
+    Group.cosmetic: "the meaning is the same: names of the scenario or a robot, summary, unseen colours, order of keys, rounding",
 }
 _Side = Annotated[
     str,
@@ -72,8 +72,8 @@ def command(
     group it uses the scenario of the training. --set overrides values of the second scenario.
 
     Differences are cosmetic if they are in the name or summary of the scenario, in the name of a robot in its URDF file, in colours
-    that no camera sees, in the order of keys, or in a number from its 13th digit on. The exit code is 0 if there are no other
-    differences, 1 if there are, and 2 if a scenario cannot be compiled.
+    that no camera sees, in the order of keys, or in a number from its 13th digit on. The order of observations and actions is not
+    cosmetic. The exit code is 0 if there are no other differences, 1 if there are, and 2 if a scenario cannot be compiled.
 
     \b
       deepbots diff pit_escape pit_escape_as_printed

@@ -93,7 +93,7 @@ def _trace(shown: str, episode: int | None, seed: int | None, *, last: bool, all
             raise UsageError(f"{shown} holds a single episode; leave out --episode")
         return trace.trace_failure(path, allow_code=allow_code)
     run = Run.open(path)
-    found = last_episodes(run, plain=False) if seed is None and not last else None
+    found = last_episodes(run, best_deterministic=False) if seed is None and not last else None
     if found is None:
         root = run.record.seed if seed is None else seed
         return next(trace.trace_episodes(run, [episode or 0], seed=root, model="last" if last else "best", allow_code=allow_code))
@@ -116,7 +116,7 @@ def repeat_failed(run: Run, video: Path | None, *, as_json: bool, allow_code: bo
     from deepbots_cli.insight.episode import explain, explanation_json
     from deepbots_cli.learning.video import check_video_path
 
-    evaluation = last_episodes(run, plain=False)
+    evaluation = last_episodes(run, best_deterministic=False)
     if evaluation is None:
         raise UsageError(
             f"{run.path} keeps no evaluation in its own scenario and engine; make one with: deepbots eval {quote(str(run.path))}"

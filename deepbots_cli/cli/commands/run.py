@@ -233,7 +233,7 @@ def _action(environment: Supervisor, text: str) -> Any:
     values = [_value(part, word.strip()) for part, word in zip(parts, words, strict=True)]
     ranges = [value for part, value in zip(parts, values, strict=True) if isinstance(part, ActionRange)]
     choices = [int(value) for part, value in zip(parts, values, strict=True) if isinstance(part, Choices)]
-    return environment.acting(choices, ranges)
+    return environment.make_action(choices, ranges)
 
 
 def _slots(part: Choices | ActionRange) -> Sequence[Choices | ActionRange]:

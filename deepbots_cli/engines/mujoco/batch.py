@@ -18,7 +18,7 @@ from mujoco.batch import Batch
 from deepbots_cli import frames
 from deepbots_cli.engines.mujoco import cameras, motors
 from deepbots_cli.engines.mujoco.engine import MuJoCoEngine, _link
-from deepbots_cli.engines.mujoco.model import HIDDEN_GROUP, Body, ModelBuilder, limited
+from deepbots_cli.engines.mujoco.model import HIDDEN_GROUP, Body, ModelBuilder, finite_limit
 from deepbots_cli.engines.mujoco.state import World
 from deepbots_cli.engines.objects import Pool
 
@@ -277,11 +277,11 @@ class MuJoCoBatch:
     def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
         singles = [member._motor(robot, joints, max_torque) for member in self.members]
         motor = BatchMotor(self, [single.velocity_writer() for single in singles], robot, joints)
-        return motor.tracking_writer(singles, [limited(limit) for limit in max_torque])
+        return motor.tracking_writer(singles, [finite_limit(limit) for limit in max_torque])
 
     def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
         motor = BatchMotor(self, [member.torque_motor(robot, joints, max_torque) for member in self.members], robot, joints)
-        limits = np.array([limited(limit) for limit in max_torque])[:, None]
+        limits = np.array([finite_limit(limit) for limit in max_torque])[:, None]
         return motor.writer(lambda targets: np.minimum(np.maximum(targets, -limits), limits), holds=False)
 
     def position_motor(

@@ -471,6 +471,6 @@ def _wxyz(q: frames.Quaternion) -> tuple[float, float, float, float]:
     return (q[3], q[0], q[1], q[2])
 
 
-def limited(bound: float) -> float:
+def finite_limit(bound: float) -> float:
     """A bound that MuJoCo can hold."""
     return min(bound, 1e12) if bound < inf else 1e12

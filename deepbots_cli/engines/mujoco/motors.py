@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from deepbots_cli import frames
-from deepbots_cli.engines.mujoco.model import limited
+from deepbots_cli.engines.mujoco.model import finite_limit
 from deepbots_cli.port import SERVO_TIME, ZERO_VECTOR
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ class Motor:
         self.gains: list[float] = []
         self.targets: tuple[float, ...] = ()
         self._motors, self._world = motors, world
-        self._limits = [limited(limit) for limit in max_torque]
+        self._limits = [finite_limit(limit) for limit in max_torque]
         self._actuators = array_index([motors.actuators[joint] for joint in joints])
         self._dof_index = array_index(model.jnt_dofadr[list(joints)].tolist())
         self._position_index = array_index(model.jnt_qposadr[list(joints)].tolist())

@@ -163,49 +163,49 @@ def _cached_reader(now: list[int], read: Callable[[], R]) -> Callable[[], R]:
     return reader  # type: ignore[return-value]
 
 
-def joints(client: int, number: int, indices: tuple[int, ...], moments: ReadCache) -> JointReader:
+def joints(client: int, number: int, indices: tuple[int, ...], read_cache: ReadCache) -> JointReader:
     read: JointReader = partial(p.getJointStates, number, indices, client)
-    return read if len(indices) <= MAX_UNCACHED_JOINTS else moments.cached(("joints", number, indices), read)
+    return read if len(indices) <= MAX_UNCACHED_JOINTS else read_cache.cached(("joints", number, indices), read)
 
 
-def pose(client: int, owner: Body, index: int, moments: ReadCache) -> PoseReader:
+def pose(client: int, owner: Body, index: int, read_cache: ReadCache) -> PoseReader:
     number = owner.number
     if index != BASE_LINK:
         read_link: Callable[[], tuple[Triple, ...]] = partial(p.getLinkState, number, index, 0, 1, client)
-        return moments.cached(("pose", number, index), lambda: read_link()[4:6])  # type: ignore[return-value, arg-type]
+        return read_cache.cached(("pose", number, index), lambda: read_link()[4:6])  # type: ignore[return-value, arg-type]
     if owner.is_centred:
         return partial(p.getBasePositionAndOrientation, number, client)
-    placed = _root_frames(client, owner, moments)
+    placed = _root_frames(client, owner, read_cache)
     return lambda: placed()[1]
 
 
-def velocity(client: int, owner: Body, index: int, moments: ReadCache) -> VelocityReader:
+def velocity(client: int, owner: Body, index: int, read_cache: ReadCache) -> VelocityReader:
     if index == BASE_LINK and owner.centre == ZERO_VECTOR:
         read: VelocityReader = partial(p.getBaseVelocity, owner.number, client)
         return read
-    read_motion = motion(client, owner, index, moments)
+    read_motion = motion(client, owner, index, read_cache)
     return lambda: read_motion()[1]
 
 
-def motion(client: int, owner: Body, index: int, moments: ReadCache) -> MotionReader:
+def motion(client: int, owner: Body, index: int, read_cache: ReadCache) -> MotionReader:
     number = owner.number
     if index != BASE_LINK:
-        return moments.cached(("motion", number, index), _link_motion(partial(p.getLinkState, number, index, 1, 1, client)))
+        return read_cache.cached(("motion", number, index), _link_motion(partial(p.getLinkState, number, index, 1, 1, client)))
     read_velocity = partial(p.getBaseVelocity, number, client)
     if owner.is_centred:
         read_pose = partial(p.getBasePositionAndOrientation, number, client)
-        return moments.cached(("motion", number, index), lambda: (read_pose(), read_velocity()))
-    placed = _root_frames(client, owner, moments)
+        return read_cache.cached(("motion", number, index), lambda: (read_pose(), read_velocity()))
+    placed = _root_frames(client, owner, read_cache)
 
     def of_origin() -> Motion:
         centre, pose = placed()
         linear, angular = read_velocity()
         return pose, (frames.add(linear, frames.cross(angular, frames.subtract(pose[0], centre))), angular)
 
-    return moments.cached(("motion", number, index), of_origin)
+    return read_cache.cached(("motion", number, index), of_origin)
 
 
-def _root_frames(client: int, owner: Body, moments: ReadCache) -> Callable[[], tuple[Triple, Frame]]:
+def _root_frames(client: int, owner: Body, read_cache: ReadCache) -> Callable[[], tuple[Triple, Frame]]:
     """Where the centre of mass of a root link is, and the pose of the link."""
     read = partial(p.getBasePositionAndOrientation, owner.number, client)
 
@@ -213,7 +213,7 @@ def _root_frames(client: int, owner: Body, moments: ReadCache) -> Callable[[], t
         centre, turned = read()
         return centre, owner.origin_pose(centre, turned)
 
-    return moments.cached(("placed", owner.number), placed)
+    return read_cache.cached(("placed", owner.number), placed)
 
 
 def _link_motion(read: Callable[[], tuple[Any, ...]]) -> MotionReader:

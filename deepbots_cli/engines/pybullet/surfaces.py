@@ -138,15 +138,15 @@ RoundShape = Sphere | Cylinder | Capsule
 class Rays:
     """Casts rays in one client. The body that casts is in a collision group of its own, which its rays pass through."""
 
-    def __init__(self, client: int, bodies: Sequence[Body], moments: ReadCache) -> None:
+    def __init__(self, client: int, bodies: Sequence[Body], read_cache: ReadCache) -> None:
         self._client = client
-        self._cache = moments
+        self._cache = read_cache
         self._groups: dict[int, int] = {}
         self._round_surfaces = {
             (body.number, index): rounded
             for body in bodies
             for index in body.links.values()
-            if (rounded := _rounded(client, body, index, moments)) is not None
+            if (rounded := _rounded(client, body, index, read_cache)) is not None
         }
 
     def reader(self, body: Body, index: int, rays: Sequence[Frame], reach: float) -> RayReader:
@@ -239,7 +239,7 @@ def _first(a: float, b: float, c: float) -> float:
     return (-b - sqrt(discriminant)) / a if a > 0.0 and discriminant >= 0.0 else inf
 
 
-def _rounded(client: int, body: Body, index: int, moments: ReadCache) -> RoundSurface | None:
+def _rounded(client: int, body: Body, index: int, read_cache: ReadCache) -> RoundSurface | None:
     """The surface of a link that collides with one round shape and nothing else."""
     link = body.link(index)
     if len(link.collisions) != 1:
@@ -247,4 +247,4 @@ def _rounded(client: int, body: Body, index: int, moments: ReadCache) -> RoundSu
     geometry = link.collisions[0]
     if not isinstance(geometry.shape, RoundShape):
         return None
-    return RoundSurface(geometry.shape, state.pose(client, body, index, moments), frames.frame(geometry.origin))
+    return RoundSurface(geometry.shape, state.pose(client, body, index, read_cache), frames.frame(geometry.origin))
