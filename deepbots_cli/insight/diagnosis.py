@@ -131,7 +131,7 @@ def ending_at_once(t: TrainingEvidence) -> Numbers | None:
 def lint_warns(t: TrainingEvidence) -> Numbers | None:
     """Lint has {count} about the scenario: {findings}.
 
-    Try: `deepbots lint {path}` shows the lines and what to write instead.
+    Try: Run `deepbots lint {path}`: it shows the lines and what to write instead.
     """
     path, found = lint_findings(t.run)
     found.sort(key=lambda finding: finding.code not in _UNLEARNABLE)
@@ -388,7 +388,7 @@ def exploration_collapsed(t: TrainingEvidence) -> Numbers | None:
 def one_ending(t: TrainingEvidence) -> Numbers | None:
     """'{ending}' ends {share} of the last {episodes} episodes, after {length} steps on average.
 
-    Try: `deepbots explain-episode RUN` shows the value and the bound of this ending in one of them.
+    Try: Run `deepbots explain-episode RUN`: it shows the value and the bound of this ending in one of them.
     """
     late = t.episodes_between(0.75, 1.0)
     if len(late) < _MIN_EPISODES:

@@ -134,7 +134,7 @@ def _edge(number: RangedNumber, threshold: Threshold, ranges: Ranges) -> float:
 
 def _unseen(context: RuleContext, analysis: Analysis, view: BlindNumber, ending: Expression, comparison: Comparison) -> Finding:
     number, name, limit = view.number, view.number.name, view.threshold.limit
-    help, fix = "widen its range, or the range of its `clamp`, beyond the limit", None
+    help, fix = f"widen the range of `{name}`, or of the `clamp` in its value, so that it still changes at the limit", None
     if analysis.identity(number.node) == analysis.identity(view.threshold.quantity):
         end = "high" if view.threshold.above else "low"
         headline = f"the {end} end of the range of `{name}` is {with_unit(view.edge, number.dimension)}, and the episode fails"

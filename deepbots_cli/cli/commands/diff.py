@@ -73,7 +73,8 @@ def command(
 
     Differences are cosmetic if they are in the name or summary of the scenario, in the name of a robot in its URDF file, in colours
     that no camera sees, in the order of keys, or in a number from its 13th digit on. The order of observations and actions is not
-    cosmetic. The exit code is 0 if there are no other differences, 1 if there are, and 2 if a scenario cannot be compiled.
+    cosmetic. The exit code is 0 if there are no differences or only cosmetic ones, 1 if there are others, and 2 if a scenario cannot be
+    compiled.
 
     \b
       deepbots diff pit_escape pit_escape_as_printed

@@ -160,8 +160,8 @@ def diagnose(
     """Tell why a training does not learn.
 
     The command reads the logs of the training, and runs a few short episodes with its policy, with random actions and with constant ones.
-    It prints the causes that apply, the most likely first, each with its numbers and what to try. It reports nothing for a training that
-    solves its task. For a group, every seed has its own causes.
+    It prints the causes that apply, the most likely first, each with its numbers and what to try. It reports nothing for a training whose
+    own episodes solve the task. For a group, every seed has its own causes.
 
     \b
       deepbots diagnose runs/mine-0-1
