@@ -127,7 +127,7 @@ class BatchDevice:
         tables = [device.instrument.lookup for device in devices if device.instrument.lookup is not None]
         self._lookups = BatchLookupTable(tables, self._width) if tables else None
         self.reading: Any = np.zeros((self._width, count))
-        self._tick, self._delay, self.measured = (np.zeros(count, np.intp) for _ in range(3))
+        self._tick, self._delay, self.measured_tick = (np.zeros(count, np.intp) for _ in range(3))
         self._ring: list[Any] = []
         reader = import_attribute(sensor.reader)
         self._read: Callable[[], Any] | None = None
@@ -147,14 +147,14 @@ class BatchDevice:
         if not self.reading.flags.writeable:
             self.reading = self.reading.copy()
         self.reading[:, world] = reading
-        self._tick[world], self.measured[world], self._delay[world] = 0, 0, device.delay
+        self._tick[world], self.measured_tick[world], self._delay[world] = 0, 0, device.delay
         for part in (self._faults, self._lookups):
             if part is not None:
                 part.load(world)
 
     @property
     def age(self) -> Column:
-        return (self._tick - self.measured) * self._timestep
+        return (self._tick - self.measured_tick) * self._timestep
 
     def __call__(self) -> None:
         running = self._batch.running
@@ -164,12 +164,12 @@ class BatchDevice:
             sampled = running if sampled is None else sampled & running
         delayed = bool(self._delay.any())
         if sampled is None and not delayed:
-            self.reading, self.measured = self._sampled(None), self._tick.copy()
+            self.reading, self.measured_tick = self._sampled(None), self._tick.copy()
             return
         values = self._sampled(sampled)
         if not delayed:
             taken = np.ones(self._tick.shape, bool) if sampled is None else sampled
-            self.reading, self.measured = np.where(taken, values, self.reading), np.where(taken, self._tick, self.measured)
+            self.reading, self.measured_tick = np.where(taken, values, self.reading), np.where(taken, self._tick, self.measured_tick)
             return
         self._deliver(values, running)
 
@@ -183,7 +183,7 @@ class BatchDevice:
         for delay in np.unique(self._delay[due]).tolist():
             now = due & (self._delay == delay)
             self.reading = np.where(now, self._ring[delay], self.reading)
-            self.measured = np.where(now, taken_at, self.measured)
+            self.measured_tick = np.where(now, taken_at, self.measured_tick)
 
     def _sampled(self, sampled: Column | None) -> Column:
         if self._read is not None:

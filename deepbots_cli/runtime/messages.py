@@ -323,7 +323,7 @@ class LossyChannel:
     range: float
     message_received: bool
     """Whether a message arrived in this timestep."""
-    measured: int
+    measured_tick: int
     """The timestep at whose end the message that arrived last was made."""
     latest: Any
     """The encoded message that the receiver acts on: the one that arrived last, or zeros."""
@@ -364,7 +364,7 @@ class LossyChannel:
         """Discard messages in flight; `streams` gives the random values of the next ones."""
         self._random = streams[f"{self._name}.loss"].random if self._loses else None
         self._queue.clear()
-        self._tick = self._sent = self.measured = 0
+        self._tick = self._sent = self.measured_tick = 0
         self._arrival = 0.0
         self._newest = -1
         self._losing: bool | None = None
@@ -375,7 +375,7 @@ class LossyChannel:
     @property
     def age(self) -> float:
         """Time (s) since the message that arrived last was made, at the end of a timestep."""
-        return (self._tick - self.measured) * self._timestep
+        return (self._tick - self.measured_tick) * self._timestep
 
     def send(self, message: Any) -> None:
         """Set a message on its way, whether it will arrive or not."""
@@ -429,7 +429,7 @@ class LossyChannel:
                 self._newest = number if parcel else self._newest
             if parcel:
                 (self.latest,) = parcel
-                self.measured = tick + 1
+                self.measured_tick = tick + 1
                 self.message_received = True
             elif self._route.on_loss == "zero":
                 self.latest = self._zeros

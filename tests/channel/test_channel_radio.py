@@ -76,9 +76,9 @@ def test_what_is_gone_by_is_the_message_that_came_last(order: Any, latest: int, 
         link.latency = latency * TICK
         link.send(number)
         link.receive()
-        seen.append(link.measured)
+        seen.append(link.measured_tick)
     link.receive()
-    assert (link.latest, [*seen, link.measured]) == (latest, measured)
+    assert (link.latest, [*seen, link.measured_tick]) == (latest, measured)
 
 
 # Loss
