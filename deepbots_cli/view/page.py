@@ -287,8 +287,9 @@ class Page:
         """Show the whole scene in a browser that has been opened or resized, unless a person has moved its camera."""
         camera = client.camera
         size, framed = (camera.image_width, camera.image_height), self._fitted_cameras.setdefault(client.client_id, {})
-        # A slow browser reports where its camera was before it was last moved from here.
-        moved = framed and not any(np.allclose(camera.position, eye, rtol=0.01) for eye in framed.values())
+        # A slow browser may report an earlier position of its camera: the initial one, or one that was set here.
+        initial = self.server.initial_camera.position
+        moved = framed and all(math.dist(camera.position, eye) > 0.01 * math.hypot(*eye) for eye in (initial, *framed.values()))
         if not self.panels or min(size) < 1 or moved or (framed and next(reversed(framed)) == size):
             return
         view = view_around(self._boxes, *size)
