@@ -141,15 +141,15 @@ def interval_text(interval: Interval | None, *, percent: bool = False) -> str:
 
 
 def rows_of(what: str, results: Sequence[EvaluationResult], names: Sequence[str]) -> list[Row]:
-    """A row for each evaluation, under its name in the column `what`; ranges are intervals of 95 %."""
-    has_success = any(result.success_defined for result in results)
+    """A row for each evaluation, under its name in the column `what`; ranges are intervals of 95 %. An undefined success is left empty."""
+    undefined = dict.fromkeys(_success(results[0]), "") if any(result.success_defined for result in results) else {}
     return [
         {
             what: name,
             "episodes": result.episodes,
             "mean_return": result.mean_return,
             "return_95 %": interval_text(result.return_interval),
-            **(_success(result) if has_success else {}),
+            **(_success(result) if result.success_defined else undefined),
             "mean_length": result.mean_length,
         }
         for name, result in zip(names, results, strict=True)

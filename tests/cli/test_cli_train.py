@@ -111,16 +111,18 @@ def test_a_trained_run_can_be_evaluated_listed_filmed_and_gone_on_with(deepbots,
 
 
 def test_a_run_is_evaluated_in_its_cases_too(deepbots, tmp_path):
-    cases = "evaluation={episodes: 4, cases: {steep: {set: {fall_angle: 5 deg}, episodes: 3}}}"
+    there = "there: {set: {termination.success: {there: x > 0.3 m}}, episodes: 2}"
+    cases = f"evaluation={{episodes: 4, cases: {{steep: {{set: {{fall_angle: 5 deg}}, episodes: 3}}, {there}}}}}"
     ran = deepbots("train", "cartpole", "--timesteps", "600", *FAST, "--set", cases, "--run", "mine", "--quiet")
     assert ran.code == 0, ran.err
-    assert "steep" in ran.out.split("cases")[1]
+    rates = {line.split()[0]: "%" in line for line in ran.out.split("cases")[1].splitlines() if line.split()[:1] in (["steep"], ["there"])}
+    assert rates == {"steep": False, "there": True}  # a success rate only where there is a success
     shown = json.loads(deepbots("eval", "mine", "--json").out)
     assert (shown["case"], shown["episodes"]) == (None, 4)
-    assert [(case["case"], case["episodes"]) for case in shown["cases"]] == [("steep", 3)]
+    assert [(case["case"], case["episodes"]) for case in shown["cases"]] == [("steep", 3), ("there", 2)]
     assert shown["cases"][0]["mean_return"] < shown["mean_return"]
     assert json.loads(deepbots("eval", "mine", "--case", "steep", "--json").out)["cases"] == []
-    assert deepbots("eval", "mine", "--case", "flat").err == "error: CartPole has no case 'flat'; there are: steep\n"
+    assert deepbots("eval", "mine", "--case", "flat").err == "error: CartPole has no case 'flat'; there are: steep, there\n"
     ran = json.loads(deepbots("run", "cartpole", "--set", cases, "--case", "steep", "--actions", "forward", "--json").out)
     assert all(episode["length"] < 15 for episode in ran["episodes"])
 
