@@ -434,11 +434,11 @@ def _signals(scenario: Program, root: Node) -> list[Row]:
             "components": list(entry.components),
             "is": text,
             **({"noise": text_at(root, "augment", entry.name, "noise")} if has_noise else {}),
-            "policy_may_see_it": bool(granted) or entry.name in observed,
+            "policy_may_see_it": bool(augmented) or entry.name in observed,
         }
         for entry in scenario.signals
-        for granted in (text_at(root, "augment", entry.name, "value") or text_at(root, "augment", entry.name),)
-        for text in (granted or text_at(root, "signals", entry.name),)
+        for augmented in (text_at(root, "augment", entry.name, "value") or text_at(root, "augment", entry.name),)
+        for text in (augmented or text_at(root, "signals", entry.name),)
     ]
 
 

@@ -386,10 +386,10 @@ class Signals:
                 self._outcomes[name] = outcome
                 self._define(name, condition, Origin.ENDING, ("termination", outcome, name), Context.ENDING)
 
-    def _check_augmented(self, granted: Sequence[str]) -> None:
+    def _check_augmented(self, names: Sequence[str]) -> None:
         """A list under `augment` names values that exist, which the policy may see."""
         kinds = (Origin.PARAMETER, Origin.SIGNAL)
-        for index, name in enumerate(granted):
+        for index, name in enumerate(names):
             self._namespace.mark_used(name)
             if self._namespace.origin(name) not in kinds:
                 known = self._namespace.names_of(*kinds)
