@@ -15,6 +15,7 @@ api.py        from scenario to environment
 envs.py       shipped scenarios for Gymnasium
 errors.py     the exceptions, as a tree   files.py      files read up to a limit, or written whole
 plugins.py    what other packages add     message_formats.py  how messages may be written
+processes.py  further processes of Python
 
 The documented Python API is `Scenario`, `load`, `compile`, `make`, `train`, `resume`, `evaluate`, `compare` and `load_policy`; each is
 imported when it is first asked for, so that importing this package costs nothing.

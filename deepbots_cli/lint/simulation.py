@@ -11,7 +11,6 @@ import json
 import os
 import re
 import signal
-import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -19,7 +18,6 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-import deepbots_cli
 from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.compiler.inputs import Inputs
 from deepbots_cli.compiler.namespace import Namespace
@@ -28,6 +26,7 @@ from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.errors import MissingExtraError
 from deepbots_cli.expressions.scalar import Name, walk
 from deepbots_cli.lint.analysis import RuleContext
+from deepbots_cli.processes import python_command, python_environment
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Sensor
 from deepbots_cli.program.task import Choices, Observation
@@ -334,11 +333,8 @@ def measure(inputs: Inputs, limits: Limits, *, allow_code: bool = False) -> Simu
     import subprocess  # with tempfile 10 ms of CPU, which static linting does not need
     import tempfile
 
-    # -P, since modules in the working directory may be anyone's
-    command = [sys.executable, "-P", "-m", "deepbots_cli.lint.simulation_process", *map(str, limits)]
-    ours = str(Path(deepbots_cli.__file__).parents[1])
-    path = os.pathsep.join([ours, *filter(None, [os.environ.get("PYTHONPATH")])])
-    environment = {**os.environ, "PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+    command = python_command("deepbots_cli.lint.simulation_process", *map(str, limits))
+    environment = python_environment({"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"})
     with tempfile.TemporaryDirectory(prefix="deepbots-") as folder:
         inputs.write(Path(folder))
         request = json.dumps({"folder": folder, "allow_code": allow_code}).encode()

@@ -17,6 +17,7 @@ from deepbots_cli.cli.command import Commands
 from deepbots_cli.cli.commands import COMMANDS, installation
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.errors import install_hint
+from deepbots_cli.processes import python_command, python_environment
 from tests.few import few
 
 EXTRA = ("numpy", "pybullet", "torch", "gymnasium", "stable_baselines3")
@@ -25,6 +26,46 @@ EXTRA = ("numpy", "pybullet", "torch", "gymnasium", "stable_baselines3")
 def in_process_of_its_own(code: str) -> str:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     return done.stdout
+
+
+@pytest.fixture
+def hostile(tmp_path):
+    """A folder with modules that leave a file beside them when they are imported, under names that deepbots and Python import."""
+    folder = tmp_path / "hostile"
+    folder.mkdir()
+    for name in ("typer", "numpy", "torch", "yaml", "json", "pickle", "signal", "sitecustomize"):
+        (folder / f"{name}.py").write_text("open(__file__ + '.ran', 'w').close()\n")
+    return folder
+
+
+def test_a_process_of_ours_does_not_import_from_the_working_directory(hostile, monkeypatch):
+    command = python_command("deepbots_cli", "--version")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep)  # empty entries are the working directory too
+    done = subprocess.run(command, cwd=hostile, env=python_environment(), capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, f"deepbots {deepbots_cli.__version__}\n"), done.stderr
+    assert not list(hostile.glob("*.ran"))
+
+
+@pytest.mark.slow  # two interpreters start
+def test_lint_in_several_processes_does_not_import_from_the_working_directory(hostile, tmp_path):
+    script = tmp_path / "lint.py"  # where processes are not forked, as on macOS and Windows
+    lines = [
+        "import multiprocessing, sys",
+        "from deepbots_cli.cli import main",
+        "if __name__ == '__main__':",
+        "    multiprocessing.set_start_method('spawn')",
+        "    sys.exit(main(['lint', 'cartpole', 'find_ball', '--jobs', '2']))",
+    ]
+    script.write_text("\n".join(lines))
+    done = subprocess.run([sys.executable, script], cwd=hostile, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert not list(hostile.glob("*.ran"))
+
+
+def test_only_one_module_starts_python():
+    package = Path(deepbots_cli.__file__).parent
+    naming = [path.name for path in package.rglob("*.py") if "sys.executable" in path.read_text(encoding="utf-8")]
+    assert sorted(naming) == ["installation.py", "processes.py"]  # the former prints it
 
 
 @pytest.mark.parametrize("verb", COMMANDS)

@@ -89,6 +89,20 @@ def test_the_address_of_the_page_of_a_training_is_shown_once_it_can_be_opened(tr
             assert answer.status == 200
 
 
+def test_the_page_of_a_training_does_not_run_a_typer_py_of_the_working_directory(tmp_path, monkeypatch, capfd):
+    pytest.importorskip("viser")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "typer.py").write_text("open(__file__ + '.ran', 'w').close()\n")
+    with _page(wanted=True, allow_code=False) as show_page:
+        show_page(tmp_path / "missing")
+        found, end = "", time.monotonic() + 60
+        while "missing" not in found and time.monotonic() < end:
+            time.sleep(0.1)
+            found += capfd.readouterr().err
+    assert found.startswith("error: ")
+    assert not (tmp_path / "typer.py.ran").exists()
+
+
 def test_a_trained_run_can_be_evaluated_listed_filmed_and_gone_on_with(deepbots, trained, tmp_path):
     shown = json.loads(deepbots("eval", "mine", "--episodes", "2", "--json").out)
     assert shown["episodes"] == 2

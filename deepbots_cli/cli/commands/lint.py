@@ -26,6 +26,7 @@ from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
 from deepbots_cli.lint import all_findings, simulate
 from deepbots_cli.lint.fixes import Fixer
 from deepbots_cli.lint.settings import Settings, scenarios_in, settings
+from deepbots_cli.processes import safe_path
 
 
 class Format(StrEnum):
@@ -343,7 +344,7 @@ def _in_processes(look_at: partial[list[Finding]], names: Sequence[str], jobs: i
 
     others = [name for name in names if name != STDIN]
     # Ctrl-C reaches every process; only this one handles it.
-    with ProcessPoolExecutor(jobs, initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN)) as pool:
+    with safe_path(), ProcessPoolExecutor(jobs, initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN)) as pool:
         found = dict(zip(others, pool.map(look_at, others, chunksize=max(1, len(others) // (4 * jobs))), strict=True))
     return [found[name] if name in found else look_at(name) for name in names]
 

@@ -25,6 +25,7 @@ from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning import report
 from deepbots_cli.learning.group import Group, is_group
 from deepbots_cli.learning.run import Run
+from deepbots_cli.processes import python_command, python_environment
 
 if TYPE_CHECKING:
     from deepbots_cli.learning import TrainingResult
@@ -202,9 +203,10 @@ def _page(*, wanted: bool, allow_code: bool) -> Iterator[Callable[[Path], None]]
 
     def show(run: Path) -> None:
         if wanted:
-            command = [sys.executable, "-m", "deepbots_cli", "view", str(run), "--fps", str(_PAGE_FRAME_RATE)]
-            command += ["--allow-code"] if allow_code else []
-            started.append(subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True))
+            options = ["--fps", str(_PAGE_FRAME_RATE), *(["--allow-code"] if allow_code else [])]
+            command = python_command("deepbots_cli", "view", *options, "--", str(run))
+            nowhere, pipe = subprocess.DEVNULL, subprocess.PIPE
+            started.append(subprocess.Popen(command, stdin=nowhere, stdout=pipe, text=True, env=python_environment()))
             Thread(target=_await_page, args=(started[0],), daemon=True).start()
 
     try:

@@ -1,0 +1,46 @@
+"""Further processes of Python, which import nothing from the working directory: its modules may be anyone's.
+
+`python -m` and `python -c` put the working directory first on the path of imports, so a `typer.py` there would run. Every process that
+deepbots starts is started with what this module returns.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+import deepbots_cli
+
+_SAFE_PATH = "PYTHONSAFEPATH"
+
+
+def python_command(module: str, *arguments: str) -> list[str]:
+    """The command line that runs `module` of deepbots in a process of its own, together with `python_environment`."""
+    return [sys.executable, "-P", "-m", module, *arguments]
+
+
+def python_environment(changes: Mapping[str, str] | None = None) -> dict[str, str]:
+    """The environment of such a process, in which this very deepbots is found.
+
+    An empty entry of PYTHONPATH, which is the working directory, is left out.
+    """
+    ours = str(Path(deepbots_cli.__file__).parents[1])
+    path = [*filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep)), ours]
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(path), _SAFE_PATH: "1", **(changes or {})}
+
+
+@contextmanager
+def safe_path() -> Iterator[None]:
+    """Within, processes that `multiprocessing` starts do not import from the working directory either."""
+    before = os.environ.get(_SAFE_PATH)
+    os.environ[_SAFE_PATH] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[_SAFE_PATH]
+        else:
+            os.environ[_SAFE_PATH] = before
