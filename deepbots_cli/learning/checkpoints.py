@@ -7,9 +7,7 @@ A checkpoint is taken between two roll-outs, before anything of the next one hap
 variable of Stable-Baselines3's loops has its initial value, except a count of roll-outs (`ResumableAlgorithm.dump_logs`). A resumed
 training calls the same `learn`. Once that has set everything up, `_setup_learn` puts the state of the checkpoint in its place. The
 running episodes are repeated (`VectorEnvironment.repeat`), and random generators are restored last. What was logged after the checkpoint
-is cut off, and logged again.
-
-Nothing is unpickled, and no array takes more memory than its file.
+is cut off, and logged again. `checkpoint_files` says what the files may hold.
 """
 
 from __future__ import annotations
@@ -17,22 +15,19 @@ from __future__ import annotations
 import math
 import os
 import random
-import re
 import shutil
 import time
-import zipfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from inspect import signature
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
-import numpy.typing as npt
 import torch
-from pydantic import BaseModel, NonNegativeInt
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import ReplayBuffer
-from stable_baselines3.common.logger import TensorBoardOutputFormat
+from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.type_aliases import RolloutReturn
@@ -42,58 +37,35 @@ from deepbots_cli.errors import RunError
 from deepbots_cli.files import unwritable_message
 from deepbots_cli.learning import models
 from deepbots_cli.learning.algorithms import DecayingNoise
-from deepbots_cli.learning.callbacks import CallbackState, TrainingCallback, check_finite
-from deepbots_cli.learning.curriculum import CurriculumState
+from deepbots_cli.learning.callbacks import TrainingCallback, check_finite
+from deepbots_cli.learning.checkpoint_files import (
+    Array,
+    Arrays,
+    ArraySpec,
+    CheckpointState,
+    CounterName,
+    EpisodeInfo,
+    NumpyScalar,
+    check_torch_generator,
+    damage_explained,
+    latest_checkpoint,
+    read_arrays,
+    read_state,
+    write_arrays,
+)
+from deepbots_cli.learning.defaults import longest_episode
 from deepbots_cli.learning.environments import VectorEnvironment, observation_digest
-from deepbots_cli.learning.episodes import StatisticsState
-from deepbots_cli.learning.run import Run, read_json
+from deepbots_cli.learning.run import Run
 from deepbots_cli.runtime.batch import EpisodeHistory
 from deepbots_cli.runtime.streams import derive_seed
-
-Array = npt.NDArray[Any]
-Arrays = Mapping[str, Array]
 
 INTERVAL_S = 10.0
 """Time between checkpoints: what a killed training loses, unless a large replay buffer makes them rare."""
 MIN_INTERVAL_PER_COST = 40
 """A checkpoint that takes a second is followed by 40 without one: at most 2.5 % of the time goes into checkpoints."""
 
-_MAX_STATE_BYTES = 100_000_000
-_COUNTER_ATTRIBUTES = ("num_timesteps", "_episode_num", "_n_updates", "_n_calls", "_current_progress_remaining", "exploration_rate")
 _ROW_ATTRIBUTES = ("_last_obs", "_last_original_obs", "_last_episode_starts")
 _BUFFER_COLUMNS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts", "ep_start")
-
-
-class CheckpointState(BaseModel, strict=True):
-    """The part of a checkpoint that is JSON."""
-
-    digest: str
-    """Of the scenario."""
-    arithmetic: dict[str, str]
-    statistics: StatisticsState
-    curriculum: CurriculumState
-    callback: CallbackState
-    stages: list[NonNegativeInt]
-    """The stage of the curriculum that each world is in."""
-    starts: list[int | dict[str, Any]]
-    """How the running episode of each world began: its seed, or the states of its random generators."""
-    observed: str
-    """The fingerprint of the last observations."""
-    counts: dict[str, Any]
-    infos: list[dict[str, Any]]
-    successes: list[bool]
-    pending: list[dict[str, Any]]
-    """What was recorded for the logger and is not yet written."""
-    action_space: dict[str, Any]
-    python: list[Any]
-    numpy: tuple[int, int, float]
-    segments: list[tuple[NonNegativeInt, NonNegativeInt]]
-    """First and last step (of a row of the environment) of each file of the replay buffer."""
-    replay: tuple[NonNegativeInt, NonNegativeInt]
-    """The size of the replay buffer, and the step in its first row."""
-    logs: dict[str, int]
-    """Bytes of each log."""
-    inexact: list[str]
 
 
 class ResumableAlgorithm:
@@ -131,9 +103,7 @@ class ResumableAlgorithm:
 
 
 class Checkpoints:
-    """Takes the checkpoints of a run, and goes back to the last of them.
-
-    Make it before the logs are opened: what was logged after the last checkpoint is cut off.
+    """Takes the checkpoints of a run, and goes back to the last of them. Reading it changes nothing in the run.
 
     Raises:
         RunError: The last checkpoint is damaged.
@@ -141,6 +111,8 @@ class Checkpoints:
 
     def __init__(self, run: Run) -> None:
         self.run = run
+        self.on_restored: list[Callable[[], None]] = [self._cut_logs]
+        """Called once the state of the last checkpoint is in its place. Until then, no file of the run changes."""
         self.stages: list[int] = []
         """The stage that each world is in, which the training keeps up to date."""
         self.inexact: list[str] = []
@@ -150,12 +122,16 @@ class Checkpoints:
         self._previous = 0
         self._due = 0.0
         self._found = latest_checkpoint(run)
-        self.state = None if self._found is None else read_state(self._found)
+        with damage_explained(run, self._found):
+            self.state = None if self._found is None else read_state(self._found)
         if self.state is not None:
             self.stages, self.inexact = list(self.state.stages), list(self.state.inexact)
+
+    def _cut_logs(self) -> None:
+        """Cut off what was logged after the checkpoint; before the logs are opened."""
         sizes = self.state.logs if self.state else {}
         for path in self._logs():
-            size = sizes.get(path.relative_to(run.path).as_posix(), 0)
+            size = sizes.get(path.relative_to(self.run.path).as_posix(), 0)
             if not size:
                 path.unlink()
             elif size < path.stat().st_size:
@@ -223,9 +199,8 @@ class Checkpoints:
             models.save(folder / "model.zip", model)
             if isinstance(model, OffPolicyAlgorithm) and model.replay_buffer is not None:
                 self._append(model.replay_buffer, steps // model.n_envs)
-            arrays, state = self._collect(model)
-            _write_arrays(folder / "arrays.npz", arrays)
-            (folder / "state.json").write_text(state.model_dump_json())
+            write_arrays(folder / "arrays.npz", self._arrays(model))
+            (folder / "state.json").write_text(self._state(model).model_dump_json())
             for path in [*folder.iterdir(), folder]:
                 _flush(path)
             for name in ("last", "best") if self.callback.best is None else ("last",):
@@ -251,19 +226,17 @@ class Checkpoints:
         now = time.monotonic()
         self._due = now + max(INTERVAL_S, MIN_INTERVAL_PER_COST * (now - began))
 
-    def _collect(self, model: BaseAlgorithm) -> tuple[dict[str, Array], CheckpointState]:
-        env = _environment(model)
-        histories, numpy_state = env.histories(), np.random.get_state(legacy=False)
+    def _arrays(self, model: BaseAlgorithm) -> dict[str, Array]:
         arrays = {
             key: part
             for name in _ROW_ATTRIBUTES
             if getattr(model, name, None) is not None
             for key, part in _flat(name, getattr(model, name))
         }
-        arrays |= {f"actions/{index}": np.array(history.actions) for index, history in enumerate(histories)}
+        arrays |= {f"actions/{index}": np.array(history.actions) for index, history in enumerate(_environment(model).histories())}
         arrays |= {f"noise/{i}": noise.drift for i, noise in enumerate(_noises(model)) if noise.drift is not None}
         arrays |= {f"lstm/{index}": tensor.cpu().numpy() for index, tensor in enumerate(_memory(model))}
-        arrays |= {"torch": torch.get_rng_state().numpy(), "numpy": numpy_state["state"]["key"]}
+        arrays |= {"torch": torch.get_rng_state().numpy(), "numpy": np.random.get_state(legacy=False)["state"]["key"]}
         if model.device.type == "cuda":
             arrays["cuda"] = torch.cuda.get_rng_state().numpy()
         if (normalizer := model.get_vec_normalize_env()) is not None:
@@ -271,31 +244,34 @@ class Checkpoints:
             arrays |= {"returns": normalizer.returns, "return_statistics": np.array([statistics.mean, statistics.var, statistics.count])}
         if isinstance(buffer := getattr(model, "replay_buffer", None), HerReplayBuffer):
             arrays["episode_starts"] = buffer._current_ep_start
+        return arrays
+
+    def _state(self, model: BaseAlgorithm) -> CheckpointState:
+        env, python_state, numpy_state = _environment(model), random.getstate(), np.random.get_state(legacy=False)
         for output in model.logger.output_formats:
             if isinstance(output, TensorBoardOutputFormat):
                 output.writer.flush()
-        state = CheckpointState(
+        return CheckpointState(
             digest=self.run.digest,
             arithmetic=arithmetic(model),
             statistics=self.callback.statistics.state(),
             curriculum=self.callback.curriculum.state(),
             callback=self.callback.state(),
             stages=self.stages,
-            starts=[history.start for history in histories],
+            starts=[history.start for history in env.histories()],  # type: ignore[misc]  # dictionaries become models
             observed=observation_digest(env.last_observations),
-            counts={name: getattr(model, name) for name in _COUNTER_ATTRIBUTES if hasattr(model, name)},
-            infos=[_encoded(info) for info in model.ep_info_buffer or ()],
+            counts={name: getattr(model, name) for name in get_args(CounterName) if hasattr(model, name)},
+            infos=[EpisodeInfo(r=_encoded(info["r"]), l=_encoded(info["l"])) for info in model.ep_info_buffer or ()],
             successes=[bool(success) for success in model.ep_success_buffer or ()],
-            pending=[_encoded(part) for part in _pending(model)],
-            action_space=_plain(model.action_space.np_random.bit_generator.state),
-            python=list(random.getstate()),
+            pending=_pending(model.logger),
+            action_space=model.action_space.np_random.bit_generator.state,  # type: ignore[arg-type]  # a dictionary of it
+            python=(3, list(python_state[1]), python_state[2]),
             numpy=(numpy_state["state"]["pos"], numpy_state["has_gauss"], numpy_state["gauss"]),
             segments=self._segments,
             replay=(getattr(getattr(model, "replay_buffer", None), "buffer_size", 0), self._offset),
             logs={path.relative_to(self.run.path).as_posix(): path.stat().st_size for path in self._logs()},
             inexact=self.inexact,
         )
-        return arrays, state
 
     @property
     def _replay(self) -> Path:
@@ -314,7 +290,7 @@ class Checkpoints:
         self._segments.append((first, added))
         self._replay.mkdir(exist_ok=True)
         path = self._segment(first, added)
-        _write_arrays(path, {name: column[rows] for name, column in _columns(buffer).items()})
+        write_arrays(path, {name: column[rows] for name, column in _columns(buffer).items()})
         _flush(path)
 
     # Going back to one
@@ -325,24 +301,44 @@ class Checkpoints:
         Raises:
             RunError: The checkpoint is damaged, or of another network.
         """
-        if self.state is None or self._found is None:
-            return
-        models.load(self._found / "model.zip", model)
-        try:
-            self._restore(model, self.state, read_arrays(self._found / "arrays.npz"))
-        except (AttributeError, IndexError, KeyError, OverflowError, RuntimeError, TypeError, ValueError) as error:
-            reason = " ".join(str(error).split())[:200]
-            raise RunError(f"{self._found} is damaged, or of another training ({type(error).__name__}: {reason})") from error
+        if self.state is not None and self._found is not None:
+            self._go_back(model, self._found, self.state)
+        for follow in self.on_restored:
+            follow()
+
+    def _go_back(self, model: BaseAlgorithm, folder: Path, state: CheckpointState) -> None:
+        with damage_explained(self.run, folder):
+            models.load(folder / "model.zip", model)
+            self._restore(model, state, read_arrays(folder / "arrays.npz", self._specs(model, state)))
         self._last = self._previous = model.num_timesteps
         self._due = time.monotonic() + INTERVAL_S
 
+    def _specs(self, model: BaseAlgorithm, state: CheckpointState) -> dict[str, ArraySpec]:
+        """What the arrays of the checkpoint must be, after those of a model that has just begun."""
+        env = _environment(model)
+        if len(state.starts) != len(env.worlds) or state.steps % model.n_envs:
+            raise ValueError(f"{len(state.starts)} worlds after {state.steps} steps")
+        fresh = self._arrays(model)
+        specs = {
+            name.replace("_last_obs", "_last_original_obs"): replace(ArraySpec.like(array), is_optional=True)  # set by the first step
+            for name, array in fresh.items()
+            if name.startswith("_last_obs")
+        }
+        specs |= {name: ArraySpec.like(array) for name, array in fresh.items() if not name.startswith("actions/")}
+        shape = np.shape(env.action_space.sample())
+        rows = model.n_envs // len(env.worlds)
+        longest = longest_episode(self.run.program)
+        team = (rows, *shape) if rows > 1 else shape
+        specs |= {f"actions/{index}": ArraySpec(np.dtype(float), team, longest) for index in range(len(env.worlds))}
+        drift = np.dtype(float), shape
+        specs |= {f"noise/{index}": ArraySpec(*drift, is_optional=True) for index in range(len(_noises(model)))}
+        return specs | {"cuda": ArraySpec(np.dtype(np.uint8), (16,), is_optional=True)}
+
     def _restore(self, model: BaseAlgorithm, state: CheckpointState, arrays: Arrays) -> None:
-        if any(name not in _COUNTER_ATTRIBUTES for name in state.counts):
-            raise ValueError("unknown counts")
-        for name, value in state.counts.items():
-            setattr(model, name, type(getattr(model, name))(value))
+        for counter, value in state.counts.items():
+            setattr(model, counter, type(getattr(model, counter))(value))
         model._num_timesteps_at_start = model.num_timesteps
-        model.ep_info_buffer.extend(_decoded(info) for info in state.infos)  # type: ignore[union-attr]  # made by _setup_learn
+        model.ep_info_buffer.extend({"r": _number(info.r), "l": _number(info.l)} for info in state.infos)  # type: ignore[union-attr]
         model.ep_success_buffer.extend(state.successes)  # type: ignore[union-attr]
         self._compare(model, state)
         same = self._repeat_episodes(model, state, arrays)
@@ -356,15 +352,20 @@ class Checkpoints:
             noise.drift = arrays.get(f"noise/{index}")
         if (normalizer := model.get_vec_normalize_env()) is not None:
             mean, var, count = arrays["return_statistics"]
+            if var < 0 or count <= 0:
+                raise ValueError("the statistics of the returns are impossible")
             normalizer.ret_rms.mean, normalizer.ret_rms.var, normalizer.ret_rms.count = mean, var, float(count)
             normalizer.returns = arrays["returns"]
         if isinstance(model, OffPolicyAlgorithm) and model.replay_buffer is not None:
             self._refill(model.replay_buffer, state, model.num_timesteps // model.n_envs, arrays if same else {}, model.action_space)
-        for part, kept in zip(_pending(model), state.pending, strict=True):
-            part.update({name: tuple(v) if isinstance(v, list) else v for name, v in _decoded(kept).items()})
-        model.action_space.np_random.bit_generator.state = state.action_space
-        python = state.python
-        random.setstate((python[0], tuple(python[1]), python[2]))
+        logger, (values, counts, excluded) = model.logger, state.pending
+        logger.name_to_value.update({name: _number(value) for name, value in values.items()})
+        logger.name_to_count.update(counts)
+        logger.name_to_excluded.update({name: tuple(names) for name, names in excluded.items()})
+        model.action_space.np_random.bit_generator.state = state.action_space.model_dump()
+        version, words, gauss = state.python
+        random.setstate((version, tuple(words), gauss))
+        check_torch_generator(arrays["torch"])
         np.random.set_state(("MT19937", arrays["numpy"], *state.numpy))
         torch.set_rng_state(torch.from_numpy(arrays["torch"]))
         if model.device.type == "cuda" and "cuda" in arrays:
@@ -386,9 +387,12 @@ class Checkpoints:
     def _repeat_episodes(self, model: BaseAlgorithm, state: CheckpointState, arrays: Arrays) -> bool:
         """Bring the worlds back to where they were; whether that gave the same observations. If not, new episodes begin."""
         env = _environment(model)
-        if len(state.starts) != len(env.worlds):
-            raise ValueError(f"{len(state.starts)} worlds")
-        histories = [EpisodeHistory(start, list(arrays[f"actions/{index}"])) for index, start in enumerate(state.starts)]
+        histories = [
+            EpisodeHistory(start if isinstance(start, int) else start.model_dump(exclude_none=True), list(arrays[f"actions/{index}"]))
+            for index, start in enumerate(state.starts)
+        ]
+        for history in histories:
+            _check_actions(np.array(history.actions), env.action_space)
         if observation_digest(env.repeat(histories)) == state.observed:
             return True
         self.note(f"the episodes that ran at {model.num_timesteps:,} steps gave different results when repeated, so they were restarted")
@@ -411,15 +415,22 @@ class Checkpoints:
         if not same:
             self._offset = oldest
         columns = _columns(buffer)
+        whole = self._segments[-1][1] == added and self._segments[0][0] <= max(self._offset, added - size) if self._segments else not added
+        if not whole:
+            raise ValueError("the segments of the replay buffer are not all there")
         for first, last in self._segments:
-            read, rows = read_arrays(self._segment(first, last)), self._rows(buffer, first, last)[-buffer.buffer_size :]
+            specs = {name: ArraySpec(column.dtype, (last - first, *column.shape[1:])) for name, column in columns.items()}
+            read, rows = read_arrays(self._segment(first, last), specs), self._rows(buffer, first, last)[-buffer.buffer_size :]
             for name, column in columns.items():
                 column[rows] = read[name][-len(rows) :]
             _check_actions(read["actions"], action_space)
         buffer.pos, buffer.full = (added - self._offset) % buffer.buffer_size, added - self._offset >= buffer.buffer_size
         if isinstance(buffer, HerReplayBuffer):
             self._find_episodes(buffer, oldest, added, begin_anew=not same)
-            buffer._current_ep_start[:] = arrays["episode_starts"] if same and "episode_starts" in arrays else buffer.pos
+            starts = arrays["episode_starts"] if same and "episode_starts" in arrays else np.array(buffer.pos)
+            if not ((starts >= 0) & (starts < buffer.buffer_size)).all():
+                raise ValueError("an episode of the replay buffer begins outside of it")
+            buffer._current_ep_start[:] = starts
 
     def _find_episodes(self, buffer: HerReplayBuffer, oldest: int, added: int, *, begin_anew: bool) -> None:
         """The length of each episode that ended and is whole; 0 elsewhere, which is not drawn from."""
@@ -431,57 +442,9 @@ class Checkpoints:
                 episode = rows[first:end]
                 if begin_anew and first:
                     buffer.ep_start[episode, row] = episode[0]
-                if (not begin_anew or first) and buffer.ep_start[episode[0], row] == episode[0]:  # else its beginning was overwritten
+                if (not begin_anew or first) and (buffer.ep_start[episode, row] == episode[0]).all():  # else its beginning was overwritten
                     buffer.ep_length[episode, row] = end - first
                 first = end
-
-
-def latest_checkpoint(run: Run) -> Path | None:
-    """The last checkpoint of a run, if there is one."""
-    folders = run.checkpoints.iterdir() if run.checkpoints.is_dir() else ()
-    return max((path for path in folders if re.fullmatch(r"\d{12}", path.name)), default=None)
-
-
-def read_state(folder: Path) -> CheckpointState:
-    """Raises: RunError: The checkpoint is damaged."""
-    return read_json(folder / "state.json", CheckpointState, _MAX_STATE_BYTES)
-
-
-def _write_arrays(path: Path, arrays: Arrays) -> None:
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as archive:
-        for name, array in arrays.items():
-            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
-                np.lib.format.write_array(member, np.asarray(array, order="C"), version=(1, 0), allow_pickle=False)
-
-
-def read_arrays(path: Path) -> dict[str, Array]:
-    """The arrays of an uncompressed `.npz`; none is larger than the file, and none holds objects.
-
-    Raises:
-        RunError: The file is missing, damaged, or holds anything else.
-    """
-    if not path.is_file():
-        raise RunError(f"{path} is missing")
-    try:
-        with zipfile.ZipFile(path) as archive:
-            members = archive.infolist()
-            if sum(member.file_size for member in members) > path.stat().st_size or any(m.compress_type for m in members):
-                raise ValueError("it is compressed")
-            return {member.filename.removesuffix(".npy"): _read_array(archive, member) for member in members}
-    except Exception as error:  # numpy parses headers as Python, and raises a dozen kinds
-        reason = str(error).splitlines()[0][:120] if str(error) else "cut short"
-        raise RunError(f"{path} is damaged ({reason})") from error
-
-
-def _read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> Array:
-    with archive.open(member) as stream:
-        if np.lib.format.read_magic(stream) != (1, 0):
-            raise ValueError(f"{member.filename} is of an unknown version")
-        shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
-        content = stream.read()
-        if fortran or dtype.hasobject or math.prod(shape) * dtype.itemsize != len(content):
-            raise ValueError(f"{member.filename} does not hold what its header says")
-        return np.frombuffer(content, dtype).reshape(shape).copy()
 
 
 def arithmetic(model: BaseAlgorithm) -> dict[str, str]:
@@ -511,7 +474,7 @@ def _columns(buffer: ReplayBuffer) -> dict[str, Array]:
 def _check_actions(actions: Array, space: Any) -> None:
     """Refuse a choice that the agent does not have, on which an update would fail."""
     if hasattr(space, "n") and not ((actions >= space.start) & (actions < space.start + space.n)).all():
-        raise ValueError("the replay buffer holds actions that the scenario does not have")
+        raise ValueError("it holds actions that the scenario does not have")
 
 
 def _noises(model: BaseAlgorithm) -> list[DecayingNoise]:
@@ -525,8 +488,11 @@ def _memory(model: BaseAlgorithm) -> list[torch.Tensor]:
     return [] if states is None else [*states.pi, *states.vf]
 
 
-def _pending(model: BaseAlgorithm) -> Sequence[dict[str, Any]]:
-    return model.logger.name_to_value, model.logger.name_to_count, model.logger.name_to_excluded
+def _pending(logger: Logger) -> tuple[dict[str, Any], dict[str, int], dict[str, list[str]]]:
+    """What was recorded and is not yet written, without pictures and the like."""
+    values = {name: _encoded(value) for name, value in logger.name_to_value.items() if isinstance(value, int | float | str | np.generic)}
+    excluded = {name: list(names) for name, names in logger.name_to_excluded.items()}
+    return values, dict(logger.name_to_count), excluded
 
 
 def _flat(name: str, value: Any) -> Iterator[tuple[str, Array]]:
@@ -539,25 +505,16 @@ def _unflat(name: str, arrays: Arrays) -> Any:
     return arrays.get(name, parts or None)
 
 
-def _encoded(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Numbers of numpy keep their type: the mean of float32 is not that of float64."""
-    return {
-        name: {"dtype": str(value.dtype), "value": value.tolist()} if isinstance(value, np.generic | np.ndarray) else value
-        for name, value in values.items()
-    }
+def _encoded(value: Any) -> Any:
+    """A number of numpy with its type, and without NaN, which JSON does not have."""
+    if isinstance(value, np.generic):
+        plain = value.tolist()
+        return NumpyScalar(dtype=str(value.dtype), value=plain if math.isfinite(plain) else None)  # type: ignore[arg-type]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _decoded(values: Mapping[str, Any]) -> dict[str, Any]:
-    return {
-        name: np.array(value["value"], dtype=value["dtype"])[()] if isinstance(value, dict) else value for name, value in values.items()
-    }
-
-
-def _plain(value: Any) -> Any:
-    """Numbers and arrays of numpy as JSON can hold them."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(inner) for key, inner in value.items()}
-    return value.tolist() if isinstance(value, np.generic | np.ndarray) else value
+def _number(value: Any) -> Any:
+    return value.number() if isinstance(value, NumpyScalar) else value
 
 
 def _flush(path: Path) -> None:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
-from pydantic import BaseModel, NonNegativeInt
+from pydantic import BaseModel, Field, NonNegativeInt
 
 from deepbots_cli.errors import RunError
 from deepbots_cli.learning.episodes import Episode
@@ -24,10 +25,10 @@ class CompletedStage:
     value: float
 
 
-class CurriculumState(BaseModel, strict=True):
+class CurriculumState(BaseModel, strict=True, allow_inf_nan=False):
     """What a checkpoint keeps: the stages that are done, the first step of the present one, and its recent values."""
 
-    ends: list[CompletedStage]
+    ends: Annotated[list[CompletedStage], Field(max_length=1_000)]
     first_step: NonNegativeInt
     recent: list[float]
 
@@ -126,8 +127,9 @@ class Curriculum:
         Raises:
             RunError: It does not fit the stages of the scenario.
         """
-        if len(state.ends) >= max(1, len(self.stages) - self._skipped):
-            raise RunError("the checkpoint counts more stages as done than the scenario has")
+        names = [stage.name for stage in self.stages[self._skipped :][:-1]]
+        if [stage.name for stage in state.ends] != names[: len(state.ends)]:
+            raise RunError("the checkpoint counts other stages as done than the scenario has")
         self.completed = list(state.ends)
         self._begin(state.first_step)
         self._recent.extend(state.recent)

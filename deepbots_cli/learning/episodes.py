@@ -13,16 +13,22 @@ from dataclasses import dataclass, field, fields
 from itertools import pairwise
 from pathlib import Path
 from statistics import fmean, stdev
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import BaseModel, NonNegativeInt
+from pydantic import BaseModel, Field, NonNegativeInt
 
 from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.files import unwritable_message
 from deepbots_cli.program.task import Solved
 
+if TYPE_CHECKING:
+    from stable_baselines3.common.monitor import ResultsWriter
+
 WINDOW_EPISODES = 100
 """Episodes that a training figure is averaged over, unless the scenario's `solved` says otherwise."""
+
+MAX_STEPS = 10**12
+"""A goal beyond any training; what is far larger could not be read back from the record of the run."""
 
 MAX_LOG_BYTES = 1 << 28
 """Bytes of a log that is read whole."""
@@ -41,7 +47,7 @@ class Episode:
     """
 
     total_return: float
-    length: int
+    length: NonNegativeInt
     is_success: bool
     ended_by: str | None
     terms: Mapping[str, float] = field(default_factory=dict)
@@ -103,16 +109,27 @@ class EpisodeLog:
     COLUMNS = ("episode", "steps", "simulated_hours", "is_success", "ended_by", "stage", "drawn")
 
     def __init__(self, path: Path, scenario: str) -> None:
+        self._path, self._scenario = path, scenario
+        self._writer: ResultsWriter | None = None
+        self._started = time.time()
+
+    def open(self) -> None:
+        """Before the first line is written.
+
+        Raises:
+            RunError: The file cannot be written.
+        """
         from stable_baselines3.common.monitor import ResultsWriter  # which imports torch
 
         try:
-            header: dict[str, float | str] = {"t_start": time.time(), "env_id": scenario}
-            self._writer = ResultsWriter(str(path), header, self.COLUMNS, override_existing=not path.exists())
+            header: dict[str, float | str] = {"t_start": time.time(), "env_id": self._scenario}
+            self._writer = ResultsWriter(str(self._path), header, self.COLUMNS, override_existing=not self._path.exists())
         except OSError as error:
-            raise RunError(unwritable_message(path, error)) from error
-        self._started = time.time()
+            raise RunError(unwritable_message(self._path, error)) from error
 
     def write(self, episode: Episode, statistics: Statistics, stage: str | None = None, drawn: Mapping[str, Any] | None = None) -> None:
+        if self._writer is None:
+            raise RuntimeError("the log is not open")
         row: dict[str, Any] = {
             "r": round(episode.total_return, 6),
             "l": episode.length,
@@ -128,7 +145,8 @@ class EpisodeLog:
         self._writer.write_row(row)
 
     def close(self) -> None:
-        self._writer.close()
+        if self._writer is not None:
+            self._writer.close()
 
 
 def read_log(path: Path, *, tail: int | None = None) -> list[dict[str, str]]:
@@ -176,12 +194,12 @@ class SolvedAt:
     success_rate: float
 
 
-class StatisticsState(BaseModel, strict=True):
+class StatisticsState(BaseModel, strict=True, allow_inf_nan=False):
     """What a checkpoint keeps of the statistics."""
 
-    steps: NonNegativeInt
+    steps: Annotated[int, Field(ge=0, le=2 * MAX_STEPS)]
     episodes: NonNegativeInt
-    cpu_seconds: float
+    cpu_seconds: Annotated[float, Field(ge=0)]
     solved_at: SolvedAt | None
     recent: list[Episode]
 

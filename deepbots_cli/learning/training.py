@@ -17,7 +17,7 @@ from shlex import quote
 from typing import Any
 
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.logger import configure
+from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
@@ -28,11 +28,12 @@ from deepbots_cli.errors import DeepbotsError, MissingExtraError, PluginError, R
 from deepbots_cli.files import unwritable_message
 from deepbots_cli.learning import algorithms, batch, models, plugins
 from deepbots_cli.learning.callbacks import UNLIMITED_SHARE, Evaluator, TrainingCallback, check_finite, describe, signals_handled
-from deepbots_cli.learning.checkpoints import Checkpoints, ResumableAlgorithm, latest_checkpoint
+from deepbots_cli.learning.checkpoint_files import damage_explained, latest_checkpoint
+from deepbots_cli.learning.checkpoints import Checkpoints, ResumableAlgorithm
 from deepbots_cli.learning.curriculum import Curriculum
 from deepbots_cli.learning.defaults import longest_episode
 from deepbots_cli.learning.environments import VectorEnvironment, World, WorldFactory, compiled_scenario, default_factory
-from deepbots_cli.learning.episodes import Episode, EpisodeLog, Statistics
+from deepbots_cli.learning.episodes import MAX_STEPS, Episode, EpisodeLog, Statistics
 from deepbots_cli.learning.failures import BatchFailureRecorder, FailureRecorder
 from deepbots_cli.learning.report import Reporter, reporter
 from deepbots_cli.learning.run import (
@@ -46,15 +47,13 @@ from deepbots_cli.learning.run import (
     run_lock,
     timestamp,
     versions,
+    write_record,
 )
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Training
 from deepbots_cli.runtime.batch import BatchSupervisor
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.scenario import Scenario
-
-MAX_STEPS = 10**12
-"""A goal beyond any training; what is far larger could not be read back from the record of the run."""
 
 
 def train(
@@ -210,16 +209,17 @@ def resume(
                 f" to continue it, give a total of more than {steps:,} timesteps (`--timesteps N`)"
             )
         was_solved = record.status == "finished" and record.result is not None and record.result.solved_at is not None
-        known.update(
-            status="running",
-            resumed_at=(*record.resumed_at, steps),
-            total_timesteps=training.total_timesteps,
-            stop_when_solved=(record.stop_when_solved if stop_when_solved is None else stop_when_solved) and not was_solved,
-            callbacks=tuple(callbacks),
-            loggers=tuple(loggers),
-        )
+        changes: dict[str, Any] = {
+            "status": "running",
+            "resumed_at": (*record.resumed_at, steps),
+            "total_timesteps": training.total_timesteps,
+            "stop_when_solved": (record.stop_when_solved if stop_when_solved is None else stop_when_solved) and not was_solved,
+            "callbacks": tuple(callbacks),
+            "loggers": tuple(loggers),
+        }
+        known.record = record.model_copy(update=changes)  # written once the checkpoint is restored
         build = build or default_factory(record.engine, allow_code=allow_code)
-        return _learn(known, training, checkpoints, build, reporter(progress))
+        return _learn(known, training, checkpoints, build, reporter(progress), before=record)
 
 
 def _initial(run: Run) -> Path:
@@ -268,13 +268,24 @@ def _validate_setup(program: Program, training: Training, build: WorldFactory, s
         )
 
 
-def _learn(run: Run, training: Training, checkpoints: Checkpoints, build: WorldFactory, reporter: Reporter) -> TrainingResult:
-    """One process's share in a run, from its last checkpoint to the goal."""
+def _learn(
+    run: Run, training: Training, checkpoints: Checkpoints, build: WorldFactory, reporter: Reporter, before: RunRecord | None = None
+) -> TrainingResult:
+    """One process's share in a run, from its last checkpoint to the goal.
+
+    A resumed run has its record of `before` in the end if nothing was learned.
+    """
     began = time.perf_counter()
     statistics, curriculum = Statistics(run.program.period, run.program.solved), Curriculum(run.program, run.record.first_stage)
     if checkpoints.state is not None:
+        with damage_explained(run, latest_checkpoint(run)):
+            curriculum.restore(checkpoints.state.curriculum)
+            if len(checkpoints.stages) != training.environments or max(checkpoints.stages) > curriculum.index:
+                raise ValueError(f"{len(checkpoints.stages)} worlds, in stage {max(checkpoints.stages, default=0)}")
         statistics.restore(checkpoints.state.statistics)
-        curriculum.restore(checkpoints.state.curriculum)
+    first_step = statistics.steps
+    if before is not None:
+        checkpoints.on_restored.append(run.update)
     statistics.final = curriculum.is_last
     callback = TrainingCallback(run, statistics, curriculum, Evaluator(build, run.record.seed, run), reporter, training.total_timesteps)
     checkpoints.attach(callback)
@@ -335,7 +346,10 @@ def _learn(run: Run, training: Training, checkpoints: Checkpoints, build: WorldF
             inexact=tuple(checkpoints.inexact),
         )
         with suppress(RunError) if status == "failed" else nullcontext():  # a full disk was told already
-            run.update(status=status, result=result)
+            if before is None or status == "finished" or statistics.steps > first_step:
+                run.update(status=status, result=result)
+            elif RunRecord.read(run.path) != before:
+                write_record(run.path, before)
     return TrainingResult(run=run.path, initialized_from=run.record.initialized_from, **vars(result))
 
 
@@ -379,6 +393,7 @@ def _environment(
     """The worlds, which report to the statistics and the episode log; all closed with `stack`."""
     statistics, curriculum = callback.statistics, callback.curriculum
     log = EpisodeLog(run.monitor, run.program.name)
+    checkpoints.on_restored.append(log.open)
     stack.callback(log.close)
     stages = checkpoints.stages
     if not stages:
@@ -452,15 +467,19 @@ def _drive(
 ) -> Status:
     """Learn until the goal, a solved task or an interruption."""
     run, statistics = callback.run, callback.statistics
-    model.set_logger(configure(str(run.tensorboard), ["tensorboard"]))
-    if checkpoints.state is None:
-        describe(run, model.logger, training)
+    model.set_logger(Logger(str(run.tensorboard), []))
+
+    def open_logs() -> None:
+        model.logger.output_formats.append(TensorBoardOutputFormat(str(run.tensorboard)))
+        model.logger.output_formats.extend(plugins.PluginLogger(name, run.path) for name in run.record.loggers)
+        if checkpoints.state is None:
+            describe(run, model.logger, training)
+
+    checkpoints.on_restored.append(open_logs)
     options: dict[str, Any] = {"use_masking": algorithms.has_masks(model)} if algorithms.takes_masks(model) else {}
     if isinstance(model, OnPolicyAlgorithm):
         options["log_interval"] = 1  # `ResumableAlgorithm.dump_logs` decides
     try:
-        for name in run.record.loggers:
-            model.logger.output_formats.append(plugins.PluginLogger(name, run.path))
         if statistics.steps >= callback.total:  # it was killed when it was done, before its record said so
             model._setup_learn(callback.total, callback)
             return "finished"

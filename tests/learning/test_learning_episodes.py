@@ -56,6 +56,7 @@ def test_the_episode_file_is_appended_to_and_keeps_one_header(tmp_path: Path) ->
     path, statistics = tmp_path / "monitor.csv", Statistics(0.1, None)
     for _ in range(2):
         file = EpisodeLog(path, "Pole, long")
+        file.open()
         statistics.add(Episode(1.0, 5, False, 'an "odd", name'))
         file.write(Episode(1.0, 5, False, 'an "odd", name'), statistics)
         file.close()

@@ -1,0 +1,280 @@
+"""The files of a checkpoint: what `state.json` and the arrays may hold, and how they are read.
+
+A run may come from someone else, and a checkpoint is read into an algorithm that believes its own state. So every number has bounds
+here, and an array must have the dtype and the shape of the one that it replaces, which is compared before the array is read.
+Nothing is unpickled.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import zipfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from shlex import quote
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, Field, NonNegativeInt, model_validator
+
+from deepbots_cli.compiler.inputs import RESOLVED_NAME
+from deepbots_cli.errors import DeepbotsError, RunError
+from deepbots_cli.learning.callbacks import MAX_BEAT, CallbackState
+from deepbots_cli.learning.curriculum import CurriculumState
+from deepbots_cli.learning.episodes import StatisticsState
+from deepbots_cli.learning.run import Run, read_json
+
+Array = npt.NDArray[Any]
+Arrays = Mapping[str, Array]
+
+# The state
+
+_MAX_STATE_BYTES = 64_000_000
+"""A state with 1,024 worlds that have 50 random generators each takes 12 MB."""
+_MAX_WORLDS = 1_024
+_WORDS = 624
+"""Numbers of 32 bits in the state of a Mersenne Twister, the generator of Python, of numpy's functions and of torch."""
+
+Text = Annotated[str, Field(max_length=2_000)]
+Count = Annotated[int, Field(ge=0, lt=2**62)]
+Bit = Annotated[int, Field(ge=0, le=1)]
+Word = Annotated[int, Field(ge=0, lt=2**32)]
+LongWord = Annotated[int, Field(ge=0, lt=2**128)]
+Place = Annotated[int, Field(ge=0, le=_WORDS)]
+
+
+class _Part(BaseModel, strict=True, extra="forbid", allow_inf_nan=False):
+    """Of a checkpoint."""
+
+
+class NumpyScalar(_Part):
+    """A number with its type in numpy: the mean of float32 is not that of float64. JSON has no NaN, which is None."""
+
+    dtype: Literal["bool", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64", "float16", "float32", "float64"]
+    value: bool | int | float | None
+
+    @model_validator(mode="after")
+    def _has_its_type(self) -> Self:
+        try:
+            self.number()
+        except (OverflowError, TypeError) as error:
+            raise ValueError(str(error)) from error
+        return self
+
+    def number(self) -> Any:
+        return np.array(self.value, dtype=self.dtype)[()]
+
+
+Number = int | float | NumpyScalar
+
+
+class _GeneratorWords(_Part):
+    state: LongWord
+    inc: LongWord
+
+
+class GeneratorState(_Part):
+    """The state of a generator PCG64 of numpy, in the words of numpy."""
+
+    bit_generator: Literal["PCG64"]
+    state: _GeneratorWords
+    has_uint32: Bit
+    uinteger: Word
+
+
+class StreamsState(_Part):
+    """The random generators of a world (`Supervisor.random_state`), and those of each copy of a robot in it."""
+
+    root: Annotated[int, Field(ge=0, lt=2**64)]
+    generators: Annotated[dict[Text, GeneratorState], Field(max_length=10_000)]
+    agents: Annotated[list[StreamsState], Field(max_length=_MAX_WORLDS)] | None = None
+
+
+class EpisodeInfo(_Part):
+    """Return and length of an episode, as Stable-Baselines3 keeps them."""
+
+    r: Number
+    l: Number  # noqa: E741  # the name of Stable-Baselines3
+
+
+CounterName = Literal["num_timesteps", "_episode_num", "_n_updates", "_n_calls", "_current_progress_remaining", "exploration_rate"]
+"""Attributes of an algorithm of Stable-Baselines3, of which each has some."""
+
+
+class CheckpointState(_Part):
+    """The part of a checkpoint that is JSON."""
+
+    digest: Text
+    """Of the scenario."""
+    arithmetic: dict[Text, Text]
+    statistics: StatisticsState
+    curriculum: CurriculumState
+    callback: CallbackState
+    stages: Annotated[list[NonNegativeInt], Field(max_length=_MAX_WORLDS)]
+    """The stage of the curriculum that each world is in."""
+    starts: Annotated[list[Annotated[int, Field(ge=0, lt=2**64)] | GeneratorState | StreamsState], Field(max_length=_MAX_WORLDS)]
+    """How the running episode of each world began: its seed, or the states of its random generators."""
+    observed: Text
+    """The fingerprint of the last observations."""
+    counts: dict[CounterName, Count | float]
+    infos: Annotated[list[EpisodeInfo], Field(max_length=10_000)]
+    successes: Annotated[list[bool], Field(max_length=10_000)]
+    pending: tuple[dict[Text, bool | Number | str | None], dict[Text, Count], dict[Text, list[Text]]]
+    """What was recorded for the logger and is not yet written: values, their numbers, and where they are left out."""
+    action_space: GeneratorState
+    python: tuple[Literal[3], Annotated[list[Word], Field(min_length=_WORDS + 1, max_length=_WORDS + 1)], float | None]
+    numpy: tuple[Place, Bit, float]
+    segments: Annotated[list[tuple[Count, Count]], Field(max_length=100_000)]
+    """First and last step (of a row of the environment) of each file of the replay buffer."""
+    replay: tuple[Count, Count]
+    """The size of the replay buffer, and the step in its first row."""
+    logs: dict[Text, Count]
+    """Bytes of each log."""
+    inexact: Annotated[list[Text], Field(max_length=1_000)]
+
+    @property
+    def steps(self) -> int:
+        return self.statistics.steps
+
+    @model_validator(mode="after")
+    def _agrees_with_itself(self) -> Self:
+        steps, found = self.steps, self.statistics
+        places = [self.callback.evaluated_at, self.callback.next_beat - MAX_BEAT, self.curriculum.first_step]
+        places += [found.episodes, *(stage.steps for stage in self.curriculum.ends), *([found.solved_at.steps] if found.solved_at else [])]
+        if self.counts.get("num_timesteps") != steps or max(places) > steps:
+            raise ValueError("its counts of steps contradict each other")
+        if len(self.stages) != len(self.starts):
+            raise ValueError("its counts of worlds contradict each other")
+        gaps = any(before[1] != after[0] for before, after in pairwise(self.segments))
+        if gaps or any(first >= last or last > steps for first, last in self.segments) or self.replay[1] > steps:
+            raise ValueError("the segments of its replay buffer contradict each other")
+        return self
+
+
+def latest_checkpoint(run: Run) -> Path | None:
+    """The last checkpoint of a run, if there is one."""
+    folders = run.checkpoints.iterdir() if run.checkpoints.is_dir() else ()
+    return max((path for path in folders if len(path.name) == 12 and path.name.isdecimal() and path.name.isascii()), default=None)
+
+
+def read_state(folder: Path) -> CheckpointState:
+    """Raises: RunError: The checkpoint is damaged."""
+    state = read_json(folder / "state.json", CheckpointState, _MAX_STATE_BYTES)
+    if state.steps != int(folder.name):
+        raise RunError(f"{folder} is damaged: it was taken after {state.steps:,} steps")
+    return state
+
+
+@contextmanager
+def damage_explained(run: Run, folder: Path | None) -> Iterator[None]:
+    """Within, whatever a damaged checkpoint leads to becomes one sentence, with what to do instead."""
+    try:
+        yield
+    except (ArithmeticError, AttributeError, DeepbotsError, LookupError, MemoryError, RuntimeError, TypeError, ValueError) as error:
+        known = error
+        if not isinstance(error, RunError):
+            reason = " ".join(str(error).split())[:200]
+            known = RunError(f"{folder} is damaged, or of another training ({type(error).__name__}: {reason})")
+        path = quote(str(run.path))
+        known.add_note("the run has no earlier checkpoint; its policies can still be evaluated: deepbots eval " + path)
+        scenario = quote(str(run.path / RESOLVED_NAME))
+        known.add_note(f"to begin anew with the weights of the best one: deepbots train {scenario} --initialize-from {path}")
+        raise known from error
+
+
+# The arrays
+
+_OVERHEAD_BYTES = 1_000_000
+
+
+@dataclass(frozen=True)
+class ArraySpec:
+    """What an array must be. Where there are `max_rows`, it may have fewer rows, of any numeric type of up to 8 bytes."""
+
+    dtype: np.dtype[Any]
+    shape: tuple[int, ...]
+    max_rows: int | None = None
+    is_optional: bool = False
+
+    @classmethod
+    def like(cls, array: Array) -> Self:
+        return cls(array.dtype, array.shape)
+
+    @property
+    def max_bytes(self) -> int:
+        return math.prod(self.shape) * self.dtype.itemsize if self.max_rows is None else math.prod((self.max_rows, *self.shape)) * 8
+
+    def accepts(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> bool:
+        if self.max_rows is None:
+            return shape == self.shape and dtype == self.dtype
+        is_empty = shape == (0,)
+        return dtype.kind in "biuf" and dtype.itemsize <= 8 and (is_empty or (shape[0:1] <= (self.max_rows,) and shape[1:] == self.shape))
+
+
+def write_arrays(path: Path, arrays: Arrays) -> None:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as archive:
+        for name, array in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, np.asarray(array, order="C"), version=(1, 0), allow_pickle=False)
+
+
+def read_arrays(path: Path, specs: Mapping[str, ArraySpec]) -> dict[str, Array]:
+    """The arrays of an uncompressed `.npz`, which are those of `specs`; all numbers are finite.
+
+    Raises:
+        RunError: The file is missing, damaged, or holds anything else.
+    """
+    if not path.is_file():
+        raise RunError(f"{path} is missing")
+    try:
+        if path.stat().st_size > _OVERHEAD_BYTES + sum(spec.max_bytes + 1_000 for spec in specs.values()):
+            raise ValueError("it is larger than what it should hold")
+        with zipfile.ZipFile(path) as archive:
+            members = archive.infolist()
+            if sum(member.file_size for member in members) > path.stat().st_size or any(m.compress_type for m in members):
+                raise ValueError("it is compressed")
+            found = {name: _read_array(archive, member, specs.get(name)) for member in members for name in [_array_name(member)]}
+        missing = [name for name, spec in specs.items() if name not in found and not spec.is_optional]
+        if missing:
+            raise ValueError(f"'{missing[0]}' is missing")
+    except Exception as error:  # numpy parses headers as Python, and raises a dozen kinds
+        reason = str(error).splitlines()[0][:120] if str(error) else "cut short"
+        raise RunError(f"{path} is damaged ({reason})") from error
+    return found
+
+
+def _array_name(member: zipfile.ZipInfo) -> str:
+    return member.filename.removesuffix(".npy")
+
+
+def _read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo, spec: ArraySpec | None) -> Array:
+    name = repr(member.filename[:80])
+    with archive.open(member) as stream:
+        if np.lib.format.read_magic(stream) != (1, 0):
+            raise ValueError(f"{name} is of an unknown version")
+        shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
+        if spec is None or fortran or not spec.accepts(shape, dtype):
+            raise ValueError(f"{name} is {dtype.str[:20]} of shape {str(shape)[:60]}, which does not fit")
+        size = math.prod(shape) * dtype.itemsize
+        content = stream.read(size + 1)
+    if len(content) != size:
+        raise ValueError(f"{name} does not hold what its header says")
+    array = np.frombuffer(content, dtype).reshape(shape).copy()
+    if dtype.kind == "f" and not np.isfinite(array).all():
+        raise ValueError(f"{name} holds a number that is not finite")
+    return array
+
+
+def check_torch_generator(state: Array) -> None:
+    """Refuse a state that leads torch's generator beyond its own numbers.
+
+    torch itself compares `left`, how many of the 624 numbers it has not used, and `following`, the place of the next one, with 624 each.
+    """
+    left, following = struct.unpack_from("<i4xQ", state.tobytes(), 8)
+    if left + following not in (1, _WORDS + 1):  # 1 after a seed
+        raise ValueError("the state of the generator of torch is impossible")
