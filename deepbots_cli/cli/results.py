@@ -49,9 +49,9 @@ def training_text(result: TrainingResult) -> str:
     rows["stopped by"] = result.stopped_by and f"the callback {result.stopped_by}"
     rows["initialized from"] = result.initialized_from
     lines = [f"training {result.status}", row_as_lines(rows), *(f"note: {reason}" for reason in result.inexact)]
+    if result.stop_requested and (result.run / "models" / POLICY_NAME / "best.zip").is_file():  # not before the first checkpoint
+        lines.append(f"evaluate the policy with: deepbots eval {quote(str(result.run))}")
     if result.interrupted:
-        if (result.run / "models" / POLICY_NAME / "best.zip").is_file():  # not before the first checkpoint
-            lines.append(f"evaluate the policy with: deepbots eval {quote(str(result.run))}")
         lines.append(f"the policy is kept; continue the training with: deepbots train --resume {quote(str(result.run))}")
     return "\n".join(lines)
 

@@ -15,6 +15,7 @@ import time
 from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from shlex import quote
 from types import FrameType
 from typing import Annotated, Any, NamedTuple
 
@@ -37,7 +38,7 @@ from deepbots_cli.learning.environments import World, WorldFactory
 from deepbots_cli.learning.episodes import Episode, Statistics, Summary
 from deepbots_cli.learning.evaluation import batch_rollout, rollout
 from deepbots_cli.learning.failures import FailureRecorder
-from deepbots_cli.learning.report import Reporter, TrainingProgress
+from deepbots_cli.learning.report import LINE_INTERVAL_S, Reporter, TrainingProgress
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Choices, Training, policy_inputs
@@ -198,6 +199,9 @@ class TrainingCallback(BaseCallback):
         self._beat = max(1, min(MAX_BEAT, total // 100))
         self._next_beat = 0
         self._beat_passed = False
+        self._reported = time.monotonic()
+        self._evaluations = 0
+        self._stop_noted = False
         self._seen = _first_frame(run.program)
         self._began = time.monotonic(), statistics.steps
 
@@ -234,7 +238,13 @@ class TrainingCallback(BaseCallback):
         stage = self.curriculum.describe(s.steps) if self.curriculum.stages else ""
         success_rate = s.success_rate if self._has_success else None
         best = self.best.mean_return if self.best else None
-        return TrainingProgress(s.steps, self.total, s.episodes, s.mean_return, success_rate, stage, s.solved, best, s.period)
+        return TrainingProgress(
+            s.steps, self.total, s.episodes, s.mean_return, success_rate, stage, s.solved, best, s.period, self._evaluations
+        )
+
+    def _report(self) -> None:
+        self._reported = time.monotonic()
+        self.reporter.update(self.progress())
 
     def _on_training_start(self) -> None:
         if not self._has_success:
@@ -246,10 +256,15 @@ class TrainingCallback(BaseCallback):
         if self.statistics.steps >= self._next_beat or just_solved:
             self._solved_seen = solved
             self._next_beat = self.statistics.steps + self._beat
-            self.reporter.update(self.progress())
+            self._report()
             self.evaluate(UNLIMITED_SHARE if just_solved else FINAL_EVALUATION_SHARE if solved else EVALUATION_SHARE)
             self._record_scalars()
             self._beat_passed = True
+        elif time.monotonic() - self._reported >= LINE_INTERVAL_S:  # in a slow world
+            self._report()
+        if self.interruption.requested and not self._stop_noted:
+            self._stop_noted = True
+            self.reporter.note(f"stopping after this roll-out; continue with: deepbots train --resume {quote(str(self.run.path))}")
         return not (solved and self.confirmed)
 
     def _on_rollout_end(self) -> None:
@@ -279,6 +294,8 @@ class TrainingCallback(BaseCallback):
             self.best = rank
             models.save(self.run.model("best"), self.model)
         self._log(done, summary, is_best=rank == self.best)
+        self._evaluations += 1
+        self._report()
 
     def _log(self, done: Sequence[Episode], summary: Summary, *, is_best: bool) -> None:
         self.logger.record("eval/mean_return", summary.mean_return)

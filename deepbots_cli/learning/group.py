@@ -265,15 +265,14 @@ def _train_seeds(group: Group, compiled: Compiled, changes: Mapping[str, Any], o
             else:
                 result = train(compiled, run=path, seed=seed, **{**group.record.options, **changes}, **each)
             trained.append(result)
-            interrupted = result.interrupted
+            if result.stop_requested:
+                waiting = seeds[place:] if result.interrupted else seeds[place + 1 :]
+                break
         except DeepbotsError as error:
             if not group.runs:  # nothing can be trained with these settings, or written there
                 raise
             failed[seed] = error.full_message
-            continue
         except KeyboardInterrupt:  # before the training handles it itself
-            interrupted = True
-        if interrupted:
             waiting = seeds[place:]
             break
     return GroupTraining(group.path, tuple(trained), tuple(skipped), failed, waiting)

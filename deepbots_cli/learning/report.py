@@ -39,6 +39,8 @@ def to_json(result: TrainingResult | EvaluationResult) -> dict[str, Any]:
 
 REFRESH_INTERVAL_S = 0.25
 """Seconds between two refreshes of the table; it has no thread of its own."""
+LINE_INTERVAL_S, EVALUATION_INTERVAL_S = 30.0, 10.0
+"""Seconds after a line without a terminal until the next one, and until one that an evaluation causes."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,8 @@ class TrainingProgress:
 
     The means are over the recent episodes, None before the first has ended; the success rate is None too where the scenario defines no
     success. `solved` is the criterion of the scenario, `best_return` the mean return of the best model in its evaluation, `stage` the
-    stage of the curriculum with its criterion, for people to read. `period` is the time of a step in s.
+    stage of the curriculum with its criterion, for people to read. `period` is the time of a step in s, `evaluations` their number in
+    this process.
     """
 
     steps: int
@@ -59,6 +62,7 @@ class TrainingProgress:
     solved: Solved | None = None
     best_return: float | None = None
     period: float = 0.0
+    evaluations: int = 0
 
 
 class Reporter:
@@ -78,12 +82,15 @@ class Reporter:
 
 
 class ProgressReporter(Reporter):
-    """A table on a terminal, which is refreshed in place; a line for every tenth of the way elsewhere."""
+    """A table on a terminal, which is refreshed in place.
+
+    Elsewhere there is a line for every tenth of the way, for an evaluation, and at least every 30 s.
+    """
 
     def __init__(self, stream: TextIO | None = None) -> None:
         self._stream = sys.stderr if stream is None else stream
         self._live: Live | None = None
-        self._first, self._began, self._shown, self._tenth = 0, 0.0, 0.0, 0
+        self._first, self._began, self._shown, self._tenth, self._evaluations = 0, 0.0, 0.0, 0, 0
 
     def note(self, text: str) -> None:
         if self._live is None:
@@ -93,6 +100,7 @@ class ProgressReporter(Reporter):
 
     def start(self, progress: TrainingProgress) -> None:
         self._first, self._began = progress.steps, time.perf_counter()
+        self._shown = self._began
         self._tenth = 10 * progress.steps // progress.total_steps
         if self._stream.isatty():
             from rich.console import Console  # 60 ms, which only a terminal pays
@@ -108,8 +116,11 @@ class ProgressReporter(Reporter):
             if now - self._shown >= REFRESH_INTERVAL_S or progress.steps >= progress.total_steps:
                 self._live.update(_table(progress, speed, now - self._began), refresh=True)
                 self._shown = now
-        elif 10 * progress.steps // progress.total_steps > self._tenth:
-            self._tenth = 10 * progress.steps // progress.total_steps
+            return
+        tenth, since = 10 * progress.steps // progress.total_steps, now - self._shown
+        evaluated = progress.evaluations > self._evaluations and since >= EVALUATION_INTERVAL_S
+        if tenth > self._tenth or evaluated or since >= LINE_INTERVAL_S:
+            self._tenth, self._evaluations, self._shown = tenth, progress.evaluations, now
             print(progress_text(progress, speed), file=self._stream, flush=True)
 
     def stop(self) -> None:
@@ -151,6 +162,12 @@ def progress_values(progress: TrainingProgress, speed: float) -> dict[str, str]:
     if speed > 0.0 and progress.steps < progress.total_steps:
         rows["remaining"] = f"{duration((progress.total_steps - progress.steps) / speed)} to go"
     return rows
+
+
+def longer_goal(steps: int) -> int:
+    """A round number of steps to continue a training to, from 1.3 to 2.7 times as many as `steps`."""
+    unit: int = 10 ** (len(str(2 * steps)) - 1)
+    return max(1, round(2 * steps / unit)) * unit
 
 
 def duration(seconds: float) -> str:

@@ -92,16 +92,20 @@ class RunResult(BaseModel):
     stopped_by: str | None = None
     inexact: tuple[str, ...] = ()
 
-    @property
-    def interrupted(self) -> bool:
-        return self.status == "interrupted"
-
 
 class TrainingResult(RunResult):
-    """The result of a training, its run directory, and what it took over from another run."""
+    """The result of a training, its run directory, and what it took over from another run.
+
+    `stop_requested` says whether Ctrl-C or SIGTERM arrived: the training may have reached its goal all the same.
+    """
 
     run: Path
     initialized_from: str | None = None
+    stop_requested: bool = False
+
+    @property
+    def interrupted(self) -> bool:
+        return self.status == "interrupted"
 
 
 class TrainingOptions(TypedDict, total=False):

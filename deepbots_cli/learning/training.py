@@ -350,7 +350,8 @@ def _learn(
                 run.update(status=status, result=result)
             elif RunRecord.read(run.path) != before:
                 write_record(run.path, before)
-    return TrainingResult(run=run.path, initialized_from=run.record.initialized_from, **vars(result))
+    stopped = callback.interruption.requested or status == "interrupted"
+    return TrainingResult(run=run.path, initialized_from=run.record.initialized_from, stop_requested=stopped, **vars(result))
 
 
 @contextmanager
@@ -486,7 +487,8 @@ def _drive(
         model.learn(callback.total, callback=[callback, *followers] if followers else callback, **options)
         if callback.interruption.requested and statistics.steps < callback.total:
             return "interrupted"
-        callback.evaluate(UNLIMITED_SHARE)
+        with suppress(KeyboardInterrupt) if statistics.steps >= callback.total else nullcontext():  # nothing is left to continue
+            callback.evaluate(UNLIMITED_SHARE)
         if statistics.steps >= callback.total:
             checkpoints.finish(model)
         else:  # in the middle of a roll-out, since the task is solved or a callback says so

@@ -30,7 +30,7 @@ from deepbots_cli.document import shipped
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import checkpoints, evaluate, resume, train
 from deepbots_cli.learning.environments import VectorEnvironment, observation_digest
-from deepbots_cli.learning.report import TrainingProgress
+from deepbots_cli.learning.report import Reporter, TrainingProgress
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionNoise, Hindsight, Hyperparameter, Network, Schedule, Solved, Training
@@ -285,11 +285,9 @@ def test_a_training_that_was_interrupted_becomes_the_same_too(tmp_path: Path) ->
 def test_the_generated_environment_is_brought_back_in_the_middle_of_an_episode(tmp_path: Path) -> None:
     changes = ["train.total_timesteps=500", "train.environments=2", "train.n_steps=32", "train.batch_size=32", "train.n_epochs=2"]
 
-    class Stop:
+    class Stop(Reporter):
         """Asks for the end of the training when it is half done."""
 
-        def start(self, progress: TrainingProgress) -> None: ...
-        def stop(self) -> None: ...
         def update(self, progress: TrainingProgress) -> None:
             if 200 < progress.steps < 300:
                 os.kill(os.getpid(), signal.SIGINT)

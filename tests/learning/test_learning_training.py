@@ -23,7 +23,7 @@ from stable_baselines3.common.env_checker import check_env
 from deepbots_cli.cli.results import training_text
 from deepbots_cli.errors import DeepbotsError, EngineError, RunError, UsageError, install_hint
 from deepbots_cli.learning import TrainingResult, algorithms, checkpoints, evaluate, resume, train
-from deepbots_cli.learning.report import ProgressReporter, TrainingProgress, to_json
+from deepbots_cli.learning.report import ProgressReporter, Reporter, TrainingProgress, longer_goal, to_json
 from deepbots_cli.learning.run import Run, run_lock
 from deepbots_cli.learning.training import _training_of
 from deepbots_cli.program.task import Hyperparameter, Network, Schedule, Solved, Training
@@ -44,7 +44,7 @@ def rows(run: Path) -> list[dict[str, str]]:
     return list(csv.DictReader(run.joinpath("monitor.csv").read_text().splitlines()[1:]))
 
 
-class Telling:
+class Telling(Reporter):
     """A reporter that does something after some updates."""
 
     def __init__(self, after: int, action: Any) -> None:
@@ -178,6 +178,53 @@ def test_an_interrupted_training_keeps_what_was_learned_and_says_how_to_go_on(tm
     again = resume(result.run, total_timesteps=result.steps + 100, build=stand_in.build)
     assert again.status == "finished"
     assert again.steps > result.steps
+
+
+def test_sigterm_ends_a_training_with_the_command_that_continues_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    class Terminated(ProgressReporter):
+        def update(self, progress: TrainingProgress) -> None:
+            if 1_000 < progress.steps < 2_000:
+                os.kill(os.getpid(), signal.SIGTERM)
+
+    result = short(tmp_path, total=50_000, progress=Terminated(), build=stand_in.build)
+    assert result.interrupted
+    assert f"stopping after this roll-out; continue with: deepbots train --resume {result.run}\n" in capsys.readouterr().err
+    assert f"continue the training with: deepbots train --resume {result.run}" in training_text(result)
+
+
+def test_a_stop_after_the_last_step_leaves_nothing_to_resume(tmp_path: Path) -> None:
+    class Late(Reporter):
+        stopped = False
+
+        def update(self, progress: TrainingProgress) -> None:
+            if progress.steps >= progress.total_steps and not self.stopped:
+                self.stopped = True
+                os.kill(os.getpid(), signal.SIGINT)
+
+    result = short(tmp_path, total=2_000, solved=Solved(10, mean_return=1e6), progress=Late(), build=stand_in.build)
+    assert (result.status, result.stop_requested) == ("finished", True)
+    assert result.steps > 2_000
+    assert "--resume" not in training_text(result)
+    assert f"evaluate the policy with: deepbots eval {result.run}" in training_text(result)
+    with pytest.raises(UsageError, match="is complete"):
+        resume(result.run, build=stand_in.build)
+
+
+@pytest.mark.parametrize(("steps", "goal"), [(300_032, 600_000), (500_736, 1_000_000), (600, 1_000), (7_500, 20_000), (1, 2)])
+def test_suggested_steps_are_round_and_more_than_there_are(steps: int, goal: int) -> None:
+    assert longer_goal(steps) == goal
+
+
+def test_a_log_gets_a_line_every_half_minute_and_one_for_an_evaluation(monkeypatch: pytest.MonkeyPatch) -> None:
+    stream, now = io.StringIO(), 0.0
+    monkeypatch.setattr("deepbots_cli.learning.report.time.perf_counter", lambda: now)
+    display = ProgressReporter(stream)
+    display.start(TrainingProgress(0, 1_000_000, 0, None, None))
+    for second in range(120):
+        now = float(second)
+        display.update(TrainingProgress(second * 100, 1_000_000, 0, None, None, evaluations=second // 50))
+    steps = [int(line.split()[0].replace(",", "")) for line in stream.getvalue().splitlines()]
+    assert steps == [3_000, 5_000, 8_000, 10_000]  # after 30 s, an evaluation after 50 s, 30 s later, a second evaluation after 100 s
 
 
 def test_an_impatient_keyboard_interrupt_keeps_what_was_learned_too(tmp_path: Path) -> None:

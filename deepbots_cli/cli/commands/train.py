@@ -265,16 +265,21 @@ def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, allow_code: b
     """Show the result of the training; unless it was interrupted, evaluate the policy and name the next commands."""
     if not as_json:
         terminal.print_result(results.training_text(result))
-    if result.interrupted:
+    sys.stdout.flush()  # what ends a process after a while may not let it write later
+    if result.stop_requested:
         if as_json:
             terminal.show_json({"training": report.to_json(result), "evaluation": None})
         raise typer.Exit(INTERRUPTED)
     if not quiet:
         terminal.note("evaluating on held-out episodes, without the exploration of the training, so returns differ ...")
     trained = Run.open(result.run)
-    with terminal.progress(always=False) as show_episode:
-        evaluation = learning.evaluate(trained, allow_code=allow_code, on_episode=show_episode)
-        cases = learning.evaluate_cases(trained, allow_code=allow_code, on_episode=show_episode)
+    try:
+        with terminal.progress(always=False) as show_episode:
+            evaluation = learning.evaluate(trained, allow_code=allow_code, on_episode=show_episode)
+            cases = learning.evaluate_cases(trained, allow_code=allow_code, on_episode=show_episode)
+    except KeyboardInterrupt:
+        terminal.note(f"interrupted; the training is finished, evaluate its policy with: deepbots eval {quote(str(result.run))}")
+        raise typer.Exit(INTERRUPTED) from None
     results.write_evaluation(trained, with_cases(evaluation, cases))
     if as_json:
         terminal.show_json({"training": report.to_json(result), "evaluation": with_cases(evaluation, cases)})
@@ -287,6 +292,6 @@ def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, allow_code: b
         return
     terminal.note(
         "\nnext:\n" + (f"  deepbots diagnose {run}\n" if evaluation.solved is False else "") + f"  deepbots eval {run} --video {film}\n"
-        f"  deepbots train --resume {run} --timesteps {2 * max(result.steps, result.total_timesteps)} --full\n"
+        f"  deepbots train --resume {run} --timesteps {report.longer_goal(max(result.steps, result.total_timesteps)):_} --full\n"
         f"  tensorboard --logdir {logs}"
     )
