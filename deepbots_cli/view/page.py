@@ -45,6 +45,8 @@ _WATCH_INTERVAL_S = 0.25  # s
 _DEBOUNCE_S = 0.3  # s without a change, after which the value of a parameter counts
 _STEERING_TIME = 0.3  # s of the episode, in which the effect of a key on the yaw is measured
 _MAX_SERIES = 8
+MAX_RECORDINGS = 100
+"""What one page writes: a person drives for hours until then, and a program that presses the button does not fill the disk."""
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#8a8a8a", "#a58b00")
 """Of Okabe and Ito, which colour-blind people can tell apart; grey for black."""
 _NUMBER_WITH_UNIT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?:\s+(.*)|(%|[a-zA-Z].*)?)\s*")
@@ -117,12 +119,12 @@ class Page:
         self.seed, self.episode, self.paused, self.speed = seed, episode, False, 1.0
         self._world_number, self._frame_rate = world, frame_rate
         self._error_title, self._message, self._waiting = "", "", playing
-        self._best, self._successes, self._played = -math.inf, 0, 0
+        self._best, self._successes, self._played, self._recorded = -math.inf, 0, 0, 0
         opened = source.open()
         if playing and opened.recording is not None:
             raise UsageError(f"`play` does not accept a recording; use: deepbots view {source.reference}")
         self.server, self.address = server.serve(
-            host, port, f"deepbots {source.reference}", lambda keys, axes: self._manual_input.hold(keys, axes)
+            host, port, f"deepbots {source.reference}", lambda keys, axes: self._manual_input.hold(keys, axes), writes=playing
         )
         self._fitted_cameras: dict[int, dict[tuple[int, int], Triple]] = {}
         self.server.on_client_connect(lambda client: client.camera.on_update(lambda _: self._tasks.put(lambda: self._fit_camera(client))))
@@ -514,6 +516,11 @@ class Page:
     def _record(self, client: Any) -> None:
         """Write the episode so far as a recording: the same actions from the same seed are the same episode."""
         assert self.player is not None
+        if self._recorded >= MAX_RECORDINGS:
+            if client is not None:
+                client.add_notification("not recorded", f"this page has written {MAX_RECORDINGS} recordings; start `deepbots play` again")
+            return
+        self._recorded += 1
         with closing(self.player.opened.player(ZERO)) as again:
             again.driver, again.driver_name = Driver(iter(self.player.actions).__next__), HAND
             name = f"{Path(self._source.reference).stem}-{self.seed}-{self.episode}-played"

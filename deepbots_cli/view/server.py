@@ -2,9 +2,10 @@
 
     Host       must be the host and port that the server listens on, so that no other site can reach it by a name of its own
     Origin     of a web socket must be this server
-    token      asked for where the server listens beyond loopback; the first request carries it, a cookie keeps it
+    token      asked for where the server listens beyond loopback, and where the page writes files; the first request carries it, a cookie
+               keeps it
     paths      `/` is the page, `/drive` takes keys and gamepads; no file is served
-    messages   at most 1 MB; what cannot be read closes the connection and is not logged
+    messages   at most 1 MB; what cannot be read closes the connection and is not logged; a value that a control does not offer is ignored
 
 viser has no place for such checks, so its websocket server is wrapped while a `ViserServer` is made. `viser` is pinned to 1.1 for this.
 """
@@ -38,6 +39,8 @@ LOOPBACK = "127.0.0.1"
 FIRST_PORT = 8787
 """Of the first page; a page without a chosen port takes the next free one."""
 _MAX_PORTS = 20
+_MAX_NUMBER, _MAX_TEXT = 2**53, 1_000
+"""Of the value of a control that has no limits of its own."""
 
 _CONTENT_SECURITY_POLICY = (
     "default-src 'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' data: blob:; connect-src 'self' ws: data: blob:; "
@@ -71,7 +74,7 @@ _STYLE = """<style>[role=tab] { padding-inline: 0.5em !important; } @media (max-
 OnDrive = Callable[[Keys, Axes], None]
 
 
-def serve(host: str, port: int | None, label: str, on_drive: OnDrive) -> tuple[viser.ViserServer, str]:
+def serve(host: str, port: int | None, label: str, on_drive: OnDrive, *, writes: bool = False) -> tuple[viser.ViserServer, str]:
     """Start the server in a thread of its own; it and the address of the page, with the token where there is one.
 
     Args:
@@ -79,6 +82,7 @@ def serve(host: str, port: int | None, label: str, on_drive: OnDrive) -> tuple[v
         port: None takes the first free one from `FIRST_PORT` on, 0 any.
         label: The title of the page.
         on_drive: Called in the server's thread with the keys that are held and the axes of a gamepad.
+        writes: Whether the page can write files, so that it asks for a token on loopback too, which other users of the machine reach.
 
     Raises:
         UsageError: The host is unknown, or the port is in use.
@@ -88,12 +92,14 @@ def serve(host: str, port: int | None, label: str, on_drive: OnDrive) -> tuple[v
         import viser
     except ModuleNotFoundError as error:
         raise MissingExtraError("view", "a page in the browser") from error
+    host = _plain_address(host)
     number = _free_port(host, port)
-    token = "" if _is_loopback(host) else secrets.token_urlsafe(16)
+    token = "" if _is_loopback(host) and not writes else secrets.token_urlsafe(16)
     for name in ("websockets", "websockets.server", "asyncio"):
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     with _guarded(host, token, on_drive), contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner
         server = viser.ViserServer(host, number, label=label, verbose=False)
+    _check_updates(server)
     shown = socket.gethostname() if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
     return server, f"http://{shown}:{server.get_port()}/" + (f"?token={token}" if token else "")
 
@@ -104,8 +110,50 @@ def stop(server: viser.ViserServer) -> None:
         server.stop()
 
 
+def _plain_address(host: str) -> str:
+    """`127.0.0.1` for `127.1`, as the system reads it; a name stays as it is."""
+    if host.split() == [host]:  # the system also reads a number before blanks
+        with contextlib.suppress(OSError, UnicodeError):
+            return socket.inet_ntoa(socket.inet_aton(host))
+    return host
+
+
 def _is_loopback(host: str) -> bool:
-    return host == "localhost" or (host.replace(".", "").isdigit() and ipaddress.ip_address(host).is_loopback) or host == "::1"
+    with contextlib.suppress(ValueError):
+        return ipaddress.ip_address(host).is_loopback
+    return host == "localhost"
+
+
+def _check_updates(server: viser.ViserServer) -> None:
+    """Let a client change the value of a control only, to one that the control offers; viser takes any value of any of its attributes."""
+    from viser._messages import GuiUpdateMessage
+
+    gui: Any = server.gui
+    original = gui._handle_gui_updates
+
+    async def checked(client: int, message: Any) -> None:
+        handle = gui._gui_input_handle_from_uuid.get(message.uuid)
+        if handle is not None and list(message.updates) == ["value"] and _is_offered(message.updates["value"], handle._impl):
+            await original(client, message)
+
+    gui._websock_interface.unregister_handler(GuiUpdateMessage, original)
+    gui._websock_interface.register_handler(GuiUpdateMessage, checked)
+
+
+def _is_offered(value: object, control: Any) -> bool:
+    """Whether a control can have this value: an option, a number in its range, or a text."""
+    options = getattr(control.props, "options", None)
+    if options is not None:
+        return isinstance(value, str) and value in options
+    if isinstance(control.value, bool):
+        return isinstance(value, bool)
+    if isinstance(control.value, int | float):
+        low, high = (getattr(control.props, end, None) for end in ("min", "max"))
+        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= _MAX_NUMBER:
+            return False
+        slack = 1e-6 * abs(high - low) if low is not None and high is not None else 0.0  # of the steps of a slider
+        return (low is None or value >= low - slack) and (high is None or value <= high + slack)
+    return isinstance(value, str) and isinstance(control.value, str) and len(value) <= _MAX_TEXT
 
 
 def _free_port(host: str, port: int | None) -> int:
@@ -117,7 +165,7 @@ def _free_port(host: str, port: int | None) -> int:
                 probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
                 probe.bind(address)
                 return int(probe.getsockname()[1])
-        except socket.gaierror:
+        except (socket.gaierror, UnicodeError):
             raise UsageError(f"there is no host '{host}'; 127.0.0.1 is this machine alone, 0.0.0.0 all of its networks") from None
         except OSError as error:
             if port is not None or error.errno != errno.EADDRINUSE:

@@ -14,6 +14,7 @@ pytest.importorskip("viser")
 import msgspec
 import numpy as np
 import viser
+from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 import deepbots_cli.codegen
@@ -146,6 +147,37 @@ def test_an_episode_that_was_driven_is_recorded_to_the_bit(tmp_path, monkeypatch
         *_, last = replayed.episode(4, 0, 3)
         assert last.links == driven.links
         assert replayed.recording.metadata["driver"] == HAND
+
+
+def test_a_page_to_play_in_asks_for_its_token_on_loopback_and_records_up_to_a_limit(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("deepbots_cli.view.page.MAX_RECORDINGS", 2)
+    monkeypatch.setattr("deepbots_cli.view.page.record", lambda player, path, *_, **__: path.touch())
+    with closing(Page(Source("cartpole"), port=0, playing=True)) as page:
+        address, _, token = page.address.partition("?token=")
+        assert len(token) > 16
+        with pytest.raises(InvalidStatus, match="403"):  # a program of another user of the machine
+            connect(address.replace("http", "ws"), subprotocols=[f"viser-v{viser.__version__}"])
+        for _ in range(30):
+            page._record(None)
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_a_value_that_no_control_offers_changes_nothing_and_prints_nothing(capfd):
+    with closing(Page(Source("find_ball"), port=0)) as page:
+        handles = {handle.label: handle for handle in page.server.gui._gui_input_handle_from_uuid.values()}
+        wrong = {"driver": ["nobody", 5], "seed": [-1, "x", 1e300], "speed": [0, 99.0, "fast", math.nan], "time": ["explode", [1]]}
+        updates = [(handles[name]._impl.uuid, {"value": value}) for name in wrong for value in wrong[name]]
+        updates += [(handles["driver"]._impl.uuid, {"props": 5}), ("nothing", {"value": 1}), (handles["seed"]._impl.uuid, {"value": 7})]
+        with connect(page.address.replace("http", "ws"), subprotocols=[f"viser-v{viser.__version__}"], max_size=None) as wire:
+            wire.send(msgspec.msgpack.encode(CAMERA))
+            for uuid, update in updates:
+                wire.send(msgspec.msgpack.encode({"type": "GuiUpdateMessage", "uuid": uuid, "updates": update}))
+            end = time.monotonic() + 30.0
+            page.run(lambda: page.seed == 7 or time.monotonic() > end)
+        assert page.seed == 7  # all of them have arrived, and the last one counts
+        assert (page.speed, page.player.driver_name) == (1.0, "onward")
+    assert "Traceback" not in capfd.readouterr().err
 
 
 def test_hands_know_options_by_their_names():

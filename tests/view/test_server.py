@@ -94,6 +94,12 @@ def test_beyond_loopback_a_token_is_asked_for():
         server.stop(made)
 
 
+def test_an_abbreviated_address_is_loopback():
+    made, address = server.serve("127.1", 0, "test", lambda keys, axes: None)
+    server.stop(made)
+    assert address == f"http://127.0.0.1:{made.get_port()}/"
+
+
 def test_keys_and_axes_arrive_and_rubbish_does_not(page, capfd):
     port, arrived = page
     origin = f"http://127.0.0.1:{port}"
