@@ -296,6 +296,8 @@ class TrainingCallback(BaseCallback):
         self._log(done, summary, is_best=rank == self.best)
         self._evaluations += 1
         self._report()
+        if self.curriculum.add_evaluation(summary.mean_return, summary.success_rate, steps, self.statistics.episodes):
+            self.begin_stage()
 
     def _log(self, done: Sequence[Episode], summary: Summary, *, is_best: bool) -> None:
         self.logger.record("eval/mean_return", summary.mean_return)

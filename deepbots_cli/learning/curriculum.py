@@ -55,7 +55,7 @@ class Curriculum:
     def _begin(self, steps: int) -> None:
         until = self.criterion
         self._first_step = steps
-        self._recent: deque[float] = deque(maxlen=until.episodes if until else 1)
+        self._recent: deque[float] = deque(maxlen=(until.episodes or 1) if until else 1)
 
     @property
     def index(self) -> int:
@@ -88,20 +88,34 @@ class Curriculum:
         return self.stages[index].program if self.stages else self._program
 
     def value(self, steps: int) -> float | None:
-        """What the criterion compares with its threshold, after `steps` steps in all; None without one, and before enough episodes."""
+        """What the criterion compares with its threshold, after `steps` steps in all.
+
+        None without a criterion, and before there are enough episodes or an evaluation.
+        """
         until = self.criterion
         if until is None:
             return None
         if until.metric == "steps":
             return float(steps - self._first_step)
-        return sum(self._recent) / len(self._recent) if len(self._recent) == until.episodes else None
+        return sum(self._recent) / len(self._recent) if len(self._recent) == self._recent.maxlen else None
 
     def add(self, episode: Episode, steps: int, episodes: int) -> bool:
         """Count an episode of the present stage; whether the next one begins with it. `steps` and `episodes` count from the very start."""
         until = self.criterion
-        if until is None:
+        if until is None or until.episodes is None:
             return False
         self._recent.append(float(episode.is_success) if until.metric == "success_rate" else episode.total_return)
+        return self._complete(until, steps, episodes)
+
+    def add_evaluation(self, mean_return: float, success_rate: float, steps: int, episodes: int) -> bool:
+        """Count an evaluation in the present stage; whether the next one begins after it. `steps` and `episodes` are as for `add`."""
+        until = self.criterion
+        if until is None or until.episodes is not None:
+            return False
+        self._recent.append(success_rate if until.metric == "success_rate" else mean_return)
+        return self._complete(until, steps, episodes)
+
+    def _complete(self, until: Criterion, steps: int, episodes: int) -> bool:
         value = self.value(steps)
         if value is None or value < until.threshold:
             return False
@@ -116,7 +130,8 @@ class Curriculum:
         if until is None:
             return place
         form = ",.0f" if until.metric == "steps" else ".3g"
-        return f"{place}: {until.metric.replace('_', ' ')} {'-' if value is None else format(value, form)} of {until.threshold:{form}}"
+        metric = until.metric.replace("_", " ") + (" in evaluation" if until.episodes is None else "")
+        return f"{place}: {metric} {'-' if value is None else format(value, form)} of {until.threshold:{form}}"
 
     def state(self) -> CurriculumState:
         return CurriculumState(ends=self.completed, first_step=self._first_step, recent=list(self._recent))

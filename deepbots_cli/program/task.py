@@ -525,8 +525,11 @@ class Evaluation:
 
 @dataclass(frozen=True)
 class Criterion:
-    """When a stage of the curriculum is done: a mean over its last `episodes` episodes is reached, or `threshold` steps are taken."""
+    """When a stage of the curriculum is done: a mean reaches `threshold`, or so many steps are taken.
+
+    The mean is that of the last `episodes` episodes of the training in this stage, or with None that of one evaluation.
+    """
 
     metric: Literal["success_rate", "mean_return", "steps"]
     threshold: float
-    episodes: int = 1
+    episodes: int | None = 1

@@ -770,15 +770,19 @@ def read_schedule(value: object) -> tuple[float, float] | None:
     return (float(match[1]), float(match[2])) if match else None
 
 
-_UNTIL = rf"\s*(?:(success_rate)\s*>=\s*({_NUMBER}(?:\s*%)?)|(mean_return)\s*>=\s*({_NUMBER}))\s+over\s+([0-9]{{1,6}})\s+episodes?\s*"
+_MEAN = rf"(?:(success_rate)\s*>=\s*({_NUMBER}(?:\s*%)?)|(mean_return)\s*>=\s*({_NUMBER}))"
+_UNTIL = rf"\s*{_MEAN}\s+(?:over\s+([0-9]{{1,6}})\s+episodes?|in\s+evaluation)\s*"
 _STEPS = r"\s*([0-9]{1,3}(?:_[0-9]{3}){0,3}|[0-9]{1,12})\s+steps?\s*"
 
 
-def read_until(value: object) -> tuple[str, float, int] | None:
-    """`success_rate >= 0.7 over 40 episodes` or `50_000 steps`, as metric, threshold and episodes; None if it is neither."""
+def read_until(value: object) -> tuple[str, float, int | None] | None:
+    """`success_rate >= 0.7 over 40 episodes` or `50_000 steps`, as metric, threshold and episodes; None if it is neither.
+
+    `success_rate >= 0.7 in evaluation` has no number of episodes.
+    """
     text = value if isinstance(value, str) else ""
     if match := re.fullmatch(_UNTIL, text):
-        return match[1] or match[3], read_fraction(match[2] or match[4]), int(match[5])
+        return match[1] or match[3], read_fraction(match[2] or match[4]), int(match[5]) if match[5] else None
     match = re.fullmatch(_STEPS, text)
     return ("steps", float(match[1]), 1) if match else None
 
@@ -786,7 +790,7 @@ def read_until(value: object) -> tuple[str, float, int] | None:
 class Until(FieldType):
     """When a stage of the curriculum is done."""
 
-    noun = "a goal over episodes, or a number of steps"
+    noun = "a mean over episodes, a mean in evaluation, or a number of steps"
     example = "success_rate >= 0.7 over 40 episodes"
 
     def has_form(self, value: object) -> bool:
@@ -794,14 +798,15 @@ class Until(FieldType):
 
     def check(self, value: Any) -> None:
         metric, threshold, episodes = read_until(value) or ("", 0, 0)
-        check_bounds(episodes, 1)
+        if episodes is not None:
+            check_bounds(episodes, 1)
         if metric == "success_rate":
             check_bounds(threshold, 0, 1, is_share=True)
         elif metric == "steps":
             check_bounds(threshold, 1)
 
     def json_schema(self) -> JsonSchema:
-        return self._matching(r"^\s*((success_rate|mean_return)\s*>=.* over .* episodes?|[0-9_]+\s+steps?)\s*$")
+        return self._matching(r"^\s*((success_rate|mean_return)\s*>=.* (over .* episodes?|in\s+evaluation)|[0-9_]+\s+steps?)\s*$")
 
 
 class Setting(FieldType):

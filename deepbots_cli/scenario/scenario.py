@@ -268,7 +268,8 @@ class Stage(Section):
     set: Settings = {}
     """Changes: parameters by name, or other values by path, such as `reset.layout: paper`."""
     until: Annotated[str, Until()] | None = None
-    """When the next stage begins: `success_rate >= 0.7 over 40 episodes`, or after `50_000 steps`."""
+    """When the next stage begins: `success_rate >= 0.7 over 40 episodes` of the training, `success_rate >= 0.7 in evaluation` without
+    exploration, or after `50_000 steps`."""
 
 
 class Case(Section):

@@ -33,7 +33,10 @@ _MAX_LOG_BYTES = 1 << 28  # of a log
 _LINE_STYLES = ("-", "--", "-.", ":")
 THEMES = {"light": ("#ffffff", "#202428", "#d5d8dc"), "dark": ("#16181c", "#e4e6ea", "#3c4046")}
 """Background, text and grid."""
-_EPISODE_DTYPE = np.dtype([*((name, float) for name in ("steps", "returns", "lengths", "successes")), ("endings", object)])
+_EPISODE_COLUMNS = (
+    *((name, float) for name in ("steps", "returns", "lengths", "successes")),
+    *((name, object) for name in ("endings", "stages", "drawn")),
+)
 Curve = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Timesteps and values."""
 
@@ -119,8 +122,9 @@ def _read_tensorboard(path: Path) -> TrainingLog:
 def logs_of(run: Path) -> tuple[Any, list[dict[str, Any]]]:
     """The episodes of a training and its evaluations, both in order; a last line that is half written is left out.
 
-    Episodes are a record array with the timesteps at their end (`steps`), `returns`, `lengths`, `successes` (1 or 0) and `endings`.
-    Evaluations are dictionaries of `steps`, and of the `returns` and `successes` of their episodes.
+    Episodes are a record array with the timesteps at their end (`steps`), `returns`, `lengths`, `successes` (1 or 0), `endings`, `stages`
+    of the curriculum ("" without one), and `drawn`, the drawn values as JSON ("" without them). Evaluations are dictionaries of `steps`,
+    of the `stage` in which the policy acted, and of the `returns` and `successes` of their episodes.
 
     Raises:
         RunError: A file is no regular file, too large, or damaged.
@@ -129,17 +133,18 @@ def logs_of(run: Path) -> tuple[Any, list[dict[str, Any]]]:
     names = ("steps", "r", "l", "is_success")
     evaluations: list[dict[str, Any]] = []
     try:
-        found = [(*(float(row[name]) for name in names), row["ended_by"]) for row in rows]
+        texts = ("ended_by", "stage", "drawn")
+        found = [(*(float(row[name]) for name in names), *(row.get(name) or "" for name in texts)) for row in rows]
         for line in map(json.loads, text[: text.rfind("\n") + 1].splitlines()):
             lists = {name: [float(value) for value in line[name]] for name in ("returns", "successes")}
-            evaluations.append({"steps": float(line["steps"]), **lists})
+            evaluations.append({"steps": float(line["steps"]), "stage": str(line.get("stage") or ""), **lists})
         ends = [*(each[0] for each in found), *(each["steps"] for each in evaluations)]
         means = [fmean(each[name]) for each in evaluations for name in ("returns", "successes")]  # an error without an episode
         if not all(map(math.isfinite, [*ends, *means, *(number for each in found for number in each[1:4])])) or min(ends, default=0) < 0:
             raise ValueError("a number is not finite, or a step is negative")
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise RunError(f"{run} is damaged: one of its logs cannot be read") from error
-    return np.array(found, _EPISODE_DTYPE).view(np.recarray), evaluations
+    return np.array(found, list(_EPISODE_COLUMNS)).view(np.recarray), evaluations
 
 
 def _text(path: Path) -> str:

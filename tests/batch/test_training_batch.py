@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -152,6 +153,16 @@ def test_why_worlds_are_stepped_one_by_one_is_told() -> None:
     assert stepping_text(camera, 8, "mujoco", default_factory("mujoco")) == "SeeBall steps its 8 worlds one by one: it has cameras"
     assert stepping_text(cart, 8, "mujoco", default_factory("mujoco")) == "CartPole steps its 8 worlds together, as a batch"
     assert stepping_text(camera, 8, "pybullet", default_factory("pybullet")) == ""
+
+
+def test_a_batch_enters_the_next_stage_after_an_evaluation(tmp_path: Path) -> None:
+    stages = "curriculum=[{name: easy, set: {truncation.max_steps: 3}, until: mean_return >= 2 in evaluation}, {name: hard}]"
+    changes = [stages, "truncation.max_steps=5", "train.n_steps=32", "train.n_epochs=1", "solved.episodes=8"]
+    result = learning.train(api.compile("cartpole", overrides=changes), run=tmp_path / "run", total_timesteps=1024, engine="mujoco")
+    (done,) = result.stages
+    rows = list(csv.DictReader((tmp_path / "run" / "monitor.csv").read_text().splitlines()[1:]))
+    assert (done.value, done.steps % 8) == (3.0, 0)
+    assert {(row["stage"], row["l"]) for row in rows if int(row["steps"]) > done.steps + 24} == {("hard", "5")}
 
 
 @pytest.mark.slow

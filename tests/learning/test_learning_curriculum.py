@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import shutil
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +20,7 @@ from deepbots_cli.errors import EngineError, RunError, UsageError
 from deepbots_cli.learning import TrainingResult, evaluate, resume, train
 from deepbots_cli.learning.curriculum import Curriculum, CurriculumState
 from deepbots_cli.learning.episodes import Episode
-from deepbots_cli.learning.report import to_json
+from deepbots_cli.learning.report import TrainingProgress, to_json
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Criterion, Hyperparameter, Solved, Training
@@ -41,7 +43,8 @@ def until_text(until: Criterion | None) -> str:
         return ""
     if until.metric == "steps":
         return f", until: {until.threshold:g} steps"
-    return f", until: {until.metric} >= {until.threshold:g} over {until.episodes} episodes"
+    counted = "in evaluation" if until.episodes is None else f"over {until.episodes} episodes"
+    return f", until: {until.metric} >= {until.threshold:g} {counted}"
 
 
 def rows(run: Path) -> list[dict[str, str]]:
@@ -77,6 +80,44 @@ def test_the_criterion_asks_for_its_number_of_episodes_in_a_row() -> None:
     assert begun == [False, False, False, True]
     assert (curriculum.name, curriculum.is_last, curriculum.value(40)) == ("b", True, None)
     assert curriculum.add(Episode(0.0, 10, True, None), 50, 5) is False
+
+
+class Stop:
+    """Asks for the end of a training, as Ctrl-C does, once it has made so many steps."""
+
+    def __init__(self, steps: int) -> None:
+        self._steps = steps
+
+    def start(self, progress: TrainingProgress) -> None: ...
+    def stop(self) -> None: ...
+    def note(self, text: str) -> None: ...
+    def update(self, progress: TrainingProgress) -> None:
+        if self._steps < progress.steps < self._steps + 100:
+            os.kill(os.getpid(), signal.SIGINT)
+
+
+def test_a_stage_that_counts_evaluations_ends_with_one_and_resumes_to_the_bit(tmp_path: Path) -> None:
+    evaluated = [Criterion("mean_return", length - 0.5, None) for length in (2, 3)]
+    compiled = staged(*evaluated, None, lengths=(2, 3, 4), solved=Solved(5, mean_return=4.5))
+    whole = learned(tmp_path, compiled, total_timesteps=1400)
+    log = [json.loads(line) for line in (whole.run / "evaluations" / "training.jsonl").read_text().splitlines()]
+    assert [line["stage"] for line in log] == ["a", "b", "c"]
+    assert [(done.name, done.value, done.steps) for done in whole.stages] == [("a", 2.0, log[0]["steps"]), ("b", 3.0, log[1]["steps"])]
+    parts = train(compiled, run=tmp_path / "parts", build=stand_in.build, total_timesteps=1400, progress=Stop(500))
+    assert (parts.status, [done.name for done in parts.stages]) == ("interrupted", ["a"])
+    again = resume(parts.run, build=stand_in.build)
+    assert (again.inexact, again.stages, again.weights_digest) == ((), whole.stages, whole.weights_digest)
+
+
+def test_an_evaluation_below_the_criterion_begins_no_stage_and_is_kept_by_a_checkpoint() -> None:
+    program = staged(Criterion("success_rate", 0.6, None), None, success=True).program
+    curriculum, again = Curriculum(program), Curriculum(program)
+    assert curriculum.add(Episode(0.0, 10, True, None), 10, 1) is False  # episodes of the training do not count
+    assert curriculum.add_evaluation(0.0, 0.55, 20, 2) is False
+    again.restore(CurriculumState.model_validate_json(curriculum.state().model_dump_json()))
+    assert again.describe(20) == "a (1 of 2): success rate in evaluation 0.55 of 0.6"
+    assert again.add_evaluation(0.0, 0.6, 30, 3) is True
+    assert again.name == "b"
 
 
 def test_returns_of_one_stage_do_not_count_in_the_next(tmp_path: Path) -> None:

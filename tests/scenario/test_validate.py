@@ -179,7 +179,9 @@ def test_a_fault_in_a_list_of_stages_names_the_entry(check: Check, cartpole: str
     assert findings[1].headline == "missing key `name` in entry 2 of `curriculum`"
 
 
-@pytest.mark.parametrize("until", ["success_rate >= 7 over 40 episodes", "success_rate >= 0.7 over 0 episodes"])
+@pytest.mark.parametrize(
+    "until", ["success_rate >= 7 over 40 episodes", "success_rate >= 0.7 over 0 episodes", "success_rate >= 120 % in evaluation"]
+)
 def test_a_stage_that_can_never_end_is_refused(check: Check, cartpole: str, until: str) -> None:
     _, findings = check(cartpole + f"curriculum:\n  - {{name: easy, until: {until}}}\n")
     assert [finding.code for finding in findings] == ["DB105"]
