@@ -226,6 +226,14 @@ def holds(condition: Condition, values: StepValues) -> bool:
     return measure(condition, values).holds
 
 
+def missing_comparisons(condition: Condition, values: StepValues) -> list[Comparison]:
+    """The comparisons that keep a condition from holding; of parts joined by `or`, those of the part that lacks the fewest."""
+    if not isinstance(condition, CompoundCondition):
+        return [] if measure(condition, values).holds else [condition]
+    parts = [missing_comparisons(part, values) for part in condition.parts]
+    return [leaf for part in parts for leaf in part] if condition.operator == "and" else min(parts, key=len)
+
+
 def deciding_comparison(condition: Condition, before: StepValues | None, now: StepValues) -> MeasuredComparison:
     """The comparison that made a condition hold: one that holds now and did not in the step before, one with a bound first."""
     if not isinstance(condition, CompoundCondition):

@@ -8,7 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from deepbots_cli.insight.conditions import SIGN_OF_OPERATOR, Comparison, MeasuredComparison, comparisons_in, holds, measure
+from deepbots_cli.insight.conditions import (
+    SIGN_OF_OPERATOR,
+    Comparison,
+    Condition,
+    MeasuredComparison,
+    comparisons_in,
+    holds,
+    measure,
+    missing_comparisons,
+)
 from deepbots_cli.insight.statements import MAX_LISTED, Numbers, Statement, StatementRule, list_text, quantity_text, statements_about
 from deepbots_cli.insight.trace import Trace
 from deepbots_cli.program.task import ActionRange, Choices
@@ -113,20 +122,33 @@ def approach(trace: Trace) -> Numbers | None:
 
 
 def nearest(trace: Trace) -> Numbers | None:
-    """'{ending}' needs {side} {sign} {limit}; the nearest was {best}, at {seconds} (step {step})."""
-    name, outer = _missed(trace)
-    leaf = next((leaf for leaf in outer if leaf.bound is not None), None)
-    if leaf is None:
+    """'{ending}' needs {needed}; {best}, at {seconds} (step {step})."""
+    name, condition = _missed(trace)
+    if condition is None or not any(leaf.bound is not None for leaf in comparisons_in(condition)):
         return None
-    step, found = _nearest(trace, leaf)
-    return {**found.as_json(), "ending": name, "side": leaf.sides[0], "sign": SIGN_OF_OPERATOR[leaf.operator], "step": step,
-            "limit": quantity_text(found.bound or 0.0, leaf.unit), "best": quantity_text(found.value, leaf.unit),
-            "seconds": _seconds(trace.time_at(step))}  # fmt: skip
+    missing = [missing_comparisons(condition, values) for values in trace.values]
+    fewest = min(map(len, missing))
+    if not fewest:  # all of it held, in a step that a failure ended
+        return None
+    # What is missing last decides: at the start most successes lack time or distance, which the episode gains later.
+    leaf = next(leaves for leaves in reversed(missing) if len(leaves) == fewest)[0]
+    never = not any(measure(leaf, values).holds for values in trace.values)
+    beside = [step for step, leaves in enumerate(missing) if len(leaves) == fewest and leaf in leaves]
+    step, found = _nearest(trace, leaf, () if never else beside)
+    limit, value = (quantity_text(number or 0.0, leaf.unit) for number in (found.bound, found.value))
+    others = "" if never or fewest > 1 else "while the others held, "
+    negated = leaf.operator == "not_equal"
+    if leaf.bound is not None:
+        needed, best = f"{leaf.sides[0]} {SIGN_OF_OPERATOR[leaf.operator]} {limit}", f"{others}the nearest was {value}"
+    else:
+        needed, best = f"`{leaf.text}` {'false' if negated else 'true'}", f"{others}it was {'true' if negated else 'false'}"
+    return {**found.as_json(), "ending": name, "needed": needed, "step": step, "best": best, "seconds": _seconds(trace.time_at(step))}
 
 
 def conditions(trace: Trace) -> Numbers | None:
     """Of the conditions in '{ending}', {parts}."""
-    name, outer = _missed(trace)
+    name, missed = _missed(trace)
+    outer = [] if missed is None else comparisons_in(missed)
     inner = [part for leaf in outer for part in (comparisons_in(leaf.lasting) if leaf.lasting else [leaf])]
     if len(inner) < 2 and not any(leaf.lasting for leaf in outer):
         return None
@@ -143,14 +165,14 @@ def conditions(trace: Trace) -> Numbers | None:
     return {"ending": name, "conditions": found, "parts": "; ".join(said)}
 
 
-def _missed(trace: Trace) -> tuple[str, list[Comparison]]:
-    """The first success with a bound that an episode without a success missed, and its comparisons."""
+def _missed(trace: Trace) -> tuple[str, Condition | None]:
+    """The first success with a bound that an episode without a success missed, and its condition."""
     if trace.outcome not in ("success", "error"):
         for name in [*(each.name for each in trace.program.endings if each.outcome == "success"), "goal_reached"]:
             condition = trace.instrumented.conditions.get(name)
             if condition is not None and any(leaf.bound is not None for leaf in comparisons_in(condition)):
-                return name, comparisons_in(condition)
-    return "", []
+                return name, condition
+    return "", None
 
 
 def _nearest(trace: Trace, leaf: Comparison, moments: Sequence[int] = ()) -> tuple[int, MeasuredComparison]:

@@ -171,6 +171,26 @@ def test_json_holds_the_same_statements(recording, capsys):
     assert data["end"]["margin"] > 0
 
 
+@pytest.mark.parametrize(
+    ("success", "needed", "value"),
+    [
+        ("time > 0.1 s and abs(cart.pole_angle) < 0.001 deg", "abs(cart.pole_angle) < 0.001 deg", "deg"),  # time held in the end
+        ("abs(x) < 1 m and time > 60 s", "time > 60 s", "s"),
+        ("time > 0.1 s and (x > 1 m or tip_speed > 99 m/s)", "x > 1 m", "m"),
+    ],
+)
+def test_the_condition_that_a_missed_success_lacks_is_named_and_not_one_that_held(tmp_path, success, needed, value):
+    with closing_player(Source("cartpole", overrides=[f"termination.success={{kept: {success}}}"]), "random") as world:
+        recordings.record(world, tmp_path / "one.mcap", 3, [0])
+    trace = _traced(tmp_path / "one.mcap")
+    assert trace.outcome == "failure"
+    (found,) = [each for each in explain(trace) if each.cause == "nearest"]
+    assert f"'kept' needs {needed}; " in found.text
+    assert not found.evidence["holds"]
+    assert found.evidence["margin"] < 0
+    assert f" {value}, at " in found.text
+
+
 def test_a_missed_duration_is_explained_by_the_comparisons_inside_it(tmp_path):
     sets = ["signals={rest: duration(abs(x) < 1 mm and abs(speed) < 0.001 mm/s)}", "termination.success={rested: rest > 0.3 s}"]
     with closing_player(Source("cartpole", overrides=sets), "random") as world:
