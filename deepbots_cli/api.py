@@ -45,7 +45,7 @@ class Compiled:
     read to its bytes, the scenario first; `resolved` is the merged scenario as YAML, which compiles to the same beside a folder `inputs`
     of those copies; `findings` is what `lint` says of it: warnings, and rules that failed (DB903); `allow_code` whether its terms
     in Python may run; `fixed` are the parameters that no episode draws; `edited_code` is the module of an ejected project, which replaces
-    the printed one.
+    the printed one; `overrides` are the assignments of `--set`.
     """
 
     program: Program
@@ -56,6 +56,7 @@ class Compiled:
     allow_code: bool = False
     fixed: tuple[str, ...] = ()
     edited_code: str | None = None
+    overrides: tuple[str, ...] = ()
 
     @property
     def code(self) -> str:
@@ -183,6 +184,7 @@ def compile(
         tuple(findings),
         checked.document.allow_code,
         tuple(name for name in checked.spec.parameters if name not in drawn) if checked.spec else (),
+        overrides=checked.document.overrides,
     )
 
 

@@ -71,6 +71,39 @@ def check_writable(path: Path) -> None:
         raise UsageError(unwritable_message(path, error)) from error
 
 
+def check_output(*paths: Path, force: bool) -> None:
+    """Find out before long work whether files can be written, and that none is overwritten unless `force`.
+
+    Raises:
+        UsageError: As `check_writable`, or one exists.
+    """
+    for path in paths:
+        check_writable(path)
+    if present := [path for path in paths if path.is_file()]:
+        refuse_overwriting(*present, force=force)
+
+
+def refuse_overwriting(*present: Path, force: bool) -> None:
+    """Raises: UsageError: These files or folders exist, and `force` is not given."""
+    if not force:
+        names = ", ".join(sorted(map(str, present)))
+        one = len(present) == 1
+        raise UsageError(
+            f"{names} already exist{'s' * one}; overwrite {'it' if one else 'them'} with --force (force=True), or choose another name"
+        )
+
+
+def check_new_folder(folder: Path, *, force: bool) -> None:
+    """Find out before long work whether a folder is new or empty, unless `force`, and can be written.
+
+    Raises:
+        UsageError: As `check_folder`, or it is not empty.
+    """
+    check_folder(folder)
+    if folder.is_dir() and any(folder.iterdir()):
+        refuse_overwriting(folder, force=force)
+
+
 def check_folder(folder: Path) -> None:
     """Find out before long work whether files can be written into a folder, which need not be there yet.
 

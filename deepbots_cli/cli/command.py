@@ -136,6 +136,7 @@ AllowCode = Annotated[
 ]
 Case = Annotated[str | None, typer.Option("--case", metavar="NAME", help="Apply the settings of this case of `evaluation.cases`.")]
 Stage = Annotated[str | None, typer.Option("--stage", metavar="NAME", help="Apply the settings of this stage of the curriculum.")]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite files that exist.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Seed = Annotated[int, typer.Option("--seed", metavar="N", parser=whole_number(0, MAX_SEED), help="Root seed of all random numbers.")]
 Engine = Annotated[

@@ -24,6 +24,7 @@ from deepbots_cli.footprint import resting_height, robot_bounds
 from deepbots_cli.frames import roll_pitch_yaw
 from deepbots_cli.learning.defaults import EffectiveHyperparameter, effective_hyperparameters
 from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.verdict import run_verdict
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.resets import OfSensor, RandomizedParameter
 from deepbots_cli.program.robots import Actuator, Cartesian, MessageField, MessageLayout, NoiseModel, Robot, Route, Thrust
@@ -208,7 +209,7 @@ def _run(run: Run) -> Row:
         "success_rate": result.success_rate if result and run.program.defines_success else None,
         "best_model": str(best) if best.is_file() else None,
         "best_return": result and result.best_return,
-        "solved": (f"in episode {result.solved_at.episode:,}" if result and result.solved_at else "not yet")
+        "solved": {True: "yes", False: "no", None: "unknown"}[run_verdict(run.path, run.record).solved]
         if run.program.solved
         else "the scenario does not say what counts as solved",
         "notes": run.notes(),

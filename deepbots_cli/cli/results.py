@@ -45,7 +45,8 @@ def training_text(result: TrainingResult) -> str:
         rows["success rate"] = f"{result.success_rate:.0%}"
     at = result.solved_at
     if at is not None:
-        rows["solved"] = f"in episode {at.episode:,}, after {at.simulated_hours:.3f} simulated h and {at.cpu_seconds:.1f} s of CPU time"
+        took = f"{at.simulated_hours:.3f} simulated h, {at.cpu_seconds:.1f} s of CPU time"
+        rows["solved"] = f"in training episode {at.episode:,}, after {took}"
     rows["stopped by"] = result.stopped_by and f"the callback {result.stopped_by}"
     rows["initialized from"] = result.initialized_from
     lines = [f"training {result.status}", row_as_lines(rows), *(f"note: {reason}" for reason in result.inexact)]
@@ -87,15 +88,15 @@ def group_training_json(result: GroupTraining) -> dict[str, Any]:
     return {"group": str(result.group), "trained": [to_json(found) for found in result.trained], **known}
 
 
-def evaluation_text(result: EvaluationResult, elsewhere: str | None = None) -> str:
+def evaluation_text(result: EvaluationResult, scenario: str | None = None) -> str:
     """Statistics with their intervals, how the episodes ended, and the verdict as last line.
 
-    `elsewhere` is the scenario, in words, where it is not the one of the training.
+    `scenario` is the scenario, in words, where it is not the one of the training.
     """
     terms = result.term_means if len(result.term_means) > 1 else {}
     rows = {
         "model": f"{result.run} ({result.model})",
-        "scenario": elsewhere,
+        "scenario": scenario,
         "episodes": f"{result.episodes:,} held-out starts from seed {result.seed}{'' if result.deterministic else ', actions sampled'}",
         **_statistics(result, success_defined=result.success_defined),
         **{f"reward {name}": f"{mean:.2f} per episode" for name, mean in terms.items()},
@@ -215,6 +216,7 @@ def group_text(group: GroupResult) -> str:
             f"over {count} seed{'' if count == 1 else 's'}",
             row_as_lines(rows),
             *notes,
+            *(f"made with: {words}" for words in dict.fromkeys(words for each in group.evaluations for words in each.remarks)),
         ]
     )
 
@@ -305,12 +307,12 @@ def write_evaluation(run: Run, evaluation: dict[str, Any]) -> None:
 
 
 def write_csv(path: Path, results: Iterable[EvaluationResult]) -> None:
-    """A line for each episode: policy, engine, seed of the reset, outcome, reward terms as `reward.TERM`, drawn values as `drawn.PLACE`."""
+    """A line for each episode: policy, what it was evaluated in, seed of the reset, outcome, reward terms as `reward.TERM`, drawn values as
+    `drawn.PLACE`."""
     rows: list[dict[str, object]] = []
     for result in results:
         for index, episode in enumerate(result.outcomes):
-            row: dict[str, object] = {"run": result.run, "model": result.model, "engine": result.engine or ""}
-            row |= {"case": result.case or "", "stage": result.stage or ""}
+            row: dict[str, object] = {"run": result.run, "model": result.model, **evaluated_in(result)}
             row |= {"episode": index, "seed": episode.seed, "return": episode.total_return, "length": episode.length}
             row |= {"success": int(episode.is_success) if result.success_defined else "", "ended_by": episode.ended_by or ""}
             row |= {f"reward.{name}": value for name, value in episode.terms.items()}
@@ -322,6 +324,19 @@ def write_csv(path: Path, results: Iterable[EvaluationResult]) -> None:
         writer.writerows(rows)
 
 
+def evaluated_in(result: EvaluationResult) -> dict[str, str]:
+    """The world and the actions of an evaluation, as texts; a `scenario` of another file than that of the run has its name."""
+    return {
+        "engine": result.engine or "",
+        "scenario": result.elsewhere or result.scenario,
+        "set": " ".join(result.set),
+        "case": result.case or "",
+        "stage": result.stage or "",
+        "deterministic": str(int(result.deterministic)),
+        "made_with": "; ".join(result.remarks),
+    }
+
+
 class JUnitCase(NamedTuple):
     """A requirement or a test: its text, whether it is met, the reason, and the wall time."""
 
@@ -331,12 +346,16 @@ class JUnitCase(NamedTuple):
     seconds: float | None = None
 
 
-def write_junit(path: Path, command: str, suites: Mapping[str, Sequence[JUnitCase]]) -> None:
-    """The cases of each suite, as a document of JUnit; a single suite is its root."""
+def write_junit(path: Path, command: str, suites: Mapping[str, Sequence[JUnitCase]], properties: Mapping[str, str] | None = None) -> None:
+    """The cases of each suite, as a document of JUnit; a single suite is its root. `properties` are those of each suite, by name."""
     found = []
     for suite, cases in suites.items():
         failures = sum(not case.met for case in cases)
         root = ElementTree.Element("testsuite", name=f"deepbots {command} {suite}", tests=str(len(cases)), failures=str(failures))
+        if properties:
+            listed = ElementTree.SubElement(root, "properties")
+            for name, value in properties.items():
+                ElementTree.SubElement(listed, "property", name=name, value=value)
         for case in cases:
             element = ElementTree.SubElement(root, "testcase", classname=suite, name=case.name)
             if case.seconds is not None:

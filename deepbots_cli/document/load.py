@@ -46,7 +46,8 @@ class Document:
     """The merged tree, every file that it came from, and their findings.
 
     `root` is None if a finding at error level left no tree. `files` maps the absolute path of each file to its text, the
-    main file first. The scenario may read from the folders `roots`, and name Python functions if `allow_code`.
+    main file first. The scenario may read from the folders `roots`, and name Python functions if `allow_code`. `overrides` are the
+    assignments of `--set` that were applied.
     """
 
     root: MappingNode | None
@@ -56,6 +57,7 @@ class Document:
     roots: tuple[Path, ...]
     base: Path
     allow_code: bool = False
+    overrides: tuple[str, ...] = ()
 
     @property
     def sources(self) -> tuple[Source, ...]:
@@ -170,7 +172,7 @@ class _Reader:
         except TooManyFindings as too_many:
             root = None
             self.findings.report_limit(too_many)
-        return Document(root, source, self.files, self.findings, self.roots, base)
+        return Document(root, source, self.files, self.findings, self.roots, base, overrides=tuple(overrides))
 
     def scenario(self, source: Source, folder: Path, chain: tuple[Path, ...]) -> MappingNode | None:
         """The tree of one file; None, with findings, if the file or one that it extends cannot be used."""

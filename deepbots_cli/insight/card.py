@@ -22,8 +22,8 @@ from pydantic import BaseModel, ConfigDict, Field
 import deepbots_cli
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME
 from deepbots_cli.errors import MissingExtraError, RunError
-from deepbots_cli.learning.listing import last_evaluation
 from deepbots_cli.learning.run import EvaluationRecord, ModelName, RecordFormat, Run, read_json
+from deepbots_cli.learning.verdict import RunVerdict, run_verdict
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import ActionRange, Choices, ObservedValue
 
@@ -79,6 +79,7 @@ class Card(BaseModel):
     memory: tuple[int, int] | None
     """Layers and units of a recurrent policy."""
     result: EvaluationRecord | None
+    solved: bool | None = None
     interface: Mapping[str, str]
     files: Mapping[str, str]
     versions: Mapping[str, str]
@@ -86,7 +87,7 @@ class Card(BaseModel):
     @property
     def result_text(self) -> str:
         """The result in a sentence."""
-        return self.result.text if self.result else "not evaluated since the end of the training"
+        return RunVerdict(self.solved, self.result).text
 
 
 def bundle_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
@@ -105,7 +106,7 @@ def bundle_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
         raise MissingExtraError("export", "exporting a policy") from error
     model = policy.loaded(run, name)
     graphs = export.networks(model, run.program)
-    evaluated = last_evaluation(run.path, run.record) if name == "best" else None
+    verdict = run_verdict(run.path, run.record) if name == "best" else RunVerdict(None, None)
     program, record, lstm = run.program, run.record, getattr(model.policy, "lstm_actor", None)
     space: Any = observation_space(program)
     masks = [f"{part.name}: {option.name}" for part in program.policy.action if isinstance(part, Choices) for option in part.options]
@@ -130,7 +131,8 @@ def bundle_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
         action=tuple(_card_actions(program)),
         action_mask=tuple(masks) if export.takes_masks(model, program) else None,
         memory=(lstm.num_layers, lstm.hidden_size) if lstm is not None else None,
-        result=evaluated[1] if evaluated else None,
+        result=verdict.evaluation,
+        solved=verdict.solved,
         interface=identity.interface(program),
         files={name: hashlib.sha256(content).hexdigest() for name, content in graphs.items()},
         versions=record.versions,

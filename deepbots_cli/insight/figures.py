@@ -16,7 +16,7 @@ from deepbots_cli.learning.episodes import Episode, by_drawn_value
 from deepbots_cli.program.world import WorldModel
 from deepbots_cli.robots.model import Cylinder, Sphere
 from deepbots_cli.view.page import COLOURS
-from deepbots_cli.view.plots import THEMES, Curve, TrainingLog, plot_band, plot_endings, plot_last_evaluation, style_panel
+from deepbots_cli.view.plots import THEMES, Curve, TrainingLog, plot_band, plot_endings, plot_evaluation, style_panel
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -44,7 +44,7 @@ def returns(logs: Sequence[TrainingLog], theme: str) -> Figure:
     for number, curve in enumerate(evaluations):
         panel.plot(*curve, "o", color=COLOURS[1], markersize=4, label="" if number else "evaluations during the training")
     for log in logs:
-        plot_last_evaluation(panel, None, log, COLOURS[1])
+        plot_evaluation(panel, None, log, COLOURS[1])
     style_panel(panel, "return", theme)
     return figure
 
@@ -57,7 +57,7 @@ def successes(logs: Sequence[TrainingLog], theme: str) -> Figure | None:
     figure, ((panel,),) = _figure(theme, 2.9)
     plot_band(panel, curves, {"color": COLOURS[2], "label": "success rate"})
     for log in logs:
-        plot_last_evaluation(None, panel, log, COLOURS[1])
+        plot_evaluation(None, panel, log, COLOURS[1])
     panel.set_ylim(-0.03, 1.03)
     style_panel(panel, "success rate of training episodes", theme, legend=False)
     return figure

@@ -1,6 +1,6 @@
 """A report about a run or a group: one HTML file that loads nothing and needs no scripts.
 
-Numbers come from the files of the runs: logs, and the last evaluation of the best model in the scenario of the training. Trajectories and
+Numbers come from the files of the runs: logs, and the evaluation of the best model with the most episodes (`verdict.py`). Trajectories and
 clips come from episodes of this evaluation that run again.
 """
 
@@ -32,8 +32,8 @@ from deepbots_cli.insight.card import render_template
 from deepbots_cli.insight.training import lint_findings
 from deepbots_cli.learning.episodes import UNBOUNDED, Episode
 from deepbots_cli.learning.group import Group, is_group
-from deepbots_cli.learning.listing import last_episodes
 from deepbots_cli.learning.run import EvaluationWithEpisodes, Run, is_training
+from deepbots_cli.learning.verdict import RunVerdict, quoted_episodes, run_verdict
 from deepbots_cli.view import pictures, plots
 from deepbots_cli.view.episodes import Player, Source
 from deepbots_cli.view.frames import LinkName
@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 
 
 EPISODE_LABELS = ("best", "median", "worst")
+FIGURE_NAMES = ("returns", "successes", "shares", "endings", "starts", "trajectories")
 _MAX_TRACED_EPISODES = 12
 _MAX_CLIP_S, _CLIP_FRAME_RATE = 10.0, 10.0
 _VIEWPOINT = pictures.Viewpoint(420, 300, samples=1)  # 60 instead of 200 ms a picture
@@ -54,7 +55,7 @@ OnEpisode = Callable[[int, int], object]
 
 @dataclass(frozen=True, eq=False)
 class ReportRun:
-    """A run of a report: its files, its log, and its last evaluation."""
+    """A run of a report: its files, its log, and the evaluation that everyone quotes."""
 
     run: Run
     log: TrainingLog
@@ -68,11 +69,16 @@ class ReportRun:
             RunError: It is damaged, or lacks one of the two; says what to do.
         """
         run = Run.open(path)
-        found = last_episodes(run)
+        found = quoted_episodes(run)
         if found is None:
             raise RunError(f"{path} holds no evaluation of its best model since its training ended; next: deepbots eval {quote(str(path))}")
         (log,) = plots.read_logs([path])
         return ReportRun(run, log, found[1])
+
+    @property
+    def verdict(self) -> RunVerdict:
+        """Whether the run is solved, with this evaluation."""
+        return RunVerdict(run_verdict(self.run.path, self.run.record).solved, self.evaluation)
 
 
 @dataclass(eq=False)
@@ -141,15 +147,18 @@ class Report:
         """The result in one line, with its interval."""
         found = [member.evaluation for member in self.runs]
         if not is_group(self.path):
-            return found[0].text
+            return self.runs[0].verdict.text
         text = "mean return " + _seed_statistics("{:.4g}", [each.mean_return for each in found])
         rates = [each.success_rate for each in found if each.success_rate is not None]
         if len(rates) == len(found):
             text += ", success rate " + _seed_statistics("{:.1%}", rates, (0.0, 1.0))
-        solved = f"; {sum(bool(each.solved) for each in found)} solved" if None not in [each.solved for each in found] else ""
+        answers = [member.verdict.solved for member in self.runs]
+        solved = f"; {answers.count(True)} solved" if None not in answers else ""
+        made_with = "; ".join(dict.fromkeys(words for each in found for words in each.remarks))
         fewest, most = min(each.episodes for each in found), max(each.episodes for each in found)
         counts = f"{most:,}" if fewest == most else f"{fewest:,} to {most:,}"
-        return f"{text}, over {len(found)} seed{'s' * (len(found) > 1)} with {counts} held-out episodes each{solved}"
+        seeds = f"{len(found)} seed{'s' * (len(found) > 1)}"
+        return f"{text}, over {seeds} with {counts} held-out episodes each{made_with and f' ({made_with})'}{solved}"
 
     def choose_episodes(self, count: int = _MAX_TRACED_EPISODES) -> list[ReportEpisode]:
         """Episodes at equal distances in the order of their returns, of which the first, the middle and the last have a label."""
@@ -191,7 +200,7 @@ class Report:
         with TemporaryDirectory() as folder:
             target = Path(folder, "clip.mp4")
             try:
-                pictures.check_target(target, (".mp4",))
+                pictures.check_target(target, (".mp4",), force=True)
                 pictures.write_clip(
                     player, target, _VIEWPOINT, seed=shown.run.evaluation.seed, episode=shown.number, speed=speed, rate=rate
                 )
@@ -209,7 +218,7 @@ class Report:
         defined = self.runs[0].evaluation.success_defined
         seeds = "" if len(logs) == 1 else f" The line is the mean of {len(logs)} seeds, the band reaches from the lowest to the highest."
         mean = "Moving means over 100 episodes of the training, in which the policy explores."
-        diamond = " The diamond is the last evaluation after the training." if any(log.last_evaluation for log in logs) else ""
+        diamond = " The diamond is the evaluation after the training." if any(log.evaluation for log in logs) else ""
         yield "returns", f"{mean}{seeds}{diamond}", figures.returns(logs, theme)
         yield "successes", f"{mean}{seeds}{diamond if defined else ''}", figures.successes(logs, theme)
         yield "shares", "The absolute sum of each term over an episode, as a share of all.", figures.shares(logs, theme)
@@ -258,7 +267,7 @@ class Report:
             "report.html.j2", html=True, report=self, program=run.program, record=run.record, figures=drawn, findings=found, clips=clips,
             lines=(run.path / RESOLVED_NAME).read_text("utf-8").splitlines(),
             marked={finding.span.start_position.line for finding in found if finding.span.source.name.endswith(RESOLVED_NAME)},
-            rows=[(member.run.path.name, member.run.record, member.evaluation.text) for member in self.runs],
+            rows=[(member.run.path.name, member.run.record, member.verdict.text) for member in self.runs],
             command=join(run.record.command) or "(from Python)", version=deepbots_cli.__version__, python=platform.python_version(),
             matplotlib=version("matplotlib"), notes=dict.fromkeys([*self.notes, *(note for m in self.runs for note in m.run.notes())]),
         )  # fmt: skip

@@ -25,8 +25,8 @@ from deepbots_cli.insight.trace import Array, Trace, TraceRecorder
 from deepbots_cli.learning import failures
 from deepbots_cli.learning.defaults import effective_hyperparameters
 from deepbots_cli.learning.episodes import meets_solved
-from deepbots_cli.learning.listing import last_episodes
 from deepbots_cli.learning.run import Run, changed_settings
+from deepbots_cli.learning.verdict import quoted_episodes
 from deepbots_cli.lint import all_findings
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionRange, Choices, Schedule
@@ -143,7 +143,7 @@ def read_training(run: Run) -> TrainingEvidence:
     failure = failures.read_failure(files[-1])[0] if files else None
     error = "" if failure is None else f"episode {failure.episode:,}, {failure.error}"
     episodes, evaluations = logs_of(run.path)
-    if (last := last_episodes(run)) is not None:
+    if (last := quoted_episodes(run)) is not None:
         done = last[1].outcomes
         evaluations.append({"returns": [each.total_return for each in done], "successes": [each.is_success for each in done]})
     return TrainingEvidence(run, episodes, evaluations, scalars_of(run.tensorboard), error)

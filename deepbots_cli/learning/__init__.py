@@ -1,7 +1,8 @@
 """Learning: from a compiled scenario to a trained, evaluated policy in a directory of its own, on Stable-Baselines3.
 
 training.py      train and resume: joins all of the below
-evaluation.py    evaluate: episodes of a policy on held-out starts, intervals, the verdict
+evaluation.py    evaluate: episodes of a policy on held-out starts, intervals
+verdict.py       which evaluation of a run counts, what it was made with, and whether the run is solved
 run.py           the run directory: what is kept, written atomically, read with suspicion
 models.py        models as Stable-Baselines3's zip files, read without unpickling
 checkpoints.py   the whole state of a training, from which it goes on to the bit

@@ -25,6 +25,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy
 
 from deepbots_cli.api import Compiled, build_batch
+from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.learning import algorithms, batch, models, video
 from deepbots_cli.learning.environments import VectorEnvironment, World, WorldFactory, compiled_scenario, default_factory, has_copies
@@ -35,16 +36,14 @@ from deepbots_cli.learning.episodes import (
     EpisodeAccumulator,
     Summary,
     by_drawn_value,
-    meets_solved,
     statistics_of,
     zero_action,
 )
 from deepbots_cli.learning.failures import FailureRecorder
-from deepbots_cli.learning.run import ModelName, Run
-from deepbots_cli.learning.statistics import gate_rate
+from deepbots_cli.learning.run import ModelName, Run, remark_on_episodes
+from deepbots_cli.learning.verdict import circumstances, solved_verdict
 from deepbots_cli.lint.rewards import possible_returns
 from deepbots_cli.program import Program, identity
-from deepbots_cli.program.task import Solved
 from deepbots_cli.runtime.batch import BatchSupervisor
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.scenario import Scenario
@@ -71,10 +70,13 @@ class EvaluationResult(Summary):
     """What a policy did in held-out episodes: their summary, the circumstances, and the episodes themselves.
 
     `engine` is None for worlds that `build` made. `model` is `best` or `last`, or the name of a baseline: `random`, `zero`, `script
-    NAME`. `case` and `stage` are None for the scenario itself. `solved` is None where the scenario says nothing, or asks for more
-    episodes than there were; `verdict` puts it in words. `return_bounds` are the least and the largest possible return of an episode where
-    rewards and time limit imply them, at which intervals are cut. `outcomes` are the episodes, in the order of their seeds. Where the
-    scenario defines no success (`success_defined`), the success rate is 0 and means nothing.
+    NAME`. `case` and `stage` are None for the scenario itself. `elsewhere` names the scenario where it is not that of the training, `set`
+    are the assignments of `--set` to it, and `digest` is its digest. `circumstances` puts in words what differs from an evaluation of the
+    best model in the scenario of the training. `planned` is the number of episodes that were asked for: more than `episodes` where a
+    requirement stopped the evaluation. `solved` is None where the scenario says nothing, or asks for more episodes (`required_episodes`)
+    than there were; `verdict` puts it in words. `return_bounds` are the least and the largest possible return of an episode where rewards
+    and time limit imply them, at which intervals are cut. `outcomes` are the episodes, in the order of their seeds. Where the scenario
+    defines no success (`success_defined`), the success rate is 0 and means nothing.
     """
 
     run: Path
@@ -82,9 +84,15 @@ class EvaluationResult(Summary):
     engine: str | None
     case: str | None
     stage: str | None
+    elsewhere: str | None
+    set: tuple[str, ...]
+    digest: str
     model: str
     seed: int
+    planned: int
+    required_episodes: int | None
     deterministic: bool
+    circumstances: tuple[str, ...]
     success_defined: bool
     solved: bool | None
     verdict: str
@@ -98,6 +106,11 @@ class EvaluationResult(Summary):
         """`return_bounds` with infinities."""
         low, high = self.return_bounds
         return -math.inf if low is None else low, math.inf if high is None else high
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """`circumstances`, and what is to be said of the number of episodes."""
+        return (*self.circumstances, *remark_on_episodes(self.episodes, self.planned, self.required_episodes))
 
     @property
     def by_drawn_value(self) -> dict[str, tuple[DrawnBin, ...]]:
@@ -116,6 +129,7 @@ def evaluate(
     case: str | None = None,
     stage: str | None = None,
     video_to: str | Path | None = None,
+    force: bool = False,
     copies: int | None = None,
     allow_code: bool = False,
     engine: str | None = None,
@@ -139,6 +153,7 @@ def evaluate(
         case: One of the scenario's cases to evaluate in, by name.
         stage: One of the stages of its curriculum to evaluate in, by name.
         video_to: Where to write the first episode as mp4.
+        force: Whether to overwrite a video that exists.
         copies: Single worlds at a time, 1 to 8. By default a batch of worlds if the engine has batches and the scenario fits one, else 8.
         allow_code: Whether terms in Python run.
         engine: The physics engine; by default that of the training, or of `scenario` if it names another.
@@ -152,10 +167,11 @@ def evaluate(
         MissingExtraError: A video is wanted and imageio is not installed.
     """
     known = run if isinstance(run, Run) else Run.open(run)
-    program, count, root = _evaluation_settings(known, episodes, seed, scenario, case, stage)
+    judged = None if scenario is None else compiled_scenario(scenario)
+    program, count, root = _evaluation_settings(known, episodes, seed, judged, case, stage)
     video_to = None if video_to is None else Path(video_to)
     if video_to is not None:
-        video.check_video_path(video_to)
+        video.check_video_path(video_to, force=force)
     engine = engine or known.engine_for(program)
     make = build or default_factory(engine, allow_code=allow_code)
     seeds = [derive_seed(root, "evaluation", k) for k in range(count)]
@@ -179,8 +195,15 @@ def evaluate(
             world = stack.enter_context(closing(make(program, render_mode="rgb_array")))
             filmed = stack.enter_context(video.recording_video(world, video_to, program.period))
             rollout(policy, [filmed], seeds[:1], deterministic=deterministic)
-    where = {"case": case, "stage": stage, "seed": root, "deterministic": deterministic, "video": video_to}
-    return _result(known, program, model, done, engine=None if build else engine, **where)
+    where: dict[str, Any] = {
+        "case": case,
+        "stage": stage,
+        "seed": root,
+        "planned": count,
+        "deterministic": deterministic,
+        "video": video_to,
+    }
+    return _result(known, judged, program, model, done, engine=None if build else engine, **where)
 
 
 def evaluate_baselines(
@@ -202,7 +225,8 @@ def evaluate_baselines(
     by the action space, which the seed of each episode seeds.
     """
     known = run if isinstance(run, Run) else Run.open(run)
-    program, count, root = _evaluation_settings(known, episodes, seed, scenario, case, stage)
+    judged = None if scenario is None else compiled_scenario(scenario)
+    program, count, root = _evaluation_settings(known, episodes, seed, judged, case, stage)
     seeds = [derive_seed(root, "evaluation", k) for k in range(count)]
     results = []
     engine = engine or known.engine_for(program)
@@ -217,8 +241,8 @@ def evaluate_baselines(
                 done.append(_episode(world, episode_seed, policy))
                 if on_episode is not None:
                     on_episode(len(done), count)
-            where = {"case": case, "stage": stage, "seed": root, "deterministic": True, "video": None}
-            results.append(_result(known, program, name, done, engine=None if build else engine, **where))
+            where: dict[str, Any] = {"case": case, "stage": stage, "seed": root, "planned": count, "deterministic": True, "video": None}
+            results.append(_result(known, judged, program, name, done, engine=None if build else engine, **where))
     return tuple(results)
 
 
@@ -272,10 +296,10 @@ def _require_same_interface(run: Run, program: Program) -> Program:
 
 
 def _evaluation_settings(
-    run: Run, episodes: int | None, seed: int | None, scenario: Compiled | Scenario | str | Path | None, case: str | None, stage: str | None
+    run: Run, episodes: int | None, seed: int | None, judged: Compiled | None, case: str | None, stage: str | None
 ) -> tuple[Program, int, int]:
     """The program to evaluate in, the number of episodes, and the root seed."""
-    program = run.program if scenario is None else _require_same_interface(run, compiled_scenario(scenario).program)
+    program = run.program if judged is None else _require_same_interface(run, judged.program)
     usual = program.evaluation.episodes
     if case is not None and stage is not None:
         raise UsageError("a case and a stage exclude each other")
@@ -290,17 +314,46 @@ def _evaluation_settings(
     return program, count, root
 
 
-def _result(run: Run, program: Program, model: str, done: Sequence[Episode], **where: Any) -> EvaluationResult:
-    low, high = possible_returns(program) if where["engine"] else UNBOUNDED  # a world of the caller may pay anything
+def _result(
+    run: Run,
+    judged: Compiled | None,
+    program: Program,
+    model: str,
+    done: Sequence[Episode],
+    *,
+    engine: str | None,
+    planned: int,
+    case: str | None,
+    stage: str | None,
+    deterministic: bool,
+    **where: Any,
+) -> EvaluationResult:
+    """What these episodes come to. `judged` is a scenario in the place of that of the run, and `program` its case or stage."""
+    low, high = possible_returns(program) if engine else UNBOUNDED  # a world of the caller may pay anything
     found = statistics_of(done, (low, high))
     solved, verdict = solved_verdict(program.solved, found["episodes"], found["mean_return"], found["success_rate"])
+    elsewhere, overrides = (None, ()) if judged is None or judged.digest == run.record.digest else _elsewhere(run, judged)
+    differences = circumstances(
+        run, engine=engine, model=model, deterministic=deterministic, elsewhere=elsewhere, overrides=overrides, case=case, stage=stage
+    )
+    made_with = "; ".join((*differences, *remark_on_episodes(len(done), planned, None)))
     return EvaluationResult(
         run=run.path,
         scenario=program.name,
         model=model,
         success_defined=program.defines_success,
         solved=solved,
-        verdict=verdict,
+        verdict=f"{verdict} ({made_with})" if made_with else verdict,
+        circumstances=differences,
+        engine=engine,
+        case=case,
+        stage=stage,
+        elsewhere=elsewhere,
+        set=overrides,
+        digest=(judged or run).digest,
+        planned=planned,
+        required_episodes=program.solved.episodes if program.solved else None,
+        deterministic=deterministic,
         notes=(*run.notes(), *identity.timing_differences(run.program, program)),
         outcomes=tuple(done),
         return_bounds=(low if low > -math.inf else None, high if high < math.inf else None),
@@ -309,24 +362,11 @@ def _result(run: Run, program: Program, model: str, done: Sequence[Episode], **w
     )
 
 
-def solved_verdict(solved: Solved | None, episodes: int, mean_return: float, success_rate: float) -> tuple[bool | None, str]:
-    """Whether such an evaluation solves the task (None: cannot be told), and why."""
-    if solved is None:
-        return None, "the scenario does not say what counts as solved"
-    if episodes < solved.episodes and solved.success_rate is not None:
-        certain = gate_rate(solved.success_rate, round(success_rate * episodes), episodes, solved.episodes)
-        if certain.met is False:
-            return False, f"not solved: a success rate of {solved.success_rate:.1%} is required, and {certain.reason}"
-    if episodes < solved.episodes:
-        evaluated = f"{episodes} {'was' if episodes == 1 else 'were'} evaluated"
-        return None, f"solved: unknown; the criterion needs {solved.episodes} episodes, and {evaluated}"
-    reasons = []
-    if solved.mean_return is not None:
-        reasons.append(f"mean return {mean_return:.4g} where {solved.mean_return:g} is required")
-    if solved.success_rate is not None:
-        reasons.append(f"success rate {success_rate:.1%} where {solved.success_rate:.1%} is required")
-    met = meets_solved(solved, mean_return, success_rate)
-    return met, f"{'solved' if met else 'not solved'}: {', '.join(reasons)}"
+def _elsewhere(run: Run, judged: Compiled) -> tuple[str | None, tuple[str, ...]]:
+    """The name of a scenario that replaces that of the run, and the assignments of `--set`, without that of `--engine`."""
+    own = judged.source.resolve() == (run.path / RESOLVED_NAME).resolve()
+    name = judged.source.name if judged.source.name != RESOLVED_NAME else f"{judged.source.parent.name}/{RESOLVED_NAME}"
+    return None if own else name, tuple(text for text in judged.overrides if not text.startswith("world.engine="))
 
 
 # Episodes of a policy

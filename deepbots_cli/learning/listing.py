@@ -18,13 +18,12 @@ from deepbots_cli.learning.group import Group, is_group
 from deepbots_cli.learning.run import (
     RECORD_NAME,
     EvaluationRecord,
-    EvaluationWithEpisodes,
-    Run,
     RunRecord,
     changed_settings,
     is_training,
     numbered_files,
 )
+from deepbots_cli.learning.verdict import run_verdict
 
 State = Literal["training", "finished", "interrupted", "failed", "unreadable"]
 _TAIL_BYTES = 64_000
@@ -38,10 +37,11 @@ class ListedRun:
 
     Of a group, `mean_return` and `success_rate` are means over the runs that have one, `steps` and `cpu_seconds` are sums, and `runs` are
     its members. `score` says what the return and the success rate are of: `evaluation` is the evaluation of the best model in the
-    scenario of the training with the most episodes, `evaluated_episodes`, since the training ended; `training` the recent episodes of the
+    scenario of the training with the most episodes, `evaluated_episodes`, since the training ended, and `remarks` what differs from a
+    whole one; `training` the recent episodes of the
     training, of which the policy explores.
-    `settings` are the assignments of `--set`. `success_rate` is None where the scenario defines no success. `solved` is the answer of the
-    evaluation, or of the training. Of a run that trains, `cpu_seconds` is as old as its last checkpoint. `updated` is a time in UTC,
+    `settings` are the assignments of `--set`. `success_rate` is None where the scenario defines no success. `solved` is that of
+    `run_verdict`. Of a run that trains, `cpu_seconds` is as old as its last checkpoint. `updated` is a time in UTC,
     `problem` why the files cannot be read.
     """
 
@@ -63,6 +63,7 @@ class ListedRun:
     evaluated_episodes: int | None = None
     solved: bool | None = None
     solved_in_episode: int | None = None
+    remarks: tuple[str, ...] = ()
     cpu_seconds: float | None = None
     updated: str = ""
     problem: str | None = None
@@ -96,9 +97,8 @@ def _listed_run(path: Path) -> ListedRun:
     recent = _recent(path / "monitor.csv") if result is None or state == "training" else []
     mean: float | None
     success: float | None
-    evaluation = max(  # of equals the last one
-        (own for _, own in reversed(_own_evaluations(path, record, best_deterministic=True))), key=lambda own: own.episodes, default=None
-    ) if state != "training" else None  # fmt: skip
+    verdict = run_verdict(path, record)
+    evaluation = verdict.evaluation
     steps, episodes = recent[-1][:2] if recent else (result.steps, result.episodes) if result else (0, 0)
     if evaluation is not None:
         mean, success = evaluation.mean_return, evaluation.success_rate if evaluation.success_defined else None
@@ -126,7 +126,8 @@ def _listed_run(path: Path) -> ListedRun:
         success_rate=success,
         score="evaluation" if evaluation else "training" if mean is not None else None,
         evaluated_episodes=evaluation.episodes if evaluation else None,
-        solved=evaluation.solved if evaluation is not None and solved_at is None else solved_at is not None,
+        remarks=evaluation.remarks if evaluation else (),
+        solved=verdict.solved,
         solved_in_episode=solved_at.episode if solved_at else None,
         cpu_seconds=result.cpu_seconds if result and state != "training" else _cpu_of_checkpoint(path),
         updated=record.updated,
@@ -176,41 +177,6 @@ def evaluations(run: Path) -> list[tuple[int, EvaluationRecord | str]]:
         except RunError as error:
             found.append((number, str(error)))
     return found
-
-
-def last_evaluation(path: Path, record: RunRecord, *, best_deterministic: bool = True) -> tuple[Path, EvaluationRecord] | None:
-    """The last evaluation in the scenario of the training, since the training ended, and its file.
-
-    Args:
-        best_deterministic: Only one of the best model without sampled actions.
-    """
-    found = _own_evaluations(path, record, best_deterministic=best_deterministic)
-    return found[-1] if found else None
-
-
-def last_episodes(run: Run, *, best_deterministic: bool = True) -> tuple[Path, EvaluationWithEpisodes] | None:
-    """`last_evaluation` with its episodes.
-
-    Raises:
-        RunError: It is damaged.
-    """
-    found = last_evaluation(run.path, run.record, best_deterministic=best_deterministic)
-    return None if found is None else (found[0], EvaluationWithEpisodes.read(found[0]))
-
-
-def _own_evaluations(path: Path, record: RunRecord, *, best_deterministic: bool) -> list[tuple[Path, EvaluationRecord]]:
-    """The evaluations of `last_evaluation`, in the order of their numbers; unreadable ones are left out."""
-    kept = []
-    for _, file in numbered_files(path / "evaluations"):
-        try:
-            found = EvaluationRecord.read(file)
-        except RunError:
-            continue
-        own = not (found.set or found.elsewhere or found.case or found.stage) and found.engine in (None, record.engine)
-        acts = found.model == "best" and found.deterministic if best_deterministic else found.model in ("best", "last")
-        if own and acts and found.evaluated >= record.updated:
-            kept.append((file, found))
-    return kept
 
 
 def _recent(log: Path) -> list[tuple[int, int, float, bool]]:

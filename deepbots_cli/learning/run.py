@@ -325,8 +325,7 @@ class Run:
 class EvaluationRecord(BaseModel):
     """An evaluation as `evaluations/NNNN.json` of a run keeps it, without its episodes.
 
-    Fields are those of `EvaluationResult`. `evaluated` is a time in UTC. `set` and `elsewhere` say how the scenario differs from that of
-    the training; `engine` is the engine of the evaluation.
+    Fields are those of `EvaluationResult`. `evaluated` is a time in UTC. Evaluations of older versions have no `digest`.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -347,6 +346,10 @@ class EvaluationRecord(BaseModel):
     set: tuple[str, ...] = ()
     elsewhere: str | None = None
     engine: str | None = None
+    digest: str | None = None
+    circumstances: tuple[str, ...] = ()
+    planned: int | None = None
+    required_episodes: int | None = None
 
     @classmethod
     def read(cls, path: Path) -> Self:
@@ -358,6 +361,11 @@ class EvaluationRecord(BaseModel):
         return read_json(path, cls, _MAX_EVALUATION_BYTES)
 
     @property
+    def remarks(self) -> tuple[str, ...]:
+        """What makes it differ from a whole evaluation of the best model in the scenario of the training."""
+        return (*self.circumstances, *remark_on_episodes(self.episodes, self.planned, self.required_episodes))
+
+    @property
     def text(self) -> str:
         """Mean return and success rate with their intervals, and what they are of."""
         text = f"mean return {self.mean_return:.4g}"
@@ -365,8 +373,15 @@ class EvaluationRecord(BaseModel):
             text += " (95 % interval {:.4g} .. {:.4g})".format(*self.return_interval)
         if self.success_rate is not None and self.success_interval is not None:
             text += f", success rate {self.success_rate:.1%} (95 % interval {{:.1%}} .. {{:.1%}})".format(*self.success_interval)
-        solved = {True: "; solved", False: "; not solved", None: ""}[self.solved]
-        return f"{text}, over {self.episodes:,} held-out episodes from seed {self.seed}{solved}"
+        made_with = f" ({'; '.join(self.remarks)})" if self.remarks else ""
+        return f"{text}, over {self.episodes:,} held-out episodes from seed {self.seed}{made_with}"
+
+
+def remark_on_episodes(episodes: int, planned: int | None, required: int | None) -> tuple[str, ...]:
+    """What to say of the number of episodes of an evaluation; `required` is the number that `solved` asks for."""
+    if planned is not None and episodes < planned:
+        return (f"stopped by a requirement after {episodes} of {planned} episodes",)
+    return (f"fewer than {required} episodes",) if required is not None and episodes < required else ()
 
 
 class EvaluationWithEpisodes(EvaluationRecord):
@@ -392,7 +407,7 @@ class EvaluationWithEpisodes(EvaluationRecord):
         return [number for number, is_bad in enumerate(bad) if is_bad]
 
     @property
-    def circumstances(self) -> dict[str, Any]:
+    def replay_options(self) -> dict[str, Any]:
         """What `trace_episodes` needs to repeat its episodes."""
         return {"seed": self.seed, "model": self.model, "deterministic": self.deterministic}
 

@@ -11,24 +11,24 @@ from typing import Any
 import gymnasium as gym
 
 from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.files import atomic_write, check_writable
+from deepbots_cli.files import atomic_write, check_output
 from deepbots_cli.learning.environments import World
 
 _RATE = 30.0  # pictures per second
 
 
-def check_video_path(path: Path) -> None:
-    """Find out before a long evaluation whether a video could be written to `path`.
+def check_video_path(path: Path, *, force: bool) -> None:
+    """Find out before a long evaluation whether a video could be written to `path`, and overwrites no file unless `force`.
 
     Raises:
         MissingExtraError: Without imageio and its ffmpeg.
-        UsageError: If the name does not end in .mp4, or its directory does not exist or may not be written to.
+        UsageError: If the name does not end in .mp4, it exists, or its directory does not exist or may not be written to.
     """
     if find_spec("imageio") is None or find_spec("imageio_ffmpeg") is None:
         raise MissingExtraError("train", "writing a video")
     if path.suffix.lower() != ".mp4":
         raise UsageError(f"{path} cannot be a video: its name does not end in .mp4")
-    check_writable(path)  # ffmpeg would say so at length, and name a file that nobody asked for
+    check_output(path, force=force)  # ffmpeg would say so at length, and name a file that nobody asked for
 
 
 @contextmanager

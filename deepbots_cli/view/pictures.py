@@ -15,7 +15,7 @@ import numpy as np
 
 from deepbots_cli import frames
 from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.files import atomic_write, check_writable
+from deepbots_cli.files import atomic_write, check_output
 from deepbots_cli.footprint import robot_bounds
 from deepbots_cli.frames import Triple
 from deepbots_cli.port import View
@@ -57,11 +57,11 @@ class Viewpoint:
         return replace(usual, eye=self.eye or frames.add(target, frames.subtract(usual.eye, usual.target)), target=target)
 
 
-def check_target(path: Path, suffixes: Sequence[str]) -> None:
-    """Find out before an episode is run whether `path` can be written.
+def check_target(path: Path, suffixes: Sequence[str], *, force: bool) -> None:
+    """Find out before an episode is run whether `path` can be written, and overwrites no file unless `force`.
 
     Raises:
-        UsageError: Its name has another suffix, or its directory cannot be written to.
+        UsageError: Its name has another suffix, it exists, or its directory cannot be written to.
         MissingExtraError: A video is wanted and imageio is not installed, or an offline page and viser is not.
     """
     kind = path.suffix.lower()
@@ -71,7 +71,7 @@ def check_target(path: Path, suffixes: Sequence[str]) -> None:
         raise MissingExtraError("train", "writing a video")
     if kind == ".html" and find_spec("viser") is None:
         raise MissingExtraError("view", "an offline page")
-    check_writable(path)
+    check_output(path, force=force)
 
 
 # Pictures

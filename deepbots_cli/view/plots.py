@@ -18,8 +18,8 @@ from deepbots_cli.errors import MissingExtraError, RunError, UsageError
 from deepbots_cli.files import read_at_most
 from deepbots_cli.learning.episodes import read_log
 from deepbots_cli.learning.group import is_group
-from deepbots_cli.learning.listing import last_evaluation
 from deepbots_cli.learning.run import RECORD_NAME, EvaluationRecord, RunRecord, changed_settings, run_folders, short_settings
+from deepbots_cli.learning.verdict import quoted_evaluation
 from deepbots_cli.view.page import COLOURS
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ class TrainingLog:
     evaluations: Curve | None = None
     terms: dict[str, Curve] = field(default_factory=dict)
     endings: dict[str, Curve] = field(default_factory=dict)
-    last_evaluation: EvaluationRecord | None = None
+    evaluation: EvaluationRecord | None = None
 
 
 def read_logs(paths: Sequence[str | Path], window: int = 100) -> list[TrainingLog]:
@@ -95,8 +95,8 @@ def _read_run(path: Path, window: int) -> TrainingLog:
     common = [name for name, _ in Counter(endings.tolist()).most_common(_MAX_COLOURED_ENDINGS)]
     shares = {name or "unknown": endings == name for name in common} | {"others": ~np.isin(endings, common)}
     log.endings = {name: _averaged(steps, share.astype(float), window) for name, share in shares.items() if share.any()}
-    if found := last_evaluation(path, record):
-        log.last_evaluation = found[1]
+    if found := quoted_evaluation(path, record):
+        log.evaluation = found[1]
     log.successes = _averaged(steps, successes, window) if successes.any() else None
     if evaluations:
         log.evaluations = (np.array([line["steps"] for line in evaluations]), np.array([fmean(line["returns"]) for line in evaluations]))
@@ -220,8 +220,8 @@ def plot(logs: Sequence[TrainingLog], *, theme: str = "light") -> Figure:
         for log in members:
             if log.evaluations is not None:
                 returns.plot(*log.evaluations, "o", color=COLOURS[number], markersize=3, alpha=0.7)
-            plot_last_evaluation(returns, successes, log, COLOURS[number])
-    marks = {"dots": any(log.evaluations for log in logs), "diamond": any(log.last_evaluation for log in logs)}
+            plot_evaluation(returns, successes, log, COLOURS[number])
+    marks = {"dots": any(log.evaluations for log in logs), "diamond": any(log.evaluation for log in logs)}
     named = ", ".join(mark for mark, is_there in marks.items() if is_there)
     style_panel(returns, f"return of training episodes{f'; {named}: evaluations' if named else ''}", theme)
     style_panel(successes, "success rate of training episodes", theme, legend=False)
@@ -256,12 +256,12 @@ def plot_band(panel: Axes, curves: Sequence[Curve], style: Mapping[str, Any]) ->
         panel.fill_between(at, rows.min(axis=0), rows.max(axis=0), color=style["color"], alpha=0.22, linewidth=0)
 
 
-def plot_last_evaluation(returns: Axes | None, successes: Axes | None, log: TrainingLog, colour: str) -> None:
+def plot_evaluation(returns: Axes | None, successes: Axes | None, log: TrainingLog, colour: str) -> None:
     """A diamond at the end of the training, in the panel of returns and of success rates."""
-    last = log.last_evaluation
-    if last is None or log.returns is None:
+    found = log.evaluation
+    if found is None or log.returns is None:
         return
-    for panel, value in ((returns, last.mean_return), (successes, last.success_rate if last.success_defined else None)):
+    for panel, value in ((returns, found.mean_return), (successes, found.success_rate if found.success_defined else None)):
         if panel is not None and value is not None:
             panel.plot(log.returns[0][-1], value, "D", color=colour, markersize=6, markeredgecolor="white", clip_on=False, zorder=3)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import threading
 from pathlib import Path
 
@@ -60,3 +61,61 @@ def test_what_is_no_regular_file_is_written_to_and_not_replaced(tmp_path):
 def test_a_folder_that_is_not_there_is_wrong_usage(tmp_path):
     with pytest.raises(UsageError, match="cannot be written: no such file"):
         put(tmp_path / "nowhere" / "a.txt", "")
+
+
+WRITING = {
+    "schema": ("schema", "-o", "mine.json"),
+    "compile": ("compile", "cartpole", "-o", "mine.py"),
+    "report": ("report", "run", "-o", "mine.html"),
+    "report by its own name": ("report", "mine"),
+    "plot": ("plot", "run", "-o", "mine.png"),
+    "picture": ("picture", "cartpole", "-o", "mine.png"),
+    "clip": ("clip", "cartpole", "-o", "mine.gif"),
+    "record": ("record", "cartpole", "-o", "mine.mcap"),
+    "inspect": ("inspect", "cartpole", "--picture", "mine.png"),
+    "test": ("test", "cartpole", "--junit", "mine.xml"),
+    "eval, CSV": ("eval", "run", "--csv", "mine.csv"),
+    "eval, JUnit": ("eval", "run", "--min-return", "0", "--junit", "mine.xml"),
+    "eval, video": ("eval", "run", "--video", "mine.mp4"),
+    "new": ("new", "mine", "--template", "pit"),
+    "new, schema": ("new", "mine", "--template", "pit", "--schema"),
+    "copy": ("copy", "cartpole", "."),
+    "eject": ("eject", "cartpole", "mine"),
+    "export": ("export", "run", "-o", "mine"),
+}
+PRESENT = ("mine.json", "mine.py", "mine.html", "mine.png", "mine.gif", "mine.mcap", "mine.xml", "mine.csv", "mine.mp4", "mine.yaml")
+"""The files of a user that the commands would write."""
+
+
+@pytest.mark.parametrize("words", WRITING.values(), ids=WRITING)
+def test_no_command_overwrites_a_file_without_force(deepbots, tmp_path, words):
+    present = [tmp_path / name for name in (*PRESENT, "cartpole.yaml", "mine/kept.txt")]
+    (tmp_path / "mine").mkdir()
+    for path in present:
+        path.write_text("of the user")
+    ran = deepbots(*words)
+    assert (ran.code, ran.out) == (2, "")
+    assert re.fullmatch(r"error: (mine\S*|cartpole.yaml) already exists; overwrite it with --force .*, or choose another name\n", ran.err)
+    assert [path.read_text() for path in present] == ["of the user"] * len(present)
+    assert {path for path in tmp_path.rglob("*") if path.is_file()} == {*present}
+
+
+def test_with_force_commands_overwrite(deepbots, tmp_path):
+    for words in (
+        ("schema", "-o", "mine.json"),
+        ("compile", "cartpole", "-o", "mine.py"),
+        ("new", "mine", "--template", "pit", "--schema"),
+    ):
+        for name in PRESENT:
+            (tmp_path / name).write_text("of the user")
+        (tmp_path / "mine.schema.json").write_text("of the user")
+        assert deepbots(*words, "--force").code == 0
+        written = {"schema": "mine.json", "compile": "mine.py", "new": "mine.yaml"}[words[0]]
+        assert (tmp_path / written).read_text() != "of the user"
+    assert "of the user" not in (tmp_path / "mine.schema.json").read_text()
+    assert deepbots("eject", "cartpole", ".", "--force").code == 0
+
+
+def test_every_command_that_writes_a_file_has_force(deepbots):
+    for words in WRITING.values():
+        assert "--force" in deepbots(words[0], "--help").out

@@ -23,6 +23,8 @@ import pytest
 
 from deepbots_cli.cli import main
 from deepbots_cli.cli.commands.train import _page
+from deepbots_cli.learning.run import RunRecord
+from deepbots_cli.learning.verdict import run_verdict
 from tests.cli.conftest import Ran
 
 FAST = ("--set", "train.n_epochs=1")
@@ -193,7 +195,7 @@ def test_a_gate_without_a_success_is_decided_long_before_the_last_episode(deepbo
     assert f"not met: success rate of at least 0.95 (0 of {found['episodes']} succeed; 95 % confidence sequence" in ran.err
     suite = ElementTree.parse(tmp_path / "gate.xml").getroot()
     assert (suite.get("tests"), suite.get("failures")) == ("1", "1")
-    assert suite[0].get("name") == "success rate of at least 0.95"
+    assert suite.find("testcase").get("name") == "success rate of at least 0.95"
     with (tmp_path / "episodes.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [float(row["return"]) for row in rows] == [episode["total_return"] for episode in found["outcomes"]]
@@ -261,7 +263,10 @@ def test_an_evaluation_elsewhere_says_where_and_whether_that_is_another_world(de
     deepbots("copy", "cartpole")
     text = (tmp_path / "cartpole.yaml").read_text()
     (tmp_path / "wider.yaml").write_text(text.replace("track:       0.39 m", "track:       0.42 m"))
-    assert "cartpole.yaml, the same as in the training\n" in deepbots("eval", "mine", "--scenario", "cartpole.yaml", "--episodes", "1").out
+    assert (
+        "cartpole.yaml, with the same episodes as the training\n"
+        in deepbots("eval", "mine", "--scenario", "cartpole.yaml", "--episodes", "1").out
+    )
     assert "wider.yaml, different from the training\n" in deepbots("eval", "mine", "--scenario", "wider.yaml", "--episodes", "1").out
     assert "of the training" not in deepbots("eval", "mine", "--episodes", "1").out
 
@@ -273,6 +278,43 @@ def test_a_run_is_evaluated_under_other_settings(deepbots, trained):
     assert sharp["episodes"] == usual["episodes"] == 4  # as --set said when it was trained
     assert sharp["mean_length"] < usual["mean_length"]
     assert "of the run --set 'fall_angle=3 deg', different from the training" in deepbots("eval", "mine", "--set", "fall_angle=3 deg").out
+
+
+def test_a_requirement_met_by_a_changed_criterion_names_the_change_in_every_format(deepbots, trained, tmp_path):
+    changed = ("--set", "solved={mean_return: 1, episodes: 4}", "--min-return", "0")
+    ran = deepbots("eval", "mine", *changed, "--require-solved", "--junit", "gate.xml", "--csv", "gate.csv")
+    made_with = "(--set 'solved={mean_return: 1, episodes: 4}')"
+    assert ran.code == 0
+    assert ran.out.splitlines()[-1].startswith("solved: ")
+    assert ran.out.splitlines()[-1].endswith(made_with)
+    suite = ElementTree.parse(tmp_path / "gate.xml").getroot()
+    assert [case.get("name") for case in suite.iter("testcase")] == [
+        f"the task is solved {made_with}",
+        f"mean return of at least 0 {made_with}",
+    ]
+    named = {entry.get("name"): entry.get("value") for entry in suite.iter("property")}
+    assert (named["run"], named["scenario"], named["set"]) == ("mine", "CartPole", "solved={mean_return: 1, episodes: 4}")
+    with (tmp_path / "gate.csv").open(newline="") as stream:
+        row = next(csv.DictReader(stream))
+    assert (row["run"], row["set"], row["made_with"]) == ("mine", "solved={mean_return: 1, episodes: 4}", made_with[1:-1])
+    deepbots("copy", "cartpole")
+    deepbots("eval", "mine", "--scenario", "cartpole.yaml", "--min-return", "0", "--episodes", "3", "--junit", "other.xml")
+    suite = ElementTree.parse(tmp_path / "other.xml").getroot()
+    assert suite.find("testcase").get("name") == "mean return of at least 0 (scenario cartpole.yaml)"
+    assert json.loads(deepbots("runs", ".", "--json").out)[0]["solved"] is not True
+
+
+def test_a_training_whose_evaluation_fails_is_solved_nowhere(deepbots, trained, tmp_path):
+    record = json.loads((tmp_path / "mine" / "run.json").read_text())
+    at = {"episode": 3, "steps": 90, "simulated_hours": 0.1, "cpu_seconds": 1.0, "mean_return": 200.0, "success_rate": 0.0}
+    record["result"]["solved_at"] = at
+    (tmp_path / "mine" / "run.json").write_text(json.dumps(record))
+    kept = tmp_path / "mine" / "evaluations" / "0001.json"
+    kept.write_text(json.dumps(json.loads(kept.read_text()) | {"solved": False}))
+    assert json.loads(deepbots("runs", ".", "--json").out)[0]["solved"] is False
+    assert json.loads(deepbots("inspect", "mine", "--json").out)["run"]["solved"] == "no"
+    verdict = run_verdict(tmp_path / "mine", RunRecord.read(tmp_path / "mine"))
+    assert verdict.text.endswith("; not solved")
 
 
 def test_engines_are_compared_from_the_same_starts(deepbots, trained):
@@ -310,7 +352,7 @@ def test_settings_that_change_what_a_policy_sees_are_refused(deepbots, trained):
 def test_inspect_shows_what_a_run_is_and_the_scenario_that_it_was_trained_with(deepbots, trained):
     tables = json.loads(deepbots("inspect", "mine", "--json").out)
     known = tables["run"]
-    assert (known["status"], known["seed"], known["solved"]) == ("finished", 0, "not yet")
+    assert (known["status"], known["seed"], known["solved"]) == ("finished", 0, "unknown")
     assert known["steps"] >= 600 == known["total_timesteps"]
     assert known["best_model"] == "mine/models/policy/best.zip"
     assert tables["training"]["evaluation_episodes"] == 4

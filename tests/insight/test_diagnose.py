@@ -23,8 +23,8 @@ from deepbots_cli.insight.trace import trace_episodes
 from deepbots_cli.insight.training import TrainingEvidence, read_training, run_probes
 from deepbots_cli.learning import train
 from deepbots_cli.learning.group import GroupRecord
-from deepbots_cli.learning.listing import last_episodes
 from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.verdict import quoted_episodes
 
 DOCS = Path(__file__).parents[2] / "docs" / "diagnose.md"
 BROKEN = yaml.safe_load(Path(__file__).with_name("broken.yaml").read_text("utf-8"))
@@ -171,9 +171,9 @@ def test_episodes_of_an_evaluation_are_repeated_to_the_bit(short, tmp_path, caps
     assert main(["eval", str(run), "--episodes", "10", "--json"]) == 0
     outcomes = json.loads(capsys.readouterr().out)["outcomes"]
     opened = Run.open(run)
-    _, kept = last_episodes(opened)
+    _, kept = quoted_episodes(opened)
     assert kept.failed(opened.program) == list(range(10))
-    for trace, number in zip(trace_episodes(opened, (9, 3), **kept.circumstances), (9, 3), strict=True):
+    for trace, number in zip(trace_episodes(opened, (9, 3), **kept.replay_options), (9, 3), strict=True):
         known = outcomes[number]
         assert (trace.steps, trace.returns, trace.ended_by) == (known["length"], known["total_return"], known["ended_by"])
 

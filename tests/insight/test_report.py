@@ -164,11 +164,11 @@ def test_a_place_that_cannot_be_written_to_is_told_before_anything_runs(run, tmp
     assert "is not a directory" in capsys.readouterr().err
 
 
-def test_only_a_named_file_is_replaced(run, tmp_path, monkeypatch, capsys):
+def test_a_report_replaces_no_file_without_force(run, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "cartpole.html").write_text("mine")
     assert main(["report", str(run)]) == 2
-    assert "cartpole.html exists" in capsys.readouterr().err
+    assert "cartpole.html already exists; overwrite it with --force" in capsys.readouterr().err
     assert main(["report", str(run), "-o", "report.pdf"]) == 2
     assert "must end in .html" in capsys.readouterr().err
     assert (tmp_path / "cartpole.html").read_text() == "mine"

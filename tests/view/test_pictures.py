@@ -103,8 +103,8 @@ def test_the_commands_write_their_files_and_refuse_what_they_cannot(tmp_path, ca
         (["picture", "cartpole", "--size", "9x9"], "is not a size"),
         (["picture", "cartpole", "--from", "1,2"], "is not a point"),
         (["picture", "cartpole", "--from", "nan,0,0"], "no number"),
-        (["clip", "find_ball", "--script", "nobody", "-o", "a.gif"], "no script 'nobody'"),
-        (["clip", "cartpole", "--script", "policy", "-o", "a.gif"], "only a run has a policy"),
+        (["clip", "find_ball", "--script", "nobody", "-o", "b.gif"], "no script 'nobody'"),
+        (["clip", "cartpole", "--script", "policy", "-o", "b.gif"], "only a run has a policy"),
     ):
         assert main(words) == 2
         assert said in " ".join(capsys.readouterr().err.split())

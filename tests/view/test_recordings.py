@@ -314,7 +314,7 @@ def test_options_and_files_of_the_command(tmp_path, monkeypatch, capsys, find_ba
     assert told["recording"] == "cartpole-0-0.mcap"
     assert [each["episode"] for each in told["episodes"]] == [0, 1]
     assert main(["record", "cartpole"]) == 2
-    assert "cartpole-0-0.mcap exists" in capsys.readouterr().err
+    assert "cartpole-0-0.mcap already exists" in capsys.readouterr().err
     assert main(["clip", str(find_ball[0]), "--episode", "7", "--out", "x.gif"]) == 2
     assert "holds no episode 7; it holds 2 to 3" in capsys.readouterr().err
     assert main(["replay", "cartpole-0-0.mcap", "--json"]) == 0

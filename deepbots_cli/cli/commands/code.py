@@ -11,7 +11,7 @@ import typer
 import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Overrides, Scenario
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Force, Json, Overrides, Scenario
 from deepbots_cli.cli.commands.new import Files, modeline, write_new
 from deepbots_cli.codegen import generate_module
 from deepbots_cli.codegen.text import class_name
@@ -20,7 +20,7 @@ from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME
 from deepbots_cli.compiler.inventory import scenario_names
 from deepbots_cli.diagnostics.render import summary
 from deepbots_cli.errors import UsageError, install_source
-from deepbots_cli.files import atomic_write
+from deepbots_cli.files import atomic_write, check_new_folder, check_output
 from deepbots_cli.program import identity
 from deepbots_cli.scenario.json_schema import schema_text
 
@@ -30,8 +30,9 @@ def compile_(
     overrides: Overrides = None,
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", metavar="FILE", help="Write to this file, and replace it if it exists; by default, print."),
+        typer.Option("--output", "-o", metavar="FILE", help="Write to this file; by default, print."),
     ] = None,
+    force: Force = False,
     program: Annotated[bool, typer.Option("--program", help="Print the compiled scenario as canonical JSON instead of Python.")] = False,
     target: Annotated[
         str, typer.Option("--target", metavar="TARGET", help="scalar: one world; batch: many worlds, where each number is an array.")
@@ -66,13 +67,14 @@ def compile_(
         text = terminal.json_text(data)
     else:
         text = f"{identity.to_json(compiled.program)}\n" if program else code
-    _write(text, output)
+    _write(text, output, force=force)
 
 
 def eject(
     scenario: Scenario,
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A new or empty folder.")],
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the project.")],
     overrides: Overrides = None,
+    force: Force = False,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
@@ -86,10 +88,10 @@ def eject(
       deepbots eject cartpole my_cartpole
       cd my_cartpole && python run.py
     """
-    _check(folder)
+    check_new_folder(folder, force=force)
     compiled = api.compile(scenario, overrides=overrides or (), allow_paths=allow_paths or (), allow_code=allow_code)
     terminal.note_warnings(compiled.findings, scenario)
-    written = write_new(project_files(compiled), folder)
+    written = write_new(project_files(compiled), folder, force=force)
     if as_json:
         terminal.show_json({"project": folder, "files": written})
         return
@@ -129,12 +131,6 @@ def _requirements() -> str:
     return f"# deepbots {deepbots_cli.__version__} is installed from a clone; write its path here{moved}\n{here}\n"
 
 
-def _check(folder: Path) -> None:
-    """Raises: UsageError: The folder exists and is not empty."""
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise UsageError(f"{folder} exists and is not an empty folder; name another folder")
-
-
 def schema(
     scenario: Annotated[
         str | None, typer.Option("--for", metavar="SCENARIO", help="Also list the joints, links, sensors and other names of this scenario.")
@@ -145,9 +141,10 @@ def schema(
             "--output",
             "-o",
             metavar="FILE",
-            help="Write to this file, and replace it if it exists. By default, or with - as FILE, print to standard output.",
+            help="Write to this file. By default, or with - as FILE, print to standard output.",
         ),
     ] = None,
+    force: Force = False,
     allow_paths: AllowPaths = None,
 ) -> None:
     """Print the JSON Schema of scenario files, for editors.
@@ -167,12 +164,12 @@ def schema(
     if output == Path("-"):
         output = None
     if scenario is None:
-        _write(schema_text(), output)
+        _write(schema_text(), output, force=force)
         return
     checked = api.load(scenario, allow_paths=allow_paths or ())
     if output is not None and _is_read(checked, output):
         raise UsageError(f"{output} is an input of the scenario; name another output file")
-    _write(schema_text(scenario_names(checked)), output)
+    _write(schema_text(scenario_names(checked)), output, force=force)
     if checked.findings.errors:
         terminal.note(f"{summary(checked.findings.errors)}: names in unreadable parts are missing; see: deepbots lint {quote(scenario)}")
     if output is not None and Path(scenario).is_file():
@@ -186,9 +183,10 @@ def _is_read(checked: CheckedScenario, output: Path) -> bool:
     return output.is_file() and output.read_bytes() in checked.inputs.contents().values()
 
 
-def _write(text: str, output: Path | None) -> None:
+def _write(text: str, output: Path | None, *, force: bool) -> None:
     if output is None:
         print(text, end="")
     else:
+        check_output(output, force=force)
         with atomic_write(output) as draft:
             draft.write_text(text, encoding="utf-8")

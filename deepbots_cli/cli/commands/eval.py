@@ -17,6 +17,7 @@ from deepbots_cli.cli.command import (
     MAX_SEED,
     AllowCode,
     AllowPaths,
+    Force,
     Json,
     Overrides,
     fraction,
@@ -30,7 +31,7 @@ from deepbots_cli.cli.tables import table
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError
-from deepbots_cli.files import check_writable
+from deepbots_cli.files import check_output
 from deepbots_cli.learning import report
 from deepbots_cli.learning.group import Group, is_group
 from deepbots_cli.learning.run import Run
@@ -108,7 +109,9 @@ def command(
     mass_of: Annotated[
         str | None,
         typer.Option(
-            "--mass-of", metavar="NAME", help="Object or ROBOT.LINK whose mass --robustness changes; by default the heaviest link."
+            "--mass-of",
+            metavar="NAME",
+            help="Object or ROBOT.LINK whose mass --robustness changes; by default the heaviest that can move.",
         ),
     ] = None,
     details: Annotated[
@@ -141,6 +144,7 @@ def command(
     junit: Annotated[
         Path | None, typer.Option("--junit", metavar="FILE", help="Write the requirements as JUnit XML, a test case for each.")
     ] = None,
+    force: Force = False,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
@@ -207,12 +211,12 @@ def command(
         }
         refused |= {"require-solved": require_solved, "min-success": min_success is not None, "min-return": min_return is not None}
         _refuse("does not go with --episodes failed, which repeats the last evaluation as it was", **refused)
-        repeat_failed(Run.open(run), video, as_json=as_json, allow_code=allow_code)
+        repeat_failed(Run.open(run), video, force=force, as_json=as_json, allow_code=allow_code)
         return
     gates = Gates(min_success, min_return, require_solved)
     if mass_of is not None and not robustness:
         raise UsageError("--mass-of belongs to --robustness; add it")
-    _check_files(csv, junit, gates)
+    _check_files(csv, junit, video, gates, force=force)
     chosen: dict[str, Any] = {
         "episodes": episodes,
         "model": "last" if last else "best",
@@ -228,9 +232,7 @@ def command(
         _refuse(one, video=video, robustness=robustness, baselines=baselines, details=details)
         judged = [_judged(run, group.record.engine, scenario, overrides, name, allow_paths, allow_code) for name in several]
         chosen |= {"seed": seed or 0, "case": case, "stage": stage}
-        _evaluate_group(
-            run, judged, gates, csv=csv, junit=junit, as_json=as_json, scenario=scenario, overrides=tuple(overrides or ()), **chosen
-        )
+        _evaluate_group(run, judged, gates, csv=csv, junit=junit, as_json=as_json, **chosen)
         return
     known = Run.open(run)
     if robustness:
@@ -256,15 +258,14 @@ def command(
             terminal.note(f"{video} will show episode 0, which is drawn after the evaluation")
         with terminal.progress("episodes" if name is None else f"episodes in {name}", always=False) as show_episode:
             options = chosen | {"scenario": compiled, "engine": name, "on_episode": show_episode}
-            result = evaluate(known, case=case, stage=stage, video_to=video, until=until, **options)
+            result = evaluate(known, case=case, stage=stage, video_to=video, force=force or bool(found), until=until, **options)
             alone = case is not None or stage is not None
             cases = () if alone else evaluate_cases(known, stages=details, **options)
             others: Sequence[EvaluationResult] = ()
             if baselines:
                 options = {key: value for key, value in options.items() if key not in ("model", "deterministic")}
                 others = evaluate_baselines(known, case=case, stage=stage, **options | {"episodes": result.episodes})
-        elsewhere = _elsewhere(known, scenario, overrides or (), compiled) if scenario is not None or overrides else None
-        found.append(_EngineEvaluations(result, cases, others, elsewhere, tuple(overrides or ())))
+        found.append(_EngineEvaluations(result, cases, others, _scenario_row(known, scenario, overrides or (), compiled)))
         results.write_evaluation(known, found[-1].as_json())
         of = f"{result.engine}: " if len(several) > 1 else ""
         requirements += [(f"{of}{words}", met, reason) for words, met, reason in gates.requirements(result, episodes or usual)]
@@ -276,25 +277,23 @@ def command(
         terminal.show_json(found[0].as_json())
     else:
         found[0].show(details=details)
-    _require(requirements, known.program.name, junit)
+    _require(requirements, [each.result for each in found], junit)
 
 
 @dataclass(frozen=True)
 class _EngineEvaluations:
-    """The evaluations of a run in one engine; `elsewhere` is a scenario in words that replaces the scenario of the run."""
+    """The evaluations of a run in one engine; `scenario` is a scenario in words that replaces the scenario of the run."""
 
     result: EvaluationResult
     cases: Sequence[EvaluationResult]
     baselines: Sequence[EvaluationResult]
-    elsewhere: str | None
-    overrides: tuple[str, ...]
+    scenario: str | None
 
     def as_json(self) -> dict[str, Any]:
-        data = {**with_cases(self.result, self.cases), "baselines": [report.to_json(other) for other in self.baselines]}
-        return data | {"elsewhere": self.elsewhere, "set": list(self.overrides)}
+        return {**with_cases(self.result, self.cases), "baselines": [report.to_json(other) for other in self.baselines]}
 
     def show(self, *, details: bool) -> None:
-        show(self.result, self.cases, elsewhere=self.elsewhere)
+        show(self.result, self.cases, scenario=self.scenario)
         if self.baselines:
             names = ["the trained policy", *(other.model for other in self.baselines)]
             rows = results.rows_of("policy", [self.result, *self.baselines], names)
@@ -321,12 +320,12 @@ def _show_engines(run: Run, found: Sequence[_EngineEvaluations], *, as_json: boo
     ]
     if as_json:
         differences = [asdict(pair) for pair in pairs]
-        terminal.show_json({"evaluations": [each.as_json() for each in found], "differences": differences, "set": list(found[0].overrides)})
+        terminal.show_json({"evaluations": [each.as_json() for each in found], "differences": differences})
         return
-    first, elsewhere = found[0].result, found[0].elsewhere
+    first, scenario = found[0].result, found[0].scenario
     trained = f"trained in {run.record.engine}"
     terminal.print_result(
-        f"evaluation of {first.scenario} in {len(found)} engines, {trained}" + (f"; scenario {elsewhere}" if elsewhere else "")
+        f"evaluation of {first.scenario} in {len(found)} engines, {trained}" + (f"; scenario {scenario}" if scenario else "")
     )
     terminal.print_result(f"  {first.episodes:,} held-out starts from seed {first.seed}, the same in every engine")
     every = [result for each in found for result in (each.result, *each.cases)]
@@ -368,11 +367,9 @@ def _judged(
     return compiled
 
 
-def _check_files(csv: Path | None, junit: Path | None, gates: Gates) -> None:
+def _check_files(csv: Path | None, junit: Path | None, video: Path | None, gates: Gates, *, force: bool) -> None:
     """Find out before a long evaluation whether its files can be written, and have a content."""
-    for path in (csv, junit):
-        if path is not None:
-            check_writable(path)
+    check_output(*filter(None, (csv, junit, video)), force=force)
     if junit is not None and gates == Gates(None, None, False):
         raise UsageError("--junit writes requirements, and there is none; add --min-success, --min-return or --require-solved")
 
@@ -419,9 +416,11 @@ class Gates:
 
     def requirements(self, result: EvaluationResult, planned: int) -> list[Requirement]:
         """The answers for a run; a requirement that another one has left undecided is left out."""
-        found = [("the task is solved", bool(result.solved), result.verdict)] if self.solved else []
+        made_with = _made_with([result])
+        found = [("the task is solved", bool(result.solved), result.verdict.removesuffix(made_with))] if self.solved else []
         answers = self.verdicts(result.outcomes, planned, result.possible_returns)
-        return found + [(words, verdict.met, verdict.reason) for words, verdict in answers if verdict.met is not None]
+        found += [(words, verdict.met, verdict.reason) for words, verdict in answers if verdict.met is not None]
+        return [(f"{words}{made_with}", met, reason) for words, met, reason in found]
 
     def decided_of_group(self, episodes: Sequence[Episode], planned: int) -> bool:
         """Whether the planned episodes that are left, of all runs together, cannot change the answer to `--min-success`.
@@ -450,7 +449,13 @@ class Gates:
         if self.min_return is not None:
             met = group.mean_return >= self.min_return
             found.append((f"mean return of at least {self.min_return:g}", met, f"mean return {group.mean_return:.4g} {over}"))
-        return found
+        return [(f"{words}{_made_with(group.evaluations)}", met, reason) for words, met, reason in found]
+
+
+def _made_with(evaluations: Sequence[EvaluationResult]) -> str:
+    """In parentheses, what the evaluations were made with; empty where they are of the best model in the scenario of the training."""
+    found = dict.fromkeys(words for each in evaluations for words in each.circumstances)
+    return f" ({'; '.join(found)})" if found else ""
 
 
 def _evaluate_group(
@@ -461,8 +466,6 @@ def _evaluate_group(
     csv: Path | None,
     junit: Path | None,
     as_json: bool,
-    scenario: str | None,
-    overrides: tuple[str, ...],
     **chosen: Any,
 ) -> None:
     """Evaluate a group in each of the `judged` scenarios, which differ in their engine; None is the scenario of the group."""
@@ -481,9 +484,8 @@ def _evaluate_group(
         until = partial(gates.decided_of_group, planned=planned) if planned and len(judged) == 1 else None
         with terminal.progress("runs", always=False) as show_run:
             found = evaluate_group(folder, scenario=compiled, on_run=show_run, until=until, **chosen)
-        elsewhere = scenario or ("the scenario of the run, changed" if compiled else None)
         for result in found.evaluations:
-            Run.open(result.run).write_evaluation({**with_cases(result, ()), "elsewhere": elsewhere, "set": list(overrides)})
+            results.write_evaluation(Run.open(result.run), with_cases(result, ()))
         of = f"{found.evaluations[0].engine}: " if len(judged) > 1 else ""
         requirements += [(f"{of}{words}", met, reason) for words, met, reason in gates.requirements_of_group(found, planned)]
         groups.append(found)
@@ -498,7 +500,7 @@ def _evaluate_group(
     elif pairs:
         terminal.print_result("differences of each run on the same starts, with 95 % intervals over the seeds")
         terminal.print_result(table([pair.row(with_case=False) for pair in pairs]))
-    _require(requirements, groups[0].name, junit)
+    _require(requirements, [result for found in groups for result in found.evaluations], junit)
 
 
 def _robustness(
@@ -535,18 +537,18 @@ def _robustness(
         terminal.print_result(results.robustness_text(found))
 
 
-def _elsewhere(run: Run, scenario: str | None, overrides: Sequence[str], compiled: Compiled | None) -> str | None:
-    """The name in the report of a scenario that replaces the scenario of the run."""
-    if compiled is None:
+def _scenario_row(run: Run, scenario: str | None, overrides: Sequence[str], compiled: Compiled | None) -> str | None:
+    """A scenario in words that replaces the scenario of the run; None where none of --scenario and --set is given."""
+    if compiled is None or not (scenario or overrides):
         return None
     same = task_digest(compiled.program) == task_digest(run.program)
     changed = "".join(f" --set {quote(text)}" for text in overrides)
-    return f"{scenario or 'of the run'}{changed}, {'the same as in the training' if same else 'different from the training'}"
+    return f"{scenario or 'of the run'}{changed}, {'with the same episodes as the training' if same else 'different from the training'}"
 
 
-def show(result: EvaluationResult, cases: Sequence[EvaluationResult], *, elsewhere: str | None = None) -> None:
-    """An evaluation, and the cases beside it."""
-    terminal.print_result(results.evaluation_text(result, elsewhere))
+def show(result: EvaluationResult, cases: Sequence[EvaluationResult], *, scenario: str | None = None) -> None:
+    """An evaluation, and the cases beside it; `scenario` is a scenario in words that replaces the scenario of the run."""
+    terminal.print_result(results.evaluation_text(result, scenario))
     if cases:
         terminal.print_result("\ncases\n" + table(results.case_rows([result, *cases])))
 
@@ -556,10 +558,15 @@ def with_cases(result: EvaluationResult, cases: Sequence[EvaluationResult]) -> d
     return {**report.to_json(result), "cases": [report.to_json(other) for other in cases]}
 
 
-def _require(requirements: Sequence[Requirement], suite: str, junit: Path | None) -> None:
-    """Report each requirement, and exit with 1 if one is not met."""
+def _require(requirements: Sequence[Requirement], judged: Sequence[EvaluationResult], junit: Path | None) -> None:
+    """Report each requirement on the `judged` evaluations, and exit with 1 if one is not met."""
     if junit is not None:
-        results.write_junit(junit, "eval", {suite: [results.JUnitCase(*requirement) for requirement in requirements]})
+        first = judged[0]
+        properties = {"run": ", ".join(dict.fromkeys(str(each.run) for each in judged)), "model": first.model, "seed": str(first.seed)}
+        properties |= {"episodes": str(sum(each.episodes for each in judged))} | results.evaluated_in(first)
+        properties["engine"] = ", ".join(dict.fromkeys(each.engine or "" for each in judged))
+        suites = {first.scenario: [results.JUnitCase(*requirement) for requirement in requirements]}
+        results.write_junit(junit, "eval", suites, properties)
     for words, met, reason in requirements:
         if met:
             terminal.note(f"met: {words} ({reason})")

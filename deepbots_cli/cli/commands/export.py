@@ -11,11 +11,11 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import AllowPaths, Json, Overrides
+from deepbots_cli.cli.command import AllowPaths, Force, Json, Overrides
 from deepbots_cli.cli.commands.new import write_new
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.errors import RunError, UsageError
-from deepbots_cli.files import check_folder
+from deepbots_cli.files import check_new_folder
 from deepbots_cli.learning.group import Group, is_group
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import identity
@@ -28,9 +28,8 @@ class Target(StrEnum):
 def command(
     source: Annotated[Path, typer.Argument(metavar="RUN|BUNDLE", help="A run directory, or with --check a folder that `export` wrote.")],
     to: Annotated[Target, typer.Option("--to", help="Format of the policy.")] = Target.onnx,
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="FOLDER", help="Folder to write, new or empty; by default RUN-onnx.")
-    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", metavar="FOLDER", help="Folder to write; by default RUN-onnx.")] = None,
+    force: Force = False,
     last: Annotated[bool, typer.Option("--last", help="Export the last model instead of the best one.")] = False,
     check: Annotated[
         str | None, typer.Option("--check", metavar="SCENARIO", help="Compare a bundle with a scenario, item by item; write nothing.")
@@ -63,16 +62,14 @@ def command(
     if is_group(source):
         runs = Group.open(source).runs
         raise RunError(f"{source} is a group; name one of its runs, such as {runs[0] if runs else ''}")
-    run = Run.open(source)
     folder = out or Path(f"{source.resolve().name}-onnx")
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise UsageError(f"{folder} exists and is not an empty folder; name another folder with --out")
-    check_folder(folder)
+    check_new_folder(folder, force=force)
+    run = Run.open(source)
     with terminal.transient_line("exporting the policy ..."):
         from deepbots_cli.insight import card  # torch, which exporting imports, takes a second
 
         files = card.bundle_files(run, "last" if last else "best")
-    write_new(files, folder)
+    write_new(files, folder, force=force)
     known = card.read_card(folder)
     if as_json:
         terminal.show_json({"bundle": folder, **known.model_dump(mode="json")})

@@ -13,8 +13,8 @@ import typer
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import MAX_SEED, AllowCode, Json, whole_number
 from deepbots_cli.errors import RunError, UsageError
-from deepbots_cli.learning.listing import last_episodes
 from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.verdict import last_episodes
 
 if TYPE_CHECKING:
     from deepbots_cli.insight.trace import Trace
@@ -93,14 +93,14 @@ def _trace(shown: str, episode: int | None, seed: int | None, *, last: bool, all
             raise UsageError(f"{shown} holds a single episode; leave out --episode")
         return trace.trace_failure(path, allow_code=allow_code)
     run = Run.open(path)
-    found = last_episodes(run, best_deterministic=False) if seed is None and not last else None
+    found = last_episodes(run) if seed is None and not last else None
     if found is None:
         root = run.record.seed if seed is None else seed
         return next(trace.trace_episodes(run, [episode or 0], seed=root, model="last" if last else "best", allow_code=allow_code))
     _, kept = found
     failed = kept.failed(run.program)
     number = episode if episode is not None else failed[0] if failed else 0
-    traced = next(trace.trace_episodes(run, [number], **kept.circumstances, allow_code=allow_code))
+    traced = next(trace.trace_episodes(run, [number], **kept.replay_options, allow_code=allow_code))
     if not failed:
         traced.notes = [*traced.notes, f"none of the {len(kept.outcomes):,} episodes of the last evaluation failed"]
     return traced
@@ -110,13 +110,13 @@ MAX_SHOWN = 10
 """Failed episodes of which `eval --episodes failed` prints the margin and makes a film."""
 
 
-def repeat_failed(run: Run, video: Path | None, *, as_json: bool, allow_code: bool) -> None:
+def repeat_failed(run: Run, video: Path | None, *, force: bool, as_json: bool, allow_code: bool) -> None:
     """Repeat the failed episodes of the last evaluation of a run, count their endings, and show the first; `video` names films."""
     from deepbots_cli.insight import trace
     from deepbots_cli.insight.episode import explain, explanation_json
     from deepbots_cli.learning.video import check_video_path
 
-    evaluation = last_episodes(run, best_deterministic=False)
+    evaluation = last_episodes(run)
     if evaluation is None:
         raise UsageError(
             f"{run.path} keeps no evaluation in its own scenario and engine; make one with: deepbots eval {quote(str(run.path))}"
@@ -126,10 +126,10 @@ def repeat_failed(run: Run, video: Path | None, *, as_json: bool, allow_code: bo
     first = failed[:MAX_SHOWN]
     films = {number: video.with_name(f"{video.stem}-{number}{video.suffix}") for number in first} if video is not None else {}
     for film in films.values():
-        check_video_path(film)
+        check_video_path(film, force=force)
     found = []
     with terminal.progress("episodes", always=False) as show:
-        again = trace.trace_episodes(run, failed, **kept.circumstances, films=films, allow_code=allow_code) if failed else ()
+        again = trace.trace_episodes(run, failed, **kept.replay_options, films=films, allow_code=allow_code) if failed else ()
         for number, traced in zip(failed, again, strict=True):
             statements = explain(traced)
             found.append({"number": number, "film": films.get(number), **explanation_json(traced, statements)})

@@ -10,7 +10,7 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import inspection, terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Engine, Json, Overrides, Stage, with_case_or_stage
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Engine, Force, Json, Overrides, Stage, with_case_or_stage
 from deepbots_cli.cli.sources import is_robot, open_robot, open_source
 from deepbots_cli.cli.tables import row_as_lines, table
 from deepbots_cli.diagnostics import Source, Span
@@ -18,7 +18,7 @@ from deepbots_cli.document import MappingNode
 from deepbots_cli.document.load import with_settings_at
 from deepbots_cli.engine_kinds import chosen
 from deepbots_cli.errors import EngineError, EvaluationError, MissingExtraError, UsageError
-from deepbots_cli.files import atomic_write
+from deepbots_cli.files import atomic_write, check_output
 from deepbots_cli.footprint import resting_height, robot_bounds
 from deepbots_cli.frames import add
 from deepbots_cli.program import Program
@@ -50,10 +50,9 @@ def command(
     stage: Stage = None,
     picture: Annotated[
         Path | None,
-        typer.Option(
-            "--picture", metavar="PNG", help="Also write a picture of the start of an episode to this file, and replace it if it exists."
-        ),
+        typer.Option("--picture", metavar="PNG", help="Also write a picture of the start of an episode to this file."),
     ] = None,
+    force: Force = False,
     engine: Engine = None,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
@@ -76,7 +75,7 @@ def command(
     Next: `deepbots run SCENARIO` runs random actions.
     """
     if picture is not None:
-        _check(picture)
+        _check(picture, force=force)
     if is_robot(scenario):
         _inspect_robot(scenario, picture, chosen(engine), as_json)
         return
@@ -149,12 +148,11 @@ def _rendered(model: RobotModel, engine: str) -> Image:
         return opened_engine.render(view)
 
 
-def _check(picture: Path) -> None:
-    """Raises: UsageError: The file cannot be a picture."""
+def _check(picture: Path, *, force: bool) -> None:
+    """Raises: UsageError: The file cannot be a picture, or exists."""
     if picture.suffix.lower() != ".png":
         raise UsageError(f"{picture} is not the name of a PNG file; it must end in .png")
-    if not picture.parent.is_dir():
-        raise UsageError(f"{picture} cannot be written: there is no folder {picture.parent}")
+    check_output(picture, force=force)
 
 
 def _draw(image: Image, picture: Path) -> None:

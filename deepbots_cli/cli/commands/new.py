@@ -18,7 +18,7 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import starters, terminal
-from deepbots_cli.cli.command import Json
+from deepbots_cli.cli.command import Force, Json
 from deepbots_cli.cli.sources import open_robot
 from deepbots_cli.compiler.inventory import scenario_names
 from deepbots_cli.diagnostics import Findings, Source
@@ -27,7 +27,7 @@ from deepbots_cli.document import ScalarNode, files, shipped, walk
 from deepbots_cli.document.files import UnusableFile, project_root, resolve_reference
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
-from deepbots_cli.files import unwritable_message
+from deepbots_cli.files import atomic_write, check_writable, refuse_overwriting, unwritable_message
 from deepbots_cli.robots import reader
 from deepbots_cli.scenario.json_schema import schema_text
 
@@ -51,12 +51,13 @@ def new(
         typer.Option("--urdf", metavar="ROBOT", help="Robot file to begin with: a path, package://..., or the name of a shipped robot."),
     ] = None,
     schema: Annotated[bool, typer.Option("--schema", help="Also write NAME.schema.json for completion in an editor.")] = False,
+    force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Write a first scenario from a template or for a robot file.
 
-    With --urdf, the command chooses a task that suits the robot: driving, reaching, walking, flying or balancing. Existing files are not
-    overwritten. The templates are:
+    With --urdf, the command chooses a task that suits the robot: driving, reaching, walking, flying or balancing. Existing files are
+    overwritten only with --force. The templates are:
 
     \b
       cartpole  a cart that balances a pole
@@ -78,7 +79,7 @@ def new(
         raise UsageError(f"choose a start: --template {'|'.join(Template)}, or --urdf ROBOT")
     made = from_robot(urdf, name, folder) if urdf else from_template(template or "", name)
     kept = _present(made, folder)
-    written = write_with_schema(made, folder) if schema else write_new(made, folder)
+    written = write_with_schema(made, folder, force=force) if schema else write_new(made, folder, force=force)
     if urdf:
         terminal.note_warnings(api.lint(written[0]), str(written[0]))
     if as_json:
@@ -166,11 +167,12 @@ _PLAIN = re.compile(r"[A-Za-z0-9_./-]+")
 def copy(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Name of a scenario that comes with deepbots; see: deepbots list")],
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the files.")] = Path("."),
+    force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Copy a scenario that comes with deepbots, and its files.
 
-    The command rewrites the paths in the scenario so that they fit the new folder. Existing files are not overwritten.
+    The command rewrites the paths in the scenario so that they fit the new folder. Existing files are overwritten only with --force.
 
     \b
       deepbots copy cartpole               writes ./cartpole.yaml and ./robots/urdf/cartpole.urdf
@@ -180,7 +182,7 @@ def copy(
     """
     found = shipped_files(name)
     kept = _present(found, folder)
-    written = write_new(found, folder)
+    written = write_new(found, folder, force=force)
     if as_json:
         terminal.show_json({"scenario": written[0], "files": written})
         return
@@ -259,8 +261,10 @@ def _references(file: Path, text: str) -> Iterator[tuple[ScalarNode, Path]]:
 
 
 def _present(files: Files, folder: Path) -> set[Path]:
-    """The paths of the files that are already in `folder`."""
-    return {folder / target for target in files if (folder / target).exists()}
+    """The paths of the files that are already in `folder` with this content."""
+    return {
+        folder / target for target, content in files.items() if (folder / target).is_file() and (folder / target).read_bytes() == content
+    }
 
 
 def _list(written: Sequence[Path], kept: set[Path]) -> None:
@@ -269,19 +273,22 @@ def _list(written: Sequence[Path], kept: set[Path]) -> None:
         terminal.print_result(f"{path} (unchanged)" if path in kept else str(path))
 
 
-def write_new(files: Files, folder: Path) -> list[Path]:
-    """Write the files into `folder`; one that is already there with the same content is left alone.
+def write_new(files: Files, folder: Path, *, force: bool = False) -> list[Path]:
+    """Write the files into `folder`; one that is already there with the same content is left alone, another one replaced with `force`.
 
     Raises:
-        UsageError: Other files are in the way; lists them. Or a file cannot be written. No file is left in either case.
+        UsageError: Other files are in the way; lists them. Or a file cannot be written. No new file is left in either case.
     """
     if folder.exists() and not folder.is_dir():
         raise UsageError(f"{folder} is a file; name a folder, which need not be there yet")
     wanted = {folder / target: content for target, content in files.items()}
     present = {path for path in wanted if path.exists() or path.is_symlink()}
-    in_the_way = [path for path in present if not path.is_file() or path.read_bytes() != wanted[path]]
-    if in_the_way:
-        raise UsageError(f"nothing was written, since there are already: {', '.join(sorted(map(str, in_the_way)))}")
+    if in_the_way := [path for path in present if not path.is_file() or path.read_bytes() != wanted[path]]:
+        refuse_overwriting(*in_the_way, force=force)
+    for path in in_the_way:
+        check_writable(path)
+        with atomic_write(path) as draft:
+            draft.write_bytes(wanted[path])
     begun: list[Path] = []
     for path in wanted.keys() - present:
         try:
@@ -302,7 +309,7 @@ def modeline(scenario: Path, schema: Path) -> str:
     return f"# yaml-language-server: $schema={Path(way).as_posix()}"
 
 
-def write_with_schema(files: Files, folder: Path) -> list[Path]:
+def write_with_schema(files: Files, folder: Path, *, force: bool) -> list[Path]:
     """Write the files into `folder`, the first of them a scenario, with a schema for that one; the files that were written.
 
     Raises:
@@ -311,7 +318,7 @@ def write_with_schema(files: Files, folder: Path) -> list[Path]:
     (target, text), *others = files.items()
     schema = target.with_suffix(".schema.json")
     if os.path.lexists(folder / schema):
-        raise UsageError(f"nothing was written, since there is already: {folder / schema}")
+        refuse_overwriting(folder / schema, force=force)
     led = f"{modeline(folder / target, folder / schema)}\n\n".encode() + text
-    written = write_new({target: led, **dict(others)}, folder)
-    return [*written, *write_new({PurePosixPath(schema): schema_text(scenario_names(api.load(written[0]))).encode()}, folder)]
+    written = write_new({target: led, **dict(others)}, folder, force=force)
+    return [*written, *write_new({PurePosixPath(schema): schema_text(scenario_names(api.load(written[0]))).encode()}, folder, force=force)]

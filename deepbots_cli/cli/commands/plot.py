@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import whole_number
+from deepbots_cli.cli.command import Force, whole_number
 from deepbots_cli.files import atomic_write
 
 
@@ -21,6 +21,7 @@ def command(
             "--window", metavar="N", parser=whole_number(1, 100_000), help="Average returns and successes over this number of episodes."
         ),
     ] = 100,
+    force: Force = False,
     dark: Annotated[bool, typer.Option("--dark", help="Light lines on a dark ground.")] = False,
 ) -> None:
     """Plot the training of runs over the timesteps.
@@ -39,7 +40,7 @@ def command(
     from deepbots_cli.view import plots
     from deepbots_cli.view.pictures import check_target
 
-    check_target(out, plots.SUFFIXES)
+    check_target(out, plots.SUFFIXES, force=force)
     with terminal.transient_line("reading the logs ..."):
         logs = plots.read_logs(runs, window)
     figure = plots.plot(logs, theme="dark" if dark else "light")

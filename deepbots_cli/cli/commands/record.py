@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Json, Overrides, Seed, Stage, whole_number
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Force, Json, Overrides, Seed, Stage, whole_number
 from deepbots_cli.cli.commands.view import Driver, EngineOrRun, Episode, ScenarioOrRun
 from deepbots_cli.errors import UsageError
 
@@ -18,6 +18,7 @@ def command(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="FILE", help="File to write; by default NAME-SEED-EPISODE.mcap.")
     ] = None,
+    force: Force = False,
     driver: Driver = None,
     seed: Seed = 0,
     episode: Episode = 0,
@@ -58,11 +59,9 @@ def command(
     if shown.endswith(SUFFIX):
         raise UsageError(f"{shown} is already a recording; `deepbots clip {shown}` makes a video of it")
     source = Source(shown, overrides or (), allow_paths or (), allow_code, engine, case, stage)
+    path = out or Path(f"{Path(shown).stem}-{seed}-{episode}{SUFFIX}")
+    pictures.check_target(path, (SUFFIX,), force=force)
     with closing_player(source, driver) as world, terminal.progress(always=False) as show:
-        path = out or Path(f"{Path(shown).stem}-{seed}-{episode}{SUFFIX}")
-        pictures.check_target(path, (SUFFIX,))
-        if out is None and path.exists():
-            raise UsageError(f"{path} exists; name the file to write with --out")
         numbers = range(episode, episode + episodes)
         last = record(world, path, seed, numbers, lambda number: show(number + 1 - episode, episodes) if show else None, steps=steps)
     returns = [next(iter(frame.agents.values())).episode_return for frame in last]

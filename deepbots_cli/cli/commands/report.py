@@ -9,13 +9,14 @@ from typing import Annotated
 import typer
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import AllowCode, Json, whole_number
+from deepbots_cli.cli.command import AllowCode, Force, Json, whole_number
 from deepbots_cli.errors import MissingExtraError, UsageError
 
 
 def command(
     run: Annotated[Path, typer.Argument(metavar="RUN|GROUP", help="A run directory of `deepbots train`, or the folder of a group.")],
     out: Annotated[Path | None, typer.Option("--out", "-o", metavar="FILE", help="File to write, .html; by default RUN.html.")] = None,
+    force: Force = False,
     figures: Annotated[Path | None, typer.Option("--figures", metavar="FOLDER", help="Also write every figure as PNG.")] = None,
     episodes: Annotated[
         int,
@@ -31,8 +32,8 @@ def command(
     and clips of the best, the median and the worst episode. It also holds the scenario, the findings of lint and the versions. It loads
     nothing from elsewhere, needs no scripts, and can be sent and archived as it is. It follows the light or dark setting of the browser.
 
-    Results are those of the last evaluation of the best model; `deepbots eval RUN` makes a new one. Clips need an engine that can draw;
-    --no-clips leaves them out.
+    Results are those of the evaluation of the best model with the most episodes; `deepbots eval RUN --episodes N` makes a new one. Clips
+    need an engine that can draw; --no-clips leaves them out.
 
     \b
       deepbots report runs/cartpole-0-1
@@ -41,22 +42,22 @@ def command(
 
     Next: open the file in a browser.
     """
-    from deepbots_cli.files import atomic_write, check_folder, check_writable
+    from deepbots_cli.files import atomic_write, check_folder, check_output
 
     target = out or Path(f"{run.resolve().name}.html")
     if target.suffix.lower() not in (".html", ".htm"):
         raise UsageError(f"{target} must end in .html")
-    if out is None and target.exists():
-        raise UsageError(f"{target} exists; name the file to write with --out")
-    check_writable(target)
+    check_output(target, force=force)
     if figures is not None:
         check_folder(figures)
     try:
         import matplotlib  # noqa: F401
     except ModuleNotFoundError as error:
         raise MissingExtraError("view", "a report") from error
-    from deepbots_cli.insight.report import Report
+    from deepbots_cli.insight.report import FIGURE_NAMES, Report
 
+    if figures is not None and figures.is_dir():
+        check_output(*(figures / f"{name}.png" for name in FIGURE_NAMES), force=force)
     with terminal.transient_line("reading the run ..."):
         report = Report.read(run)
     with terminal.progress("episodes") as show:

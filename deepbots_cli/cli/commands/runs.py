@@ -84,6 +84,8 @@ def command(
         for run in found:
             if run.problem is not None:
                 terminal.note(f"{run.path.name}: {run.problem}")
+            if run.remarks:
+                terminal.note(f"{run.path.name}: its evaluation was made with: {'; '.join(run.remarks)}")
     elif scenario is not None or solved or live:
         terminal.note(f"no run in {folder} is so; without options, `deepbots runs` lists all")
     else:
@@ -150,8 +152,8 @@ def _evaluation(number: int, kept: EvaluationRecord) -> Row:
     return {
         "number": number,
         "evaluated": kept.evaluated[:16].replace("T", " "),
-        "model": kept.model + ("" if kept.deterministic else ", sampled"),
-        "in": kept.elsewhere or kept.case or (f"stage {kept.stage}" if kept.stage else ""),
+        "model": kept.model,
+        "made_with": "; ".join(kept.remarks) or kept.elsewhere or kept.case or (f"stage {kept.stage}" if kept.stage else ""),
         "episodes": kept.episodes,
         "seed": kept.seed,
         "return": kept.mean_return,

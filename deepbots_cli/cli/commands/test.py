@@ -13,14 +13,14 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import results, terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Engine, Json, Overrides
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Engine, Force, Json, Overrides
 from deepbots_cli.cli.commands.lint import scenario_names
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import ScenarioError, UsageError
-from deepbots_cli.files import check_writable
+from deepbots_cli.files import check_output
 from deepbots_cli.learning.scenario_tests import TestResult, UnmetExpectation, run_tests
 from deepbots_cli.lint.settings import settings
 from deepbots_cli.runtime.streams import derive_seed
@@ -47,6 +47,7 @@ def command(
     overrides: Overrides = None,
     engine: Engine = None,
     junit: Annotated[Path | None, typer.Option("--junit", metavar="FILE", help="Write the results as JUnit XML.")] = None,
+    force: Force = False,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
@@ -66,7 +67,7 @@ def command(
     Next: a failed test prints a command after `show it`. Run this command to see the episode.
     """
     if junit is not None:
-        check_writable(junit)
+        check_output(junit, force=force)
     began, names = time.perf_counter(), scenario_names(scenarios, settings())
     options: dict[str, Any] = {
         "overrides": with_engine(overrides, engine),

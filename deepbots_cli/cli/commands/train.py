@@ -23,8 +23,9 @@ from deepbots_cli.cli.exits import FAILED, INTERRUPTED
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning import report
-from deepbots_cli.learning.group import Group, is_group
+from deepbots_cli.learning.group import is_group
 from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.verdict import run_verdict
 from deepbots_cli.processes import python_command, python_environment
 
 if TYPE_CHECKING:
@@ -245,7 +246,7 @@ def _finish_group(group: GroupTraining, *, quiet: bool, as_json: bool, allow_cod
     with terminal.progress("runs", always=False) as show_run:
         evaluation = learning.evaluate_group(group.group, allow_code=allow_code, on_run=show_run)
     for found in evaluation.evaluations:
-        results.write_evaluation(Run.open(found.run), {**with_cases(found, ()), "engine": Group.open(group.group).record.engine})
+        results.write_evaluation(Run.open(found.run), with_cases(found, ()))
     if as_json:
         terminal.show_json({"training": results.group_training_json(group), "evaluation": results.group_json(evaluation)})
     else:
@@ -281,17 +282,18 @@ def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, allow_code: b
         terminal.note(f"interrupted; the training is finished, evaluate its policy with: deepbots eval {quote(str(result.run))}")
         raise typer.Exit(INTERRUPTED) from None
     results.write_evaluation(trained, with_cases(evaluation, cases))
+    solved = run_verdict(trained.path, trained.record).solved
     if as_json:
-        terminal.show_json({"training": report.to_json(result), "evaluation": with_cases(evaluation, cases)})
+        terminal.show_json({"training": report.to_json(result), "evaluation": with_cases(evaluation, cases), "solved": solved})
         return
     terminal.print_result("")
     show(evaluation, cases)
     run, film, logs = (quote(str(path)) for path in (result.run, f"{result.run.name}.mp4", result.run / "tensorboard"))
-    if evaluation.solved:
+    if solved:
         terminal.note(f"\nnext:\n  deepbots view {run}\n  deepbots report {run}\n  deepbots export {run}")
         return
     terminal.note(
-        "\nnext:\n" + (f"  deepbots diagnose {run}\n" if evaluation.solved is False else "") + f"  deepbots eval {run} --video {film}\n"
+        "\nnext:\n" + (f"  deepbots diagnose {run}\n" if solved is False else "") + f"  deepbots eval {run} --video {film}\n"
         f"  deepbots train --resume {run} --timesteps {report.longer_goal(max(result.steps, result.total_timesteps)):_} --full\n"
         f"  tensorboard --logdir {logs}"
     )

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Overrides, Seed, Stage, known_engine, whole_number
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Force, Overrides, Seed, Stage, known_engine, whole_number
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import atomic_write
 
@@ -219,6 +219,7 @@ def _serve(source: Source, open_: bool, **options: Any) -> None:
 def picture(
     shown: Shown,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="PNG", help="File to write.")] = Path("picture.png"),
+    force: Force = False,
     size: Size = "640x480",
     eye: From = None,
     target: At = None,
@@ -252,7 +253,7 @@ def picture(
     from deepbots_cli.view import pictures
     from deepbots_cli.view.episodes import closing_player
 
-    pictures.check_target(out, (".png",))
+    pictures.check_target(out, (".png",), force=force)
     source = _source(shown, overrides, case, stage, engine, allow_paths, allow_code)
     shot = pictures.Viewpoint(size[0], size[1], eye, target)
     with closing_player(source, driver) as world:
@@ -271,6 +272,7 @@ def clip(
             "--out", "-o", metavar="FILE", help="File to write: .mp4, .gif, or .html for an interactive page that needs no server."
         ),
     ] = Path("clip.mp4"),
+    force: Force = False,
     driver: Driver = None,
     seconds: Annotated[
         float | None, typer.Option("--seconds", metavar="S", min=0.01, max=3600, help="Simulated seconds; by default the whole episode.")
@@ -304,7 +306,7 @@ def clip(
     from deepbots_cli.view import pictures
     from deepbots_cli.view.episodes import closing_player
 
-    pictures.check_target(out, pictures.SUFFIXES)
+    pictures.check_target(out, pictures.SUFFIXES, force=force)
     source = _source(shown, overrides, case, stage, engine, allow_paths, allow_code)
     with closing_player(source, driver) as world, terminal.transient_line("running the episode ..."):
         frame = pictures.write_clip(

@@ -1,0 +1,160 @@
+"""The verdict about a run: which of its evaluations everyone quotes, what it was made with, and whether the run solves its task.
+
+`run_verdict` is the one definition of "solved" of `train`, `runs`, `report`, `diagnose` and the card of an exported policy. Nothing is
+compiled, and torch is not imported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from shlex import quote
+
+from deepbots_cli.errors import RunError
+from deepbots_cli.learning.episodes import meets_solved
+from deepbots_cli.learning.run import EvaluationRecord, EvaluationWithEpisodes, Run, RunRecord, is_training, numbered_files
+from deepbots_cli.program.task import Solved
+
+
+def solved_verdict(solved: Solved | None, episodes: int, mean_return: float, success_rate: float) -> tuple[bool | None, str]:
+    """Whether such an evaluation meets the criterion (None: cannot be told), and why."""
+    if solved is None:
+        return None, "the scenario does not say what counts as solved"
+    if episodes < solved.episodes and solved.success_rate is not None:
+        from deepbots_cli.learning.statistics import gate_rate  # which imports scipy
+
+        certain = gate_rate(solved.success_rate, round(success_rate * episodes), episodes, solved.episodes)
+        if certain.met is False:
+            return False, f"not solved: a success rate of {solved.success_rate:.1%} is required, and {certain.reason}"
+    if episodes < solved.episodes:
+        evaluated = f"{episodes} {'was' if episodes == 1 else 'were'} evaluated"
+        return None, f"solved: unknown; the criterion needs {solved.episodes} episodes, and {evaluated}"
+    reasons = []
+    if solved.mean_return is not None:
+        reasons.append(f"mean return {mean_return:.4g} where {solved.mean_return:g} is required")
+    if solved.success_rate is not None:
+        reasons.append(f"success rate {success_rate:.1%} where {solved.success_rate:.1%} is required")
+    met = meets_solved(solved, mean_return, success_rate)
+    return met, f"{'solved' if met else 'not solved'}: {', '.join(reasons)}"
+
+
+def circumstances(
+    run: Run,
+    *,
+    engine: str | None,
+    model: str = "best",
+    deterministic: bool = True,
+    elsewhere: str | None = None,
+    overrides: Sequence[str] = (),
+    case: str | None = None,
+    stage: str | None = None,
+) -> tuple[str, ...]:
+    """What an evaluation was made with, as far as it differs from one of the best model in the scenario of the training.
+
+    Args:
+        elsewhere: The name of another scenario than that of the run.
+        overrides: The assignments of `--set`.
+    """
+    found = [f"scenario {elsewhere}"] if elsewhere else []
+    if not elsewhere and run.digest != run.record.digest:
+        found.append("scenario changed since the training")
+    found += [f"--set {quote(text)}" for text in overrides]
+    found += [f"case {case}"] if case else []
+    found += [f"stage {stage}"] if stage else []
+    found += [f"engine {engine}, trained in {run.record.engine}"] if engine not in (None, run.record.engine) else []
+    found += [f"{model} model" if model == "last" else f"actions of {model}"] if model != "best" else []
+    found += ["actions sampled"] if not deterministic else []
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class RunVerdict:
+    """Whether a run solves its task; None where this is unknown, or the scenario has no `solved`.
+
+    `evaluation` is the evaluation that everyone quotes, None where there is none. If it answers, its answer is the verdict. If it
+    cannot, such as after too few episodes, the verdict is that of the training: whether its recent episodes met `solved`.
+    """
+
+    solved: bool | None
+    evaluation: EvaluationRecord | None
+
+    @property
+    def text(self) -> str:
+        """Mean return and success rate with their intervals, what they are of, and the answer."""
+        if self.evaluation is None:
+            return "not evaluated since the end of the training"
+        answer = {True: "; solved", False: "; not solved", None: ""}[self.solved]
+        by_training = " by episodes of the training, which explore" if self.solved and self.evaluation.solved is None else ""
+        return f"{self.evaluation.text}{answer}{by_training}"
+
+
+def run_verdict(path: Path, record: RunRecord) -> RunVerdict:
+    """The verdict about a run, from its files. While the run trains, its evaluations are those of older models and do not count."""
+    quoted = None if record.status == "running" and is_training(path) else quoted_evaluation(path, record)
+    met_in_training = record.result is not None and record.result.solved_at is not None
+    if quoted is None:
+        return RunVerdict(met_in_training, None)
+    _, evaluation = quoted
+    return RunVerdict(evaluation.solved if evaluation.solved is not None else met_in_training or None, evaluation)
+
+
+def quoted_evaluation(path: Path, record: RunRecord) -> tuple[Path, EvaluationRecord] | None:
+    """The evaluation of the best model that everyone quotes, and its file: the one with the most episodes, of equals the latest.
+
+    It is one in the scenario and engine of the training, since the training ended. One in a scenario that was changed since the training
+    is taken only where there is no other, and its `solved` is None.
+    """
+    found = own_evaluations(path, record)
+    return max(reversed(found), key=lambda each: (_of_training(each[1], record), each[1].episodes), default=None)
+
+
+def quoted_episodes(run: Run) -> tuple[Path, EvaluationWithEpisodes] | None:
+    """`quoted_evaluation` with its episodes.
+
+    Raises:
+        RunError: It is damaged.
+    """
+    return _with_episodes(quoted_evaluation(run.path, run.record))
+
+
+def last_episodes(run: Run) -> tuple[Path, EvaluationWithEpisodes] | None:
+    """The last evaluation in the scenario and engine of the training, since the training ended, of either model, also with sampled actions.
+
+    Raises:
+        RunError: It is damaged.
+    """
+    found = own_evaluations(run.path, run.record, best_deterministic=False)
+    return _with_episodes(found[-1] if found else None)
+
+
+def own_evaluations(path: Path, record: RunRecord, *, best_deterministic: bool = True) -> list[tuple[Path, EvaluationRecord]]:
+    """The evaluations in the scenario and engine of the training, since it ended, by number; unreadable ones are left out.
+
+    Args:
+        best_deterministic: Only those of the best model without sampled actions.
+    """
+    kept = []
+    for _, file in numbered_files(path / "evaluations"):
+        try:
+            found = EvaluationRecord.read(file)
+        except RunError:
+            continue
+        own = not (found.set or found.elsewhere or found.case or found.stage) and found.engine in (None, record.engine)
+        acts = found.model == "best" and found.deterministic if best_deterministic else found.model in ("best", "last")
+        if own and acts and found.evaluated >= record.updated:
+            # The criterion of a changed scenario may be another one.
+            kept.append((file, found if _of_training(found, record) else found.model_copy(update={"solved": None})))
+    return kept
+
+
+def _of_training(evaluation: EvaluationRecord, record: RunRecord) -> bool:
+    """Whether it judges the scenario of the training; evaluations of older versions have no digest."""
+    return evaluation.digest in (None, record.digest)
+
+
+def _with_episodes(found: tuple[Path, EvaluationRecord] | None) -> tuple[Path, EvaluationWithEpisodes] | None:
+    if found is None:
+        return None
+    path, evaluation = found
+    return path, EvaluationWithEpisodes.read(path).model_copy(update={"solved": evaluation.solved})

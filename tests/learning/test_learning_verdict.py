@@ -1,0 +1,76 @@
+"""Which evaluation of a run is quoted, and whether the run is solved."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import stand_in
+
+from deepbots_cli.learning import evaluate
+from deepbots_cli.learning.listing import read_listed
+from deepbots_cli.learning.report import to_json
+from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.verdict import last_episodes, quoted_episodes, quoted_evaluation, run_verdict
+
+
+def test_a_quick_evaluation_does_not_replace_the_one_with_the_most_episodes(run_copy: Path) -> None:
+    run = Run.open(run_copy)
+    long, quick = (evaluate(run, episodes=count, build=stand_in.build) for count in (12, 3))
+    path = run.write_evaluation(to_json(long))
+    quick_path = run.write_evaluation(to_json(quick))
+    quoted, last = quoted_episodes(run), last_episodes(run)
+    assert quoted is not None
+    assert last is not None
+    assert (quoted[0], len(quoted[1].outcomes), last[0]) == (path, 12, quick_path)
+    assert run_verdict(run_copy, run.record).text.startswith(quoted[1].text)
+    latest = run.write_evaluation(to_json(long))
+    assert quoted_episodes(run)[0] == latest  # type: ignore[index]
+
+
+def test_an_edited_criterion_does_not_make_a_run_solved(run_copy: Path) -> None:
+    resolved = run_copy / "resolved.yaml"
+    resolved.write_text(resolved.read_text().replace("mean_return: 195", "mean_return: 1"))
+    run = Run.open(run_copy)
+    assert run.digest != run.record.digest
+    found = evaluate(run, episodes=12, build=stand_in.build)
+    assert found.solved is True
+    assert found.verdict.endswith("(scenario changed since the training)")
+    run.write_evaluation(to_json(found))
+    listed = read_listed(run_copy)
+    assert (listed.solved, listed.remarks) == (None, ("scenario changed since the training",))
+    # One of the scenario of the training is quoted in its place, however few its episodes.
+    few = evaluate(run, episodes=3, build=stand_in.build)
+    run.write_evaluation(to_json(replace(few, digest=run.record.digest)))
+    assert read_listed(run_copy).evaluated_episodes == 3
+
+
+@pytest.mark.parametrize("where", [{"stage": "easy"}, {"case": "easy"}, {"set": ["solved.mean_return=1"]}, {"elsewhere": "easy.yaml"}])
+def test_an_evaluation_of_an_easy_stage_or_another_scenario_does_not_make_a_run_solved(run_copy: Path, where: dict[str, object]) -> None:
+    run = Run.open(run_copy)
+    run.write_evaluation(to_json(evaluate(run, episodes=12, build=stand_in.build)) | where | {"solved": True, "episodes": 999})
+    assert not run_verdict(run_copy, run.record).solved
+    assert quoted_evaluation(run_copy, run.record) is None
+
+
+def test_an_evaluation_that_a_requirement_stopped_says_so(run_copy: Path) -> None:
+    run = Run.open(run_copy)
+    found = evaluate(run, episodes=12, build=stand_in.build, until=lambda episodes: len(episodes) == 8)
+    run.write_evaluation(to_json(found))
+    assert (found.episodes, found.planned) == (8, 12)
+    assert "(stopped by a requirement after 8 of 12 episodes)" in found.verdict
+    assert "(stopped by a requirement after 8 of 12 episodes)" in run_verdict(run_copy, run.record).text
+
+
+def test_an_answer_of_the_training_says_that_it_is_one(run_copy: Path) -> None:
+    run = Run.open(run_copy)
+    run.write_evaluation(to_json(evaluate(run, episodes=3, build=stand_in.build)))
+    record = json.loads((run_copy / "run.json").read_text())
+    at = {"episode": 3, "steps": 90, "simulated_hours": 0.1, "cpu_seconds": 1.0, "mean_return": 200.0, "success_rate": 0.0}
+    record["result"]["solved_at"] = at
+    (run_copy / "run.json").write_text(json.dumps(record))
+    verdict = run_verdict(run_copy, Run.open(run_copy).record)
+    assert verdict.solved is True
+    assert verdict.text.endswith("(fewer than 10 episodes); solved by episodes of the training, which explore")
