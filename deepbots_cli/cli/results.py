@@ -253,7 +253,7 @@ def robustness_text(found: Robustness) -> str:
     return "\n".join(
         [
             f"robustness of {found.run} in {found.scenario}: {found.nominal.episodes} held-out episodes of each level,"
-            f" from seed {found.nominal.seed}",
+            f" from seed {found.nominal.seed}{_in_parentheses(found.nominal.circumstances)}",
             f"bar: {'success rate' if is_rate else 'mean return'} of {bar} ({found.bar_source})",
             table(rows),
             "",
@@ -262,6 +262,10 @@ def robustness_text(found: Robustness) -> str:
             *([] if found.nominal_holds else [f"note: the policy is below the bar without any change; set another bar with {option}"]),
         ]
     )
+
+
+def _in_parentheses(words: Sequence[str]) -> str:
+    return f" ({'; '.join(words)})" if words else ""
 
 
 def _against_bar(*, holds: bool, certain: bool) -> str:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from contextlib import closing
+from collections.abc import Callable, Mapping
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from statistics import median
 from typing import Any
@@ -15,10 +15,15 @@ from deepbots_cli import api
 from deepbots_cli.api import Compiled
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.tables import table
-from deepbots_cli.errors import UsageError
+from deepbots_cli.engine_kinds import ENGINES, chosen
+from deepbots_cli.errors import DeepbotsError, UsageError
+from deepbots_cli.program import Program
 from deepbots_cli.scenario.fields import counted_noun
 
 BATCH = "batch"
+MIN_RATIO = 1.5
+"""How much faster another engine must be to be named."""
+WARM_UP_STEPS, MIN_TIMED_STEPS = 3, 5
 MIN_STEPS = 60
 """Steps of each world of a batch, in which some episodes end."""
 
@@ -67,21 +72,32 @@ def counts(text: str) -> list[int]:
     return [int(part) for part in parts]
 
 
-def measure(compiled: Compiled, engines: list[str], worlds: list[int], *, steps: int, rounds: int, seed: int) -> list[Row]:
-    """Time about `steps` steps of worlds with random actions, resets included, for each engine in turn, `rounds` times."""
+def measure(
+    compiled: Compiled, engines: list[str], worlds: list[int], *, steps: int, rounds: int, seed: int, end: float
+) -> tuple[list[Row], int]:
+    """Time about `steps` steps of worlds with random actions, resets included, for each engine in turn, `rounds` times; the rounds.
+
+    Where a second or later round would end after `end` (s, as `time.perf_counter`), it is left out.
+    """
     cases = [(name, count) for name in engines for count in (worlds if name == BATCH else [1])]
     found: dict[tuple[str, int], list[Row]] = {case: [] for case in cases}
     terminal.note(f"measuring {counted_noun(rounds, 'round')} of {steps:,} steps, and at least {MIN_STEPS} of each world of a batch")
     with terminal.progress("measurements") as show:
         tell = show or (lambda _done, _all: None)
+        started = time.perf_counter()
         for number in range(rounds):
+            now = time.perf_counter()
+            if number and now + (now - started) > end:
+                break
+            started = now
             for place, (name, count) in enumerate(cases):
                 tell(number * len(cases) + place, rounds * len(cases))
                 made = _batch(compiled, count, steps, seed) if name == BATCH else _single(compiled, name, steps, seed)
                 found[name, count].append(made)
         tell(rounds * len(cases), rounds * len(cases))
     columns = ("steps_per_second", "step_us", "physics_us", "reset_us", "physics_share", "wall_clock_share")
-    return [Row(*case, *(median(getattr(row, column) for row in rows) for column in columns)) for case, rows in found.items()]
+    rows = [Row(*case, *(median(getattr(row, column) for row in rows) for column in columns)) for case, rows in found.items()]
+    return rows, len(found[cases[0]])
 
 
 def text(name: str, rows: list[Row], rounds: int) -> str:
@@ -103,6 +119,78 @@ def text(name: str, rows: list[Row], rounds: int) -> str:
     ]
     measured = "one round" if rounds == 1 else f"medians of {rounds} rounds"
     return f"{name}, random actions, {measured}; CPU times are per step of one world\n{table(shown)}"
+
+
+@dataclass(frozen=True)
+class FasterEngine:
+    """An engine that steps a world faster than the one in use, in steps of one world per second of CPU time, with random actions."""
+
+    engine: str
+    steps_per_second: float
+    used: str
+    used_steps_per_second: float
+
+    @property
+    def ratio(self) -> float:
+        return self.steps_per_second / self.used_steps_per_second
+
+    @property
+    def text(self) -> str:
+        """What to write, and what changes by it."""
+        return (
+            f"{self.engine} steps this world {self.ratio:.1f} times as fast as {self.used} ({self.steps_per_second:,.0f} against "
+            f"{self.used_steps_per_second:,.0f} steps/s): write `world: {{engine: {self.engine}}}`, or --engine {self.engine}. "
+            "Motion and results differ between engines."
+        )
+
+
+def engine_speeds(program: Program, used: str, *, seconds: float = 0.15, seed: int = 0, allow_code: bool = False) -> dict[str, float]:
+    """Steps of one world per second of CPU time in the engine `used`, and in our others that are installed and can hold the world.
+
+    Each engine is measured for `seconds` of CPU time; the worlds are built in addition.
+    """
+    speeds: dict[str, float] = {}
+    for name in dict.fromkeys((used, *(name for name, kind in ENGINES.own.items() if kind.is_installed))):
+        try:
+            speeds[name] = _speed(program, name, seconds, seed, allow_code=allow_code)
+        except DeepbotsError:  # such as a world that the engine cannot hold
+            if name == used:
+                raise
+    return speeds
+
+
+def faster_engine(speeds: Mapping[str, float], used: str) -> FasterEngine | None:
+    """The fastest engine, if it is at least 1.5 times as fast as the engine `used`."""
+    best = max(speeds, key=lambda name: speeds[name])
+    found = FasterEngine(best, speeds[best], used, speeds[used])
+    return found if found.ratio >= MIN_RATIO else None
+
+
+def note_faster_engine(program: Program, *, allow_code: bool = False) -> None:
+    """Measure for half a second of CPU time, and say in a line if another engine than the default one is faster."""
+    if sum(kind.is_installed for kind in ENGINES.own.values()) < 2:
+        return
+    used = chosen(None)
+    with suppress(DeepbotsError):  # which the command that makes the world reports
+        if found := faster_engine(engine_speeds(program, used, allow_code=allow_code), used):
+            terminal.note(f"note: {found.text}")
+
+
+def _speed(program: Program, engine: str, seconds: float, seed: int, *, allow_code: bool) -> float:
+    """Steps of one world per second of CPU time, resets included."""
+    with closing(api.make(program, engine=engine, allow_code=allow_code)) as world:
+        world.reset(seed=seed)
+        world.action_space.seed(seed)
+        for _ in range(WARM_UP_STEPS):
+            world.step(world.action_space.sample())
+        world.reset()
+        steps, began = 0, time.process_time()
+        while (taken := time.process_time() - began) < seconds or steps < MIN_TIMED_STEPS:
+            _, _, terminated, truncated, _ = world.step(world.action_space.sample())
+            steps += 1
+            if terminated or truncated:
+                world.reset()
+        return steps / taken
 
 
 def _single(compiled: Compiled, engine: str, steps: int, seed: int) -> Row:

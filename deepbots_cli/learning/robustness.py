@@ -21,6 +21,7 @@ from deepbots_cli.errors import DeepbotsError, ScenarioError, UsageError
 from deepbots_cli.learning.evaluation import EvaluationResult, evaluate
 from deepbots_cli.learning.run import ModelName, Run
 from deepbots_cli.program import Program
+from deepbots_cli.program.world import RobotBody
 
 EPISODES_PER_LEVEL = 50
 """Episodes of a level, unless the scenario asks for fewer."""
@@ -129,7 +130,8 @@ def evaluate_robustness(
 
     Latencies are added to those of the scenario, one way at a time, in timesteps. Losses hold for both ways, and replace those of the
     scenario. Noise is Gaussian, its standard deviation a share of the range of each entry of the observation; it replaces that of the
-    scenario. The mass of one link or object, the friction of the ground and the strength of all actuators are multiplied by a factor.
+    scenario. The mass of one link or object that can move, the friction of the ground and the strength of all actuators are multiplied by
+    a factor.
 
     Args:
         run: The run, or its directory.
@@ -138,7 +140,7 @@ def evaluate_robustness(
         overrides: Assignments `path=value` that hold at all levels.
         min_success: The bar of the success rate; by default that of `solved`, or 80 % of the rate without any change.
         min_return: The bar of the mean return, in the place of the success rate.
-        mass_of: What has its mass changed, `ROBOT.LINK` or an object; by default the heaviest link.
+        mass_of: What has its mass changed, `ROBOT.LINK` or an object; by default the heaviest link that can move.
         on_level: Is called after each evaluation with the number of those done and of all.
         options: Further arguments of `evaluate`; `seed`, `model` and `allow_code` are as there.
 
@@ -209,7 +211,7 @@ def changed_scenario(
     path = base.with_name(f"{base.stem}.changed.yaml")
     text = json.dumps({"extends": base.name, **removed, **change})
     document = load(path, overrides, allow_paths=allow_paths, drafts={path: text.encode()}, project=project)
-    return api.compile(check(replace(document, allow_code=allow_code)))
+    return replace(api.compile(check(replace(document, allow_code=allow_code))), source=base)
 
 
 def _level(label: str, result: EvaluationResult, metric: Metric, bar: float) -> RobustnessLevel:
@@ -245,7 +247,10 @@ Plan = tuple[str, list[tuple[str, Change]]]
 def plans(root: MappingNode, program: Program, mass_of: str | None = None) -> Iterator[Plan]:
     """The conditions that a scenario has; `mass_of` as for `evaluate_robustness`."""
     if program.format != "none":
-        for way, words in (("to_robot", "latency to the robot"), ("from_robot", "latency from the robot")):
+        ways = [("to_robot", "latency to the robot")]
+        if any(robot.emitted for robot in program.robots):
+            ways.append(("from_robot", "latency from the robot"))
+        for way, words in ways:
             own = _text(root, "messages", way, "latency")
             delays = [1000 * program.world.timestep * steps for steps in LATENCY_STEPS]
             levels = [(f"+{delay:g} ms", f"{delay:g} ms" + (f" + {own}" if own else "")) for delay in delays]
@@ -267,7 +272,8 @@ def plans(root: MappingNode, program: Program, mass_of: str | None = None) -> It
             "friction of the ground",
             [(f"x {factor:g}", {"world": {ground: {"friction": f"{factor:g} * ({own})"}}}) for factor in MASS_FACTORS],
         )
-    yield "motor strength", [(f"x {factor:g}", {"robots": _strengths(root, factor)}) for factor in STRENGTH_FACTORS]
+    if any(_keys(root, "robots", robot, "actuators") for robot in _keys(root, "robots")):
+        yield "motor strength", [(f"x {factor:g}", {"robots": _strengths(root, factor)}) for factor in STRENGTH_FACTORS]
 
 
 def _node(root: Node | None, *path: str) -> Node | None:
@@ -310,26 +316,46 @@ def _mass(root: MappingNode, program: Program, name: str | None) -> tuple[str, C
     """What has its mass changed, a link or an object, and the change for a factor; None where nothing has a mass.
 
     By default it is the heaviest link of all robots, as if it carried a load. All masses by one factor would often change nothing: the
-    accelerations of a robot that follows commands of speed stay as they are.
+    accelerations of a robot that follows commands of speed stay as they are. The mass of what is fixed to the world changes no motion.
 
     Raises:
-        UsageError: Nothing of this name has a mass.
+        UsageError: Nothing of this name has a mass, or it is fixed to the world.
     """
-    links = {
-        f"{body.name}.{link.name}": link.inertial.mass
+    heavy = {
+        f"{body.name}.{link.name}": (link.inertial.mass, link.name in still)
         for body in program.world.robots
+        for still in [_fixed_links(body)]
         for link in body.model.links
         if link.inertial is not None and link.inertial.mass > 0
     }
-    objects = [key for key in _keys(root, "objects") if _text(root, "objects", key, "mass") is not None]
+    links = {link: mass for link, (mass, is_fixed) in heavy.items() if not is_fixed}
+    loose = {body.name for body in program.world.objects if not body.fixed}
+    written = [key for key in _keys(root, "objects") if _text(root, "objects", key, "mass") is not None]
+    objects = [key for key in written if key in loose or not any(body.name == key for body in program.world.objects)]
     if name is not None and name not in links and name not in objects:
-        raise UsageError(f"nothing called '{name}' has a mass; there are {', '.join([*links, *objects])}")
+        reason = (
+            f"'{name}' is fixed to the world, so its mass changes no motion"
+            if name in heavy or name in written
+            else (f"nothing called '{name}' has a mass")
+        )
+        raise UsageError(f"{reason}; there are {', '.join([*links, *objects])}")
     chosen = name or max(links, key=lambda link: links[link], default=None)
     if chosen is None:
         return None
     path = ("objects", chosen) if chosen in objects else ("robots", chosen.partition(".")[0], "links", chosen.partition(".")[2])
     own = _text(root, *path, "mass") or "urdf"
     return chosen, lambda factor: _nested(path, {"mass": f"{factor:g} * ({own})"})
+
+
+def _fixed_links(body: RobotBody) -> set[str]:
+    """The links that are fixed to the world: the root of a fixed base, and what fixed joints hold to it."""
+    found = {body.model.root} if body.fixed_base else set()
+    waiting = list(found)
+    for link in waiting:
+        held = [joint.child for joint in body.model.joints if joint.parent == link and joint.type == "fixed"]
+        found.update(held)
+        waiting += held
+    return found
 
 
 def _nested(path: Sequence[str], value: Change) -> Change:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import zlib
 from contextlib import closing
 from pathlib import Path
@@ -11,6 +12,8 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.cli.commands.bench import measure
+from deepbots_cli.cli.commands.train import _name_faster_engine as name_faster_engine
+from deepbots_cli.cli.throughput import faster_engine
 from deepbots_cli.learning import defaults
 
 PLAIN = "train={algorithm: PPO, total_timesteps: 1000, policy: {activation: relu}}"
@@ -326,6 +329,36 @@ def test_whole_numbers_may_be_written_short(deepbots, written, meant):
 def test_what_is_no_whole_number_is_refused_with_how_to_write_one(deepbots, words, said):
     ran = deepbots(*words)
     assert (ran.code, said in " ".join(ran.err.split())) == (2, True)
+
+
+def test_the_engine_that_steps_a_world_fastest_is_named_with_its_ratio(deepbots):
+    pytest.importorskip("pybullet")
+    line = r"mujoco steps this world (\d+\.\d) times as fast as pybullet \([\d,]+ against [\d,]+ steps/s\): write `world: {engine: mujoco}`"
+    assert re.search(line, deepbots("bench", "cartpole", "--steps", "100", "--pairs", "1").out)
+    assert re.search(line, deepbots("new", "mine", "--template", "cartpole").err)
+    found = json.loads(deepbots("bench", "cartpole", "--steps", "100", "--pairs", "1", "--json").out)["faster_engine"]
+    assert (found["engine"], found["used"]) == ("mujoco", "pybullet")
+    assert found["steps_per_second"] > 1.5 * found["used_steps_per_second"]
+    assert "mujoco steps" not in deepbots("bench", "cartpole", "--engine", "mujoco", "--steps", "100", "--pairs", "1").out
+
+
+def test_a_training_that_is_long_names_the_faster_engine_unless_one_is_chosen(capfd):
+    pytest.importorskip("pybullet")
+    name_faster_engine(api.compile("cartpole").program, None, allow_code=False)
+    assert "note: mujoco steps this world" in capfd.readouterr().err
+    name_faster_engine(api.compile("cartpole").program, 600, allow_code=False)
+    name_faster_engine(api.compile("cartpole", overrides=["world.engine=pybullet"]).program, None, allow_code=False)
+    assert "mujoco" not in capfd.readouterr().err
+
+
+def test_an_engine_that_is_little_faster_is_not_named():
+    assert faster_engine({"pybullet": 100.0, "mujoco": 149.0}, "pybullet") is None
+    assert faster_engine({"pybullet": 100.0, "mujoco": 150.0}, "pybullet").ratio == 1.5
+
+
+def test_a_bench_measures_no_more_pairs_than_fit_into_its_time():
+    with closing(api.make("cartpole")) as environment, closing(api.make("cartpole")) as bare:
+        assert measure(environment, bare, steps=100, pairs=5, seed=0, end=0.0).pairs == 1
 
 
 def test_a_quick_bench_measures_less(deepbots):

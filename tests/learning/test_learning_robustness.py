@@ -87,6 +87,45 @@ def test_the_link_or_object_whose_mass_is_changed_can_be_named(trained: Training
         evaluate_robustness(trained.run, mass_of="cart.poel", build=stand_in.build)
 
 
+ARM = """\
+deepbots: 1
+name: Arm
+world: {timestep: 32 ms}
+robots:
+  arm:
+    urdf: arm.urdf
+    base: fixed
+    sensors: {angle: {type: joint_position, joint: turn}}
+    actuators: {motor: {type: velocity_motor, joint: turn}}
+    emit: [angle]
+    apply: {motor: drive * 1 rad/s}
+objects: {wall: {shape: box, size: 1 1 1 m, fixed: true, mass: 9 kg}}
+action: {drive: -1 .. 1}
+observation: {arm.angle: -3.2 .. 3.2 rad}
+reward: {alive: 1}
+truncation: {max_steps: 10}
+train: {algorithm: PPO, total_timesteps: 100}
+"""
+URDF = """<robot name="arm">
+<link name="base"><inertial><mass value="50"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
+<link name="post"><inertial><mass value="20"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
+<link name="rod"><inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
+<joint name="weld" type="fixed"><parent link="base"/><child link="post"/></joint>
+<joint name="turn" type="continuous"><parent link="post"/><child link="rod"/><axis xyz="0 0 1"/></joint>
+</robot>"""
+
+
+def test_the_mass_of_what_is_fixed_to_the_world_is_not_varied(tmp_path: Path) -> None:
+    (tmp_path / "arm.yaml").write_text(ARM)
+    (tmp_path / "arm.urdf").write_text(URDF)
+    root, program = load(tmp_path / "arm.yaml").root, api.compile(tmp_path / "arm.yaml").program
+    assert root is not None
+    assert [name for name, _ in plans(root, program) if name.startswith("mass")] == ["mass of arm.rod"]
+    for name in ("arm.post", "wall"):
+        with pytest.raises(UsageError, match=f"'{name}' is fixed to the world, so its mass changes no motion; there are arm.rod$"):
+            list(plans(root, program, name))
+
+
 def test_a_policy_is_measured_against_a_bar_at_every_level(trained: TrainingResult) -> None:
     told: list[tuple[int, int]] = []
     found = evaluate_robustness(

@@ -8,6 +8,7 @@ timed. Times are CPU times of the process, and the two sides alternate in order.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from contextlib import closing
@@ -24,10 +25,13 @@ from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Overrides, Sce
 from deepbots_cli.cli.tables import row_as_lines as aligned
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError
+from deepbots_cli.scenario.fields import counted_noun
 
 if TYPE_CHECKING:
     from deepbots_cli.runtime import Supervisor
 
+LIMIT_S = 20.0
+"""Seconds by the clock that a measurement takes by default."""
 WARM_UP_STEPS = 3
 """Number of steps at the start of an episode that are not timed; delayed commands have then reached the motors."""
 
@@ -37,7 +41,12 @@ def command(
     overrides: Overrides = None,
     steps: Annotated[
         int | None,
-        typer.Option("--steps", metavar="N", parser=whole_number(100), help="Steps of the agent per measurement; 2000 by default."),
+        typer.Option(
+            "--steps",
+            metavar="N",
+            parser=whole_number(100),
+            help="Steps per measurement; by default as many as fit into 20 s.",
+        ),
     ] = None,
     pairs: Annotated[
         int | None,
@@ -45,15 +54,14 @@ def command(
             "--pairs",
             metavar="N",
             parser=whole_number(),
-            help="Number of pairs of measurements, one with and one without the environment; 9 by default.",
+            help="Number of pairs of measurements, one with and one without the environment; 5 by default.",
         ),
     ] = None,
     quick: Annotated[
         bool,
         typer.Option(
             "--quick",
-            help="Measure 3 pairs of 600 steps, which takes a tenth of the time. "
-            "With several engines or batch, measure each once instead of three times.",
+            help="Measure 3 pairs of 600 steps. With several engines or batch, measure each once instead of three times.",
         ),
     ] = False,
     seed: Seed = 0,
@@ -76,7 +84,10 @@ def command(
 
     The command runs the same episodes twice in the same engine: with full environment steps, and with the physics alone. Resets are not
     timed. The ratio is the time of an environment step divided by the time of its physics. The difference is the cost of messages,
-    observation, reward and endings.
+    observation, reward and endings. If another engine steps this world at least 1.5 times as fast, a line names it.
+
+    By default, the measurement takes at most 20 s, or one round of several engines. With more --steps and --pairs, it takes longer, and its
+    ratio repeats more closely.
 
     \b
       deepbots bench cartpole
@@ -98,23 +109,33 @@ def command(
     if several:
         rounds = pairs or (1 if quick else 3)
         numbers = throughput.counts(worlds or "1,16,64,256")
-        rows = throughput.measure(compiled, names, numbers, steps=steps or 2000, rounds=rounds, seed=seed)
+        end = math.inf if steps or pairs else time.perf_counter() + LIMIT_S
+        rows, rounds = throughput.measure(compiled, names, numbers, steps=steps or 2000, rounds=rounds, seed=seed, end=end)
         if as_json:
             terminal.show_json([asdict(row) for row in rows])
         else:
             terminal.print_result(throughput.text(compiled.program.name, rows, rounds))
         return
-    usual_steps, usual_pairs = (600, 3) if quick else (2000, 9)
-    steps, pairs = steps or usual_steps, pairs or usual_pairs
+    began, cpu_began = time.perf_counter(), time.process_time()
     with closing(api.make(compiled)) as environment, closing(api.make(compiled)) as bare:
-        terminal.note(f"measuring {pairs} pairs of {steps:,} steps" + ("" if quick else "; --quick takes a tenth of the time"))
+        used = environment.engine.name
+        speeds = throughput.engine_speeds(compiled.program, used, seed=seed, allow_code=allow_code)
+        faster = throughput.faster_engine(speeds, used)
+        open_ended = not (steps or pairs or quick)
+        pairs = pairs or (3 if quick else 5)
+        share_of_cpu = (time.process_time() - cpu_began) / (time.perf_counter() - began)
+        steps = steps or (600 if quick else _affordable_steps(speeds[used] * share_of_cpu, pairs))
+        longer = "; --pairs 9 --steps 2000 takes longer, and repeats more closely" if open_ended else ""
+        terminal.note(f"measuring {pairs} pairs of {steps:,} steps{longer}")
+        end = began + LIMIT_S if open_ended else math.inf
         with terminal.progress("measurements") as show:
-            result = measure(environment, bare, steps=steps, pairs=pairs, seed=seed, on_measured=show)
+            result = measure(environment, bare, steps=steps, pairs=pairs, seed=seed, on_measured=show, end=end)
     if as_json:
-        terminal.show_json(asdict(result))
+        terminal.show_json(asdict(result) | {"faster_engine": None if faster is None else asdict(faster)})
         return
+    measured = counted_noun(result.pairs, "pair")
     terminal.print_result(
-        f"{result.scenario} on {result.engine}, {result.format} messages; medians of {result.pairs} pairs of {result.steps:,} steps\n"
+        f"{result.scenario} on {result.engine}, {result.format} messages; medians of {measured} of {result.steps:,} steps\n"
         + aligned(
             {
                 "environment step": f"{result.step_us:.2f} us, {result.steps_per_second:,.0f} per second",
@@ -123,6 +144,17 @@ def command(
             }
         )
     )
+    if faster is not None:
+        terminal.print_result(faster.text)
+
+
+def _affordable_steps(per_second: float, pairs: int) -> int:
+    """Steps of a measurement, such that all pairs, the warm-up and the plan of the episodes take three quarters of the limit.
+
+    `per_second` are steps by the clock.
+    """
+    runs = 2 * (pairs + 1) + 1
+    return max(100, min(2000, round(0.75 * LIMIT_S * per_second / runs, -2)))
 
 
 @dataclass(frozen=True)
@@ -155,11 +187,19 @@ class ConstantActionEpisode:
 
 
 def measure(
-    environment: Supervisor, other: Supervisor, *, steps: int, pairs: int, seed: int, on_measured: Callable[[int, int], None] | None = None
+    environment: Supervisor,
+    other: Supervisor,
+    *,
+    steps: int,
+    pairs: int,
+    seed: int,
+    on_measured: Callable[[int, int], None] | None = None,
+    end: float = math.inf,
 ) -> Timing:
     """Time about `steps` steps of an environment, and the physics alone in another one of the same scenario, `pairs` times.
 
     `on_measured` is called with the number of measured pairs and of all pairs. A first pair warms up caches and clocks; it is not counted.
+    Where another pair would end after `end` (s, as `time.perf_counter`), no further one is measured, after at least one.
 
     Raises:
         UsageError: An episode ends in the steps that are not timed.
@@ -173,7 +213,12 @@ def measure(
         lambda: timed(environment, episodes, environment.step, lambda episode: episode.action),
         lambda: timed(other, episodes, other.engine.step, lambda _: program.world.substeps * program.action_repeat),
     )
+    started = time.perf_counter()
     for number in range(pairs + 1):
+        now = time.perf_counter()
+        if number > 1 and now + (now - started) > end:
+            break
+        started = now
         show(max(0, number - 1), pairs)
         seconds = {side: sides[side]() for side in ((1, 0) if number % 2 else (0, 1))}
         measured.append((seconds[0], seconds[1]))
@@ -181,8 +226,9 @@ def measure(
     del measured[0]  # the warm-up
     ratios = [step / base for step, base in measured]
     step_us, bare_us = (1e6 / timed_steps * median(side) for side in zip(*measured, strict=True))
+    count = len(measured)
     return Timing(
-        program.name, name, program.format, pairs, timed_steps, step_us, bare_us, median(ratios), min(ratios), max(ratios), 1e6 / step_us
+        program.name, name, program.format, count, timed_steps, step_us, bare_us, median(ratios), min(ratios), max(ratios), 1e6 / step_us
     )
 
 

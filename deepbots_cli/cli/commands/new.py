@@ -87,8 +87,20 @@ def new(
         return
     _list(written, kept)
     terminal.note(_next(quote(str(written[0]))))
+    _name_faster_engine(written[0])
     if not schema:
         terminal.note(f"  deepbots schema --for {_named(written[0])}")
+
+
+def _name_faster_engine(scenario: Path) -> None:
+    """Say in a line which engine steps the new world faster; nothing without a simulator."""
+    try:
+        from deepbots_cli.cli import throughput
+    except ModuleNotFoundError:
+        return
+    program = api.load(scenario).program
+    if program is not None and program.engine is None:
+        throughput.note_faster_engine(program)
 
 
 def _named(scenario: Path) -> str:

@@ -168,6 +168,8 @@ def command(
             train = learning.train  # which imports torch
         if progress:
             _announce(compiled.program, f"seeds {seeds}" if seeds else f"seed {seed or 0}", timesteps, full=full)
+            if not as_json:
+                _name_faster_engine(compiled.program, timesteps, allow_code=allow_code)
         if listed is not None:
             group = learning.train_group(compiled, listed, group=run, on_seed=None if quiet else _announce_seed, **settings)
             _finish_group(group, quiet=quiet, as_json=as_json, allow_code=allow_code)
@@ -189,6 +191,19 @@ def _announce(program: Program, seeds: str, timesteps: int | None, *, full: bool
         until = f", or until it is solved ({solved.description})" if solved and not full else ""
         terminal.note(f"training {program.name} with {training.algorithm} from {seeds}")
         terminal.note(f"at most {timesteps or training.total_timesteps:,} timesteps{until}; Ctrl-C ends it and keeps the policy")
+
+
+_MEASURED_FROM_STEPS = 20_000
+"""Timesteps from which on a training is long enough to measure for half a second which engine is faster."""
+
+
+def _name_faster_engine(program: Program, timesteps: int | None, *, allow_code: bool) -> None:
+    """Say which engine steps the world of a scenario without an engine faster than the default one."""
+    training = program.policy.training
+    if program.engine is None and training is not None and (timesteps or training.total_timesteps) >= _MEASURED_FROM_STEPS:
+        from deepbots_cli.cli import throughput
+
+        throughput.note_faster_engine(program, allow_code=allow_code)
 
 
 @contextmanager
