@@ -15,8 +15,10 @@ from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.learning.episodes import Episode, by_drawn_value
 from deepbots_cli.program.world import WorldModel
 from deepbots_cli.robots.model import Cylinder, Sphere
+from deepbots_cli.view.frames import LinkName
 from deepbots_cli.view.page import COLOURS
 from deepbots_cli.view.plots import THEMES, Curve, TrainingLog, plot_band, plot_endings, plot_evaluation, style_panel
+from deepbots_cli.view.trajectories import Moving, has_moved
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
 SUCCESS, FAILURE = "#009E73", "#D55E00"
 _MAX_STARTS = 6
 _WIDTH, _WIDE_WIDTH = 5.0, 8.0  # inches
+_MIN_CLIMB = 0.25  # of its longer side; a trajectory that climbs more is also drawn from the side
 
 
 def _figure(theme: str, height: float, columns: int = 1, rows: int = 1, width: float = _WIDTH) -> tuple[Figure, Any]:
@@ -125,38 +128,82 @@ def starts(episodes: Sequence[Episode], theme: str, *, success_defined: bool) ->
     return figure
 
 
-def trajectories(shown: Sequence[ReportEpisode], world: WorldModel, fixed: Sequence[Sequence[Triple]], theme: str) -> Figure:
-    """Paths from above, with rings where they begin and discs where they end; `fixed` are the outlines of objects that stand still."""
-    low, high = _limits(np.array([point[:2] for each in shown for point in each.points]), world)
-    height = min(5.5, max(1.8, 1.2 + (_WIDE_WIDTH - 1.0) * (high[1] - low[1]) / (high[0] - low[0])))
-    figure, ((panel,),) = _figure(theme, height, width=_WIDE_WIDTH)
+def trajectories(
+    shown: Sequence[ReportEpisode], moving: Moving, world: WorldModel, fixed: Sequence[Sequence[Triple]], theme: str
+) -> Figure:
+    """Trajectories of the parts that move, from above, and from the side where they climb.
+
+    The first part is drawn as a line, others and moving targets in dots, a target that stands still as a star. `fixed` are the outlines of
+    objects that stand still.
+    """
+    tracks = [each.positions[part] for each in shown for part in moving.parts if part in each.positions]
+    spans = np.max([np.nanmax(track, axis=0) - np.nanmin(track, axis=0) for track in tracks], axis=0)
+    side = int(spans[1] > spans[0])  # the horizontal axis that is seen from the side
+    planes = [(0, 1)] + [(side, 2)] * bool(spans[2] > _MIN_CLIMB * max(spans[0], spans[1]))
+    limits = [_limits(np.concatenate(tracks + _targets(shown, moving)), plane, world) for plane in planes]
+    width = (_WIDE_WIDTH - 1.0) / len(planes)
+    height = max(width * (high[1] - low[1]) / (high[0] - low[0]) for low, high in limits)
+    figure, (panels,) = _figure(theme, min(6.0, max(1.8, 1.3 + height)), columns=len(planes), width=_WIDE_WIDTH)
     ground, text, grid = THEMES[theme]
+    for panel, plane, (low, high) in zip(panels, planes, limits, strict=True):
+        if plane == (0, 1):
+            _draw_surroundings(panel, world, fixed, theme)
+        labelled = [each for each in shown if each.label]
+        for each in [*(each for each in shown if not each.label), *labelled]:
+            _draw_episode(panel, plane, each, moving, COLOURS[labelled.index(each) if each.label else 6], theme)
+        panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+        style_panel(panel, "", theme, legend=False, axes=(f"{'xyz'[plane[0]]}, m", f"{'xyz'[plane[1]]}, m"))
+    handles, titles = panels[0].get_legend_handles_labels()
+    box = figure.legend(handles, titles, loc="outside lower center", fontsize=8, labelcolor=text, facecolor=ground, edgecolor=grid)
+    for entry in box.get_texts():
+        entry.set_parse_math(False)
+    return figure
+
+
+def _draw_episode(panel: Any, plane: tuple[int, int], shown: ReportEpisode, moving: Moving, colour: str, theme: str) -> None:
+    width, alpha, ground = (2.0, 1.0, THEMES[theme][0]) if shown.label else (0.9, 0.7, THEMES[theme][0])
+    for part in [*moving.parts, *moving.targets]:
+        if part not in shown.positions:
+            continue
+        xs, ys = shown.positions[part].T[list(plane)]
+        is_target, is_first = part in moving.targets, _base(part) == _base(moving.parts[0])
+        if is_target:
+            panel.plot(xs[-1:], ys[-1:], "*", color=colour, markersize=9, alpha=alpha, markeredgecolor=ground, markeredgewidth=0.5)
+        if not is_target or has_moved(shown.positions[part]):
+            style = {"linestyle": "-", "linewidth": width} if is_first else {"linestyle": ":", "linewidth": 1.2}
+            panel.plot(xs, ys, color=colour, alpha=alpha, label=shown.title if shown.label and part == moving.parts[0] else "", **style)
+        if not is_target:
+            panel.plot(xs[:1], ys[:1], "o", color=colour, markerfacecolor=ground, markersize=5 if is_first else 3)
+        if is_first:
+            panel.plot(xs[-1:], ys[-1:], "o" if shown.is_success else "X", color=colour, markersize=6)
+
+
+def _base(part: LinkName) -> str:
+    """The name of a body without the number of a copy."""
+    return part[0].partition("#")[0]
+
+
+def _targets(shown: Sequence[ReportEpisode], moving: Moving) -> list[Any]:
+    return [each.positions[part] for each in shown for part in moving.targets if part in each.positions]
+
+
+def _draw_surroundings(panel: Any, world: WorldModel, fixed: Sequence[Sequence[Triple]], theme: str) -> None:
+    """The arena, painted lines and objects that stand still, from above."""
+    _, text, grid = THEMES[theme]
     if world.arena is not None:
         x, y = (side / 2 for side in world.arena.size)
         panel.plot([-x, x, x, -x, -x], [-y, -y, y, y, -y], color=text, linewidth=1.2)
     for line in world.lines:
-        panel.plot(*zip(*line.points, strict=True), color=grid, linewidth=3)
+        points = [*line.points, *line.points[: int(line.closed)]]
+        panel.plot(*zip(*points, strict=True), color=grid, linewidth=3)
     for outline in fixed:
-        panel.fill([x for x, _, _ in outline], [y for _, y, _ in outline], color=grid)
-    labelled = [each for each in shown if each.label]
-    for each in [*(each for each in shown if not each.label), *labelled]:
-        colour, width, alpha = (COLOURS[labelled.index(each)], 2.0, 1.0) if each.label else (COLOURS[6], 0.9, 0.7)
-        xs, ys = [point[0] for point in each.points], [point[1] for point in each.points]
-        panel.plot(xs, ys, color=colour, linewidth=width, alpha=alpha, label=each.title if each.label else "")
-        panel.plot(xs[:1], ys[:1], "o", color=colour, markerfacecolor=ground, markersize=5)
-        panel.plot(xs[-1:], ys[-1:], "o" if each.is_success else "X", color=colour, markersize=6)
-    panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
-    style_panel(panel, "", theme, legend=False, axes=("x, m", "y, m"))
-    box = figure.legend(loc="outside lower center", fontsize=8, labelcolor=text, facecolor=ground, edgecolor=grid)
-    for label in box.get_texts():
-        label.set_parse_math(False)
-    return figure
+        panel.fill([x for x, _, _ in outline], [y for _, y, _ in outline], color=grid, alpha=0.5, linewidth=0)
 
 
-def _limits(points: Any, world: WorldModel) -> tuple[Any, Any]:
-    """What is seen: the arena, or the surroundings of points (n, 2) that take less than a third of it."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    if world.arena is not None and ((high - low) > np.array(world.arena.size) / 3).any():
+def _limits(points: Any, plane: tuple[int, int], world: WorldModel) -> tuple[Any, Any]:
+    """What is seen: the surroundings of points (n, 3), or the arena, from above, where they take more than a third of it."""
+    low, high = np.nanmin(points, axis=0)[list(plane)], np.nanmax(points, axis=0)[list(plane)]
+    if plane == (0, 1) and world.arena is not None and ((high - low) > np.array(world.arena.size) / 3).any():
         low, high = np.minimum(low, -np.array(world.arena.size) / 2), np.maximum(high, np.array(world.arena.size) / 2)
     margin = np.maximum(0.05 * (high - low).max(), (0.15 * (high - low).max() + 0.02 - (high - low)) / 2)
     return low - margin, high + margin

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from importlib.metadata import version
-from itertools import groupby
+from itertools import chain, groupby
 from pathlib import Path
 from shlex import join, quote
 from statistics import fmean
@@ -34,10 +34,12 @@ from deepbots_cli.learning.episodes import UNBOUNDED, Episode
 from deepbots_cli.learning.group import Group, is_group
 from deepbots_cli.learning.run import EvaluationWithEpisodes, Run, is_training
 from deepbots_cli.learning.verdict import RunVerdict, quoted_episodes, run_verdict
-from deepbots_cli.view import pictures, plots
+from deepbots_cli.program.world import WorldModel
+from deepbots_cli.view import pictures, plots, trajectories
 from deepbots_cli.view.episodes import Player, Source
 from deepbots_cli.view.frames import LinkName
 from deepbots_cli.view.plots import TrainingLog
+from deepbots_cli.view.trajectories import Moving, Positions
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -48,8 +50,6 @@ FIGURE_NAMES = ("returns", "successes", "shares", "endings", "starts", "trajecto
 _MAX_TRACED_EPISODES = 12
 _MAX_CLIP_S, _CLIP_FRAME_RATE = 10.0, 10.0
 _VIEWPOINT = pictures.Viewpoint(420, 300, samples=1)  # 60 instead of 200 ms a picture
-Trace = list[Mapping[LinkName, Frame]]
-"""The poses of all links, step by step."""
 OnEpisode = Callable[[int, int], object]
 
 
@@ -83,14 +83,14 @@ class ReportRun:
 
 @dataclass(eq=False)
 class ReportEpisode:
-    """An episode of the evaluation of a run, which is repeated: `points` is where a link of a robot was (m), `end_poses` the poses of all
-    links in its first and in its last frame."""
+    """An episode of the evaluation of a run, which is repeated: `positions` is where all links were, `end_poses` the poses of all links in
+    its first and in its last frame."""
 
     run: ReportRun
     number: int
     label: str = ""
     """`best`, `median` or `worst` by return; empty for the others."""
-    points: Sequence[Triple] = ()
+    positions: Positions = field(default_factory=dict)
     end_poses: Sequence[Mapping[LinkName, Frame]] = ()
 
     @property
@@ -118,8 +118,9 @@ class Report:
     clips: dict[str, tuple[str, str]] = field(default_factory=dict)
     """Caption and MP4 as a data URI, by label."""
     episodes: Sequence[ReportEpisode] = ()
-    """The episodes that ran again; their points are those of `link`."""
-    link: str = ""
+    """The episodes that ran again."""
+    moving: Moving = Moving((), ())
+    """The parts whose trajectories are drawn."""
     outlines: Sequence[list[Triple]] = ()
     """The outlines of objects that stand still in all of them."""
 
@@ -173,16 +174,16 @@ class Report:
 
     def repeat_episodes(self, shown: Sequence[ReportEpisode], on_episode: OnEpisode, *, clips: bool, allow_code: bool = False) -> None:
         """Run episodes of the evaluation again, for their paths and clips."""
-        self.episodes, self.link = shown, ""
+        self.episodes = shown
         ordered = sorted(shown, key=lambda each: self.runs.index(each.run))
         for member, mine in groupby(ordered, lambda each: each.run):
             source = Source(str(member.run.path), engine=member.evaluation.engine, allow_code=allow_code)
             with closing(source.open().player()) as player:
                 for each in mine:
-                    frames = [frame.links for frame in player.episode(member.evaluation.seed, each.number)]
-                    self.link = self.link or _traced_link(player, frames)
-                    body, _, link = self.link.partition("/")
-                    each.points, each.end_poses = [links[body, link][0] for links in frames], (frames[0], frames[-1])
+                    frames = player.episode(member.evaluation.seed, each.number)
+                    first = next(frames)
+                    each.positions = trajectories.read_positions(player.reader.layout, chain((first,), frames))
+                    each.end_poses = (first.links, player.frame.links)
                     again = fmean(agent.episode_return for agent in player.frame.agents.values())
                     if abs(again - each.outcome.total_return) > 1e-6 * max(1.0, abs(again)):
                         self.notes.append(
@@ -193,6 +194,7 @@ class Report:
                         self._film(player, each)
                     on_episode(ordered.index(each) + 1, len(shown))
         self.outlines = _standing(player, shown)
+        self.moving = trajectories.find_moving(player.program, player.env.world, [each.positions for each in shown])
 
     def _film(self, player: Player, shown: ReportEpisode) -> None:
         time = player.frame.time
@@ -230,10 +232,18 @@ class Report:
         )
         yield "starts", caption, figures.starts(outcomes, theme, success_defined=defined)
         if self.episodes:
-            marks = "disc: success, cross: none" if defined else "disc: end"
-            title = f"{len(self.episodes)} evaluation episodes from above: {self.link}. Ring: start, {marks}."
             world = self.runs[0].run.program.world
-            yield "trajectories", title, figures.trajectories(self.episodes, world, self.outlines, theme)
+            figure = figures.trajectories(self.episodes, self.moving, world, self.outlines, theme)
+            yield "trajectories", self._trajectories_caption(world), figure
+
+    def _trajectories_caption(self, world: WorldModel) -> str:
+        names, targets = (
+            list(dict.fromkeys(trajectories.describe(world, part) for part in parts)) for parts in (self.moving.parts, self.moving.targets)
+        )
+        others = f"; dotted: {', '.join(names[1:])}" if names[1:] else ""
+        marks = "disc: success, cross: none" if self.runs[0].evaluation.success_defined else "disc: end"
+        stars = f", star: {', '.join(targets)}" if targets else ""
+        return f"{len(self.episodes)} evaluation episodes: {names[0]}{others}. Ring: start, {marks}{stars}."
 
     def write_figures(self, folder: Path) -> list[Path]:
         """Every figure as PNG.
@@ -280,18 +290,6 @@ def _seed_statistics(form: str, values: Sequence[float], bounds: tuple[float, fl
     found = mean_interval(values, bounds)
     interval = "" if found is None else f" (95 % interval over seeds {form.format(found[0])} .. {form.format(found[1])})"
     return form.format(fmean(values)) + interval
-
-
-def _traced_link(player: Player, trace: Trace) -> str:
-    """The root link of the first robot; of a robot that stands still, the link that goes furthest."""
-    robot = player.env.world.robots[0]
-
-    def way(link: str) -> float:
-        points = np.array([links[robot.name, link][0] for links in trace])
-        return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
-
-    links = [link.name for link in robot.model.links]
-    return f"{robot.name}/{robot.model.root if way(robot.model.root) > 0.01 else max(links, key=way)}"
 
 
 def _standing(player: Player, shown: Sequence[ReportEpisode]) -> list[list[Triple]]:

@@ -70,13 +70,15 @@ def view_around(boxes: Sequence[Bounds], width: int = 480, height: int = 320) ->
 def shift_beside(boxes: Sequence[Bounds], others: Sequence[Bounds]) -> Triple:
     """The shift (m) that puts other boxes to the right of boxes, as `view_around` sees these."""
     _, (right, _, _) = _axes(boxes)
-    gap = max(dot(corner, right) for corner in _corners([_whole(boxes)])) - min(dot(corner, right) for corner in _corners([_whole(others)]))
+    gap = max(dot(corner, right) for corner in _corners([box_around(boxes)])) - min(
+        dot(corner, right) for corner in _corners([box_around(others)])
+    )
     return scaled(right, _SCENE_SPACING * gap)
 
 
 def _axes(boxes: Sequence[Bounds]) -> tuple[Triple, tuple[Triple, Triple, Triple]]:
     """The middle of all boxes, and the directions right, up and back of who looks at them."""
-    (x, y, z), (x_end, y_end, z_end) = _whole(boxes)
+    (x, y, z), (x_end, y_end, z_end) = box_around(boxes)
     wide, deep, tall = (max(2 * _MIN_HALF_SIDE_M, extent) for extent in (x_end - x, y_end - y, z_end - z))
     away, aside, above = _EYE_DIRECTION
     if deep > _MIN_FRONT_ASPECT * wide:
@@ -86,7 +88,7 @@ def _axes(boxes: Sequence[Bounds]) -> tuple[Triple, tuple[Triple, Triple, Triple
     return ((x + x_end) / 2, (y + y_end) / 2, (z + z_end) / 2), (right, cross(back, right), back)
 
 
-def _whole(boxes: Sequence[Bounds]) -> Bounds:
+def box_around(boxes: Sequence[Bounds]) -> Bounds:
     """The box around all boxes; a cube of 1 m around the origin for none."""
     corners = _corners(boxes or [((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5))])
     xs, ys, zs = zip(*corners, strict=True)

@@ -11,6 +11,7 @@ panel.py       what the panel says
 pictures.py    PNG pictures, MP4 and GIF clips, and offline pages
 recordings.py  episodes as MCAP files: what is written and read
 replay.py      playing a recording, and running it again to compare
+trajectories.py what moves in an episode, and where it went
 plots.py       learning curves of runs
 
 viser and mcap are in the extra `view`; pictures and clips other than offline pages do without it.

@@ -85,6 +85,15 @@ class FrameLayout:
     sensor_rays: Mapping[str, SensorRays]
     messages: Mapping[str, tuple[PlottedField, ...]]
 
+    def goal_point(self, agent: AgentFrame, word: str) -> Triple | None:
+        """The `achieved` or `desired` goal as a point (m, world frame), on the ground where it has no z; None where it is no position."""
+        places = [place for place, field in enumerate(self.observation) if field.group == word]
+        axes = [self.observation[place].name for place in places if self.observation[place].unit == "m"]
+        if axes not in ([f"{word}.x", f"{word}.y"], [f"{word}.x", f"{word}.y", f"{word}.z"]):
+            return None
+        x, y, z = (*(agent.observation[place] for place in places), 0.0)[:3]
+        return x, y, z
+
 
 @dataclass(frozen=True, eq=False)
 class AgentFrame:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from itertools import pairwise
@@ -12,14 +12,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from deepbots_cli import frames
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.files import atomic_write, check_output
-from deepbots_cli.footprint import robot_bounds
+from deepbots_cli.footprint import Bounds, bounds_of_shape, box_sides, robot_bounds
 from deepbots_cli.frames import Triple
 from deepbots_cli.port import View
-from deepbots_cli.runtime.overview import overview, view_around
+from deepbots_cli.program.world import ObjectBody, RobotBody, WorldModel
+from deepbots_cli.runtime.overview import box_around, overview, view_around
+from deepbots_cli.view import trajectories
 from deepbots_cli.view.episodes import Player
 from deepbots_cli.view.frames import WorldFrame
 from deepbots_cli.view.page import COLOURS
@@ -33,7 +36,12 @@ _GIF_FRAME_RATE, _MP4_FRAME_RATE, _PAGE_FRAME_RATE = 12.5, 30.0, 20.0  # picture
 _GIF_COLOURS = 96
 _GIF_SHADE = 8  # of 256: shades that are closer count as one colour
 _SUPERSAMPLING = 2  # pictures are drawn so many times as large, and reduced
-_LABEL_SPACING_PX = 15  # px between two labels
+_LABEL_SPACING_PX = 18  # px between two labels
+_MIN_HALF_SIDE_M = 0.02  # m; half the side of the smallest view from above
+_MARGIN_ABOVE = 1.15  # the room around a path that is seen from above, as a factor
+_MIN_CLIMB = 0.5  # of its longer side; a path that climbs more is seen from the side
+_MAX_OBJECT_SHARE = 3.0  # of all else that is shown; a larger object is ground, of which a part is enough
+_WHITE, _GOAL = (255, 255, 255, 255), (40, 40, 40, 255)
 
 Point = tuple[float, float]
 
@@ -85,24 +93,27 @@ def render_picture(
     Args:
         labels: Whether to name the links of robots, each with the joint that moves it. Without `eye`, the view is on the robots.
         rays: Whether to draw the rays of sensors, coloured by what they read.
-        path: Frames of an episode, whose path is painted. Without `eye`, the view is from above.
+        path: Frames of an episode. Paints the paths of what moves in it (`trajectories`). Without `eye`, the view is from above, or from
+            the side of a path that climbs.
     """
     from PIL import Image, ImageDraw
 
+    shown = PaintedPath.of(player, path) if path else None
     usual = overview(player.program, shot.width, shot.height)
-    usual = _above(player, shot, path) if path else _on_robots(player, shot) if labels else usual
+    usual = shown.view(player.env.world, shot) if shown else _on_robots(player, shot) if labels else usual
     view = replace(shot.view(usual), width=_SUPERSAMPLING * shot.width, height=_SUPERSAMPLING * shot.height, samples=1)
     image = Image.fromarray(player.render(view))
     draw, project = ImageDraw.Draw(image, "RGBA"), projection(view)
     if rays:
         _paint_rays(draw, project, player)
-    if path:
-        _paint_path(draw, project, player, path)
+    if shown:
+        _paint_path(draw, project, shown)
     image = image.resize((shot.width, shot.height), Image.Resampling.LANCZOS)
     draw = ImageDraw.Draw(image, "RGBA")
     if labels:
         _paint_labels(draw, projection(replace(view, width=shot.width, height=shot.height)), player, shot)
-    if path:
+    if shown:
+        _write_legend(draw, shown)
         frame = path[-1]
         agent = next(iter(frame.agents.values()))
         state = frame.ending or "not ended"
@@ -139,26 +150,62 @@ def _on_robots(player: Player, shot: Viewpoint) -> View:
     return replace(view, eye=frames.add(view.target, frames.scaled(frames.subtract(view.eye, view.target), 1.5)))
 
 
-def _above(player: Player, shot: Viewpoint, path: Sequence[WorldFrame]) -> View:
-    """From above, x upwards: the path, the arena, and objects near them."""
-    world = player.env.world
-    points = [point for trace in _traces(player, path).values() for point in trace]
-    if world.arena is not None:
-        x, y = (side / 2 + world.arena.wall_thickness for side in world.arena.size)
-        points += [(-x, -y, 0.0), (x, y, 0.0)]
-    points += [path[-1].links[thing.name, thing.name][0] for thing in world.objects if (thing.name, thing.name) in path[-1].links]
-    points += [(x, y, 0.0) for line in world.lines for x, y in line.points]
-    low, high = np.min(points, axis=0), np.max(points, axis=0)
-    middle, half = (low + high) / 2, np.maximum((high - low) / 2, 0.2)
-    tall = math.tan(View((0, 0, 0), (0, 0, 0)).fov / 2)
-    height = 1.15 * max(half[0] / tall, half[1] / tall * shot.height / shot.width) + float(high[2])
-    target = (float(middle[0]), float(middle[1]), 0.0)
-    return View((target[0], target[1], height), target, shot.width, shot.height)
+@dataclass(frozen=True, eq=False)
+class PaintedPath:
+    """What is painted of an episode: where the parts that move were, shape (n, 3), and the goals, by the names of the legend."""
+
+    moving: Mapping[str, NDArray[np.float64]]
+    goals: Mapping[str, NDArray[np.float64]]
+    last: WorldFrame
+
+    @staticmethod
+    def of(player: Player, path: Sequence[WorldFrame]) -> PaintedPath:
+        world, positions = player.env.world, trajectories.read_positions(player.reader.layout, path)
+        moving = trajectories.find_moving(player.program, world, [positions])
+        agents = [agent for body, agent in moving.targets if not body]
+        goals = {f"goal of {agent}" if len(agents) > 1 else "goal": positions["", agent] for agent in agents}
+        names = [trajectories.describe(world, part) for part in moving.parts]
+        names = [name if names.count(name) == 1 else body for name, (body, _) in zip(names, moving.parts, strict=True)]
+        return PaintedPath({name: positions[part] for name, part in zip(names, moving.parts, strict=True)}, goals, path[-1])
+
+    def view(self, world: WorldModel, shot: Viewpoint) -> View:
+        """A view of the path, robots, arena, lines and objects nearby: from above, x upwards, or from the side of a path that climbs."""
+        ways = np.concatenate([points[~np.isnan(points[:, 0])] for points in (*self.moving.values(), *self.goals.values())])
+        boxes = [_bounds(ways), *(box for robot in world.robots for box in _boxes_of_robot(robot, self.last))]
+        boxes += [_bounds([(x, y, 0.0) for x, y in line.points]) for line in world.lines]
+        if world.arena is not None:
+            x, y = (side / 2 + world.arena.wall_thickness for side in world.arena.size)
+            boxes.append(((-x, -y, 0.0), (x, y, 0.0)))
+        reach = _MAX_OBJECT_SHARE * max(box_sides(box_around(boxes)))
+        objects = [_box_of_object(thing, self.last) for thing in world.objects if (thing.name, thing.name) in self.last.links]
+        boxes += [box for box in objects if max(box_sides(box)) < reach]
+        wide, deep, climb = np.max([np.nanmax(points, axis=0) - np.nanmin(points, axis=0) for points in self.moving.values()], axis=0)
+        if climb > _MIN_CLIMB * max(wide, deep):
+            return view_around(boxes, shot.width, shot.height)
+        corners = np.array([corner for box in boxes for corner in box])
+        (x, y, _), half = (corners.max(axis=0) + corners.min(axis=0)) / 2, _MIN_HALF_SIDE_M
+        tall = math.tan(View((0, 0, 0), (0, 0, 0)).fov / 2) / _MARGIN_ABOVE
+        away = np.maximum(np.abs(corners - (x, y, 0.0)), (half, half, 0.0))  # along x it is the height of the picture that counts
+        height = float((np.maximum(away[:, 0], away[:, 1] * shot.height / shot.width) / tall + corners[:, 2]).max())
+        return View((float(x), float(y), height), (float(x), float(y), 0.0), shot.width, shot.height)
 
 
-def _traces(player: Player, path: Sequence[WorldFrame]) -> dict[str, list[Triple]]:
-    """Where each robot's root link was."""
-    return {robot.name: [frame.links[robot.name, robot.model.root][0] for frame in path] for robot in player.env.world.robots}
+def _bounds(points: ArrayLike) -> Bounds:
+    (x, y, z), (x_end, y_end, z_end) = np.min(points, axis=0), np.max(points, axis=0)
+    return (x, y, z), (x_end, y_end, z_end)
+
+
+def _boxes_of_robot(robot: RobotBody, frame: WorldFrame) -> Iterator[Bounds]:
+    for link in robot.model.links:
+        pose = frame.links[robot.name, link.name]
+        for part in link.visuals or link.collisions:
+            yield bounds_of_shape(part.shape, frames.compose(pose, frames.frame(part.origin)))
+
+
+def _box_of_object(thing: ObjectBody, frame: WorldFrame) -> Bounds:
+    chosen = frame.variants.get(thing.name)
+    shape = next((variant.shape for variant in thing.variants if variant.name == chosen), thing.shape)
+    return bounds_of_shape(shape, frame.links[thing.name, thing.name])
 
 
 def _rgba(number: int, opacity: int = 255) -> tuple[int, int, int, int]:
@@ -166,17 +213,53 @@ def _rgba(number: int, opacity: int = 255) -> tuple[int, int, int, int]:
     return int(text[1:3], 16), int(text[3:5], 16), int(text[5:7], 16), opacity
 
 
-def _paint_path(draw: ImageDraw, project: Callable[[Triple], Point | None], player: Player, path: Sequence[WorldFrame]) -> None:
-    """The path of each robot, paler where it is older, with a ring at the start and a disc at the end."""
-    for number, trace in enumerate(_traces(player, path).values()):
-        pixels = [pixel for pixel in map(project, trace) if pixel is not None]
+def _paint_path(draw: ImageDraw, project: Callable[[Triple], Point | None], shown: PaintedPath) -> None:
+    """Each path, paler where it is older, with a ring at the start and a disc at the end; goals as crosses, their ways in dots."""
+    radius = 5 * _SUPERSAMPLING
+    for points in shown.goals.values():
+        pixels = _pixels(project, points)
+        if trajectories.has_moved(points):
+            for x, y in _spaced(pixels, 3 * radius):
+                draw.ellipse((x - radius / 3, y - radius / 3, x + radius / 3, y + radius / 3), fill=_GOAL)
+        for x, y in pixels[-1:]:
+            for width, colour in ((6, _WHITE), (3, _GOAL)):
+                for side in (-1, 1):
+                    reach = 1.4 * radius
+                    draw.line((x - reach, y - side * reach, x + reach, y + side * reach), fill=colour, width=width * _SUPERSAMPLING)
+    for number, points in enumerate(shown.moving.values()):
+        pixels = _pixels(project, points)
         if not pixels:
             continue
+        full = np.array(_rgba(number))
+        draw.line(pixels, fill=(255, 255, 255, 150), width=6 * _SUPERSAMPLING)  # seen on any ground
         for step, ends in enumerate(pairwise(pixels)):
-            draw.line(ends, fill=_rgba(number, 90 + 165 * step // len(pixels)), width=3 * _SUPERSAMPLING)
-        radius = 5 * _SUPERSAMPLING
-        for (x, y), fill in ((pixels[0], (255, 255, 255, 255)), (pixels[-1], _rgba(number))):
+            share = 0.4 + 0.6 * step / len(pixels)
+            draw.line(ends, fill=tuple(map(int, share * full + (1 - share) * np.array(_WHITE))), width=3 * _SUPERSAMPLING)
+        for (x, y), fill in ((pixels[0], _WHITE), (pixels[-1], _rgba(number))):
             draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=fill, outline=_rgba(number), width=2 * _SUPERSAMPLING)
+
+
+def _pixels(project: Callable[[Triple], Point | None], points: NDArray[np.float64]) -> list[Point]:
+    found = [project((x, y, z)) for x, y, z in points.tolist() if not math.isnan(x)]
+    return [pixel for pixel in found if pixel is not None]
+
+
+def _spaced(pixels: Sequence[Point], distance: float) -> Iterator[Point]:
+    """Pixels that are at least so far from the one before."""
+    last = None
+    for pixel in pixels:
+        if last is None or math.dist(last, pixel) >= distance:
+            last = pixel
+            yield pixel
+
+
+def _write_legend(draw: ImageDraw, shown: PaintedPath) -> None:
+    """The names of what moves and of the goals, each beside its color; none where a single thing moves."""
+    entries = [(name, _rgba(number)) for number, name in enumerate(shown.moving)] + [(name, _GOAL) for name in shown.goals]
+    for row, (name, colour) in enumerate(entries if len(entries) > 1 or "." in entries[0][0] else []):
+        y = 8 + 18 * row
+        _write(draw, (26, y), name)
+        draw.ellipse((9, y + 2, 19, y + 12), fill=colour, outline=_WHITE)
 
 
 def _paint_rays(draw: ImageDraw, project: Callable[[Triple], Point | None], player: Player) -> None:
@@ -218,7 +301,9 @@ def _font() -> Any:
 
 
 def _write(draw: ImageDraw, at: Point, text: str) -> None:
-    draw.text(at, text, font=_font(), fill=(20, 25, 35, 255), stroke_width=2, stroke_fill=(255, 255, 255, 220))
+    left, top, right, bottom = draw.textbbox(at, text, font=_font())
+    draw.rounded_rectangle((left - 4, top - 3, right + 4, bottom + 3), radius=3, fill=(255, 255, 255, 190))
+    draw.text(at, text, font=_font(), fill=(20, 25, 35, 255))
 
 
 # Clips

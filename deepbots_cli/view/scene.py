@@ -11,7 +11,7 @@ import re
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from io import BytesIO
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -350,18 +350,16 @@ class WorldScene:
 
     def _mark_goal(self, frame: WorldFrame) -> None:
         """A point that is to be reached, and the one that is."""
-        for word, colour, radius in (("desired", (0, 158, 115), 0.02), ("achieved", (0, 114, 178), 0.01)):
-            places = [place for place, field in enumerate(self._layout.observation) if field.group == word]
-            axes = [self._layout.observation[place].name for place in places if self._layout.observation[place].unit == "m"]
-            if axes not in ([f"{word}.x", f"{word}.y"], [f"{word}.x", f"{word}.y", f"{word}.z"]):
+        words = {"desired": ((0, 158, 115), 0.02), "achieved": ((0, 114, 178), 0.01)}
+        for (word, (colour, radius)), (name, agent) in product(words.items(), frame.agents.items()):
+            point = self._layout.goal_point(agent, word)
+            if point is None:
                 continue
-            for name, agent in frame.agents.items():
-                dot = self._goals.get((name, word))
-                if dot is None:
-                    path = f"{self._root}/{word}_{name.replace('#', '_')}"
-                    dot = self._goals[name, word] = self._scene.add_icosphere(path, radius * self._size, colour, opacity=0.6)
-                dot.position = (*(agent.observation[place] for place in places), 0.0)[:3]
-                dot.visible = self.visible_parts["goal"]
+            dot = self._goals.get((name, word))
+            if dot is None:
+                path = f"{self._root}/{word}_{name.replace('#', '_')}"
+                dot = self._goals[name, word] = self._scene.add_icosphere(path, radius * self._size, colour, opacity=0.6)
+            dot.position, dot.visible = point, self.visible_parts["goal"]
 
     def _mark_contacts(self, frame: WorldFrame) -> None:
         touching = set(frame.forces) if self.visible_parts["contacts"] else set()

@@ -9,12 +9,14 @@ import shutil
 from dataclasses import fields
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip("matplotlib")
 pytest.importorskip("tensorboard")
+from deepbots_cli import api
 from deepbots_cli.cli import main
-from deepbots_cli.insight.figures import outline
+from deepbots_cli.insight.figures import outline, trajectories
 from deepbots_cli.insight.report import Report
 from deepbots_cli.learning.episodes import Episode
 from deepbots_cli.learning.group import GroupRecord
@@ -81,7 +83,30 @@ def test_best_median_and_worst_are_those_of_the_evaluation_and_happen_again(run)
     assert [each.outcome.total_return for each in shown if each.label] == [returns[-1], returns[len(returns) // 2 - 1], returns[0]]
     report.repeat_episodes(shown, lambda done, of: None, clips=False)
     assert report.notes == []  # a return that differs now would be noted
-    assert [len(each.points) - 1 for each in report.episodes] == [each.outcome.length for each in shown]
+    assert report.moving.parts == (("cart", "body"),)
+    assert [len(each.positions["cart", "body"]) - 1 for each in report.episodes] == [each.outcome.length for each in shown]
+
+
+def test_a_closed_line_is_drawn_closed(run):
+    report = Report.read(run)
+    report.repeat_episodes(report.choose_episodes(3)[:1], lambda done, of: None, clips=False)
+    world = api.compile(api.load("line_follower")).program.world
+    (panel,) = trajectories(report.episodes, report.moving, world, (), "light").axes
+    drawn = [line.get_xydata().tolist() for line in panel.lines]
+    (points,) = (line.points for line in world.lines)
+    assert [list(point) for point in (*points, points[0])] in drawn
+
+
+def test_a_trajectory_that_climbs_is_drawn_from_the_side_too(run):
+    report = Report.read(run)
+    report.repeat_episodes(report.choose_episodes(3)[:1], lambda done, of: None, clips=False)
+    (episode,) = report.episodes
+    at = np.linspace(0.0, 1.0, 5)
+    episode.positions = {("cart", "body"): np.stack([0.1 * at, 0.2 * at, 0.3 * at], axis=1)}
+    above, side = trajectories(report.episodes, report.moving, episode.run.run.program.world, (), "light").axes
+    assert (side.get_xlabel(), side.get_ylabel()) == ("y, m", "z, m")
+    assert above.get_xlabel() == "x, m"
+    assert [0.2, 0.3] in side.lines[0].get_xydata().tolist()
 
 
 def test_a_return_that_is_another_one_now_is_noted(run):

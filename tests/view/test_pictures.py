@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from contextlib import closing
+from itertools import product
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from deepbots_cli import frames
 from deepbots_cli.cli import main
+from deepbots_cli.footprint import bounds_of_shape
 from deepbots_cli.port import View
 from deepbots_cli.view.episodes import Player, Source
-from deepbots_cli.view.pictures import Viewpoint, projection, render_picture, write_clip, write_gif
+from deepbots_cli.view.pictures import PaintedPath, Viewpoint, projection, render_picture, write_clip, write_gif
 
 
 def _yellow(image):
@@ -35,6 +38,27 @@ def test_a_path_is_painted_where_the_robot_went():
         painted = np.asarray(render_picture(player, Viewpoint(400, 400), path=path).convert("RGB")).astype(int)
     changed = np.abs(painted - bare).sum(axis=2) > 60
     assert 300 < changed[:370].sum() < 6000
+
+
+def test_the_view_of_a_path_does_not_cut_off_the_robot_at_its_end():
+    with closing(Player(Source("balancer").open(), "lean")) as player:
+        path, shot = list(player.episode(0, 0, 60)), Viewpoint(300, 200)
+        project = projection(PaintedPath.of(player, path).view(player.env.world, shot))
+        (robot,) = player.env.world.robots
+    for link in robot.model.links:
+        for part in link.visuals:
+            low, high = bounds_of_shape(part.shape, frames.compose(path[-1].links[robot.name, link.name], frames.frame(part.origin)))
+            for corner in product(*zip(low, high, strict=True)):
+                x, y = project(corner)
+                assert 0 < x < 300
+                assert 0 < y < 200
+
+
+def test_a_path_that_climbs_is_seen_from_the_side():
+    with closing(Player(Source("quadrotor").open(), "zero")) as player:
+        path = list(player.episode(0, 0, 40))
+        view = PaintedPath.of(player, path).view(player.env.world, Viewpoint(300, 200))
+    assert view.eye[:2] != view.target[:2]
 
 
 def test_labels_and_rays_are_painted():

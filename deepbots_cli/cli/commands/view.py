@@ -225,7 +225,7 @@ def picture(
     target: At = None,
     labels: Annotated[bool, typer.Option("--labels", help="Name the links and joints of the first robot.")] = False,
     rays: Annotated[bool, typer.Option("--rays", help="Draw the rays of sensors.")] = False,
-    path: Annotated[bool, typer.Option("--path", help="Run the episode, and draw the path of the robot, seen from above.")] = False,
+    path: Annotated[bool, typer.Option("--path", help="Run the episode, and draw the paths of what moves in it.")] = False,
     steps: Annotated[int, typer.Option("--steps", metavar="N", parser=whole_number(0), help="Run this number of steps first.")] = 0,
     driver: Driver = None,
     seed: Seed = 0,
@@ -240,6 +240,9 @@ def picture(
     """Draw a picture of a scenario.
 
     It shows the beginning of an episode, or the world after some steps.
+
+    With --path, it shows the end of an episode, and the paths of the robots and of the objects that the task moves: of an arm, its end
+    link. The view is from above, or from the side where a path climbs.
 
     \b
       deepbots picture find_ball

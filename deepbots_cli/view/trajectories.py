@@ -1,0 +1,148 @@
+"""Trajectories: what moves in an episode, and where it went, for pictures and reports.
+
+What moves is what the task is about: the bodies that the goal or a success reads, those that the reward reads, those that a failure or
+the observation reads, and then the other robots. A free robot moves as its root link. A robot with a fixed base moves as the links that
+the goal or a success reads, or else as the first link that the task reads and that moves, or else as the link that goes farthest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deepbots_cli.expressions.scalar import Name, Scalar, World
+from deepbots_cli.lint.analysis import Analysis
+from deepbots_cli.program import Program
+from deepbots_cli.program.world import RobotBody, WorldModel
+from deepbots_cli.robots.model import RobotModel
+from deepbots_cli.view.frames import FrameLayout, LinkName, WorldFrame
+
+Positions = Mapping[LinkName, NDArray[np.float64]]
+"""Where each link of each body was, step by step: shape (n, 3) in m, nan while it was absent. `("", agent)` is what an agent desires."""
+
+MAX_TRAJECTORIES = 8
+_MIN_EXTENT_M = 1e-3  # m; what goes less far stands still
+_MIN_SHARE = 0.02  # of the longest trajectory; a shorter one is a dot
+_MIN_SHARE_OF_ROBOT = 0.1  # of the way of the link that goes farthest
+
+
+class Moving(NamedTuple):
+    """What is drawn of an episode: the parts that move, the one that the task is about first, and what they are to reach."""
+
+    parts: tuple[LinkName, ...]
+    targets: tuple[LinkName, ...]
+
+
+class _Subject(NamedTuple):
+    """A body, and one of its links or joints (empty for the body as a whole), that the task reads.
+
+    `rank` is 0 for what the goal or a success reads, 1 for the reward, 2 for anything else.
+    """
+
+    body: str
+    part: str
+    rank: int
+
+
+def read_positions(layout: FrameLayout, frames: Iterable[WorldFrame]) -> Positions:
+    """The positions of all links and of the desired goals in the frames of an episode."""
+    rows = []
+    for frame in frames:
+        goals = {("", name): layout.goal_point(agent, "desired") for name, agent in frame.agents.items()}
+        rows.append({part: pose[0] for part, pose in frame.links.items()} | {part: point for part, point in goals.items() if point})
+    absent = (np.nan,) * 3
+    return {part: np.array([row.get(part, absent) for row in rows]) for part in dict.fromkeys(part for row in rows for part in row)}
+
+
+def find_moving(program: Program, world: WorldModel, episodes: Sequence[Positions]) -> Moving:
+    """What moves in at least one of these episodes of a program; `world` is that of the environment, with all copies of a robot."""
+    extents = {part: max(_extent(each[part]) for each in episodes if part in each) for each in episodes for part in each}
+    subjects = _subjects(program)
+    found: list[LinkName] = []
+    named = {subject.body: None for subject in subjects} | {robot.name: None for robot in program.world.robots}
+    for body in named:
+        mine = [subject for subject in subjects if subject.body == body]
+        for robot in world.robots:
+            if robot.name.partition("#")[0] == body:
+                found += _parts_of_robot(robot, mine, extents)
+        found += [(thing.name, thing.name) for thing in world.objects if thing.name.partition("#")[0] == body and not thing.fixed]
+    found = [part for part in dict.fromkeys(found) if part in extents]
+    least = max(_MIN_EXTENT_M, _MIN_SHARE * max((extents[part] for part in found), default=0.0))
+    moving = [part for part in found if extents[part] >= least] or found[:1]
+    objects = {thing.name.partition("#")[0] for thing in world.objects}
+    rank = min((subject.rank for subject in subjects if subject.body in objects), default=0)
+    reached = {subject.body for subject in subjects if subject.rank == rank < 2}
+    standing = [(thing.name, thing.name) for thing in world.objects if thing.name.partition("#")[0] in reached]
+    targets = [part for part in extents if not part[0]] + [part for part in standing if part in extents and part not in moving]
+    return Moving(tuple(moving[:MAX_TRAJECTORIES]), tuple(targets))
+
+
+def describe(world: WorldModel, part: LinkName) -> str:
+    """`block`, `epuck`, `panda.panda_hand` or `goal`; a copy of a robot or an object is called as the scenario calls it."""
+    body, link = (name.partition("#")[0] for name in part)
+    robot = next((robot for robot in world.robots if robot.name.partition("#")[0] == body), None)
+    return f"{body}.{link}" if robot is not None and robot.fixed_base else body or "goal"
+
+
+def has_moved(points: NDArray[np.float64]) -> bool:
+    """Whether positions (n, 3) differ by more than 1 mm."""
+    return _extent(points) >= _MIN_EXTENT_M
+
+
+def _extent(points: NDArray[np.float64]) -> float:
+    """The diagonal of the box around positions, m."""
+    known = points[~np.isnan(points[:, 0])]
+    return float(np.linalg.norm(np.ptp(known, axis=0))) if len(known) else 0.0
+
+
+def _subjects(program: Program) -> list[_Subject]:
+    """What the task reads, each once, in the order of the module's docstring."""
+    analysis, policy = Analysis(program).ideal, program.policy
+    endings = [(0 if ending.outcome == "success" else 2, ending.value) for ending in program.endings]
+    goals = [(0, policy.goal.achieved), (2, policy.goal.desired)] if policy.goal else []
+    values = [*goals, *endings, *((1, term) for term in policy.reward), *((2, entry.value) for entry in policy.observation)]
+    found: dict[tuple[str, str], _Subject] = {}
+    for rank, value in sorted(values, key=lambda ranked: ranked[0]):
+        for tree in () if value.foreign else analysis.scalars(value):
+            for node in analysis.walk_definitions(tree):
+                for full_name in _full_names(analysis, node):
+                    body, _, part = full_name.partition(".")
+                    subject = _Subject(body.partition("#")[0], part, rank)
+                    found.setdefault(subject[:2], subject)
+    return list(found.values())
+
+
+def _full_names(analysis: Analysis, node: Scalar) -> Iterator[str]:
+    match node:
+        case World(_, subjects):
+            yield from subjects
+        case Name() if sensor := analysis.sensor(node):
+            yield from (f"{sensor[0]}.{subject}" for subject in sensor[1].subjects)
+
+
+def _parts_of_robot(robot: RobotBody, subjects: Sequence[_Subject], extents: Mapping[LinkName, float]) -> list[LinkName]:
+    """The links whose positions say where a robot went."""
+    links = [link.name for link in robot.model.links]
+    if not robot.fixed_base:
+        return [(robot.name, robot.model.root)]
+    farthest = max(links, key=lambda link: extents[robot.name, link])
+    least = _MIN_SHARE_OF_ROBOT * extents[robot.name, farthest]
+    moving: dict[str, int] = {}
+    for subject in subjects:
+        below = [subject.part] if subject.part in links else _links_below(robot.model, subject.part)
+        link = max(below, key=lambda link: extents[robot.name, link], default=None)
+        if link is not None and extents[robot.name, link] >= max(least, _MIN_EXTENT_M):
+            moving.setdefault(link, subject.rank)
+    deciding = [link for link, rank in moving.items() if rank == 0]
+    return [(robot.name, link) for link in deciding or [*moving, farthest][:1]]
+
+
+def _links_below(model: RobotModel, joint: str) -> list[str]:
+    """The links that a joint moves."""
+    found = [each.child for each in model.joints if each.name == joint]
+    for link in found:
+        found += [each.child for each in model.joints if each.parent == link]
+    return found

@@ -1,0 +1,56 @@
+"""Trajectories: what moves in an episode is what the task is about."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deepbots_cli import api
+from deepbots_cli.view import trajectories
+from deepbots_cli.view.episodes import Player, Source
+
+
+@pytest.fixture(scope="module")
+def push():
+    """The arm that pushes a block, and its world."""
+    program = api.compile(api.load("panda_push")).program
+    return program, program.world
+
+
+def _positions(world, **ways):
+    """Positions of all bodies in four steps, of which those in `ways` go so far (m) along x."""
+    names = [(robot.name, link.name) for robot in world.robots for link in robot.model.links] + [(o.name, o.name) for o in world.objects]
+    steps = np.arange(4.0)[:, None] / 3 * np.array([[1.0, 0.0, 0.0]])
+    return {part: ways.get(part[1], 0.0) * steps for part in names}
+
+
+def test_the_path_of_an_arm_is_not_a_dot_at_its_base(push):
+    program, world = push
+    moving = trajectories.find_moving(program, world, [_positions(world, block=0.1, panda_grasptarget=0.3, panda_link7=0.4)])
+    assert moving.parts == (("block", "block"), ("panda", "panda_grasptarget"))
+    assert [trajectories.describe(world, part) for part in moving.parts] == ["block", "panda.panda_grasptarget"]
+
+
+def test_a_block_that_no_episode_moves_has_no_path(push):
+    program, world = push
+    moving = trajectories.find_moving(program, world, [_positions(world, panda_grasptarget=0.3)] * 2)
+    assert moving.parts == (("panda", "panda_grasptarget"),)
+
+
+def test_an_arm_whose_links_the_task_does_not_read_moves_as_the_link_that_goes_farthest(push):
+    program, world = push
+    silent = program.with_policies(goal=None, observation=(), reward=())
+    moving = trajectories.find_moving(replace(silent, endings=()), world, [_positions(world, panda_link5=0.2, panda_hand=0.3)])
+    assert moving.parts == (("panda", "panda_hand"),)
+
+
+def test_a_target_that_moves_is_followed():
+    overrides = ("goal.desired=vector(0.5 m, 0.2 m * sin(90 deg/s * time), 0.5 m)",)
+    with closing(Player(Source("panda_reach", overrides=overrides).open(), "zero")) as player:
+        found = trajectories.read_positions(player.reader.layout, player.episode(0, 0, 5))
+        assert trajectories.find_moving(player.program, player.env.world, [found]).targets == (("", "agent"),)
+    assert found["", "agent"][:, 1] == pytest.approx(0.2 * np.sin(np.pi / 2 * 0.04 * np.arange(6)), abs=1e-6)
+    assert trajectories.has_moved(found["", "agent"])
