@@ -154,7 +154,7 @@ def _affordable_steps(per_second: float, pairs: int) -> int:
     `per_second` are steps by the clock.
     """
     runs = 2 * (pairs + 1) + 1
-    return max(100, min(2000, round(0.75 * LIMIT_S * per_second / runs, -2)))
+    return max(100, min(2000, 100 * round(0.0075 * LIMIT_S * per_second / runs)))
 
 
 @dataclass(frozen=True)
