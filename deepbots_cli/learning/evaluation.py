@@ -281,7 +281,8 @@ def load_model(run: Run, name: ModelName, world: World) -> BaseAlgorithm:
     if training is None:
         raise RunError(f"{run.path} holds a scenario without a 'train' section")
     algorithms.check(training)
-    model = algorithms.create(training, VectorEnvironment([world], [0]), seed=0, total_timesteps=1, to_learn=False)
+    spaces = VectorEnvironment([world], [0])
+    model = algorithms.create(training, spaces, seed=0, total_timesteps=1, to_learn=False, mixin=models.FinitePredictions)
     models.load(run.model(name), model)
     model.policy.set_training_mode(False)
     return model

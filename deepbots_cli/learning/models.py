@@ -1,8 +1,9 @@
 """Models as Stable-Baselines3's `.zip` files, which plain Stable-Baselines3 loads without deepbots.
 
-Nothing is unpickled when one is read here: the algorithm is built from the run's scenario, and only tensors of the names, shapes and
-types that it has are taken from the file, by `torch.load(weights_only=True)`. No member may be compressed, so a file from a
-stranger cannot take more memory than its size, which is limited by that of the model.
+The algorithm is built from the run's scenario, and only tensors of the names, shapes and types that it has are taken from the file, by
+`torch.load(weights_only=True)`. That function also calls `bytearray`, and makes sparse and quantized tensors, and some without numbers; a
+pickle that names anything but plain tensors is refused before. No member may be compressed, so a file from a stranger cannot take more
+memory than its size, which is limited by that of the model.
 """
 
 from __future__ import annotations
@@ -12,13 +13,16 @@ import io
 import json
 import os
 import pickle
+import pickletools
 import zipfile
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.save_util import is_json_serializable, save_to_zip_file
@@ -30,12 +34,47 @@ Tensors = Mapping[str, Mapping[str, Any]]
 """What a model file holds: a state dictionary for each part (`policy`, `policy.optimizer`), and `pytorch_variables`."""
 
 _VARIABLES = "pytorch_variables"
+_STORAGES = ("Float", "Double", "Half", "BFloat16", "Long", "Int", "Short", "Char", "Byte", "Bool")
+_PLAIN_GLOBALS = {"collections OrderedDict", "torch._utils _rebuild_tensor_v2", *(f"torch {name}Storage" for name in _STORAGES)}
 _OVERHEAD_BYTES = 8_000_000
+_OVERFLOW = "found invalid values"
+"""Words of torch, where it refuses the parameters of a distribution."""
 _MAX_MEMBERS = 32
 # What a model cannot be loaded without, and JSON cannot hold; all of it is pickled by reference to Stable-Baselines3, Gymnasium and torch.
 _PICKLED_ENTRIES = ("policy_class", "policy_kwargs", "observation_space", "action_space", "train_freq")
 # Needs an environment to be loaded.
 _HINDSIGHT_ENTRIES = ("replay_buffer_class", "replay_buffer_kwargs")
+
+
+class FinitePredictions:
+    """Mixed in before an algorithm of Stable-Baselines3: weights so large that no finite action follows are a problem of the run."""
+
+    def predict(self, *args: Any, **kwargs: Any) -> Any:
+        """As of the algorithm.
+
+        Raises:
+            RunError: An action is not finite.
+        """
+        with overflow_explained():
+            actions, state = super().predict(*args, **kwargs)  # type: ignore[misc]  # of the algorithm
+            if not np.isfinite(actions).all():
+                raise ValueError(_OVERFLOW)
+        return actions, state
+
+
+@contextmanager
+def overflow_explained() -> Iterator[None]:
+    """Within, a distribution of torch with parameters that are not finite becomes one sentence.
+
+    Raises:
+        RunError: There was one.
+    """
+    try:
+        yield
+    except ValueError as error:
+        if _OVERFLOW not in str(error):
+            raise
+        raise RunError("the policy gives actions that are not finite: its weights are damaged, or the training diverged") from error
 
 
 def save(path: Path, model: BaseAlgorithm) -> None:
@@ -140,7 +179,8 @@ def steps_of(path: Path) -> int:
     try:
         with zipfile.ZipFile(path) as archive, archive.open("data") as member:
             return int(json.loads(member.read(_OVERHEAD_BYTES))["num_timesteps"])
-    except (OSError, EOFError, zipfile.BadZipFile, KeyError, ValueError, TypeError, RuntimeError) as error:  # encrypted, packed otherwise
+    except (OSError, ArithmeticError, EOFError, KeyError, RuntimeError, TypeError, ValueError, zipfile.BadZipFile) as error:
+        # It is encrypted, packed otherwise, or its steps are infinite.
         raise RunError(f"{path} is damaged, or no model of ours") from error
 
 
@@ -180,7 +220,8 @@ def _read(path: Path, limit: int) -> dict[str, Mapping[str, Any]]:
             for name in archive.namelist():
                 if name.endswith(".pth"):
                     content = archive.read(name)
-                    _opened(io.BytesIO(content), len(content)).close()
+                    with _opened(io.BytesIO(content), len(content)) as inner:
+                        _check_pickle(inner)
                     tensors[name.removesuffix(".pth")] = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
     except RunError:
         raise
@@ -198,6 +239,8 @@ def _opened(source: Path | io.BytesIO, size: int) -> zipfile.ZipFile:
     """An archive whose members take no more room than the file itself."""
     archive = zipfile.ZipFile(source)
     members = archive.infolist()
+    if len({item.filename for item in members}) < len(members):
+        raise ValueError("two of its members have one name")
     if any(item.compress_type != zipfile.ZIP_STORED or item.compress_size != item.file_size for item in members):
         raise ValueError("it is compressed, which no model of ours is")
     if sum(item.file_size for item in members) > size:
@@ -205,6 +248,16 @@ def _opened(source: Path | io.BytesIO, size: int) -> zipfile.ZipFile:
     if isinstance(source, Path) and len(members) > _MAX_MEMBERS:
         raise ValueError(f"it has {len(members)} members")
     return archive
+
+
+def _check_pickle(archive: zipfile.ZipFile) -> None:
+    """Refuse a pickle of torch that names anything but dictionaries and plain tensors."""
+    (name,) = (name for name in archive.namelist() if name.count("/") == 1 and name.endswith("/data.pkl"))
+    for operation, argument, _ in pickletools.genops(archive.read(name)):
+        if operation.name == "GLOBAL" and argument not in _PLAIN_GLOBALS:
+            raise ValueError(f"it holds other things than plain tensors: {str(argument)[:60]}")
+        if operation.name in ("STACK_GLOBAL", "INST", "EXT1", "EXT2", "EXT4"):
+            raise ValueError("it holds other things than plain tensors")
 
 
 def _check_tensors(path: Path, where: str, ours: Mapping[str, torch.Tensor], theirs: Mapping[Any, Any]) -> None:

@@ -484,7 +484,8 @@ def _drive(
         if statistics.steps >= callback.total:  # it was killed when it was done, before its record said so
             model._setup_learn(callback.total, callback)
             return "finished"
-        model.learn(callback.total, callback=[callback, *followers] if followers else callback, **options)
+        with models.overflow_explained():
+            model.learn(callback.total, callback=[callback, *followers] if followers else callback, **options)
         if callback.interruption.requested and statistics.steps < callback.total:
             return "interrupted"
         with suppress(KeyboardInterrupt) if statistics.steps >= callback.total else nullcontext():  # nothing is left to continue

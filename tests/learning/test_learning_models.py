@@ -22,6 +22,7 @@ import torch
 from stable_baselines3 import PPO
 
 from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.insight.export import networks
 from deepbots_cli.learning import TrainingResult, evaluate, load_policy, resume, train
 from deepbots_cli.learning.evaluation import load_model
 from deepbots_cli.learning.models import steps_of
@@ -237,6 +238,55 @@ def test_an_optimiser_that_counts_below_zero_is_refused(run_copy: Path) -> None:
     changed(path, "policy.optimizer", lambda state: state["state"][0].update(step=torch.tensor(-1.0)))
     with pytest.raises(RunError, match=r"'policy\.optimizer/0/step' counts below zero"):
         resume(run_copy, total_timesteps=3_000, build=stand_in.build)
+
+
+KINDS: dict[str, Callable[[torch.Tensor], torch.Tensor]] = {
+    "meta": lambda tensor: tensor.to("meta"),
+    "sparse": lambda tensor: tensor.to_sparse(),
+    "quantized": lambda tensor: torch.quantize_per_tensor(tensor, 0.1, 0, torch.qint8),
+    "fp8": lambda tensor: tensor.to(torch.float8_e4m3fn),
+    "complex": lambda tensor: tensor.to(torch.complex64),
+}
+
+
+@pytest.mark.filterwarnings("ignore:torch.quantize_per_tensor")
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_tensor_of_a_kind_that_no_policy_has_is_refused(run_copy: Path, kind: str) -> None:
+    changed(run_copy / BEST, "policy", lambda state: state.update({WEIGHT: KINDS[kind](state[WEIGHT])}))
+    refused(run_copy, "damaged, or no model of ours")
+    with pytest.raises(RunError, match="damaged, or no model of ours"):
+        train(run_copy / "resolved.yaml", run=run_copy / "new", initialize_from=run_copy, build=stand_in.build)
+
+
+def test_a_pickle_that_asks_for_memory_is_refused(run_copy: Path) -> None:
+    class Large:
+        def __reduce__(self) -> tuple[object, ...]:
+            return (bytearray, (10**15,))
+
+    path = run_copy / BEST
+    rewrite(path, members(path) | {"policy.pth": saved({WEIGHT: Large()})})
+    refused(run_copy, "holds other things than plain tensors")
+
+
+def test_weights_that_lead_to_no_finite_action_are_one_sentence(run_copy: Path) -> None:
+    def enlarge(state: dict[str, torch.Tensor]) -> None:
+        state.update({name: tensor.clamp(-1, 1) * 3e38 for name, tensor in state.items()})
+
+    changed(run_copy / BEST, "policy", enlarge)
+    refused(run_copy, "the policy gives actions that are not finite")
+    run = Run.open(run_copy)
+    with pytest.raises(RunError, match="the policy gives actions that are not finite"):
+        networks(load_model(run, "best", stand_in.build(run.program)), run.program)
+
+
+@pytest.mark.parametrize("steps", ["Infinity", "NaN", "1e999", "9" * 5000])
+def test_a_model_with_steps_without_end_is_damaged(run_copy: Path, steps: str) -> None:
+    path = run_copy / BEST
+    data = re.sub(rb'"num_timesteps": \d+', f'"num_timesteps": {steps}'.encode(), members(path)["data"])
+    assert data != members(path)["data"]
+    rewrite(path, members(path) | {"data": data})
+    with pytest.raises(RunError, match="damaged, or no model of ours"):
+        steps_of(path)
 
 
 def test_a_policy_acts_like_the_model_by_names_and_units_and_leaves_the_generators_alone(trained: TrainingResult) -> None:
