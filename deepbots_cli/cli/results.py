@@ -15,7 +15,7 @@ from deepbots_cli.errors import RunError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.learning.episodes import DrawnBin, Interval, Summary
 from deepbots_cli.learning.report import to_json
-from deepbots_cli.learning.run import POLICY_NAME, Run, TrainingResult
+from deepbots_cli.learning.run import POLICY_NAME, EvaluationRecord, Run, TrainingResult
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.comparison import GroupResult
@@ -114,7 +114,10 @@ def summary_text(summary: Summary, *, success_defined: bool) -> str:
 
 def _statistics(result: Summary, *, success_defined: bool) -> dict[str, object]:
     spread = ""
-    if result.std_return is not None and result.return_interval is not None:
+    if result.std_return == 0 and result.return_interval is not None:  # whose interval follows from the bounds of the return alone
+        low, high = map(number, result.return_interval)
+        spread = f" in all {result.episodes:,} episodes (95 % confidence interval, from the possible returns: {low} .. {high})"
+    elif result.std_return is not None and result.return_interval is not None:
         low, high = map(number, result.return_interval)
         spread = f"; standard deviation {number(result.std_return)} (95 % confidence interval of the mean: {low} .. {high})"
     low_rate, high_rate = result.success_interval
@@ -138,7 +141,12 @@ def interval_text(interval: Interval | None, *, percent: bool = False) -> str:
     """An interval as the text of a cell."""
     if interval is None:
         return ""
-    return " .. ".join(f"{end:.1%}" if percent else f"{end:.4g}" for end in interval)
+    return " .. ".join(dict.fromkeys(f"{end:.1%}" if percent else f"{end:.4g}" for end in interval))
+
+
+def return_interval_text(result: EvaluationResult | EvaluationRecord) -> str:
+    """The interval of the mean return as the text of a cell; that of equal returns follows from the possible returns alone."""
+    return "all equal" if result.std_return == 0 else interval_text(result.return_interval)
 
 
 def rows_of(what: str, results: Sequence[EvaluationResult], names: Sequence[str]) -> list[Row]:
@@ -149,7 +157,7 @@ def rows_of(what: str, results: Sequence[EvaluationResult], names: Sequence[str]
             what: name,
             "episodes": result.episodes,
             "mean_return": result.mean_return,
-            "return_95 %": interval_text(result.return_interval),
+            "return_95 %": return_interval_text(result),
             **(_success(result) if result.success_defined else undefined),
             "mean_length": result.mean_length,
         }
@@ -277,7 +285,7 @@ def _episodes(result: EvaluationResult) -> list[tuple[float, int]]:
 
 
 def _level(result: EvaluationResult, *, is_rate: bool) -> dict[str, object]:
-    returns = {"mean_return": result.mean_return, "return_95 %": interval_text(result.return_interval)}
+    returns = {"mean_return": result.mean_return, "return_95 %": return_interval_text(result)}
     return _success(result) | {"mean_return": result.mean_return} if is_rate else returns
 
 

@@ -338,6 +338,7 @@ class EvaluationRecord(BaseModel):
     episodes: int
     deterministic: bool = True
     mean_return: float
+    std_return: float | None = None
     return_interval: tuple[float, float] | None
     success_defined: bool
     success_rate: float | None
@@ -369,7 +370,9 @@ class EvaluationRecord(BaseModel):
     def text(self) -> str:
         """Mean return and success rate with their intervals, and what they are of."""
         text = f"mean return {self.mean_return:.4g}"
-        if self.return_interval is not None:
+        if self.std_return == 0:
+            text += " in every episode"
+        elif self.return_interval is not None:
             text += " (95 % interval {:.4g} .. {:.4g})".format(*self.return_interval)
         if self.success_rate is not None and self.success_interval is not None:
             text += f", success rate {self.success_rate:.1%} (95 % interval {{:.1%}} .. {{:.1%}})".format(*self.success_interval)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from itertools import product
 from math import cos, pi, sin
@@ -189,3 +190,23 @@ def test_a_robot_with_an_odd_file_gets_a_scenario_that_simulates_a_hundred_steps
     ran = deepbots("run", "first.yaml", "--steps", "100")
     assert (ran.code, ran.err) == (0, "")
     assert "term" in ran.out
+
+
+RACECAR = ("new", "car", "--urdf", "package://pybullet_data/racecar/racecar.urdf")
+
+
+def test_the_script_of_a_steered_robot_reaches_marks_behind_it(deepbots):
+    """It failed in the third of these episodes."""
+    pytest.importorskip("pybullet_data")
+    assert deepbots(*RACECAR).code == 0
+    ran = deepbots("run", "car.yaml", "--script", "towards", "--episodes", "3", "--engine", "mujoco", "--json")
+    assert json.loads(ran.out)["summary"]["successes"] == 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
+def test_the_script_of_a_steered_robot_reaches_its_mark_from_fifty_starts(deepbots, engine):
+    pytest.importorskip("pybullet_data")
+    assert deepbots(*RACECAR).code == 0
+    ran = deepbots("run", "car.yaml", "--script", "towards", "--episodes", "50", "--engine", engine, "--json")
+    assert json.loads(ran.out)["summary"]["successes"] == 50

@@ -40,6 +40,13 @@ def test_what_is_odd_in_a_robot_file_is_said_with_its_place(deepbots, tmp_path):
     assert [row["code"] for row in found] == ["DB305"]
 
 
+def test_warnings_about_a_file_of_a_package_are_one_line(deepbots):
+    pytest.importorskip("pybullet_data")
+    ran = deepbots("inspect", "package://pybullet_data/laikago/laikago.urdf")
+    assert ran.err == "13 warnings about a file of a package, which you cannot change (13 DB306); --json lists them\n"
+    assert len(json.loads(deepbots("inspect", "package://pybullet_data/laikago/laikago.urdf", "--json").out)["findings"]) == 13
+
+
 def test_a_robot_file_that_cannot_be_read_is_an_error(deepbots, tmp_path):
     file = tmp_path / "broken.urdf"
     file.write_text(BROKEN, encoding="utf-8")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from dataclasses import replace
 from itertools import islice, pairwise
@@ -176,6 +177,23 @@ def test_episodes_of_an_evaluation_are_repeated_to_the_bit(short, tmp_path, caps
     for trace, number in zip(trace_episodes(opened, (9, 3), **kept.replay_options), (9, 3), strict=True):
         known = outcomes[number]
         assert (trace.steps, trace.returns, trace.ended_by) == (known["length"], known["total_return"], known["ended_by"])
+
+
+def test_failed_episodes_that_a_time_limit_ended_print_no_blank_lines(short, tmp_path, capsys):
+    run = shutil.copytree(short, tmp_path / "run")
+    resolved, record = run / "resolved.yaml", json.loads((run / "run.json").read_text())
+    resolved.write_text(resolved.read_text().replace("failure:", "success:\n    kept: time > 60 s\n  failure:"))
+    text = resolved.read_text()
+    resolved.write_text(re.sub(r"max_steps: \d+", "max_steps: 5", text))
+    (run / "run.json").write_text(json.dumps(record | {"digest": Run.open(run).digest}))
+    assert main(["eval", str(run), "--episodes", "2"]) == 0
+    capsys.readouterr()
+    assert main(["eval", str(run), "--episodes", "failed"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "episode 0: 'max_steps' at 0.16 s"
+    assert lines[1].strip().startswith("The episode reached 5 of at most 5 (max_steps).")
+    assert "'kept' needs" in lines[1]
+    assert all(line.strip() for line in lines)
 
 
 def test_a_critic_that_never_fell_names_no_moment(short):

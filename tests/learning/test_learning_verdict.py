@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 import stand_in
 
+from deepbots_cli.cli import main
+from deepbots_cli.cli.results import evaluation_text, interval_text, return_interval_text
 from deepbots_cli.learning import evaluate
 from deepbots_cli.learning.listing import read_listed
 from deepbots_cli.learning.report import to_json
@@ -74,3 +76,17 @@ def test_an_answer_of_the_training_says_that_it_is_one(run_copy: Path) -> None:
     verdict = run_verdict(run_copy, Run.open(run_copy).record)
     assert verdict.solved is True
     assert verdict.text.endswith("(fewer than 10 episodes); solved by episodes of the training, which explore")
+
+
+def test_equal_returns_are_not_shown_as_an_interval_around_them(run_copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = Run.open(run_copy)
+    found = evaluate(run, episodes=3, build=stand_in.build)
+    equal = replace(found, mean_return=0.0, std_return=0.0, least_return=0.0, greatest_return=0.0, return_interval=(-155.8, 155.8))
+    text = evaluation_text(equal)
+    assert "mean return         0.00 in all 3 episodes (95 % confidence interval, from the possible returns: -155.80 .. 155.80)" in text
+    assert return_interval_text(equal) == "all equal"
+    run.write_evaluation(to_json(equal))
+    assert main(["runs", str(run_copy)]) == 0
+    assert "155.8" not in capsys.readouterr().out
+    assert run_verdict(run_copy, run.record).text.startswith("mean return 0 in every episode, over 3 held-out episodes")
+    assert interval_text((200.0, 200.0)) == "200"

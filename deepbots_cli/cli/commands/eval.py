@@ -171,7 +171,7 @@ def command(
 
     --episodes failed runs the failed episodes of the last kept evaluation again, and counts their endings. For the first 10, it prints the
     ending and its margin; with --video FILE.mp4, it also films these 10: FILE-K.mp4 shows episode K. If an ending compares a value with a
-    limit, the margin is how far the value is past the limit.
+    limit, the margin is how far the value is past the limit. After a time limit, it prints how near the episode came to a success.
 
     \b
       deepbots eval runs/cartpole-0-1

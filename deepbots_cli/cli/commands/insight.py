@@ -106,6 +106,8 @@ def _trace(shown: str, episode: int | None, seed: int | None, *, last: bool, all
     return traced
 
 
+_ENDS = ("margin", "truth_ending", "truncation_limit", "nearest")
+"""Of an explanation, what says how an episode ended: past which limit, or how near to a success."""
 MAX_SHOWN = 10
 """Failed episodes of which `eval --episodes failed` prints the margin and makes a film."""
 
@@ -136,9 +138,10 @@ def repeat_failed(run: Run, video: Path | None, *, force: bool, as_json: bool, a
             if show is not None:
                 show(len(found), len(failed))
             if not as_json and number in first:
-                ends = [statement.text for statement in statements if statement.cause in ("margin", "fact", "limit")]
                 filmed = f" ({films[number]})" if number in films else ""
-                terminal.print_result(f"episode {number}: '{traced.ended_by}' at {traced.time:.2f} s{filmed}\n  {' '.join(ends)}")
+                terminal.print_result(f"episode {number}: '{traced.ended_by}' at {traced.time:.2f} s{filmed}")
+                if ends := [statement.text for statement in statements if statement.cause in _ENDS]:
+                    terminal.print_result(f"  {' '.join(ends)}")
     if as_json:
         terminal.show_json({"run": run.path, "evaluation": path, "episodes": len(kept.outcomes), "failed": found})
         return

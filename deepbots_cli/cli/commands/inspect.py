@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,7 +15,8 @@ from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Engine, Force,
 from deepbots_cli.cli.sources import is_robot, open_robot, open_source
 from deepbots_cli.cli.tables import row_as_lines, table
 from deepbots_cli.diagnostics import Source, Span
-from deepbots_cli.document import MappingNode
+from deepbots_cli.diagnostics.render import summary
+from deepbots_cli.document import MappingNode, shipped
 from deepbots_cli.document.load import with_settings_at
 from deepbots_cli.engine_kinds import chosen
 from deepbots_cli.errors import EngineError, EvaluationError, MissingExtraError, UsageError
@@ -129,10 +131,19 @@ def _inspect_robot(reference: str, picture: Path | None, engine: str, as_json: b
         terminal.show_json(tables)
     else:
         _show({name: rows for name, rows in tables.items() if name != "findings"})
-        if findings:
+        if findings and _is_of_package(reference):
+            codes = ", ".join(f"{count} {code}" for code, count in Counter(finding.code for finding in findings).most_common())
+            terminal.note(f"{summary(findings)} about a file of a package, which you cannot change ({codes}); --json lists them")
+        elif findings:
             terminal.show_findings(findings)
     if picture is not None:
         terminal.note(f"wrote a picture of the robot to {picture}")
+
+
+def _is_of_package(reference: str) -> bool:
+    """Whether a robot file comes with deepbots or an installed package."""
+    is_named = reference.startswith("package://") or (shipped.robot_path(reference) is not None and not Path(reference).is_file())
+    return is_named or not {"site-packages", "dist-packages"}.isdisjoint(Path(reference).resolve().parts)
 
 
 def _rendered(model: RobotModel, engine: str) -> Image:

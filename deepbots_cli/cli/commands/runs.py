@@ -157,7 +157,7 @@ def _evaluation(number: int, kept: EvaluationRecord) -> Row:
         "episodes": kept.episodes,
         "seed": kept.seed,
         "return": kept.mean_return,
-        "return_95 %": results.interval_text(kept.return_interval),
+        "return_95 %": results.return_interval_text(kept),
         "success": f"{kept.success_rate:.1%}" if kept.success_defined else "",
         "success_95 %": results.interval_text(kept.success_interval, percent=True) if kept.success_defined else "",
         "solved": "" if kept.solved is None else "yes" if kept.solved else "no",
