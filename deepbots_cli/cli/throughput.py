@@ -23,7 +23,7 @@ from deepbots_cli.scenario.fields import counted_noun
 BATCH = "batch"
 MIN_RATIO = 1.5
 """How much faster another engine must be to be named."""
-WARM_UP_STEPS, MIN_TIMED_STEPS = 3, 5
+MIN_TIMED_STEPS = 5
 MIN_STEPS = 60
 """Steps of each world of a batch, in which some episodes end."""
 
@@ -181,9 +181,6 @@ def _speed(program: Program, engine: str, seconds: float, seed: int, *, allow_co
     with closing(api.make(program, engine=engine, allow_code=allow_code)) as world:
         world.reset(seed=seed)
         world.action_space.seed(seed)
-        for _ in range(WARM_UP_STEPS):
-            world.step(world.action_space.sample())
-        world.reset()
         steps, began = 0, time.process_time()
         while (taken := time.process_time() - began) < seconds or steps < MIN_TIMED_STEPS:
             _, _, terminated, truncated, _ = world.step(world.action_space.sample())

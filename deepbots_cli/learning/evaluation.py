@@ -195,15 +195,8 @@ def evaluate(
             world = stack.enter_context(closing(make(program, render_mode="rgb_array")))
             filmed = stack.enter_context(video.recording_video(world, video_to, program.period))
             rollout(policy, [filmed], seeds[:1], deterministic=deterministic)
-    where: dict[str, Any] = {
-        "case": case,
-        "stage": stage,
-        "seed": root,
-        "planned": count,
-        "deterministic": deterministic,
-        "video": video_to,
-    }
-    return _result(known, judged, program, model, done, engine=None if build else engine, **where)
+    where: dict[str, Any] = {"case": case, "stage": stage, "seed": root, "planned": count, "video": video_to}
+    return _result(known, judged, program, model, done, engine=None if build else engine, deterministic=deterministic, **where)
 
 
 def evaluate_baselines(
@@ -333,9 +326,18 @@ def _result(
     low, high = possible_returns(program) if engine else UNBOUNDED  # a world of the caller may pay anything
     found = statistics_of(done, (low, high))
     solved, verdict = solved_verdict(program.solved, found["episodes"], found["mean_return"], found["success_rate"])
-    elsewhere, overrides = (None, ()) if judged is None or judged.digest == run.record.digest else _elsewhere(run, judged)
+    digest = (judged or run).digest
+    elsewhere, overrides = (None, ()) if judged is None or digest == run.record.digest else _elsewhere(run, judged, engine)
     differences = circumstances(
-        run, engine=engine, model=model, deterministic=deterministic, elsewhere=elsewhere, overrides=overrides, case=case, stage=stage
+        run,
+        digest,
+        engine=engine,
+        model=model,
+        deterministic=deterministic,
+        elsewhere=elsewhere,
+        overrides=overrides,
+        case=case,
+        stage=stage,
     )
     made_with = "; ".join((*differences, *remark_on_episodes(len(done), planned, None)))
     return EvaluationResult(
@@ -351,7 +353,7 @@ def _result(
         stage=stage,
         elsewhere=elsewhere,
         set=overrides,
-        digest=(judged or run).digest,
+        digest=digest,
         planned=planned,
         required_episodes=program.solved.episodes if program.solved else None,
         deterministic=deterministic,
@@ -363,11 +365,12 @@ def _result(
     )
 
 
-def _elsewhere(run: Run, judged: Compiled) -> tuple[str | None, tuple[str, ...]]:
-    """The name of a scenario that replaces that of the run, and the assignments of `--set`, without that of `--engine`."""
+def _elsewhere(run: Run, judged: Compiled, engine: str | None) -> tuple[str | None, tuple[str, ...]]:
+    """The name of a scenario that replaces that of the run, and the assignments of `--set`, without that of another engine."""
     own = judged.source.resolve() == (run.path / RESOLVED_NAME).resolve()
     name = judged.source.name if judged.source.name != RESOLVED_NAME else f"{judged.source.parent.name}/{RESOLVED_NAME}"
-    return None if own else name, tuple(text for text in judged.overrides if not text.startswith("world.engine="))
+    others = tuple(text for text in judged.overrides if text != f"world.engine={engine}")
+    return None if own else name, others or (judged.overrides if engine == run.record.engine else ())
 
 
 # Episodes of a policy

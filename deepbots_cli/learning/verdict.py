@@ -41,6 +41,7 @@ def solved_verdict(solved: Solved | None, episodes: int, mean_return: float, suc
 
 def circumstances(
     run: Run,
+    digest: str,
     *,
     engine: str | None,
     model: str = "best",
@@ -53,11 +54,12 @@ def circumstances(
     """What an evaluation was made with, as far as it differs from one of the best model in the scenario of the training.
 
     Args:
+        digest: Of the scenario that it judges.
         elsewhere: The name of another scenario than that of the run.
         overrides: The assignments of `--set`.
     """
     found = [f"scenario {elsewhere}"] if elsewhere else []
-    if not elsewhere and run.digest != run.record.digest:
+    if not elsewhere and run.record.digest not in (digest, run.digest):
         found.append("scenario changed since the training")
     found += [f"--set {quote(text)}" for text in overrides]
     found += [f"case {case}"] if case else []

@@ -46,4 +46,7 @@ def command(
     figure = plots.plot(logs, theme="dark" if dark else "light")
     with atomic_write(out) as draft:
         figure.savefig(draft, format=out.suffix[1:].lower(), dpi=130)
+    for log in logs:
+        if log.evaluation is not None and log.evaluation.remarks:
+            terminal.note(f"note: the diamond of {log.path} is an evaluation made with: {'; '.join(log.evaluation.remarks)}")
     terminal.print_result(f"{out} ({len(logs)} run{'s' * (len(logs) > 1)})")
