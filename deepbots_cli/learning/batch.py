@@ -182,7 +182,7 @@ class BatchVectorEnvironment(VectorEnvironment):
         with self._recording_failures(stage):
             if is_new:
                 worlds.reset(self.starts)
-            worlds.begin(*zip(*beginning, strict=True))
+            worlds.begin([world for world, _ in beginning], [seed for _, seed in beginning])
         for world, _ in beginning:
             self.drawn[world] = worlds.singles[world].drawn()
 

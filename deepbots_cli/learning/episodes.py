@@ -19,6 +19,7 @@ from pydantic import BaseModel, Field, NonNegativeInt
 
 from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.files import unwritable_message
+from deepbots_cli.program.draws import is_of_member
 from deepbots_cli.program.task import Solved
 
 if TYPE_CHECKING:
@@ -375,8 +376,11 @@ MAX_OPTIONS, BINS = 6, 4
 
 
 def by_drawn_value(done: Sequence[Episode], bounds: Interval = UNBOUNDED) -> dict[str, tuple[DrawnBin, ...]]:
-    """Success and return by each value that the episodes draw, by its place in the scenario; values that do not vary are left out."""
-    names = {name: None for episode in done for name in episode.drawn}
+    """Success and return by each value that the episodes draw, by its place in the scenario.
+
+    Values that do not vary are left out, and so are those of single members of a group, which have no meaning of their own.
+    """
+    names = {name: None for episode in done for name in episode.drawn if not is_of_member(name)}
     found = {name: _bins([episode for episode in done if name in episode.drawn], name, bounds) for name in names}
     return {name: bins for name, bins in found.items() if len(bins) > 1}
 

@@ -15,6 +15,7 @@
 values.py   Expression, the leaf of all of these      world.py    what an engine builds
 robots.py   sensors, actuators, messages, controllers task.py     policies, endings, training, evaluation
 resets.py   placements, randomized parameters         identity.py canonical JSON, digests, interfaces
+draws.py    what a reset draws, by name
 
 Everything is frozen, in SI units, and free of YAML and of any engine. Rules read the typed tree and the place of an expression
 (`.typed`, `.span`), generated code its scalar trees (`.scalars`), which are made when first asked for. `identity` writes
@@ -32,6 +33,7 @@ from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.engine_kinds import DEFAULT_ENGINE
 from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.scalar import is_drawn
+from deepbots_cli.program.draws import EpisodeDraws
 from deepbots_cli.program.resets import Disturbance, Reset
 from deepbots_cli.program.robots import Robot, Timing
 from deepbots_cli.program.task import Choices, Criterion, Ending, Evaluation, Policy, ScenarioTest, Script, Solved, Truncation
@@ -125,6 +127,11 @@ class Program:
             NamedScalars(value.name, value.components, value.scalars) for value in self.parameters if any(map(is_drawn, value.scalars))
         )
         return (*drawn, *self.reset.drawn)
+
+    @cached_property
+    def draws(self) -> EpisodeDraws:
+        """What a reset draws."""
+        return EpisodeDraws(self)
 
     @property
     def period(self) -> float:

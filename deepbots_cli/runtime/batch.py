@@ -285,10 +285,19 @@ class BatchSupervisor(_BatchPart, ABC):
 
     # Course
 
-    def reset(self, seeds: Sequence[int | None]) -> Any:
-        """Begin an episode in all worlds, each with a seed of its own or going on with its streams; the observations."""
+    def reset(self, seeds: Sequence[int | None], options: dict[str, Any] | None = None) -> Any:
+        """Begin an episode in all worlds, each with a seed of its own or going on with its streams; the observations.
+
+        Args:
+            options: Values of this episode in place of draws, the same in all worlds.
+
+        Raises:
+            UsageError: A world could not draw what `options` hold. The episodes go on.
+        """
+        if options:
+            self.singles[0].require_drawable(options)
         self._forget()
-        self.begin(range(self.count), seeds)
+        self.begin(range(self.count), seeds, options)
         return self.observations()
 
     def step(self, action: Any) -> BatchStep:
@@ -329,12 +338,12 @@ class BatchSupervisor(_BatchPart, ABC):
         last, infos = _rows_of_worlds(observations, done), [self.info(world) for world in done.tolist()]
         return BatchStep(observations, rewards, terms, terminated, truncated, done, last, infos)
 
-    def begin(self, worlds: Sequence[int], seeds: Sequence[int | None]) -> None:
-        """Let some worlds begin episodes, each with a seed of its own or going on with its streams."""
+    def begin(self, worlds: Sequence[int], seeds: Sequence[int | None], options: dict[str, Any] | None = None) -> None:
+        """Let some worlds begin episodes, each with a seed of its own or going on with its streams, and with the same `options`."""
         for world, seed in zip(worlds, seeds, strict=True):
             single = self.singles[world]
             self._episodes[world] = EpisodeHistory(single.random_state() if seed is None else seed, [])
-            single.reset(seed=seed)
+            single.reset(seed=seed, options=options)
         self._take_over_from(worlds)
 
     def snapshot(self) -> list[EpisodeHistory]:

@@ -26,7 +26,7 @@ from deepbots_cli.program.task import RobotCopies
 from deepbots_cli.program.world import WorldModel
 from deepbots_cli.runtime.placement import copy_offset
 from deepbots_cli.runtime.spaces import canonical_action, is_canonical
-from deepbots_cli.runtime.streams import Streams
+from deepbots_cli.runtime.streams import NOTHING_CHOSEN, Drawn, Streams
 from deepbots_cli.runtime.supervisor import Info, Supervisor
 
 _END = object()
@@ -134,9 +134,9 @@ class EngineOfCopy:
 class CopiesSupervisor(Supervisor):
     """The environment of all copies: observations and actions have a row for each, in the order of `agents`.
 
-    Each agent has rewards, endings and channels of its own. Draws are its own too, except parameters, which have one value for all. The
-    episode ends for all when it ends for one. The reward is the mean over the copies. `info["each"]` holds the reward of each copy,
-    whether it terminated, and whether it succeeded.
+    Each agent has rewards, endings and channels of its own. What is drawn of its robot is its own too. Parameters, and what is drawn of the
+    world and of other bodies, have one value for all, which the first copy draws. The episode ends for all when it ends for one. The
+    reward is the mean over the copies. `info["each"]` holds the reward of each copy, whether it terminated, and whether it succeeded.
     """
 
     def __init__(
@@ -146,6 +146,8 @@ class CopiesSupervisor(Supervisor):
         members = [kind(scenario, cast("Engine", view)) for view in self._engines]
         self._streams_of_agents: Streams | None = None
         super().__init__(scenario, engine, render_mode)
+        self._chosen: Mapping[str, Mapping[str, Any]] = {}
+        self._shared = [entry for entry in scenario.draws.noted if not entry.is_of_copy]
         self.world = world_with_copies(scenario.world, copies)
         self.agents = {copy_name(copies, number): member for number, member in enumerate(members, start=1)}
         self.observation_space = batch_space(members[0].observation_space, copies.count)
@@ -161,17 +163,37 @@ class CopiesSupervisor(Supervisor):
             for name, agent in self.agents.items():
                 agent.streams = Streams(self.streams.root, name)
         self.engine.reset()
-        for agent in self.agents.values():
+        shared: dict[str, Any] = {}
+        for number, (name, agent) in enumerate(self.agents.items()):
             agent._forget()
-            agent.streams.drawn.clear()
-            agent.chosen = self.chosen
+            agent.streams.begin({**self._chosen.get(name, NOTHING_CHOSEN), **shared})
+            agent.streams.is_follower = number > 0
             agent._begin()
+            agent._drawn = agent._noted()
+            if number == 0:
+                shared = {entry.key: agent._drawn[entry.name] for entry in self._shared if entry.name in agent._drawn}
         if self._engines[0].settling:
             self.engine.step(self._engines[0].settling)
 
-    def drawn(self) -> dict[str, float | str]:
-        own = {f"{name}.{place}": value for name, agent in self.agents.items() for place, value in agent.drawn().items()}
-        return {**super().drawn(), **own}
+    def _copies(self) -> Sequence[str]:
+        return tuple(self.agents)
+
+    def _choose(self, chosen: Mapping[str, Mapping[str, Any]] | None) -> None:
+        self._chosen = chosen or {}
+
+    def _noted(self) -> Drawn:
+        """The draws that all copies share, by name, and those of each copy after its name."""
+        shared = {entry.name for entry in self._shared}
+        first = next(iter(self.agents.values()))
+        found = {place: value for place, value in first._drawn.items() if place in shared}
+        for name, agent in self.agents.items():
+            found |= {f"{name}.{place}": value for place, value in agent._drawn.items() if place not in shared}
+        return found
+
+    def present_values(self) -> Drawn:
+        first = next(iter(self.agents.values()))
+        parameters = {full for value in self.scenario.parameters for full, _ in value.numbers}
+        return self._drawn | {name: value for name, value in first.episode_values.items() if name in parameters}
 
     def random_state(self) -> dict[str, Any]:
         begun = self._streams_of_agents is self.streams

@@ -8,7 +8,7 @@ Looking takes microseconds, since it works in the plane (`deepbots_cli.footprint
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from math import inf
 from typing import NamedTuple
 
@@ -21,6 +21,7 @@ from deepbots_cli.frames import Triple, quaternion
 from deepbots_cli.geometry import ground_height
 from deepbots_cli.port import ZERO_VECTOR, Engine
 from deepbots_cli.program import Program
+from deepbots_cli.program.draws import kind_key
 from deepbots_cli.program.task import RobotCopies
 from deepbots_cli.program.world import ObjectBody, Variant, WorldModel
 from deepbots_cli.robots.model import Shape
@@ -33,6 +34,7 @@ Area = tuple[float, float, float, float]
 
 UNBOUNDED_AREA: Area = (-inf, -inf, inf, inf)
 TOUCHING_TOLERANCE_M = 1e-9  # m that rounding may cost
+_SAME_SPOT_M = 1e-6  # m by which the coordinates of a cell may be off
 MAX_ROUNDS = 30  # attitudes and kinds that are tried for one body in one attempt
 TRIES_PER_ROUND = 40  # spots for each of them
 _LEVEL_RPY = (0.0, 0.0, 0.0)
@@ -72,14 +74,20 @@ class Arrangement:
         """
         self._streams = streams
         lacking: Counter[str] = Counter()
+        before = streams.drawn
         for _ in range(attempts):
             self._forget()
+            streams.drawn, streams.member = dict(before), ""
             try:
                 if attempt():
                     return
             except NoPlaceError as error:
                 lacking[str(error)] += 1
-        raise EvaluationError(f"no start was found in {attempts} attempts (seed {streams.root}): {_complaint(lacking, attempts)}")
+            finally:
+                streams.member = ""
+        spots = [key for key in streams.chosen if key.endswith((".x", ".y"))]
+        is_set = [body for body in lacking if any(key.startswith(f"{body}|") or f".{body}." in key for key in spots)]
+        raise EvaluationError(f"no start was found in {attempts} attempts (seed {streams.root}): {_complaint(lacking, attempts, is_set)}")
 
     def _forget(self) -> None:
         self._poses.clear()
@@ -100,11 +108,20 @@ class Arrangement:
             if point < 0.0:
                 chosen = name
                 break
-        self._streams.drawn[stream] = chosen
-        return chosen
+        return self._streams.take(stream, chosen)
 
-    def copies(self, group: str, count: float, at_most: float = inf) -> list[str]:
+    def copies(self, group: str, count: float, at_most: float = inf) -> Iterator[str]:
         """The names of the copies that take part, and a kind drawn for each; large ones come first, as they need more room."""
+        return self._in_turn(self._present_copies(group, count, at_most))
+
+    def _in_turn(self, bodies: Sequence[str]) -> Iterator[str]:
+        """The bodies, each while the draws are its own."""
+        for body in bodies:
+            self._streams.member = body if "#" in body else ""
+            yield body
+        self._streams.member = ""
+
+    def _present_copies(self, group: str, count: float, at_most: float) -> list[str]:
         number = int(max(0.0, min(count, at_most, self._capacity[group])))
         self.present[group] = number
         names = [f"{group}#{index + 1}" for index in range(number)]
@@ -113,13 +130,35 @@ class Arrangement:
             self.forms.draw(name, self._streams)
         return sorted(names, key=lambda name: -self.forms.footprint(name).radius)
 
-    def cells(self, body: str, count: float, spots: Sequence[Spot], stream: str) -> list[tuple[str, Spot]]:
+    def cells(self, body: str, count: float, spots: Sequence[Spot], stream: str) -> Iterator[tuple[str, Spot]]:
         """Copies of a group, or a single body, each with a spot of its own; drawn where there are more spots than bodies."""
-        names = self.copies(body, count, len(spots)) if body in self._capacity else [body]
+        names = self._present_copies(body, count, len(spots)) if body in self._capacity else [body]
         if len(names) < len(spots):
             order = self._streams[stream].permutation(len(spots))
-            spots = [spots[index] for index in order[: len(names)]]
-        return list(zip(names, spots, strict=False))
+            spots = self._drawn_cells(names, [spots[index] for index in order], stream)
+        return zip(self._in_turn(names), spots, strict=False)
+
+    def _drawn_cells(self, names: Sequence[str], spots: list[Spot], stream: str) -> list[Spot]:
+        """A spot for each body: first the chosen ones, then the others in their order."""
+        taken: dict[str, Spot] = {}
+        for is_chosen in (True, False):
+            for body in names:
+                self._streams.member = body if "#" in body else ""
+                given = self._chosen_spot(stream)
+                if body not in taken and (given is not None) is is_chosen:
+                    found = next((spot for spot in spots if given is None or _fits(spot, given)), None)
+                    if found is None:
+                        raise NoPlaceError(body)
+                    spots.remove(found)
+                    taken[body] = found
+                    self._streams.drawn |= {self._streams.key(f"{stream}.{axis}"): value for axis, value in zip("xy", found, strict=True)}
+        return [taken[body] for body in names]
+
+    def _chosen_spot(self, stream: str) -> tuple[float | None, float | None] | None:
+        """The coordinates that `options` of `reset` set for a body that looks for a spot; None if it sets neither."""
+        chosen, key = self._streams.chosen, self._streams.key(stream)
+        x, y = chosen.get(f"{key}.x"), chosen.get(f"{key}.y")
+        return None if x is None and y is None else (x, y)
 
     def stand(
         self,
@@ -163,7 +202,7 @@ class Arrangement:
         Raises:
             NoPlaceError: None was found.
         """
-        generator = self._streams[stream]
+        generator, given = self._streams[stream], self._chosen_spot(stream)
         area, surface, base = area or UNBOUNDED_AREA, None, -inf
         if on:
             surface = self._surface(on, body)
@@ -177,15 +216,20 @@ class Arrangement:
             within = self._floor.allowed_area(area, covered, rpy[2], margin)
             within = surface.allowed_area(within, covered, rpy[2], margin) if surface else within
             spots = shuffled_grid_spots(area, within, mesh, generator) if mesh else random_spots(within, TRIES_PER_ROUND, generator)
-            if number:
+            if given is not None and (self._streams.is_follower or not mesh):
+                spots = _moved(spots, given, UNBOUNDED_AREA if self._streams.is_follower else within)
+            elif given is not None:
+                spots = [spot for spot in spots if _fits(spot, given)]
+            elif number:
                 spots = self._floor.candidate_spots(spots, covered, rpy[2], clearance, base)
             for x, y in spots:
                 patch = covered.at(x, y, rpy[2])
-                if (surface is None or surface.contains(patch, margin)) and self._floor.is_free(patch, clearance, base):
+                is_free = (surface is None or surface.contains(patch, margin)) and self._floor.is_free(patch, clearance, base)
+                if is_free or self._streams.is_follower:
                     ground = surface.height if surface else self._height(x, y)
                     self._settle(body, patch, (x, y, z), rpy, (velocity, angular_velocity), rests, clearance, ground)
-                    if "#" not in body:
-                        self._streams.drawn.update({f"{stream}.x": float(x), f"{stream}.y": float(y)})
+                    key = self._streams.key(stream)
+                    self._streams.drawn |= {f"{key}.x": float(x), f"{key}.y": float(y)}
                     return
         raise NoPlaceError(body)
 
@@ -228,10 +272,12 @@ def _placed(scenario: Program) -> set[str]:
     return {place.body for places in (reset.placements, *(layout.placements for layout in reset.layouts)) for place in places}
 
 
-def _complaint(lacking: Counter[str], attempts: int) -> str:
-    """The most frequent failure, and a remedy."""
+def _complaint(lacking: Counter[str], attempts: int, is_set: Sequence[str]) -> str:
+    """The most frequent failure, and a remedy; the place of bodies of `is_set` is given by the options of `reset`."""
     if lacking:
         body = lacking.most_common(1)[0][0]
+        if body in is_set:
+            return f"'{body}' cannot stand where the options of reset place it: another body is there, or the region ends before"
         if 2 * lacking.total() >= attempts:
             return f"there is no free position for '{body}'; use fewer or smaller bodies, less clearance, or a larger region"
     return "`reset.require` does not hold; weaken the condition, or allow more `attempts`"
@@ -315,6 +361,23 @@ def intersection(one: Area, other: Area) -> Area:
     return max(one[0], other[0]), max(one[1], other[1]), min(one[2], other[2]), min(one[3], other[3])
 
 
+def _fits(spot: Spot, given: tuple[float | None, float | None]) -> bool:
+    """Whether a spot has the given coordinates."""
+    return all(wanted is None or abs(value - wanted) <= _SAME_SPOT_M for value, wanted in zip(spot, given, strict=True))
+
+
+def _moved(spots: Iterable[Spot], given: tuple[float | None, float | None], area: Area) -> list[Spot]:
+    """The spots with the given coordinates, if they lie in the area."""
+    x, y = given
+    moved = [(across if x is None else x, along if y is None else y) for across, along in spots] if None in given else [given]
+    return [(x, y) for x, y in moved if x is not None and y is not None and _contains(area, x, y)]
+
+
+def _contains(area: Area, x: float, y: float) -> bool:
+    slack = TOUCHING_TOLERANCE_M
+    return area[0] - slack <= x <= area[2] + slack and area[1] - slack <= y <= area[3] + slack
+
+
 def random_spots(area: Area, count: int, generator: np.random.Generator) -> list[Spot]:
     """`count` spots of an area, drawn uniformly; none of an empty one."""
     if area[0] > area[2] or area[1] > area[3]:
@@ -327,13 +390,7 @@ def shuffled_grid_spots(area: Area, within: Area, mesh: float, generator: np.ran
     """The middles of the cells of an area that lie within another, in random order."""
     middles = grid_spots(area, mesh)
     drawn = [middles[index] for index in generator.permutation(len(middles))]
-    low_x, low_y, high_x, high_y = within
-    return [
-        (x, y)
-        for x, y in drawn
-        if low_x - TOUCHING_TOLERANCE_M <= x <= high_x + TOUCHING_TOLERANCE_M
-        and low_y - TOUCHING_TOLERANCE_M <= y <= high_y + TOUCHING_TOLERANCE_M
-    ]
+    return [(x, y) for x, y in drawn if _contains(within, x, y)]
 
 
 def grid_spots(area: Area, mesh: float) -> list[Spot]:
@@ -361,7 +418,8 @@ class Forms:
         variants = self.things[body].variants if body in self.things else ()
         if variants:
             stream = streams[f"objects.{body.partition('#')[0]}.one_of"]
-            self.chosen[body] = variants[int(stream.integers(len(variants)))]
+            kind = streams.note(kind_key(body), variants[int(stream.integers(len(variants)))].name)
+            self.chosen[body] = next(variant for variant in variants if variant.name == kind)
 
     def is_fixed(self, body: str) -> bool:
         """Whether the body never moves."""

@@ -9,7 +9,8 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Collection, Mapping
-from typing import Any, Self
+from types import MappingProxyType
+from typing import Any, Self, TypeVar, cast
 
 import numpy as np
 
@@ -19,7 +20,11 @@ from deepbots_cli.expressions.functions import interval_of
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
 from deepbots_cli.expressions.scalar import Const, Draw, Name, Scalar
 from deepbots_cli.program import Program
-from deepbots_cli.program.values import NamedScalars
+from deepbots_cli.program.draws import EpisodeDraw, key_of_member
+
+T = TypeVar("T")
+Drawn = dict[str, float | str]
+NOTHING_CHOSEN: Mapping[str, Any] = MappingProxyType({})
 
 _ROUNDING = 1e-6
 """Of the size of a limit, by which a value may lie beyond it and is then the limit: 0.6 as a float32 is 0.60000002."""
@@ -42,8 +47,31 @@ class Streams:
         self.copy = copy
         self.root = int(np.random.SeedSequence().generate_state(1)[0]) if root is None else int(root)
         self._generators: dict[str, np.random.Generator] = {}
-        self.drawn: dict[str, float | str] = {}
-        """The last number of each draw by `uniform`, `integer`, `normal` or `choice`, and the last drawn layout."""
+        self.drawn: Drawn = {}
+        """The last value of each draw, by the keys of `program.draws`; noise is left out."""
+        self.chosen = NOTHING_CHOSEN
+        """What draws give in place of a random value, by the same keys."""
+        self.member = ""
+        """The member of a group whose draws are made now, such as `crate#2`."""
+        self.is_follower = False
+        """Whether this is a later copy of a robot, for which the first copy drew and placed the other bodies."""
+
+    def begin(self, chosen: Mapping[str, Any]) -> None:
+        """Begin an episode, whose draws give the `chosen` values."""
+        self.drawn, self.chosen, self.member = {}, chosen, ""
+
+    def key(self, name: str) -> str:
+        """The key of a draw."""
+        return key_of_member(self.member, name) if self.member else name
+
+    def take(self, name: str, value: T) -> T:
+        """Note a draw, and return what was chosen in its place, or else the random value."""
+        return self.note(self.key(name), value)
+
+    def note(self, key: str, value: T) -> T:
+        """`take` for a draw by its key."""
+        taken = self.drawn[key] = self.chosen.get(key, value)
+        return cast("T", taken)
 
     def __getitem__(self, name: str) -> np.random.Generator:
         generator = self._generators.get(name)
@@ -66,17 +94,14 @@ class Streams:
         return streams
 
     def uniform(self, name: str, low: float, high: float) -> float:
-        value = self.drawn[name] = float(self[name].uniform(low, high))
-        return value
+        return self.take(name, float(self[name].uniform(low, high)))
 
     def integer(self, name: str, low: float, high: float) -> float:
         """A whole number from `low` to `high`, both included."""
-        value = self.drawn[name] = float(self[name].integers(int(low), int(high), endpoint=True))
-        return value
+        return self.take(name, float(self[name].integers(int(low), int(high), endpoint=True)))
 
     def normal(self, name: str, mean: float, deviation: float) -> float:
-        value = self.drawn[name] = float(self[name].normal(mean, deviation))
-        return value
+        return self.take(name, float(self[name].normal(mean, deviation)))
 
     def normals(self, name: str, count: int) -> list[float]:
         """Standard normal numbers."""
@@ -84,8 +109,7 @@ class Streams:
         return numbers
 
     def choice(self, name: str, *options: float) -> float:
-        value = self.drawn[name] = options[int(self[name].integers(len(options)))]
-        return value
+        return self.take(name, options[int(self[name].integers(len(options)))])
 
 
 def _seed_integers(text: str) -> list[int]:
@@ -93,77 +117,127 @@ def _seed_integers(text: str) -> list[int]:
     return [int.from_bytes(digest[i : i + 4], "little") for i in range(0, 16, 4)]
 
 
-def episode_values(scenario: Program, options: Mapping[str, Any], fixed: Collection[str] = ()) -> dict[str, float]:
-    """The numbers (SI units) that an episode takes in place of draws, by full names such as `mark.x`.
+def chosen_values(
+    scenario: Program, options: Mapping[str, Any], fixed: Collection[str] = (), copies: Collection[str] = ()
+) -> dict[str, dict[str, Any]]:
+    """The values that an episode takes in place of draws, for each of the `copies` of a robot, by the keys of `program.draws`.
 
-    A name is that of a drawn parameter, or the path of a drawn place or joint, such as `reset.place.block.x`. Setting a value
-    changes no other draw: its stream is drawn from all the same, and every other draw has a stream of its own.
+    A name is that of a draw, such as `mark.x`, or that of a vector, such as `mark`. The name of a copy before it, as in
+    `cart#2.reset.set.cart.pole_hinge`, sets the value of this copy alone. Setting a value changes no other draw: its stream is drawn
+    from all the same, and every other draw has a stream of its own.
 
     Args:
-        options: A number for a single value, a sequence with a number per component for a vector.
+        options: A number or a word for a single value, a sequence with a number per component for a vector.
         fixed: The parameters that no episode draws.
+        copies: The names of the copies, such as `cart#1`; none without copies, where the result has the one name "".
 
     Raises:
-        UsageError: A name is unknown, or a value has the wrong type or shape, is not finite or outside its range.
+        UsageError: A name is unknown or given twice, or a value has the wrong type or shape, is not finite or outside its range.
     """
     if not isinstance(options, Mapping):
         raise UsageError(f"options of reset must be a mapping from names to values, not {type(options).__name__}")
-    known = {entry.name: entry for entry in scenario.settable_draws}
-    found: dict[str, float] = {}
+    found: dict[str, dict[str, Any]] = {name: {} for name in copies or ("",)}
+    of_one: list[tuple[str, str, Any]] = []
     for given, value in options.items():
-        name = str(given).removeprefix("parameters.")
-        entry = known.get(name)
-        if entry is None:
-            raise UsageError(f"reset cannot set {name!r}: {_why_not(name, scenario, list(known), fixed)}")
-        for (full, expression), number in zip(entry.numbers, _numbers(entry, value), strict=True):
-            found[full] = _checked(full, number, expression, scenario)
+        copy, name = _split(str(given), copies)
+        for full, part in _numbers(name, value, scenario, fixed):
+            entry = scenario.draws.by_name.get(full)
+            if entry is None:  # a component that is not drawn
+                continue
+            if copy and not entry.is_of_copy:
+                raise UsageError(f"reset cannot set {given!r}: all copies share this draw; write {name!r}")
+            if copy:
+                of_one.append((copy, entry.key, part))
+                continue
+            if any(entry.key in values for values in found.values()):
+                raise UsageError(f"reset cannot set {full!r} twice: by {given!r} and by another name")
+            for values in found.values():
+                values[entry.key] = part
+    for copy, key, part in of_one:
+        found[copy][key] = part
     return found
 
 
-def _why_not(name: str, scenario: Program, known: list[str], fixed: Collection[str]) -> str:
+def _split(name: str, copies: Collection[str]) -> tuple[str, str]:
+    """The copy of a robot that a name begins with, if any, and the rest."""
+    copy = next((copy for copy in copies if name.startswith(f"{copy}.")), "")
+    return copy, (name.removeprefix(f"{copy}.") if copy else name).removeprefix("parameters.")
+
+
+def _numbers(name: str, value: Any, scenario: Program, fixed: Collection[str]) -> list[tuple[str, Any]]:
+    """The checked value of each number or word that a name stands for, by its full name."""
+    draws = scenario.draws
+    entry = draws.by_name.get(name)
+    if entry is not None and entry.words:
+        if not isinstance(value, str) or value not in entry.words:
+            raise UsageError(f"reset cannot set {name!r} to {str(value)[:80]!r}: it is one of {', '.join(map(repr, entry.words))}")
+        return [(name, value)]
+    if entry is not None:
+        (number,) = _array(name, value, ())
+        return [(name, _checked(entry, number, scenario))]
+    vector = draws.vectors.get(name)
+    if vector is None:
+        raise UsageError(f"reset cannot set {name!r}: {_why_not(name, scenario, fixed)}")
+    parts = zip(vector.numbers, _array(name, value, vector.components), strict=True)
+    return [(full, _checked(EpisodeDraw(full, full, tree), number, scenario)) for (full, tree), number in parts]
+
+
+_MAX_NAMES = 24
+"""Names that a message lists; find_and_avoid draws 94 values."""
+
+
+def _why_not(name: str, scenario: Program, fixed: Collection[str]) -> str:
     if name in fixed:
         return f"it is a fixed parameter, the same in all episodes; change it when the environment is made, by overrides=['{name}=...']"
     if any(name == entry.name for entry in scenario.parameters):
         return "it is computed from other parameters; set those"
+    of_component = {full: vector.name for vector in scenario.draws.vectors.values() for full, _ in vector.numbers}
+    known = [*dict.fromkeys(part for full in scenario.draws.by_name for part in (of_component.get(full, full), full))]
     near = nearest_word(name, known)
     hint = f"did you mean {near!r}? " if near else ""
-    return f"{hint}{scenario.name} draws {', '.join(map(repr, known)) or 'nothing that has a name'}"
+    left = len(known) - _MAX_NAMES
+    more = f" and {left} more, which `drawn` in the info of a reset lists" if left > 0 else ""
+    copies = scenario.policy.copies
+    of_copy = f"; `{copies.robot}#1.` to `{copies.robot}#{copies.count}.` before a name sets one copy" if copies else ""
+    return f"{hint}{scenario.name} draws {', '.join(map(repr, known[:_MAX_NAMES])) or 'nothing that has a name'}{more}{of_copy}"
 
 
-def _numbers(entry: NamedScalars, value: Any) -> list[float]:
-    wanted = f"{len(entry.components)} numbers ({', '.join(entry.components)})" if entry.components else "a single number"
+def _array(name: str, value: Any, components: tuple[str, ...]) -> list[float]:
+    wanted = f"{len(components)} numbers ({', '.join(components)})" if components else "a single number"
     try:
         array = np.asarray(value)
     except ValueError:  # sequences of different lengths
         array = np.asarray(None)
-    if array.dtype.kind not in "iuf" or array.shape != ((len(entry.components),) if entry.components else ()):
-        raise UsageError(f"reset cannot set {entry.name!r} to {str(value)[:80]}: it is {wanted}, in SI units")
-    return [float(number) for number in array.ravel()]
+    if array.dtype.kind not in "biuf" or array.shape != ((len(components),) if components else ()):
+        raise UsageError(f"reset cannot set {name!r} to {str(value)[:80]}: it is {wanted}, in SI units")
+    return list(array.ravel().tolist())
 
 
-def _checked(full: str, number: float, expression: Scalar, scenario: Program) -> float:
+def _checked(entry: EpisodeDraw, number: float, scenario: Program) -> float:
     """The number, moved to the limit that it lies beyond by rounding."""
+    full, options = entry.name, _options(entry.tree)
+    if isinstance(number, bool) and not any(isinstance(option, bool) for option in options):
+        raise UsageError(f"reset cannot set {full!r} to {number}: it is a single number, in SI units")
     if not math.isfinite(number):
         raise UsageError(f"reset cannot set {full!r} to {number}: it is not finite")
-    options = _options(expression)
     if options:
         near = min(options, key=lambda option: abs(option - number))
         if abs(near - number) > _ROUNDING * abs(near):
             raise UsageError(f"reset cannot set {full!r} to {number:g}: it is one of {', '.join(f'{option:g}' for option in options)}")
         return near
-    low, high = _interval(expression, scenario)
-    near = min(max(number, low), high)
+    low, high = (entry.low, entry.high) if entry.tree is None else _interval(entry.tree, scenario)
+    near = min(max(float(number), low), high)
     if abs(near - number) > _ROUNDING * abs(near):
         raise UsageError(f"reset cannot set {full!r} to {number:g}: it is drawn from {low:g} to {high:g} (SI units)")
-    if isinstance(expression, Draw) and expression.distribution == "integer" and not near.is_integer():
+    if isinstance(entry.tree, Draw) and entry.tree.distribution == "integer" and not near.is_integer():
         raise UsageError(f"reset cannot set {full!r} to {number:g}: it is a whole number from {low:g} to {high:g}")
     return near
 
 
-def _options(expression: Scalar) -> list[float]:
-    """The values of a choice among numbers."""
+def _options(expression: Scalar | None) -> list[float]:
+    """The values of a choice among numbers or truth values."""
     if isinstance(expression, Draw) and expression.distribution == "choice":
-        return [float(option.value) for option in expression.args if isinstance(option, Const)]
+        return [option.value for option in expression.args if isinstance(option, Const)]
     return []
 
 

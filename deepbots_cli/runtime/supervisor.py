@@ -40,7 +40,7 @@ from deepbots_cli.runtime.spaces import (
     observation_space,
     recompute_rewards,
 )
-from deepbots_cli.runtime.streams import Streams, episode_values
+from deepbots_cli.runtime.streams import NOTHING_CHOSEN, Drawn, Streams, chosen_values
 
 Observation = NDArray[np.float32]
 Info = dict[str, Any]
@@ -137,10 +137,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         self.physics = engine.step
         self.rebuild: Callable[[], Supervisor] | None = None
         self.fixed: tuple[str, ...] = ()  # parameters that no episode draws
-        routes = (route for robot in scenario.robots for route in (robot.to_route, robot.from_route))
-        values = (*scenario.parameters, *(value for route in routes for _, value in route.settings))
-        self._redrawn = frozenset(value.owner for value in values if value.redraw is not None)
-        self.chosen: Mapping[str, float] = {}  # what `options` of the last reset set
+        self._drawn: Drawn = {}
         self._closed = False
         self._go_on: Callable[[Any], None] = self._refuse
         self._forget()
@@ -196,13 +193,14 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
 
         Args:
             seed: The root of all random streams, a whole number from 0.
-            options: Values of this episode in place of draws, by name: drawn parameters (`mark`), and drawn places and joints by
-                their paths (`reset.place.block.x`). Numbers in SI units, vectors as sequences. Other draws stay as they are.
+            options: Values of this episode in place of draws, by the names of `drawn`: parameters (`mark.x`), places and joints
+                (`reset.place.block.x`), and all else that is drawn. Numbers in SI units; a vector (`mark`) as a sequence. Other draws
+                stay as they are. `options=info["drawn"]` repeats the start of that episode.
 
         Returns:
-            The observation, float32 in the observation space, and the info of a step. This info also holds `drawn`: what this episode
-            draws, in SI units, by the place in the scenario. A parameter has its own name (`mark`), a draw within a longer expression
-            a number (`reset.set.cart.pole_hinge#1`), and a drawn layout is a name. Values that change within an episode are left out.
+            The observation, float32 in the observation space, and the info of a step. This info also holds `drawn`: what this reset
+            drew, in SI units, a number or a word for each name. A parameter has its own name (`mark.x`), all else its place in the
+            scenario (`reset.set.cart.pole_hinge`). Values that change within an episode, and noise, are left out.
 
         Raises:
             EvaluationError: An expression has no value, or the episode would end before its first step; names it.
@@ -210,17 +208,17 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         """
         if self._closed:
             raise UsageError(_CLOSED)
-        self.chosen = episode_values(self.scenario, options, self.fixed) if options else {}
+        chosen = self.require_drawable(options) if options else None
         super().reset(seed=seed)
         self._go_on = self._refuse
         if seed is not None:
             self.streams = Streams(seed)
             self.action_space.seed(seed)
-        self.streams.drawn.clear()
+        self._choose(chosen)
         self._forget()
         try:
             self._begin()
-            drawn = self.drawn()
+            self._drawn = self._noted()
             self.begin_robots()
             self._start()
             self._fill_frames()
@@ -231,20 +229,36 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
                 f"the ending '{self.ended_by}' already holds at reset (seed {self.streams.root}); change the start or the ending"
             )
         self._go_on = self._advance
-        return self.get_observations(), {**self.get_info(), "drawn": drawn}
+        return self.get_observations(), {**self.get_info(), "drawn": self.drawn()}
 
-    def drawn(self) -> dict[str, float | str]:
-        """The values that this episode draws, by their place in the scenario; see `reset`. Complete once `_begin` has returned."""
-        layout = self.streams.drawn.get("reset.layout")
-        others = tuple(f"reset.layouts.{other.name}." for other in self.scenario.reset.layouts if layout not in (None, other.name))
-        found = {
-            name: value
-            for name, value in self.streams.drawn.items()
-            if name.partition("#")[0] not in self._redrawn and not name.startswith(others)
-        }
-        several = {name.partition("#")[0] for name in found if name.endswith("#1")}
-        named = {name if (place := name.partition("#")[0]) in several else place: value for name, value in found.items()}
-        return {**{name.removeprefix("parameters."): value for name, value in named.items()}, **self.chosen}
+    def drawn(self) -> Drawn:
+        """What the last reset drew, by name; see `reset`."""
+        return dict(self._drawn)
+
+    def present_values(self) -> Drawn:
+        """What the last reset drew, and the present values of parameters that change within the episode."""
+        return self._drawn | self.episode_values
+
+    def require_drawable(self, options: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+        """The values of `options` of `reset`, for each copy of a robot.
+
+        Raises:
+            UsageError: They hold an unknown name, or a value that an episode could not have drawn.
+        """
+        return chosen_values(self.scenario, options, self.fixed, self._copies())
+
+    def _copies(self) -> Sequence[str]:
+        """The names of the copies of a robot, if there are some."""
+        return ()
+
+    def _choose(self, chosen: Mapping[str, Mapping[str, Any]] | None) -> None:
+        """Begin the streams of an episode, with what `options` of `reset` chose."""
+        self.streams.begin(chosen[""] if chosen else NOTHING_CHOSEN)
+
+    def _noted(self) -> Drawn:
+        """What the streams have drawn since the episode began."""
+        found = self.streams.drawn
+        return {entry.name: found[entry.key] for entry in self.scenario.draws.noted if entry.key in found}
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]:
         """One step of the agent: act, advance the world by a timestep, observe and score.
@@ -452,8 +466,8 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
 
     def episode_value(self, name: str, drawn: float) -> float:
         """The value of this episode: what `options` of `reset` set, or else what was drawn."""
-        self.episode_values[name] = self.chosen.get(name, drawn)
-        return self.episode_values[name]
+        value = self.episode_values[name] = self.streams.take(name, drawn)
+        return value
 
     def vary_sensor(self, robot: str, sensor: str, fault: str, values: Sequence[float]) -> None:
         """Set the values of a sensor fault for this episode. A sensor that nothing reads has no device."""

@@ -33,13 +33,15 @@ class BatchEnvironment(VectorEnv[Any, Any, Any]):
 
         Args:
             seed: World i begins from `seed + i`, or from the i-th of several; without, each goes on with its streams.
-            options: Not used; values of an episode are set in single worlds.
+            options: Values of this episode in place of draws, the same in every world; see `Supervisor.reset`.
+
+        Returns:
+            The observations, and the info of Gymnasium's vector environments, whose `drawn` holds an array with a value per world for
+            each name.
 
         Raises:
-            UsageError: There are not as many seeds as worlds, or `options` are given.
+            UsageError: There are not as many seeds as worlds, or `options` are none that a world could draw. The episodes go on.
         """
-        if options:
-            raise UsageError("a batch takes no options at reset; use deepbots_cli.make for a single world")
         if seed is None or isinstance(seed, (int, np.integer)):
             seeds: Sequence[int | None] = [None if seed is None else int(seed) + world for world in range(self.num_envs)]
         else:
@@ -48,8 +50,12 @@ class BatchEnvironment(VectorEnv[Any, Any, Any]):
             raise UsageError(f"{len(seeds)} seeds for {self.num_envs} worlds")
         if seeds[0] is not None:
             self.action_space.seed(seeds[0])
+        observations = self.batch.reset(seeds, options)
         self._begun = True
-        return self.batch.reset(seeds), {}
+        infos: dict[str, Any] = {}
+        for world, single in enumerate(self.batch.singles):
+            infos = self._add_info(infos, {"drawn": single.drawn()}, world)
+        return observations, infos
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """One step of all worlds.

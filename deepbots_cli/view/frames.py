@@ -298,11 +298,7 @@ class FrameReader:
             variants=self._variants | {body: variant.name for body, variant in chosen.items() if body in self._variants},
             messages={key: tap.message(channel) for key, (channel, tap) in self._message_recorders.items()},
             cameras={key: np.asarray(seen[0] if isinstance(seen, list | tuple) else seen) for key, seen in images.items()},
-            drawn={
-                f"{name}/{key}" if several else key: value
-                for name, agent in env.agents.items()
-                for key, value in (agent.drawn() | agent.episode_values).items()
-            },
+            drawn=env.present_values(),
             agents=agents,
             ended_by=env.ended_by,
             is_success=env.is_success,

@@ -160,3 +160,22 @@ def test_each_part_of_an_action_is_checked() -> None:
 def test_a_step_needs_a_reset(cartpole: Compiled) -> None:
     with closing(deepbots_cli.make_vec(cartpole, 1)) as made, pytest.raises(UsageError, match="call reset"):
         made.step(np.zeros(1, int))
+
+
+def test_a_batch_takes_the_options_of_a_single_world_back(cartpole: Compiled) -> None:
+    with closing(api.make(cartpole, engine="mujoco")) as env, closing(deepbots_cli.make_vec(cartpole, 3)) as batch:
+        observation, info = env.reset(seed=4)
+        observations, infos = batch.reset(seed=0, options=info["drawn"])
+        for world in range(3):
+            assert_same(observation, observations[world])
+        assert infos["drawn"]["reset.set.cart.pole_hinge"].tolist() == [info["drawn"]["reset.set.cart.pole_hinge"]] * 3
+        assert len(set(batch.reset(seed=0)[1]["drawn"]["reset.set.cart.pole_hinge"].tolist())) == 3
+
+
+def test_the_episodes_of_a_batch_go_on_after_options_that_were_refused(cartpole: Compiled) -> None:
+    with closing(deepbots_cli.make_vec(cartpole, 2)) as batch:
+        batch.reset(seed=0)
+        first = batch.step(np.zeros(2, int))[0]
+        with pytest.raises(UsageError, match="drawn from"):
+            batch.reset(options={"reset.set.cart.pole_hinge": 9.0})
+        assert not np.array_equal(batch.step(np.zeros(2, int))[0], first)

@@ -240,6 +240,12 @@ def test_success_by_drawn_value_counts_every_episode_once() -> None:
     assert found["mass"][0].success_interval == Summary.of_episodes(done[:25]).success_interval
 
 
+def test_single_copies_of_a_group_are_left_out_of_the_drawn_values() -> None:
+    drawn = ("reset.layouts.scattered.crate#2.x", "objects.crate#1.one_of", "cart#1.reset.place.cart.x", "robots.dog.force#1.x")
+    done = [Episode(float(k), 1, k >= 50, None, seed=k, drawn=dict.fromkeys(drawn, k / 100)) for k in range(100)]
+    assert list(by_drawn_value(done)) == ["cart#1.reset.place.cart.x", "robots.dog.force#1.x"]
+
+
 def test_baselines_and_the_policy_have_the_same_starts(tmp_path: Path) -> None:
     run = train("pit_escape", run=tmp_path / "run", total_timesteps=1).run
     results = evaluate_baselines(run, episodes=2, seed=5, scenario=compile("pit_escape", overrides=["truncation.max_steps=20"]))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +13,15 @@ import numpy as np
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.errors import UsageError
+from deepbots_cli.document import shipped
+from deepbots_cli.errors import EvaluationError, UsageError
+from deepbots_cli.program import Program
 from deepbots_cli.runtime import Supervisor
+from deepbots_cli.view.frames import FrameReader
+from tests.contract.rollout import as_bytes
+from tests.few import LIGHT, few
+
+DATA = Path(__file__).parents[1] / "data" / "scenarios"
 
 SECTIONS = """\
 parameters:
@@ -90,11 +99,18 @@ def test_a_limit_as_a_float32_is_that_limit(env: Supervisor) -> None:
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"marc": [0.6, 0]}, r"'marc': did you mean 'mark'\? Small draws 'mark', 'side', .*'reset\.set\.cart\.slider'"),
+        (
+            {"marc": [0.6, 0]},
+            r"'marc': did you mean 'mark'\? Small draws 'mark', 'mark\.x', 'mark\.y', 'side', .*'reset\.set\.cart\.slider'",
+        ),
         ({"stride": 0.1}, r"'stride': it is a fixed parameter.*by overrides=\['stride=\.\.\.'\]"),
         ({"twice": 0.1}, "'twice': it is computed from other parameters; set those"),
         ({"mark": [0.7, 0]}, r"'mark\.x' to 0\.7: it is drawn from -0\.5 to 0\.6"),
         ({"mark": 0.6}, r"'mark' to 0\.6: it is 2 numbers \(x, y\)"),
+        ({"mark.x": 0.7}, r"'mark\.x' to 0\.7: it is drawn from -0\.5 to 0\.6"),
+        ({"mark.x": [0.5, 0.1]}, r"'mark\.x' to \[0\.5, 0\.1\]: it is a single number"),
+        ({"mark": [0.6, 0], "mark.y": 0.1}, r"'mark\.y' twice"),
+        ({"mark.z": 0.1}, r"'mark\.z': did you mean 'mark\.[xy]'.* draws 'mark', 'mark\.x', 'mark\.y', 'side'"),
         ({"mark": [0.6, 0, 0]}, r"it is 2 numbers"),
         ({"mark": [[0.6, 0]]}, r"it is 2 numbers"),
         ({"mark": ["0.6", "0"]}, r"it is 2 numbers"),
@@ -147,11 +163,158 @@ remove: [train, solved]
 """
 
 
-def test_a_team_takes_a_parameter_for_all_copies(make: Callable[..., Supervisor], tmp_path: Path) -> None:
+OF_TEAM = """\
+objects: {bar: {shape: box, size: 5 5 5 cm, mass: uniform(0.1 .. 0.2 kg)}, crate: {shape: box, size: 5 5 5 cm}}
+reset: {place: {bar: {x: 1.2 m, y: uniform(-0.2 .. 0.2 m)}, crate: {region: {x: -1.8 .. -1 m, y: -1 .. 1 m}}}}
+"""
+
+
+@pytest.fixture
+def team(make: Callable[..., Supervisor], tmp_path: Path) -> Supervisor:
+    """Two carts of one policy, a bar and a crate."""
     text = api.locate("cartpole")[0].read_text(encoding="utf-8")
     (tmp_path / "cartpole.yaml").write_text(text.replace("../robots/urdf/cartpole.urdf", "cartpole"))
-    (tmp_path / "team.yaml").write_text(TEAM)
-    team = make(tmp_path / "team.yaml", engine="pybullet")
+    (tmp_path / "team.yaml").write_text(TEAM + OF_TEAM)
+    return make(tmp_path / "team.yaml", engine="pybullet")
+
+
+def test_copies_record_the_draw_of_the_one_bar_that_acts_once(team: Supervisor) -> None:
+    drawn = team.reset(seed=1)[1]["drawn"]
+    assert set(drawn) == {
+        "mark",
+        "objects.bar.mass",
+        "reset.place.bar.y",
+        "reset.place.crate.x",
+        "reset.place.crate.y",
+        "cart#1.reset.set.cart.pole_hinge",
+        "cart#2.reset.set.cart.pole_hinge",
+    }
+    assert team.engine.pose("bar")()[0][1] == drawn["reset.place.bar.y"]
+    assert team.engine.pose("crate")()[0][:2] == (drawn["reset.place.crate.x"], drawn["reset.place.crate.y"])
+
+
+def test_what_copies_drew_is_taken_back(team: Supervisor) -> None:
+    for seed in range(5):
+        world, drawn = start(team, seed=seed)
+        assert start(team, seed=9, options=drawn) == (world, drawn)
+        assert episode(team, seed=9, options=drawn) == episode(team, seed=seed)
+
+
+def test_the_draw_of_one_copy_is_set(team: Supervisor) -> None:
+    plain = team.reset(seed=1)[1]["drawn"]
+    options = {"cart#2.reset.set.cart.pole_hinge": 0.01}
+    assert team.reset(seed=1, options=options)[1]["drawn"] == plain | options
+    both = team.reset(seed=1, options={"reset.set.cart.pole_hinge": 0.0, **options})[1]["drawn"]
+    assert both == plain | {"cart#1.reset.set.cart.pole_hinge": 0.0} | options
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"cart#2.reset.place.bar.y": 0.1}, r"'cart#2\.reset\.place\.bar\.y': all copies share this draw; write 'reset\.place\.bar\.y'"),
+        ({"cart#3.reset.set.cart.pole_hinge": 0.0}, r"'cart#3\.reset\.set\.cart\.pole_hinge': did you mean 'reset"),
+        ({"cart#2.reset.set.cart.pole_hinge": 3.0}, r"pole_hinge' to 3: it is drawn from"),
+    ],
+)
+def test_a_wrong_option_for_one_copy_is_refused(team: Supervisor, options: dict[str, Any], said: str) -> None:
+    with pytest.raises(UsageError, match=said):
+        team.reset(options=options)
+
+
+def test_a_team_takes_a_parameter_for_all_copies(team: Supervisor) -> None:
     team.reset(options={"mark": 0.25, "reset.set.cart.pole_hinge": 0.01})
     *_, info = team.step(team.action_space.sample())
     assert info["reward_terms"]["mark"] == 0.25
+
+
+# What a reset drew, given back
+
+
+def test_every_component_of_a_vector_is_recorded(env: Supervisor) -> None:
+    values = drawn(env, seed=1)
+    info = env.reset(seed=1)[1]["drawn"]
+    assert (info["mark.x"], info["mark.y"]) == (values["x"], values["y"])
+    assert "mark" not in info
+
+
+def test_a_computed_draw_is_recorded_with_the_value_that_acts(env: Supervisor) -> None:
+    assert drawn(env, seed=1)["push"] == env.reset(seed=1)[1]["drawn"]["push"]
+
+
+def test_a_component_is_set_alone(env: Supervisor) -> None:
+    plain = env.reset(seed=3)[1]["drawn"]
+    changed = env.reset(seed=3, options={"mark.x": 0.5})[1]["drawn"]
+    assert changed == plain | {"mark.x": 0.5}
+
+
+def start(env: Supervisor, **reset: Any) -> tuple[Any, dict[str, Any]]:
+    """The world after a reset, and what the reset drew."""
+    observation, info = env.reset(**reset)
+    frame = FrameReader(env).read(observation)
+    return (frame.links, frame.joints, frame.variants), info["drawn"]
+
+
+def episode(env: Supervisor, **reset: Any) -> list[bytes]:
+    """A reset and some steps with the same actions."""
+    observation, info = env.reset(**reset)
+    env.action_space.seed(3)
+    found = [(observation, 0.0, False, False, info)]
+    while len(found) < 15 and not (found[-1][2] or found[-1][3]):
+        found.append(env.step(env.action_space.sample()))
+    return [as_bytes(transition) for transition in found]
+
+
+def programs(name: str) -> list[Program]:
+    """A shipped scenario, its cases and its stages."""
+    program = api.compile(name).program
+    return [program, *(case.program for case in program.cases), *(stage.program for stage in program.curriculum)]
+
+
+@pytest.mark.parametrize("name", few(shipped.scenario_names(), ("cartpole", "multi_cartpole", "see_ball")))
+def test_what_was_drawn_is_taken_back_and_gives_the_same_episode(name: str) -> None:
+    for program in programs(name):
+        with closing(api.make(program)) as env:
+            world, drawn = start(env, seed=7)
+            first = episode(env, seed=7)
+            assert drawn
+            assert episode(env, seed=7, options=drawn) == first
+            assert start(env, seed=8, options=drawn) == (world, drawn)
+            assert start(env, options=json.loads(json.dumps(drawn))) == (world, drawn)
+
+
+NO_NOISE = ("cartpole", "multi_cartpole", "panda_push", "panda_reach", "pit_escape", "see_ball")
+"""Scenarios that draw nothing within an episode."""
+
+
+@pytest.mark.parametrize("name", few(NO_NOISE, LIGHT))
+def test_without_noise_what_was_drawn_gives_the_same_episode_for_every_seed(name: str) -> None:
+    with closing(api.make(name)) as env:
+        drawn = env.reset(seed=7)[1]["drawn"]
+        assert episode(env, seed=8, options=drawn) == episode(env, seed=7) != episode(env, seed=8)
+
+
+@pytest.mark.parametrize("name", few([path.name for path in sorted(DATA.glob("*.yaml"))], ("placed.yaml", "pushed.yaml")))
+def test_every_kind_of_draw_is_taken_back(name: str) -> None:
+    with closing(api.make(DATA / name)) as env:
+        for seed in range(5):
+            world, drawn = start(env, seed=seed)
+            assert start(env, seed=99, options=drawn) == (world, drawn)
+
+
+def test_a_free_position_and_a_layout_are_set() -> None:
+    with closing(api.make("find_ball_random", overrides=["obstacles=1"])) as env:
+        drawn = env.reset(seed=0, options={"reset.layout": "scattered", "reset.layouts.scattered.ball.x": 0.3})[1]["drawn"]
+        assert (drawn["reset.layout"], drawn["reset.layouts.scattered.ball.x"]) == ("scattered", 0.3)
+        assert env.engine.pose("ball")()[0][0] == 0.3
+        with pytest.raises(UsageError, match=r"'reset\.layout' to 'spread': it is one of 'scattered', 'paper'"):
+            env.reset(options={"reset.layout": "spread"})
+        with pytest.raises(UsageError, match=r"'reset\.layouts\.scattered\.ball\.x' to 7: it is drawn from"):
+            env.reset(options={"reset.layouts.scattered.ball.x": 7})
+
+
+def test_a_position_that_is_not_free_is_refused_by_name() -> None:
+    with closing(api.make("see_ball")) as env:
+        drawn = env.reset(seed=0)[1]["drawn"]
+        taken = {f"reset.place.ball.{axis}": drawn[f"reset.place.epuck.{axis}"] for axis in "xy"}
+        with pytest.raises(EvaluationError, match=r"'(ball|epuck)' cannot stand where the options of reset place it"):
+            env.reset(options=drawn | taken)

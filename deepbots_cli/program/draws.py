@@ -1,0 +1,198 @@
+"""What the reset of an episode draws: every number and every name, by its place in the scenario.
+
+The names are those of `drawn` in the info of a reset, and of the `options` that a reset takes.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
+
+from deepbots_cli.expressions.scalar import Const, Draw, Scalar, is_drawn, names_in, walk
+from deepbots_cli.program.resets import (
+    Cells,
+    Group,
+    OfJoint,
+    OfLink,
+    OfWalls,
+    OfWorld,
+    Placement,
+    RandomizedParameter,
+    Region,
+    Top,
+)
+from deepbots_cli.program.values import Expression, NamedScalars, numbers
+
+if TYPE_CHECKING:
+    from deepbots_cli.program import Program
+
+_PLANE = ("x", "y")
+
+
+class EpisodeDraw(NamedTuple):
+    """A number (SI units) or a word that a reset draws.
+
+    `key` is the name under which the runtime notes it. `tree` computes a number; a position that is looked for lies from `low` to `high`;
+    a word is one of `words`. With copies of a robot, the draw may be one for each copy. It may change within the episode.
+    """
+
+    name: str
+    key: str
+    tree: Scalar | None = None
+    words: tuple[str, ...] = ()
+    low: float = -math.inf
+    high: float = math.inf
+    is_of_copy: bool = False
+    changes: bool = False
+
+
+def key_of_member(member: str, name: str) -> str:
+    """The key of a draw that is made once for each member `crate#2` of a group; `name` is that of its stream."""
+    return f"{member}|{name}"
+
+
+_OF_MEMBER = re.compile(r"(?:reset\.place|reset\.layouts\.\w+|objects)\.\w+#\d+\.")
+
+
+def is_of_member(name: str) -> bool:
+    """Whether a name is that of a draw for one member of a group, such as `reset.place.crate#2.x`."""
+    return _OF_MEMBER.match(name) is not None
+
+
+def kind_key(body: str) -> str:
+    """The name and the key of the kind of a body that is one of several kinds."""
+    return f"objects.{body}.one_of"
+
+
+@dataclass(frozen=True, eq=False)
+class EpisodeDraws:
+    """The draws of the episodes of a program."""
+
+    program: Program
+
+    @cached_property
+    def entries(self) -> tuple[EpisodeDraw, ...]:
+        """Every draw: those of the scenario's expressions, then words and positions that are looked for."""
+        copies = self.program.policy.copies
+        robot = copies.robot if copies else ""
+        found: dict[str, EpisodeDraw] = {}
+        for body, entry in self._found():
+            entry = entry._replace(is_of_copy=bool(robot) and body == robot)
+            found[entry.key if entry.name in found else entry.name] = entry  # a value may be given for several bodies in one place
+        return tuple(entry._replace(name=name) for name, entry in found.items())
+
+    @cached_property
+    def by_name(self) -> Mapping[str, EpisodeDraw]:
+        return {entry.name: entry for entry in self.entries}
+
+    @cached_property
+    def noted(self) -> tuple[EpisodeDraw, ...]:
+        """The draws that last for the whole episode."""
+        return tuple(entry for entry in self.entries if not entry.changes)
+
+    @cached_property
+    def vectors(self) -> Mapping[str, NamedScalars]:
+        """The vectors that are set as a whole, of which some components may be fixed."""
+        return {entry.name: entry for entry in self.program.settable_draws if entry.components}
+
+    def _found(self) -> Iterator[tuple[str | None, EpisodeDraw]]:
+        """Each draw with the body that it belongs to, if it belongs to one."""
+        reset, policy = self.program.reset, self.program.policy
+        robot = policy.copies.robot if policy.copies else None
+        changing: set[str] = set()  # parameters with new values within an episode: their own, or those of what they depend on
+        for value in self.program.parameters:
+            if value.redraw is not None or _reads(value, changing):
+                changing.add(value.name)
+            of_parameter = EpisodeDraw("", "", changes=value.name in changing)
+            yield from ((None, of_parameter._replace(name=full, key=full, tree=tree)) for full, tree in value.numbers if is_drawn(tree))
+        for named in reset.drawn:
+            body = None if named.name.startswith("reset.layouts.") else named.name.split(".")[2]
+            yield from ((body, EpisodeDraw(full, full, tree)) for full, tree in named.numbers if is_drawn(tree))
+        for spec in self.program.robots:
+            for route in (spec.to_route, spec.from_route):
+                lasting = (value for _, value in route.settings if value.redraw is None and not _reads(value, changing))
+                yield from ((spec.name, entry) for value in lasting for entry in _draws(value))
+        noises = [value.noise for value in (*(entry.value for entry in policy.observation), *self.program.signals)]
+        noises += [policy.goal.achieved.noise] if policy.goal else []
+        yield from ((robot, entry) for noise in noises if noise is not None for entry in _draws(noise.std))
+        for variation in reset.variations:
+            body = None if isinstance(variation.of, OfWorld | OfWalls) else variation.of[0]
+            yield from ((body, entry) for entry in _draws(variation.value, _name(variation)))
+        yield from ((push.body, entry) for push in self.program.disturbances if push.first is not None for entry in _draws(push.first))
+        if len(reset.layouts) > 1:
+            yield None, EpisodeDraw("reset.layout", "reset.layout", words=tuple(layout.name for layout in reset.layouts))
+        yield from ((None, entry) for group in reset.groups for entry in _draws(group.count))
+        for thing in self.program.world.objects:
+            if len(thing.variants) > 1:
+                name = kind_key(thing.name)
+                yield thing.name, EpisodeDraw(name, name, words=tuple(variant.name for variant in thing.variants))
+        groups = {group.name: group for group in reset.groups}
+        arranged = (("reset.place", reset.placements), *((f"reset.layouts.{layout.name}", layout.placements) for layout in reset.layouts))
+        for path, places in arranged:
+            for place in places:
+                yield from ((place.body, entry) for entry in _places(path, place, groups.get(place.body)))
+
+
+def _reads(value: Expression, names: set[str]) -> bool:
+    return any(leaf.name in names for tree in value.scalars for leaf in names_in(tree))
+
+
+def _draws(value: Expression, name: str | None = None) -> Iterator[EpisodeDraw]:
+    """The draws in an expression, each under the name of the component that it is for."""
+    components = value.per_component or value.components
+    return _named(numbers(name or value.owner, tuple(filter(None, components)), value.scalars))
+
+
+def _named(trees: Iterator[tuple[str, Scalar]], member: str = "") -> Iterator[EpisodeDraw]:
+    """The draws in the tree of each name; several in one tree have numbers."""
+    for name, tree in trees:
+        found = [node for node in walk(tree) if isinstance(node, Draw)]
+        for number, draw in enumerate(found):
+            key = key_of_member(member, draw.stream) if member else draw.stream
+            yield EpisodeDraw(f"{name}#{number}" if len(found) > 1 else name, key, draw)
+
+
+def _name(variation: RandomizedParameter) -> str:
+    """The place of a randomized value, with the link, joint or member that it is for in place of a pattern or a group."""
+    path = variation.value.owner.partition(":")[0].split(".")
+    if isinstance(variation.of, OfLink | OfJoint) and path[0] in ("robots", "objects"):
+        body, part = variation.of
+        path[1] = body
+        if len(path) > 4 and part:
+            path[3:-1] = [part]
+    return ".".join(path)
+
+
+def _places(path: str, place: Placement, group: Group | None) -> Iterator[EpisodeDraw]:
+    """Positions that are looked for, and what is drawn for each member of a group."""
+    bounds = _bounds(place, group)
+    for body in group.copies if group else (place.body,):
+        member, here = body if group else "", f"{path}.{body}"
+        if group:
+            coordinates = zip(("x", "y", "z", "roll", "pitch", "yaw"), (*place.xyz, *place.rpy), strict=True)
+            trees = [(f"{here}.{axis}", value) for axis, value in coordinates if place.spot is None or axis not in _PLANE]
+            trees += [pair for key, values in place.velocities for pair in numbers(f"{here}.{key}", ("x", "y", "z"), values)]
+            if not bounds and not any(is_drawn(tree) for _, tree in trees):
+                return
+            yield from _named(iter(trees), member)
+        for axis, (low, high) in zip(_PLANE, bounds, strict=False):
+            stream = f"{place.stream}.{axis}"
+            yield EpisodeDraw(f"{here}.{axis}", key_of_member(member, stream) if member else stream, low=low, high=high)
+
+
+def _bounds(place: Placement, group: Group | None) -> Sequence[tuple[float, float]]:
+    """The limits of x and y (m) of a position that is looked for; none if it is not."""
+    match place.spot:
+        case Region(low, high):
+            return tuple(zip(low, high, strict=True))
+        case Top(region=region):
+            return tuple(zip(region.low, region.high, strict=True)) if region else ((-math.inf, math.inf),) * 2
+        case Cells(spots):
+            count = group.count.scalar if group else Const(1.0)
+            is_drawn_from = not isinstance(count, Const) or count.value < len(spots)
+            return tuple((min(axis), max(axis)) for axis in zip(*spots, strict=True)) if is_drawn_from else ()
+    return ()
