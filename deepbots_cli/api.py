@@ -231,6 +231,9 @@ def make_vec(
     World i lives the same episodes as the single world of `make` with its seed. An episode that ends is followed by the next one in the
     same step, as `AutoresetMode.SAME_STEP` says: `final_obs` and `final_info` tell of its end.
 
+    Call `torch.set_num_threads(1)` before a loop of your own that trains or acts with torch: networks of this size are many times slower
+    on several threads. deepbots does not change the threads of your process.
+
     Args:
         num_envs: How many worlds, from 1.
         engine: `mujoco` is the only engine with batches of worlds.

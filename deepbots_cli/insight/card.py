@@ -126,7 +126,7 @@ def bundle_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
         control_period_s=program.period,
         control_rate_hz=round(1 / program.period, 6),
         observation=program.policy.inputs,
-        achieved_and_desired_goal=_goal(program),
+        achieved_and_desired_goal=program.policy.goal.values if program.policy.goal else (),
         pictures=tuple(CardImage(name=each.key, shape=space[each.key].shape) for each in program.policy.images),
         action=tuple(_card_actions(program)),
         action_mask=tuple(masks) if export.takes_masks(model, program) else None,
@@ -150,14 +150,6 @@ def bundle_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
         **{f"{INPUTS_FOLDER}/{name}": (run.path / INPUTS_FOLDER / name).read_bytes() for name in robots},
     }
     return {PurePosixPath(name): content for name, content in files.items()}
-
-
-def _goal(program: Program) -> tuple[ObservedValue, ...]:
-    goal = program.policy.goal
-    if goal is None:
-        return ()
-    rows = zip(goal.components or ("goal",), goal.low, goal.high, strict=True)
-    return tuple(ObservedValue(name, goal.unit, low, high) for name, low, high in rows)
 
 
 def _card_actions(program: Program) -> list[CardAction]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +19,7 @@ from deepbots_cli.learning import algorithms, evaluation
 from deepbots_cli.learning.run import ModelName, Run
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionRange, Choices
+from deepbots_cli.runtime.observing import Observer
 from deepbots_cli.runtime.spaces import action_space, observation_space
 
 
@@ -41,6 +42,8 @@ class Policy:
         observation_space: The space of one observation.
         action_space: The space of one action.
         observation: The numbers of the observation vector, in order.
+        goal: The numbers of a goal, in order; none for a policy without a goal.
+        values: The names that `observe` takes: those of `observation`, and with a goal those that what is achieved is computed from.
         action: The parts of the action, in order.
     """
 
@@ -48,6 +51,9 @@ class Policy:
         self.scenario = program.name
         self.observation_space, self.action_space = observation_space(program), action_space(program)
         self.observation = program.policy.inputs
+        self.goal = program.policy.goal.values if program.policy.goal else ()
+        self._observer = Observer(program)
+        self.values = self._observer.values
         self.action = tuple(value for part in program.policy.action for value in _values(part))
         self._model = model
         self._takes_masks = algorithms.takes_masks(model)
@@ -92,26 +98,21 @@ class Policy:
                 name = f" of {self.observation[place].name}" if part is observation and place < len(self.observation) else ""
                 raise UsageError(f"the observation holds a value{name} that is not finite: {numbers[tuple(wrong[0])]}")
 
-    def observe(self, values: Mapping[str, float]) -> np.ndarray[Any, np.dtype[np.float32]]:
-        """The observation of shape (k,) for values by name, in their units; values beyond a range are clipped.
+    def observe(self, values: Mapping[str, float], desired: Sequence[float] | None = None) -> Any:
+        """The observation for values by name, in their units (SI); values beyond a range are clipped.
+
+        Args:
+            values: A value for each name of `self.values`.
+            desired: The goal in its unit, a number for each entry of `self.goal`; only for a policy with a goal.
+
+        Returns:
+            float32 of shape (k,). With a goal, a dictionary of `observation`, `achieved_goal` and `desired_goal`, as in environments.
 
         Raises:
-            UsageError: A name is missing or unknown, a value is not finite, or the policy sees more than one vector of present values.
+            UsageError: A name is missing or unknown, a value is not finite, the goal is missing or has another size, or the policy sees
+                images or older values.
         """
-        if not isinstance(self.observation_space, gym.spaces.Box) or any(value.steps_ago for value in self.observation):
-            raise UsageError("this policy sees older values, images or a goal; take observations from the environment")
-        names = [value.name for value in self.observation]
-        if set(names) != set(values):
-            odd = sorted({*names} ^ {*values})
-            raise UsageError(f"the observation is {', '.join(names)}; missing or unknown: {', '.join(odd)}")
-        for name, number in values.items():
-            if not np.isfinite(number):
-                raise UsageError(f"the value of {name} is {number}; it must be finite")
-        scaled = [
-            values[value.name] if value.truth else 2.0 * (values[value.name] - value.low) / (value.high - value.low) - 1.0
-            for value in self.observation
-        ]
-        return np.clip(scaled, self.observation_space.low, self.observation_space.high).astype(np.float32)
+        return self._observer.observe(values, desired)
 
     def named(self, action: Any) -> dict[str, float | str]:
         """An action by name: the chosen option of a choice, or the number in its unit."""
@@ -127,6 +128,9 @@ class Policy:
 
 def load_policy(run: str | Path, *, model: ModelName = "best") -> Policy:
     """The policy of a run, `best` or `last`. Nothing is unpickled; the random generators of the caller stay as they are.
+
+    Call `torch.set_num_threads(1)` before a loop of your own: networks of this size are many times slower on several threads.
+    deepbots does not change the threads of your process.
 
     Raises:
         RunError: No run, or a damaged one.

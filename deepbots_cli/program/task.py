@@ -229,6 +229,12 @@ class Goal:
     def unit(self) -> str:
         return str(self.achieved.typed.type.dimension)
 
+    @property
+    def values(self) -> tuple[ObservedValue, ...]:
+        """The numbers of a goal, with the range of each."""
+        rows = zip(self.components or ("goal",), self.low, self.high, strict=True)
+        return tuple(ObservedValue(name, self.unit, low, high) for name, low, high in rows)
+
     @cached_property
     def targets(self) -> tuple[Scalar, ...]:
         """The tree of what is desired, per component."""

@@ -3,6 +3,7 @@
 supervisor.py  bases of the generated classes: the supervisor, a Gymnasium environment, and the robot controllers
 copies.py      copies of a robot in one world: a supervisor for each, and one that holds them
 spaces.py      action and observation spaces, actions in their forms, frame stacks, rewards for other goals
+observing.py   observations from named values, without a world
 formulas.py    functions that generated code calls: pure ones, ones with memory, terms in Python
 messages.py    channels of messages, and their formats
 streams.py     named random streams under one root seed, and values that `reset` is given in place of draws

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import closing
 from typing import Any
 
 import numpy as np
 import pytest
 
-from deepbots_cli.errors import EvaluationError
+from deepbots_cli import api
+from deepbots_cli.errors import EvaluationError, UsageError
 from deepbots_cli.runtime import Supervisor
+from deepbots_cli.runtime.observing import Observer
 
 Small = Callable[..., Supervisor]
 CHOICES = ("action.drive={choices: {ahead: 1, back: -1, stay: 0}}",)
@@ -196,3 +199,56 @@ def test_an_unbounded_value_that_is_not_finite_is_an_error_and_no_observation(sm
     environment.reset(seed=0)
     with pytest.raises(EvaluationError, match="observation of"):
         environment.step(np.zeros(1, np.float32))
+
+
+def test_a_goal_policy_observes_without_an_environment_what_the_environment_observes() -> None:
+    observer = Observer(api.compile("panda_reach").program)
+    joints, axes = [f"panda.joints.panda_joint{number}" for number in range(1, 8)], "xyz"
+    assert set(observer.values) == {*joints, *(f"miss.{axis}" for axis in axes), *(f"panda.tip.{axis}" for axis in axes)}
+    with closing(api.make("panda_reach")) as env:
+        seen, info = env.reset(seed=2)
+        desired = [info["drawn"][f"target.{axis}"] for axis in axes]
+        read_joints = env.engine.joint_states("panda", tuple(name.rpartition(".")[2] for name in joints))
+        read_tip = env.engine.pose("panda", "panda_grasptarget")
+        for _ in range(51):
+            tip = read_tip()[0]
+            values = {name: state[0] for name, state in zip(joints, read_joints(), strict=True)}
+            values |= {f"miss.{axis}": wanted - at for axis, wanted, at in zip(axes, desired, tip, strict=True)}
+            values |= {f"panda.tip.{axis}": at for axis, at in zip(axes, tip, strict=True)}
+            made = observer.observe(values, desired)
+            assert {key: part.tobytes() for key, part in made.items()} == {key: part.tobytes() for key, part in seen.items()}
+            if env.truncated:
+                break
+            seen = env.step(env.action_space.sample())[0]
+        assert env.step_count == 50
+
+
+@pytest.mark.parametrize(
+    ("name", "lacking", "desired", "said"),
+    [
+        (
+            "panda_reach",
+            "miss.z",
+            (0.5, 0.0, 0.5),
+            r"missing: miss\.z \(no message holds it; the scenario computes `target - position\(panda",
+        ),
+        ("panda_reach", "panda.tip.x", (0.5, 0.0, 0.5), r"missing: panda\.tip\.x$"),
+        (
+            "panda_push",
+            "achieved.y",
+            (0.5, 0.0),
+            r"missing: achieved\.y \(no message holds it; the scenario computes `position\(block\)\.xy`\)",
+        ),
+        ("panda_reach", None, None, r"this policy has a goal; give it as `desired`: 3 numbers \(x, y, z\) in m$"),
+        ("panda_reach", None, (0.5, 0.0), r"`desired` is \(0\.5, 0\.0\); give 3 numbers"),
+        ("panda_reach", None, (0.5, 0.0, float("nan")), r"all of them finite"),
+        ("cartpole", None, (0.5,), r"this policy has no goal; leave out `desired`"),
+        ("see_ball", None, None, r"this policy sees the image 'epuck_camera'; take observations from the environment"),
+    ],
+)
+def test_an_observation_that_cannot_be_made_names_what_is_lacking(
+    name: str, lacking: str | None, desired: tuple[float, ...] | None, said: str
+) -> None:
+    observer = Observer(api.compile(name).program)
+    with pytest.raises(UsageError, match=said):
+        observer.observe(dict.fromkeys((value for value in observer.values if value != lacking), 0.0), desired)

@@ -1,0 +1,152 @@
+"""The observation of a policy from named values in SI units, without a world: what an environment computes in each step."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deepbots_cli.arrays import evaluate
+from deepbots_cli.errors import UsageError
+from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar, names_in
+from deepbots_cli.program import Program
+from deepbots_cli.runtime.formulas import clip, scale, scale_freely
+
+
+class Observer:
+    """Makes observations of one policy.
+
+    Attributes:
+        values: The names of the values that an observation is made of: its own numbers, and with a goal what is achieved. What is achieved
+            is computed from the fields of messages (`panda.tip.x`) where the scenario does so, and given (`achieved.x`) elsewhere.
+    """
+
+    def __init__(self, program: Program) -> None:
+        policy = program.policy
+        self._inputs, self._goal = policy.inputs, policy.goal
+        self._refused = self._reason(program)
+        self._achieved: dict[str, Scalar] = {}
+        texts = {number: entry.value.text for entry in policy.observation for number, _ in entry.value.numbers}
+        if self._goal is not None:
+            names = [_full(name) for name in self._goal.names("achieved")]
+            trees = [_from_messages(tree, program) for tree in self._goal.achieved.scalars]
+            computed = [tree for tree in trees if tree is not None]
+            self._achieved = dict(zip(names, computed if len(computed) == len(names) else map(_name, names), strict=True))
+            texts |= dict.fromkeys(names, self._goal.achieved.text)
+        texts |= {full: signal.text for signal in program.signals for full, _ in signal.numbers}
+        read = (_full(leaf) for tree in self._achieved.values() for leaf in names_in(tree))
+        self.values = tuple(dict.fromkeys((*(value.name for value in self._inputs), *read)))
+        sent = {f"{robot.name}.{field.name}" for robot in program.robots for field in robot.from_robot.fields}
+        self._computed = {name: texts[name] for name in self.values if name in texts and not _is_sent(name, sent)}
+
+    def observe(self, values: Mapping[str, float], desired: Sequence[float] | None = None) -> Any:
+        """The observation, float32: an array, or with a goal a dictionary of arrays.
+
+        Args:
+            values: The value of each name of `values`, in its unit. What is beyond its range is clipped, as in an environment.
+            desired: The goal, a number per component in its unit; only for a policy with a goal.
+
+        Raises:
+            UsageError: The policy sees more than present values; a name is missing or unknown; a value is not finite; the goal is missing
+                or has another size.
+        """
+        if self._refused:
+            raise UsageError(self._refused)
+        wanted = self._desired(desired)
+        self._require_complete(values)
+        numbers = [
+            float(values[each.name])
+            if each.truth
+            else (scale if each.clipped else scale_freely)(float(values[each.name]), each.low, each.high)
+            for each in self._inputs
+        ]
+        vector = np.array(numbers, np.float32)
+        if self._goal is None:
+            return vector
+        given = {_name(name): np.asarray(float(value)) for name, value in values.items()}
+        achieved = [float(evaluate(tree, given)) for tree in self._achieved.values()]
+        return {"observation": vector, "achieved_goal": self._mapped(achieved), "desired_goal": self._mapped(wanted)}
+
+    def _desired(self, desired: Sequence[float] | None) -> list[float]:
+        goal = self._goal
+        if goal is None:
+            if desired is not None:
+                raise UsageError("this policy has no goal; leave out `desired`")
+            return []
+        size, names = len(goal.low), f" ({', '.join(goal.components)})" if goal.components else ""
+        wanted = f"{size} number{'' if size == 1 else 's'}{names}{f' in {goal.unit}' if goal.unit != '1' else ''}"
+        if desired is None:
+            raise UsageError(f"this policy has a goal; give it as `desired`: {wanted}")
+        try:
+            found = np.asarray(desired, float)
+        except (TypeError, ValueError):
+            found = np.asarray(None, float)
+        if found.reshape(-1).shape != (size,) or not np.isfinite(found).all():
+            raise UsageError(f"`desired` is {str(desired)[:80]}; give {wanted}, all of them finite")
+        return [float(value) for value in found.reshape(-1)]
+
+    def _require_complete(self, values: Mapping[str, float]) -> None:
+        missing, unknown = [name for name in self.values if name not in values], [name for name in values if name not in self.values]
+        if missing:
+            said = [
+                f"{name} (no message holds it; the scenario computes `{self._computed[name]}`)" if name in self._computed else name
+                for name in missing
+            ]
+            raise UsageError(f"the observation needs {', '.join(self.values)}; missing: {', '.join(said)}")
+        if unknown:
+            raise UsageError(f"the observation needs {', '.join(self.values)}; unknown: {', '.join(map(str, unknown))}")
+        for name, number in values.items():
+            try:
+                is_finite = math.isfinite(number)
+            except (TypeError, ValueError, OverflowError):
+                raise UsageError(f"the value of {name} is {str(number)[:80]}; it must be a number") from None
+            if not is_finite:
+                raise UsageError(f"the value of {name} is {number}; it must be finite")
+
+    def _mapped(self, numbers: Sequence[float]) -> NDArray[np.float32]:
+        """Numbers of a goal in [-1, 1], as `Supervisor.set_goal_observation` maps them."""
+        assert self._goal is not None
+        ends = zip(numbers, self._goal.low, self._goal.high, strict=True)
+        mapped = [(value - (high + low) / 2) / ((high - low) / 2) for value, low, high in ends]
+        return np.array([x if -1.0 <= x <= 1.0 else clip(x) for x in mapped], np.float32)
+
+    def _reason(self, program: Program) -> str:
+        """Why present values are not enough; empty if they are."""
+        if program.policy.images:
+            return f"this policy sees the image '{program.policy.images[0].key}'; take observations from the environment"
+        older = next((value.name for value in self._inputs if value.steps_ago), None)
+        return f"this policy sees older values of {older}; take observations from the environment" if older else ""
+
+
+def _full(name: Name) -> str:
+    return name.name if name.component is None else f"{name.name}.{name.component}"
+
+
+def _name(full: str) -> Name:
+    return Name(full)
+
+
+def _is_sent(name: str, sent: set[str]) -> bool:
+    return name in sent or name.rpartition(".")[0] in sent
+
+
+def _from_messages(tree: Scalar, program: Program) -> Scalar | None:
+    """The tree over full names of fields of messages; None if it reads something else."""
+    sent = {f"{robot.name}.{field.name}" for robot in program.robots for field in robot.from_robot.fields}
+    signals = {full: value for entry in program.signals for full, value in entry.numbers if entry.noise is None}
+    match tree:
+        case Const():
+            return tree
+        case Name():
+            full = _full(tree)
+            if tree.name in sent:
+                return Name(full)
+            return _from_messages(signals[full], program) if full in signals else None
+        case Op(op=name, args=args):
+            found = [_from_messages(arg, program) for arg in args]
+            known = tuple(arg for arg in found if arg is not None)
+            return Op(name, known) if len(known) == len(args) else None
+    return None
