@@ -56,6 +56,28 @@ def whole_number(minimum: int = 1, maximum: int | None = None) -> Callable[[str 
     return parse
 
 
+def start_values(given: Sequence[str] | None) -> dict[str, Any]:
+    """The `options` of `reset` that `--start` gives: a number, a word, or several numbers with commas between them.
+
+    Raises:
+        UsageError: One is not of the form NAME=VALUE, or a name is given twice.
+    """
+    found: dict[str, Any] = {}
+    for text in given or ():
+        name, _, value = (part.strip() for part in text.partition("="))
+        if not name or not value:
+            raise UsageError(f"--start {text}: write NAME=VALUE, such as --start mark.x=0.5")
+        if name in found:
+            raise UsageError(f"--start sets {name} twice")
+        try:
+            numbers = [float(number) for number in value.split(",")]
+        except ValueError:
+            found[name] = value
+        else:
+            found[name] = numbers if len(numbers) > 1 else numbers[0]
+    return found
+
+
 def _whole(text: str) -> int | None:
     try:
         return int(text)
@@ -139,6 +161,14 @@ Stage = Annotated[str | None, typer.Option("--stage", metavar="NAME", help="Appl
 Force = Annotated[bool, typer.Option("--force", help="Overwrite files that exist.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Seed = Annotated[int, typer.Option("--seed", metavar="N", parser=whole_number(0, MAX_SEED), help="Root seed of all random numbers.")]
+Start = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--start",
+        metavar="NAME=VALUE",
+        help="Set a value that resets draw, by its name in `drawn` and in SI units, such as mark.x=0.5; may be repeated.",
+    ),
+]
 Engine = Annotated[
     str | None,
     typer.Option(

@@ -70,7 +70,7 @@ class BatchPlayer(Player):
         self.action = None
         self.driver.begin(None)
         self._turn_to(self.world)  # before the reset, whose messages its reader keeps
-        self.observation = self.batch.reset(self._seeds)
+        self.observation = self.batch.reset(self._seeds, dict(self.opened.source.start))
         return self._read()
 
     def next_episode(self, episode: int) -> int:

@@ -44,6 +44,8 @@ class Source:
     stage: str | None = None
     worlds: int = 0
     """Of a batch; 0 for a single world."""
+    start: Mapping[str, Any] = field(default_factory=dict, hash=False)
+    """The `options` of every reset."""
 
     def open(self) -> SourceState:
         """Compile it; findings are returned and not raised.
@@ -79,9 +81,10 @@ class Source:
     def _open_recording(self) -> SourceState:
         from deepbots_cli.view.recordings import Recording
 
-        if self.overrides or self.case or self.stage or self.engine or self.worlds:
+        if self.overrides or self.case or self.stage or self.engine or self.worlds or self.start:
             raise UsageError(
-                "a recording keeps its scenario, case, stage and engine; leave out --set, --case, --stage, --engine and --worlds"
+                "a recording keeps its scenario, case, stage, engine and start; "
+                "leave out --set, --case, --stage, --engine, --worlds and --start"
             )
         recording = Recording.read(Path(self.reference))
         compiled = api.compile(self._stored_scenario(Path(recording.folder.name)))
@@ -286,7 +289,7 @@ class Player:
         """Reset to the episode of a seed; its first frame."""
         self.seed, self.action, self.actions = seed, None, []
         self.driver.begin(number)
-        self.observation, _ = self.env.reset(seed=seed)
+        self.observation, _ = self.env.reset(seed=seed, options=dict(self.opened.source.start))
         self.frame = self.reader.read(self.observation)
         return self.frame
 

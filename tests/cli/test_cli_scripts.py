@@ -168,3 +168,27 @@ def test_elsewhere_there_is_a_line_for_every_tenth():
     for number in range(1, 41):
         bar.update(number)
     assert [line.partition(" ")[0] for line in log.getvalue().splitlines()] == [*map(str, range(4, 41, 4))]
+
+
+def test_a_start_is_set_on_the_command_line(deepbots, scripted):
+    words = (scripted, "--script", "onward", "--episodes", "2")
+    upright = ran(deepbots, *words, "--start", "reset.set.cart.pole_hinge=0.01")
+    assert upright["start"] == {"reset.set.cart.pole_hinge": 0.01}
+    first, second = upright["episodes"]
+    assert first == second
+
+
+@pytest.mark.parametrize(
+    ("start", "said"),
+    [
+        ("pole=0.01", "cannot set 'pole': "),
+        ("reset.set.cart.pole_hinge=far", "it is a single number"),
+        ("reset.set.cart.pole_hinge=nan", "it is not finite"),
+        ("reset.set.cart.pole_hinge", "write NAME=VALUE, such as --start mark.x=0.5"),
+    ],
+)
+def test_a_start_that_no_episode_has_ends_in_one_line(deepbots, scripted, start, said):
+    result = deepbots("run", scripted, "--start", start)
+    assert result.code == 2
+    assert said in result.err
+    assert len(result.err.strip().splitlines()) == 1

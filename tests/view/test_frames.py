@@ -172,3 +172,8 @@ def test_forbidden_options_are_told():
             assert allowed == () or (len(allowed) == sum(len(field.options) for field in player.reader.layout.action) and any(allowed))
             if frame.ended_by is None:
                 assert (allowed or (True,) * len(player.env.action_masks())) == tuple(player.env.action_masks())
+
+
+def test_a_start_that_is_given_begins_every_episode():
+    with closing(Player(Source("find_ball", start={"reset.place.epuck.x": -0.4}).open(), RANDOM)) as player:
+        assert [player.begin(0, number).drawn["reset.place.epuck.x"] for number in range(2)] == [-0.4, -0.4]

@@ -25,6 +25,8 @@ from deepbots_cli.cli.command import (
     Scenario,
     Seed,
     Stage,
+    Start,
+    start_values,
     whole_number,
     with_case_or_stage,
 )
@@ -76,6 +78,7 @@ def command(
         ),
     ] = None,
     seed: Seed = 0,
+    start: Start = None,
     engine: Engine = None,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
@@ -94,6 +97,7 @@ def command(
       deepbots run cartpole --actions forward,backward --steps 50
       deepbots run pit_escape --script rocking --episodes 100
       deepbots run find_ball_random --stage crowded
+      deepbots run panda_push --start mark=0.5,0.1 --start objects.block.mass=0.3
 
     Commas separate actions, and colons separate the numbers of one action: --actions 0.5:0.5,0.5:-0.5
 
@@ -108,10 +112,11 @@ def command(
     if len(given) > 1:
         raise UsageError(f"{' and '.join(given)} exclude each other")
     if scenario.endswith(".json") and Path(scenario).parent.name == "failures":
-        if given or any((overrides, case, stage, engine, allow_paths, steps, seed)) or episodes != EPISODES:
+        if given or any((overrides, case, stage, engine, allow_paths, steps, seed, start)) or episodes != EPISODES:
             raise UsageError("the file of a failed episode keeps its scenario, start and actions; it takes only --json and --allow-code")
         _reproduce(Path(scenario), allow_code=allow_code, as_json=as_json)
         return
+    options = start_values(start)
     compiled = api.compile(scenario, overrides=with_engine(overrides, engine), allow_paths=allow_paths or (), allow_code=allow_code)
     terminal.note_warnings(compiled.findings, scenario)
     program = with_case_or_stage(compiled.program, case, stage)
@@ -125,7 +130,7 @@ def command(
             acting = repeated_actions(environment, actions)
         else:
             acting = zero_action(environment) if policy is Policy.zero else environment.action_space.sample  # the reset seeds it
-        running = run_episodes(environment, acting, count=episodes, seed=seed, max_steps=steps)
+        running = run_episodes(environment, acting, count=episodes, seed=seed, max_steps=steps, options=options)
         done: list[Episode] = []
         with terminal.progress() as show:
             for episode in running:
@@ -140,6 +145,7 @@ def command(
             "digest": compiled.digest,
             "engine": name,
             "seed": seed,
+            "start": options,
             "case": case,
             "stage": stage,
             "script": script,
@@ -205,11 +211,16 @@ def repeated_actions(environment: Supervisor, text: str) -> ActionSource:
     return lambda: next(actions)
 
 
-def run_episodes(environment: Supervisor, policy: ActionSource, *, count: int, seed: int, max_steps: int | None) -> Iterator[Episode]:
-    """Up to `count` episodes, the first reset with `seed`; `ended_by` is `--steps` for an episode that `max_steps` cuts."""
+def run_episodes(
+    environment: Supervisor, policy: ActionSource, *, count: int, seed: int, max_steps: int | None, options: dict[str, Any] | None = None
+) -> Iterator[Episode]:
+    """Up to `count` episodes with the `options` of `reset`, the first with `seed`.
+
+    `ended_by` is `--steps` for an episode that `max_steps` cuts.
+    """
     left = max_steps
     for number in range(count):
-        environment.reset(seed=seed if number == 0 else None)
+        environment.reset(seed=seed if number == 0 else None, options=options)
         accumulator, ended = EpisodeAccumulator(), False
         while not ended:
             _, reward, terminated, truncated, info = environment.step(policy())

@@ -11,7 +11,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Force, Overrides, Seed, Stage, known_engine, whole_number
+from deepbots_cli.cli.command import (
+    AllowCode,
+    AllowPaths,
+    Case,
+    Force,
+    Overrides,
+    Seed,
+    Stage,
+    Start,
+    known_engine,
+    start_values,
+    whole_number,
+)
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import atomic_write
 
@@ -97,6 +109,7 @@ def view(
     ] = None,
     seed: Seed = 0,
     episode: Episode = 0,
+    start: Start = None,
     watch: Annotated[bool, typer.Option("--watch", help="Restart with the new files when a file is saved.")] = False,
     compare: Annotated[
         str | None, typer.Option("--compare", metavar="OTHER", help="Show another run or scenario beside it, from the same seeds.")
@@ -142,6 +155,7 @@ def view(
       deepbots view find_ball-0-0.mcap
       deepbots view mine.yaml --watch
       deepbots view find_ball --set goal=20cm --seed 3
+      deepbots view panda_push --start mark=0.5,0.1
       deepbots view runs/cartpole-0-1 --worlds 16 --world 3
 
     Next: `deepbots play SCENARIO` lets you drive.
@@ -150,7 +164,8 @@ def view(
         reason = f"a batch of {worlds} worlds has worlds 0 to {worlds - 1}" if worlds else "add --worlds N"
         raise UsageError(f"there is no world {world}; {reason}")
     engine = engine or ("mujoco" if worlds else None)
-    source = replace(_source(shown, overrides, case, stage, engine, allow_paths, allow_code), worlds=worlds or 0)
+    source = _source(shown, overrides, case, stage, engine, allow_paths, allow_code)
+    source = replace(source, worlds=worlds or 0, start=start_values(start))
     other = replace(source, reference=compare) if compare else None
     settings = {"driver": driver, "seed": seed, "episode": episode, "world": world, "watch": watch, "frame_rate": frame_rate}
     _serve(source, open_, compare=other, host=host, port=port, **settings)
@@ -230,6 +245,7 @@ def picture(
     driver: Driver = None,
     seed: Seed = 0,
     episode: Episode = 0,
+    start: Start = None,
     overrides: Overrides = None,
     case: Case = None,
     stage: Stage = None,
@@ -257,7 +273,7 @@ def picture(
     from deepbots_cli.view.episodes import closing_player
 
     pictures.check_target(out, (".png",), force=force)
-    source = _source(shown, overrides, case, stage, engine, allow_paths, allow_code)
+    source = replace(_source(shown, overrides, case, stage, engine, allow_paths, allow_code), start=start_values(start))
     shot = pictures.Viewpoint(size[0], size[1], eye, target)
     with closing_player(source, driver) as world:
         trace = list(world.episode(seed, episode, None if path and not steps else steps))
