@@ -7,7 +7,7 @@ comprehension, over a column of values wherever they differ; the order of operat
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
@@ -52,6 +52,8 @@ class Scope(Protocol):
     readers: Readers
     memories: dict[str, str]
     """How each memory is made, by its attribute."""
+    begun_by_message: Container[tuple[str, str]]
+    """The calls of stateful functions whose memories begin with the first message, and not at the reset."""
 
     def scalar(self, leaf: Name | World, needs: ReaderKeys) -> str:
         """The code of one number."""
@@ -144,12 +146,13 @@ class Printer:
 
     def update_memories(self, trees: Sequence[Scalar]) -> None:
         """Print only what keeps the memory of stateful functions, for values that are not needed here."""
-        groups: dict[tuple[str, str], list[State]] = {}
-        for state in (state for tree in trees for state in outer_states(tree)):
-            groups.setdefault((state.function, state.slot.partition("#")[0] + _occurrence(state)), []).append(state)
-        for states in groups.values():
-            if len(states) < 3 or self._states(states) is None:
-                for state in states:
+        groups: dict[tuple[str, tuple[str, str]], list[State]] = {}
+        states = (state for tree in trees for state in outer_states(tree, without=self.scope.begun_by_message))
+        for state in dict.fromkeys(states):  # one number may drive several joints
+            groups.setdefault((state.function, state.call), []).append(state)
+        for group in groups.values():
+            if len(group) < 3 or self._states(group) is None:
+                for state in group:
                     self._state(state)
 
     def code(self, tree: Scalar) -> Code:
@@ -261,7 +264,8 @@ class Printer:
         owner = first.slot.partition("#")[0].rpartition(".")[2]
         name = self.names.identifier(f"memory {first.slot}", first.function, owner)
         kind = FUNCTIONS[first.function].memory
-        kinds = f"self.memories({kind}, {len(states)})" if len(states) > 1 else f"self.memory({kind})"
+        options = ", on_message=True" if states[0].call in self.scope.begun_by_message else ""
+        kinds = f"self.memories({kind}, {len(states)}{options})" if len(states) > 1 else f"self.memory({kind}{options})"
         self.scope.memories[name] = kinds if self.on_floats else f"self.memory({quoted(name)})"
         return name
 
@@ -358,18 +362,13 @@ def _with_same_operation(operations: Sequence[Op], trees: Sequence[Scalar]) -> S
     raise _DifferentShapesError
 
 
-def _occurrence(state: State) -> str:
-    """Which of the stateful functions of its item it is; components of a vector share the number."""
-    return state.slot.partition("#")[2].partition(".")[0]
-
-
-def outer_states(tree: Scalar) -> list[State]:
-    """Stateful functions in order of evaluation, without those inside others."""
+def outer_states(tree: Scalar, without: Container[tuple[str, str]] = ()) -> list[State]:
+    """Stateful functions in order of evaluation, without those inside others and without some calls."""
     match tree:
-        case State():
+        case State() if tree.call not in without:
             return [tree]
-        case Op(_, args) | Draw(_, args, _):
-            return [state for argument in args for state in outer_states(argument)]
+        case Op(_, args) | Draw(_, args, _) | State(_, args):
+            return [state for argument in args for state in outer_states(argument, without)]
         case _:
             return []
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 
 from deepbots_cli import frames
 from deepbots_cli.codegen.printer import Printer, outer_states
@@ -55,6 +55,7 @@ class ControllerPrinter:
         self._devices = sampled_sensors(scenario, robot)
         self._emitted = [[self._resolved(value) for value in entry.scalars] for entry in robot.emitted]
         self._applied = [[self._resolved(value) for value in entry.scalars] for entry in robot.commands]
+        self.begun_by_message: Container[tuple[str, str]] = robot.begun_by_message
         for actuator in robot.actuators:
             if isinstance(actuator, Motor):
                 constants.name_strings(f"{robot.name}_{actuator.name}", actuator.joints)
@@ -87,9 +88,9 @@ class ControllerPrinter:
         return any(outer_states(value) for values in self._emitted for value in values)
 
     def _reset(self) -> list[str]:
-        """No messages have come yet, so what is computed from received values begins with zeros."""
+        """Actions are zeros at a reset. What begins with another received value waits for the first message."""
         applied = [value for values in self._applied for value in values]
-        if not (self._keeps_state or any(map(outer_states, applied))):
+        if not (self._keeps_state or any(outer_states(value, without=self.begun_by_message) for value in applied)):
             return []
         printer = self._printer(dict.fromkeys(self._received, "0.0"))
         printer.update_memories(applied)

@@ -6,7 +6,7 @@ called once in each method that needs it, however many numbers are taken from it
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from copy import copy
 
 from deepbots_cli.codegen.printer import Printer
@@ -222,6 +222,7 @@ class Workspace:
         self.names = Names()
         self.constants = constants
         self.memories: dict[str, str] = {}
+        self.begun_by_message: Container[tuple[str, str]] = ()
         self.readers = Readers(self.names, constants, root_links(scenario), on_columns=target is not SCALAR)
         self.choices = [part for part in scenario.policy.action if isinstance(part, Choices)]
         self.ranges = [part for part in scenario.policy.action if isinstance(part, ActionRange)]

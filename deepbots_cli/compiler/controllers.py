@@ -26,7 +26,7 @@ from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import LENGTH, TIME, Dimension
 from deepbots_cli.expressions.intervals import Interval, single
-from deepbots_cli.expressions.types import Components, Context, Reference, Stage, Symbol, Type, walk
+from deepbots_cli.expressions.types import Components, Context, Invocation, Reference, Stage, Symbol, Type, walk
 from deepbots_cli.program.resets import OfActuator
 from deepbots_cli.program.robots import Actuator, Cartesian, Command, CustomActuator, MessageField, Motor, Response, Robot, Route, Thrust
 from deepbots_cli.program.task import ActionPart, ActionRange
@@ -367,7 +367,7 @@ class RobotBuilder:
             if command:
                 commands.append(command)
         name, (to_robot, from_robot) = self.scene.name, routes
-        return Robot(
+        robot = Robot(
             name,
             self.sensing.compiled(timestep),
             tuple(found.actuator for found in driven.values()),
@@ -378,6 +378,20 @@ class RobotBuilder:
             to_robot.of(name, "to_robot"),
             from_robot.of(name, "from_robot"),
         )
+        if to_robot.on_loss == "zero" and (to_robot.loses or to_robot.range is not None):
+            self._report_lost_starts(robot)
+        return robot
+
+    def _report_lost_starts(self, robot: Robot) -> None:
+        """A finding for each memory whose start is received, where zeros replace a first message that is lost."""
+        for command in robot.commands:
+            for node in walk(command.target.typed):
+                if isinstance(node, Invocation) and (command.target.owner, f"{node.occurrence}") in robot.begun_by_message:
+                    report = self.values.report(self.values.text((*self.path, "apply", command.name), command.target.text))
+                    headline = (
+                        f"`{node.function}` begins with a value of the first message, and zeros replace it where that message is lost"
+                    )
+                    report("DB407", node.start, node.end, headline, "write `on_loss: hold` or `on_loss: skip` under `messages.to_robot`")
 
     def _command(self, name: str, given: object, place: NodePath, driven: ResolvedActuator | None, scope: RobotScope) -> Command | None:
         text = self.values.text(place, given)

@@ -74,6 +74,12 @@ class State(NamedTuple):
     args: tuple[Scalar, ...]
     slot: str
 
+    @property
+    def call(self) -> tuple[str, str]:
+        """The item of the scenario and the number of the call in it, which the components of a vector share."""
+        item, _, occurrence = self.slot.partition("#")
+        return item, occurrence.partition(".")[0]
+
 
 class Draw(NamedTuple):
     """A random draw: `uniform` (low, high), `integer` (low, high), `normal` (mean, standard deviation), `choice` (options).

@@ -7,9 +7,10 @@ from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Literal
 
+from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import fold_operation
-from deepbots_cli.expressions.scalar import Const, Name, Scalar, World
+from deepbots_cli.expressions.scalar import Const, Name, Scalar, State, World, names_in, walk
 from deepbots_cli.program.values import Expression, NamedScalars
 from deepbots_cli.robots.model import Pose
 
@@ -412,6 +413,20 @@ class Robot:
         """The values that the robot sends, in order."""
         ages = (NamedScalars(field, (), (World("age", (f"{self.name}.{sensor}",)),)) for sensor, field in self.ages)
         return (*self.emit, *ages)
+
+    @cached_property
+    def begun_by_message(self) -> frozenset[tuple[str, str]]:
+        """The calls in `commands` whose memories begin with a received value that is not known at a reset; actions are 0 there."""
+        variables = {entry.name for entry in self.variables}
+        received = {entry.name for entry in self.received}
+        found: set[tuple[str, str]] = set()
+        for state in (node for command in self.commands for value in command.scalars for node in walk(value) if isinstance(node, State)):
+            given = dict(zip(FUNCTIONS[state.function].arguments, state.args, strict=False))
+            start, unknown = (given["start"], received) if "start" in given else (state.args[0], received - variables)
+            inner = {node.call for argument in state.args for node in walk(argument) if isinstance(node, State)}
+            if inner & found or any(leaf.name in unknown for leaf in names_in(start)):
+                found.add(state.call)
+        return frozenset(found)
 
     @cached_property
     def to_robot(self) -> MessageLayout:

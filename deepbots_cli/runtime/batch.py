@@ -158,7 +158,7 @@ class _BatchPart:
 
     def memory(self, attribute: str) -> BatchMemory:
         """The memory of a stateful function."""
-        made = BatchMemory([getattr(single, attribute) for single in self._singles])
+        made = BatchMemory([getattr(single, attribute) for single in self._singles], lambda: self._batch.engine.write_mask)
         self._loaded.append(made)
         return made
 

@@ -178,11 +178,30 @@ _MEMORIES: dict[type[formulas.Memory], Step] = {
 """The `advance` of each memory: from what is kept and the timestep to the value and what is kept then."""
 
 
+def _start(x: Any, start: Any = None) -> Any:
+    return x if start is None else start
+
+
+def _first(x: Any, *_: Any) -> Any:
+    return x
+
+
+_STARTS: dict[type[formulas.Memory], Callable[..., Any]] = {
+    formulas.Delta: _start,
+    formulas.Previous: _start,
+    formulas.Integral: lambda x: 0.0,
+    formulas.Accumulate: lambda more, low, high, start: start,
+    formulas.Duration: lambda condition: 0.0,
+}
+"""What `begin` of each memory keeps; the others keep their first argument."""
+
+
 class BatchMemory:
     """The memory of a stateful function in all worlds; a new episode takes it over from that of the single world."""
 
-    def __init__(self, singles: Sequence[formulas.Memory | formulas.Memories]) -> None:
-        self._singles, first = singles, singles[0]
+    def __init__(self, singles: Sequence[formulas.Memory | formulas.Memories], chosen: Callable[[], Column | None]) -> None:
+        """`chosen` gives the worlds in which the memory is updated, as truth values; None for all."""
+        self._singles, first, self._chosen = singles, singles[0], chosen
         self._vector = isinstance(first, formulas.Memories | formulas.VectorMemory)
         part = first.parts[0] if isinstance(first, formulas.Memories) else first
         kind = part.component if isinstance(part, formulas.VectorMemory) else type(part)
@@ -192,7 +211,10 @@ class BatchMemory:
         elif isinstance(first, formulas.VectorMemory):
             count = first.count
         self._advance, self._timestep = _MEMORIES[kind], part.timestep
+        self._start: Callable[..., Any] = _STARTS.get(kind, _first)
         self._kept: Column = np.zeros((count, len(singles)))
+        self._waiting: Column | None = None
+        """The worlds without a message so far, where the memory begins with the first one; None where there are none."""
 
     def load(self, world: int) -> None:
         single = self._singles[world]
@@ -200,6 +222,12 @@ class BatchMemory:
             kept: Sequence[Any] = [part.kept for part in single.parts]
         else:
             kept = single.kept if self._vector else [single.kept]
+        waits = kept is None or kept[0] is None
+        if waits or self._waiting is not None:
+            self._waiting = np.zeros(len(self._singles), bool) if self._waiting is None else self._waiting
+            self._waiting[world] = waits
+        if waits:
+            return
         if isinstance(kept[0], bool | np.bool_) and self._kept.dtype != bool:
             self._kept = self._kept.astype(bool)
         self._kept[:, world] = kept
@@ -208,8 +236,13 @@ class BatchMemory:
         """The value in this timestep; vectors where the function has one memory per component."""
         count, worlds = self._kept.shape
         parts = [_stacked(argument, count, worlds) if self._vector else np.asarray(argument) for argument in arguments]
-        value, kept = self._advance(self._kept, self._timestep, *parts)
-        self._kept = np.broadcast_to(kept, (count, worlds)).copy()
+        chosen, before = self._chosen(), self._kept
+        if self._waiting is not None:
+            before = np.where(self._waiting, self._start(*parts), before)
+            waiting = None if chosen is None else self._waiting & ~chosen
+            self._waiting = waiting if waiting is not None and waiting.any() else None
+        value, kept = self._advance(before, self._timestep, *parts)
+        self._kept = np.broadcast_to(kept if chosen is None else np.where(chosen, kept, self._kept), (count, worlds)).copy()
         return value if self._vector else np.broadcast_to(value, (count, worlds))[0]
 
 

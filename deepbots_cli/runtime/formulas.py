@@ -161,12 +161,14 @@ class Memory(ABC):
 
     `update` is called once per timestep, whether or not its value is used. The first call of an episode, with what holds right
     after the reset, is `begin`, and every other is `advance`. All take the arguments that the function has in the language.
+    A memory `on_message` has no value before the first message: its first call begins with the values of that message and advances.
     """
 
     update: Callable[..., Any]
 
-    def __init__(self, timestep: float) -> None:
+    def __init__(self, timestep: float, *, on_message: bool = False) -> None:
         self.timestep = timestep
+        self.first_update = self.begin_and_advance if on_message else self.begin
         self.reset()
 
     def reset(self) -> None:
@@ -176,7 +178,12 @@ class Memory(ABC):
 
     def _begin(self, *arguments: Any) -> Any:
         self.update = self.advance
-        return self.begin(*arguments)
+        return self.first_update(*arguments)
+
+    def begin_and_advance(self, *arguments: Any) -> Any:
+        """The first value where no value was known at the reset."""
+        self.begin(*arguments)
+        return self.advance(*arguments)
 
     def begin(self, x: Any, *others: Any) -> Any:
         """Keep the first value; most functions give it back."""
@@ -191,14 +198,16 @@ class Memory(ABC):
 class Memories:
     """One memory for each component of a vector; `update` takes and gives vectors."""
 
-    def __init__(self, kind: type[Memory], count: int, timestep: float) -> None:
-        self.parts = [kind(timestep) for _ in range(count)]
+    def __init__(self, kind: type[Memory], count: int, timestep: float, *, on_message: bool = False) -> None:
+        self.parts = [kind(timestep, on_message=on_message) for _ in range(count)]
         self._advance = [memory.advance for memory in self.parts]
         self.reset()
 
     def reset(self) -> None:
         """Forget the last episode."""
-        self._update: list[Callable[..., Any]] = [memory.begin for memory in self.parts]
+        for memory in self.parts:
+            memory.reset()
+        self._update: list[Callable[..., Any]] = [memory.first_update for memory in self.parts]
 
     def update(self, *arguments: Iterable[Any]) -> list[Any]:
         """The value of each component in this timestep; one vector per argument that the function has in the language."""
@@ -206,10 +215,10 @@ class Memories:
         return list(map(operator.call, update, *arguments))
 
 
-def memory_of_vector(kind: type[Memory], count: int, timestep: float) -> Memory | Memories:
+def memory_of_vector(kind: type[Memory], count: int, timestep: float, *, on_message: bool = False) -> Memory | Memories:
     """The memory of a stateful function for a vector of `count` components; `update` takes and returns vectors."""
     whole = _VECTOR_MEMORIES.get(kind)
-    return Memories(kind, count, timestep) if whole is None else whole(count, timestep)
+    return Memories(kind, count, timestep, on_message=on_message) if whole is None else whole(count, timestep, on_message=on_message)
 
 
 class Delta(Memory):
@@ -324,9 +333,9 @@ class VectorMemory(Memory):
     component: ClassVar[type[Memory]]
     """The memory of a single component, which gives the same values."""
 
-    def __init__(self, count: int, timestep: float) -> None:
+    def __init__(self, count: int, timestep: float, *, on_message: bool = False) -> None:
         self.count = count
-        super().__init__(timestep)
+        super().__init__(timestep, on_message=on_message)
 
 
 class DeltaOfVector(VectorMemory):

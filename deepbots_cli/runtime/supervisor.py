@@ -57,14 +57,15 @@ class _WithMemories:
         self._timestep = timestep
         self._memories: list[Memory | Memories] = []
 
-    def memory(self, kind: type[M]) -> M:
-        made = kind(self._timestep)
+    def memory(self, kind: type[M], *, on_message: bool = False) -> M:
+        """A memory that begins at the reset, or else with the first message (`on_message`)."""
+        made = kind(self._timestep, on_message=on_message)
         self._memories.append(made)
         return made
 
-    def memories(self, kind: type[Memory], count: int) -> Memory | Memories:
+    def memories(self, kind: type[Memory], count: int, *, on_message: bool = False) -> Memory | Memories:
         """One memory for each component of a vector."""
-        made = memory_of_vector(kind, count, self._timestep)
+        made = memory_of_vector(kind, count, self._timestep, on_message=on_message)
         self._memories.append(made)
         return made
 
@@ -637,7 +638,7 @@ class RobotController(_WithMemories):
         self.reset()
 
     def reset(self) -> None:
-        """Begin what is computed on board with the first readings, and with messages of zeros."""
+        """Begin what is computed on board with the first readings, and with actions of zeros."""
 
     def observe(self) -> None:
         """Sample what is sampled once per timestep."""

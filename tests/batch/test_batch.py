@@ -87,6 +87,17 @@ def test_a_world_of_a_batch_lives_the_episodes_of_a_single_world(name: str) -> N
     compare(name, worlds=3, steps=40)
 
 
+@pytest.mark.parametrize("start", ["level", "0.1"])
+def test_memories_of_apply_wait_for_late_messages_in_a_batch_too(start: str) -> None:
+    """Those with a received start begin with the first message, and all advance in the worlds that receive one."""
+    overrides = (
+        'robots.cart.receive={level: "0.4 + time / s"}',
+        f"robots.cart.apply.wheels=accumulate(0.1 * drive, -1 .. 1, {start}) * wheel_speed + hold(level, level > 0.5) * wheel_speed",
+        "messages.to_robot={latency: uniform(0 .. 100 ms) each step, order: arrival}",
+    )
+    assert compare("cartpole", worlds=3, steps=60, overrides=overrides) > 0
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [*FAST, *OTHERS], ids=stem)
 def test_many_worlds_for_long(name: str) -> None:

@@ -152,3 +152,35 @@ def test_a_robot_is_told_what_held_before_the_step(small: Small, format: str, to
     found = terms(small(f"signals: {{x: position(cart.cart).x}}\n{SEEN}", f"messages.format={format}", robot=robot))
     before = [0.0, *found["place"][:-1]]
     assert found["rate"] == pytest.approx([x + 0.02 * drive for x, drive in zip(before, DRIVES, strict=True)], abs=NEARLY)
+
+
+@pytest.mark.parametrize(
+    ("expression", "expected"),
+    [
+        ("accumulate(0.1 * drive, -2 .. 2, level)", [0.55, 0.525, 0.625, 0.725, 0.675]),
+        ("accumulate(0.1 * drive, -2 .. 2, drive)", [0.55, 0.525, 0.625, 0.725, 0.675]),
+        ("previous(drive, level)", [0.5, 0.5, -0.25, 1.0, 1.0]),
+        ("delta(drive, level)", [0.0, -0.75, 1.25, 0.0, -1.5]),
+        ("previous(level)", [0.5, 0.5, 0.6, 0.7, 0.8]),
+        ("delta(level)", [0.0, 0.1, 0.1, 0.1, 0.1]),
+        ("running_min(level)", [0.5] * 5),
+        ("hold(level, level > 0.75)", [0.5, 0.5, 0.5, 0.8, 0.9]),
+        ("low_pass(level, 20 ms)", [0.5, 0.55, 0.625, 0.7125, 0.80625]),
+        ("accumulate(0.1 * drive, -2 .. 2, low_pass(level, 1 s))", [0.55, 0.525, 0.625, 0.725, 0.675]),
+        ("running_max(drive)", [0.5, 0.5, 1.0, 1.0, 1.0]),
+    ],
+)
+def test_a_received_start_is_kept(small: Small, expression: str, expected: list[float]) -> None:
+    """A memory of `apply` that begins with a received value begins with that of the first message; actions are 0 at a reset."""
+    robot = TOLD.replace("{RECEIVE}", '{level: "0.4 + 5 * time / s"}').replace("APPLY", f"({expression}) * 0.02 m/s")
+    environment = small(SEEN, robot=robot)
+    for _ in range(2):
+        assert terms(environment)["rate"] == pytest.approx([0.02 * value for value in expected], abs=NEARLY)
+
+
+def test_a_received_start_waits_for_a_late_message(small: Small) -> None:
+    robot = TOLD.replace("{RECEIVE}", '{level: "0.4 + 5 * time / s"}').replace(
+        "APPLY", "accumulate(0.1 * drive, -2 .. 2, level) * 0.02 m/s"
+    )
+    found = terms(small(SEEN, "messages.to_robot={latency: 40 ms}", robot=robot))
+    assert found["rate"] == pytest.approx([0.02 * value for value in (0.0, 0.0, 0.55, 0.525, 0.625)], abs=NEARLY)
