@@ -40,6 +40,16 @@ class EngineKind(NamedTuple):
     implausible_inertia: Limitation | None = None
 
     @property
+    def moves_followers(self) -> bool:
+        """Whether it moves joints with `<mimic>`; an engine of another package says so among its capabilities, for which it is imported."""
+        if self.library is not None:
+            return True
+        try:
+            return "mimic" in plugins.import_attribute(self.factory).capabilities
+        except Exception:  # noqa: BLE001 - the code of a plug-in may raise anything; what builds the world says it again
+            return True
+
+    @property
     def is_installed(self) -> bool:
         """Whether its library can be found; true for an engine of another package."""
         if self.library is None:
@@ -94,6 +104,7 @@ class Engines(Mapping[str, EngineKind]):
 
 
 DEFAULT_ENGINE = "pybullet"
+OTHER_ENGINES = "use the engine `pybullet` or `mujoco`"
 ENGINES = Engines(
     {
         "pybullet": EngineKind(

@@ -205,15 +205,18 @@ def _feet(shape: Shape, frame: Frame, thickness: float) -> Iterator[Spot]:
 
 
 def link_frames(model: RobotModel, positions: Mapping[str, float] | None = None) -> dict[str, Frame]:
-    """The frame of every link in the frame of the root; `positions` of joints (rad or m) are by name, 0 by default."""
+    """The frame of every link in the frame of the root; `positions` of joints (rad or m) are by name; others are at 0 or follow."""
     below: dict[str, list[Joint]] = {}
     for joint in model.joints:
         below.setdefault(joint.parent, []).append(joint)
+    positions = positions or {}
+    followers = {name: mimic.position(positions.get(mimic.joint, 0.0)) for name, mimic in model.followers.items()}
+    positions = {**followers, **positions}
     found, waiting = {model.root: frames.IDENTITY_FRAME}, [model.root]
     while waiting:
         parent = waiting.pop()
         for joint in below.get(parent, ()):
-            found[joint.child] = child_frame(joint, found[parent], positions.get(joint.name, 0.0) if positions else 0.0)
+            found[joint.child] = child_frame(joint, found[parent], positions.get(joint.name, 0.0))
             waiting.append(joint.child)
     return found
 

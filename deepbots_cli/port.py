@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 SERVO_TIME = 0.02
 """Time (s) in which the servo of an engine, without stiffness, reduces its error to 1/e."""
-Capability = Literal["contacts", "rendering", "snapshot"]
+Capability = Literal["contacts", "mimic", "rendering", "snapshot"]
 """What an engine may leave out: contacts between bodies, pictures, an exact `snapshot` of the world."""
 Part = tuple[str, str | None]
 """A body and one of its links; None for all of its links, or for the root link where one frame is needed."""
@@ -111,7 +111,7 @@ class Engine(Protocol):
     capabilities: frozenset[Capability]
 
     def reset(self) -> None:
-        """Put every body where the world model has it, at rest, joints at 0, motors off, no memory of contacts.
+        """Put every body where the world model has it, at rest, joints at 0, their followers in place, motors off, no memory of contacts.
 
         The same calls then give the same results, to the bit, as in a world that was just built.
         """
@@ -125,7 +125,11 @@ class Engine(Protocol):
         """
 
     def set_joint(self, robot: str, joint: str, position: float, velocity: float) -> None:
-        """Set position and velocity of a joint (rad or m; rad/s or m/s). Called between `reset` and the first step."""
+        """Set position and velocity of a joint (rad or m; rad/s or m/s), and of its followers. Called between `reset` and the first step.
+
+        Followers are the joints with `<mimic>` (`RobotModel.followers`). An engine that simulates them has "mimic" among its capabilities;
+        others get no such world.
+        """
 
     def choose(self, body: str, variant: str) -> None:
         """Let a pooled body take the form of one of its variants. Called between `reset` and `place`, before parameters are set."""

@@ -52,7 +52,7 @@ def driven_parts(scene: ResolvedRobot, spec: specs.Actuator) -> Components | Non
     """The components of a command to the actuator, without findings; None where there are none."""
     if spec.components:
         return spec.components
-    key, known = ("link", scene.link_names) if isinstance(spec, specs.Thrust) else ("joint", [j.name for j in scene.model.moving_joints])
+    key, known = ("link", scene.link_names) if isinstance(spec, specs.Thrust) else ("joint", scene.drivable_joints)
     found, _ = expand_patterns(known, getattr(spec, f"{key}s") or getattr(spec, key, None) or (), scene.groups)
     return found or None
 
@@ -249,7 +249,7 @@ def poses(scene: ResolvedRobot, namespace: Namespace) -> dict[str, Symbol]:
 
 
 def _pose(name: str, scene: ResolvedRobot, namespace: Namespace) -> Symbol:
-    values, moving = namespace.values, [joint.name for joint in scene.model.moving_joints]
+    values, moving = namespace.values, scene.drivable_joints
     positions: dict[str, float] = {}
     sound = True
     for pattern in scene.spec.poses[name]:

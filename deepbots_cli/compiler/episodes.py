@@ -8,7 +8,7 @@ from functools import partial
 
 from deepbots_cli.compiler.namespace import Namespace, Origin, ParameterScope, SupervisorScope
 from deepbots_cli.compiler.places import Layouts, PlacementChecker, Places
-from deepbots_cli.compiler.robots import joint_dimension, report_missing_joint, warn_beyond_limits
+from deepbots_cli.compiler.robots import joint_dimension, report_follower, report_missing_joint, warn_beyond_limits
 from deepbots_cli.compiler.values import SourceText, ValueReader
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.diagnostics.nearest import Replacement
@@ -214,9 +214,7 @@ def _joint_start(key: str, spec: ResetSpec, namespace: Namespace, poses: Mapping
             namespace.values.report_unknown(text.part(0, len(robot_name)), "robot", robot_name, namespace.names_of(Origin.ROBOT))
         return None
     if not part:
-        movable = [name for name, (kind, _) in robot.groups.items() if kind in _JOINTS] + [
-            joint.name for joint in robot.model.moving_joints
-        ]
+        movable = [*(name for name, (kind, _) in robot.groups.items() if kind in _JOINTS), *robot.drivable_joints]
         help = choices_help(key, [f"{key}.{name}" for name in movable]) if movable else "no joint of this robot can move"
         namespace.values.findings.add("DB203", text.span, f"the robot `{key}` where a joint or a group of joints is needed", help=help)
         return None
@@ -224,6 +222,12 @@ def _joint_start(key: str, spec: ResetSpec, namespace: Namespace, poses: Mapping
     if subject is None or subject.kind not in _JOINTS:
         report_missing_joint(namespace.values, text.part(len(robot_name + dot), len(key)), part, robot.model)
         return None
+    drivable = {f"{robot_name}.{joint}" for joint in robot.drivable_joints}
+    if f"{robot_name}.{part}" not in drivable and drivable.isdisjoint(subject.members):  # nothing but followers
+        follower = (subject.members or (key,))[0].partition(".")[2]
+        report_follower(namespace.values, text.part(len(robot_name + dot), len(key)), follower, robot.model)
+        return None
+    subject = subject._replace(members=tuple(member for member in subject.members if member in drivable))
     joints = tuple(member.partition(".")[2] for member in subject.members) or (part,)
     scope, given = namespace.scope(Context.RESET, poses.get(robot_name)), spec.set[key]
     angle, read = joint_dimension(robot.model.joint(joints[0])), namespace.values.field

@@ -36,6 +36,7 @@ from deepbots_cli.robots.model import (
     with_scale,
 )
 from deepbots_cli.robots.reader import RobotFile, read
+from deepbots_cli.scenario.actuators import Actuator
 from deepbots_cli.scenario.base import Section
 from deepbots_cli.scenario.fields import choices_help
 from deepbots_cli.scenario.scenario import JointOverride, LinkOverride
@@ -121,12 +122,21 @@ def report_unmatched(values: ValueReader, span: Span, pattern: str, what: str, n
 
 
 def report_missing_joint(values: ValueReader, span: Span, pattern: str, model: RobotModel) -> None:
-    """A joint where one is needed that moves: it does not exist, or it cannot move."""
+    """A joint where one is needed that moves: it does not exist, it cannot move, or it follows another one."""
     joint = next((joint for joint in model.joints if joint.name == pattern), None)
-    if joint is not None:
+    if pattern in model.followers:
+        report_follower(values, span, pattern, model)
+    elif joint is not None:
         report_motionless_joint(values, span, joint, model)
     else:
         report_unmatched(values, span, pattern, "joint", [joint.name for joint in model.moving_joints])
+
+
+def report_follower(values: ValueReader, span: Span, joint: str, model: RobotModel) -> None:
+    """DB303 for a joint that follows another one where one is moved on its own."""
+    leader = model.followers[joint].joint
+    help = f"name `{leader}`, which moves both; a pattern or a group leaves `{joint}` out"
+    values.findings.add("DB303", span, f"the joint `{joint}` follows `{leader}`, and is not moved on its own", help=help)
 
 
 def report_motionless_joint(values: ValueReader, span: Span, joint: Joint, model: RobotModel) -> None:
@@ -360,10 +370,19 @@ class ResolvedRobot:
                     return Subject(full, Kind.JOINT, dimension=joint_dimension(joint), interval=joint_interval(joint))
         return Subject(full, Kind.LINK, link=full) if is_link else None
 
+    @property
+    def drivable_joints(self) -> list[str]:
+        """The joints that move and follow no other one."""
+        return [joint.name for joint in self.model.moving_joints if joint.name not in self.model.followers]
+
     def joints_of(self, spec: Section, values: ValueReader) -> tuple[Joint, ...]:
-        """The joints that `joint` or `joints` of a sensor or actuator names; none after a finding."""
+        """The joints that `joint` or `joints` of a sensor or actuator names; none after a finding.
+
+        A pattern or a group of an actuator leaves followers out.
+        """
         key = "joint" if getattr(spec, "joint", None) is not None else "joints"
-        names = self._named(spec, key, [joint.name for joint in self.model.moving_joints], values)
+        known = self.drivable_joints if isinstance(spec, Actuator) else [joint.name for joint in self.model.moving_joints]
+        names = self._named(spec, key, known, values)
         joints = tuple(self.model.joint(name) for name in names)
         if len({joint_dimension(joint) for joint in joints}) > 1:
             values.findings.add("DB404", values.span((*spec.path, key)), "turning and sliding joints together", help="name them apart")

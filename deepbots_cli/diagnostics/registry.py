@@ -77,7 +77,7 @@ _CATALOGUE = (
     Rule("DB207", "circular-definition", "error", "definitions that refer to each other in a circle"),
     Rule("DB301", "bad-urdf", "error", "a robot file that an engine could not load safely"),
     Rule("DB302", "unknown-joint", "error", "a joint that the robot does not have"),
-    Rule("DB303", "joint-not-actuatable", "error", "an actuator on a joint that cannot move"),
+    Rule("DB303", "joint-not-actuatable", "error", "a joint that cannot move, or that follows another one, where one is driven or set"),
     Rule("DB304", "limit-beyond-urdf", "warning", "a limit wider than the robot file allows"),
     Rule("DB305", "missing-inertial", "warning", "a link without inertia, which has no mass"),
     Rule("DB306", "implausible-inertia", "warning", "an inertia that no rigid body can have"),

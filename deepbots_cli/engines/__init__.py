@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any, cast
 from deepbots_cli import plugins
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.engine_kinds import ENGINES as ALL
-from deepbots_cli.engine_kinds import ENTRY_POINT_GROUP
-from deepbots_cli.errors import BatchError, MissingExtraError, UsageError
+from deepbots_cli.engine_kinds import ENTRY_POINT_GROUP, OTHER_ENGINES
+from deepbots_cli.errors import BatchError, EngineError, MissingExtraError, UsageError
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -47,7 +47,7 @@ def create(name: str, world: WorldModel) -> Engine:
         EngineError: The engine cannot hold this world.
     """
     try:
-        return _factory(name)(_with_masses(world))
+        engine = _factory(name)(_with_masses(world))
     except ModuleNotFoundError as error:
         kind = ENGINES.get(name)
         if kind is not None and error.name == kind.library and any(other.is_installed for other in ENGINES.values()):
@@ -55,6 +55,11 @@ def create(name: str, world: WorldModel) -> Engine:
         if error.name in _OF_EXTRA_SIM:
             raise MissingExtraError("sim", "running a scenario") from error
         raise
+    follower = next((f"'{joint}' of '{robot.name}'" for robot in world.robots for joint in robot.model.followers), None)
+    if follower is not None and "mimic" not in engine.capabilities:
+        engine.close()
+        raise EngineError(f"the engine '{name}' does not move joints that follow others (<mimic>), such as {follower}; {OTHER_ENGINES}")
+    return engine
 
 
 def create_batch(name: str, world: WorldModel, count: int) -> Any:

@@ -54,6 +54,12 @@ class Chain:
             for j in path
         ]
         self._driven = [self.moving_joints.index(name) for name in driven]
+        self._followers = [
+            (place, self._driven.index(self.moving_joints.index(mimic.joint)), mimic)
+            for place, name in enumerate(self.moving_joints)
+            if (mimic := model.followers.get(name)) is not None and mimic.joint in driven
+        ]
+        """The followers of driven joints: their place, that of the leader among the driven joints, and how they follow."""
         ranges = [_range(model.joint(name)) for name in driven]
         self._lower, self._upper = (np.array([ends[side] for ends in ranges]) for side in (0, 1))
 
@@ -106,6 +112,9 @@ class Chain:
 
     def _linearised(self, joints: Sequence[float], goal: Triple, attitude: Quaternion | None) -> tuple[FloatArray, FloatArray]:
         """The error at these positions, and how it shrinks with each driven joint."""
+        joints = list(joints)
+        for follower, leader, mimic in self._followers:
+            joints[follower] = mimic.position(joints[self._driven[leader]])
         here, axes, pivots, turns = (
             IDENTITY_FRAME,
             [IDENTITY_FRAME[0]] * len(joints),
@@ -121,15 +130,23 @@ class Chain:
                 else:
                     here = frames.add(here[0], frames.scaled(axes[place], joints[place])), here[1]
         error = list(frames.subtract(goal, here[0]))
-        columns = [frames.cross(axes[i], frames.subtract(here[0], pivots[i])) if turns[i] else axes[i] for i in self._driven]
+        places = [*self._driven, *(follower for follower, _, _ in self._followers)]
+        columns = [frames.cross(axes[i], frames.subtract(here[0], pivots[i])) if turns[i] else axes[i] for i in places]
         if attitude is None:
-            return np.array(error), np.array(columns).T
+            return np.array(error), self._with_followers(np.array(columns)).T
         error += frames.scaled(_rotation_vector(frames.multiply(attitude, frames.inverse(here[1]))), METRES_PER_RAD)
         full = [
             (*column, *(frames.scaled(axes[i], METRES_PER_RAD) if turns[i] else IDENTITY_FRAME[0]))
-            for i, column in zip(self._driven, columns, strict=True)
+            for i, column in zip(places, columns, strict=True)
         ]
-        return np.array(error), np.array(full).T
+        return np.array(error), self._with_followers(np.array(full)).T
+
+    def _with_followers(self, rows: FloatArray) -> FloatArray:
+        """A row for each driven joint, from these and those of the followers."""
+        count = len(self._driven)
+        for row, (_, leader, mimic) in zip(rows[count:], self._followers, strict=True):
+            rows[leader] += mimic.multiplier * row
+        return rows[:count]
 
 
 def _path(model: RobotModel, link: str) -> list[Joint]:

@@ -214,8 +214,13 @@ class StartRanges(Ranges):
                 return None
 
     def joint(self, joint: str, what: str = "position") -> Interval | None:
-        """The initial position (rad or m) or velocity of a joint; None where the reset does not set it."""
+        """The initial position (rad or m) or velocity of a joint; None where the reset does not set it, nor what the joint follows."""
         robot, _, name = joint.partition(".")
+        model = next((body.model for body in self.analysis.program.world.robots if body.name == robot), None)
+        mimic = model.followers.get(name) if model is not None else None
+        if mimic is not None:
+            leader = iv.multiply(self.joint(f"{robot}.{mimic.joint}", what) or NEVER, single(mimic.multiplier))
+            return iv.add(leader, single(mimic.offset)) if what == "position" else leader
         for start in self.analysis.program.reset.joint_starts:
             value = start.position if what == "position" else start.velocity
             if start.robot == robot and name in start.joints and value is not None:

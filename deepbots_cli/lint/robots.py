@@ -471,8 +471,9 @@ class Heights:
 def _attitudes(model: RobotModel) -> Iterator[dict[str, float]]:
     """All joints at 0, then at positions that differ from joint to joint, spread evenly over their ranges (golden ratio)."""
     yield {}
+    free = [joint for joint in model.moving_joints if joint.name not in model.followers]
     for number in range(1, _MAX_JOINT_POSITIONS):
-        yield {joint.name: _position(joint, (number * (0.618034 + 0.1 * index)) % 1.0) for index, joint in enumerate(model.moving_joints)}
+        yield {joint.name: _position(joint, (number * (0.618034 + 0.1 * index)) % 1.0) for index, joint in enumerate(free)}
 
 
 def _position(joint: Joint, share: float) -> float:

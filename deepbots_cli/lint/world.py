@@ -12,7 +12,7 @@ from deepbots_cli.compiler.robots import joint_dimension
 from deepbots_cli.compiler.values import ValueReader
 from deepbots_cli.diagnostics import Finding, Label, Span
 from deepbots_cli.document.nodes import NodePath
-from deepbots_cli.engine_kinds import ENGINES
+from deepbots_cli.engine_kinds import ENGINES, OTHER_ENGINES
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, MASS
 from deepbots_cli.expressions.functions import contains_draw
 from deepbots_cli.expressions.intervals import ALWAYS, single
@@ -57,6 +57,7 @@ def beyond_engine(context: RuleContext) -> Iterator[Finding]:
 
     The rule applies if `world.engine` or `--engine` names the engine. PyBullet has builds up to Python 3.11; later versions of Python use
     MuJoCo. MuJoCo uses the convex hull of a mesh, so a mesh cannot be the ground. MuJoCo refuses an inertia that no rigid body can have.
+    An engine of another package may not simulate `<mimic>`.
     """
     world, kind = context.program.world, ENGINES.get(context.program.engine or "")
     terrain = world.terrain
@@ -67,6 +68,12 @@ def beyond_engine(context: RuleContext) -> Iterator[Finding]:
         yield Finding("DB316", context.values.span(("world", "engine")), headline, help=kind.remedy)
     if kind.mesh_terrain is not None and terrain is not None and isinstance(terrain.shape, Mesh):
         yield Finding("DB316", context.values.span(("world", "terrain", "file")), kind.mesh_terrain.reason, help=kind.mesh_terrain.help)
+    followers = [(robot.name, joint) for robot in world.robots for joint in robot.model.followers]
+    if followers and not kind.moves_followers:
+        headline = (
+            f"the joint `{followers[0][1]}` follows another one (<mimic>), which the engine `{context.program.engine}` does not simulate"
+        )
+        yield Finding("DB316", context.values.span(("world", "engine")), headline, help=OTHER_ENGINES)
     if kind.implausible_inertia is not None:
         reason, help = kind.implausible_inertia
         for robot in world.robots:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Literal
 
 from deepbots_cli import frames
@@ -147,9 +148,15 @@ class Limit:
 
 @dataclass(frozen=True)
 class Mimic:
+    """The position of a joint is `multiplier * position of the leader + offset`; the leader is `joint`."""
+
     joint: str
     multiplier: float = 1.0
     offset: float = 0.0
+
+    def position(self, leader: float) -> float:
+        """That of the follower."""
+        return self.multiplier * leader + self.offset
 
 
 @dataclass(frozen=True)
@@ -191,6 +198,23 @@ class RobotModel:
     @property
     def moving_joints(self) -> tuple[Joint, ...]:
         return tuple(joint for joint in self.joints if joint.moves)
+
+    @cached_property
+    def followers(self) -> dict[str, Mimic]:
+        """The moving joints that follow another one, each with the joint at the end of its chain, which follows none."""
+        joints = {joint.name: joint for joint in self.moving_joints}
+        found = {}
+        for joint in joints.values():
+            mimic = joint.mimic
+            while mimic is not None and mimic.joint in joints and (above := joints[mimic.joint].mimic) is not None:
+                mimic = Mimic(above.joint, mimic.multiplier * above.multiplier, mimic.position(above.offset))
+            if mimic is not None and mimic.joint in joints:
+                found[joint.name] = mimic
+        return found
+
+    def followers_of(self, leader: str) -> dict[str, Mimic]:
+        """The joints that follow this one."""
+        return {name: mimic for name, mimic in self.followers.items() if mimic.joint == leader}
 
     def subtree_mass(self) -> dict[str, float]:
         """For each link by name, the mass (kg) of the link and of everything below it."""

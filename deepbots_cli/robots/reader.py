@@ -15,7 +15,7 @@ from typing import get_args
 from deepbots_cli.diagnostics import Findings, Label, Source, Span
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.files import read_at_most
-from deepbots_cli.robots.elements import Element, known_names_help, parse, quoted
+from deepbots_cli.robots.elements import MAX_MAGNITUDE, Element, known_names_help, parse, quoted
 from deepbots_cli.robots.meshes import MeshReader, ResolveMesh, UnusableMesh, mesh_resolver
 from deepbots_cli.robots.model import (
     Box,
@@ -42,6 +42,7 @@ MAX_BYTES = 4 * 2**20
 MAX_LINKS = 1000
 MAX_NAME = 200  # PyBullet cuts names off at 1023 bytes
 MAX_WORDS = 200  # unknown words that are compared with the known ones
+_LIMIT_TOLERANCE = 0.02  # of the range that a follower needs; files round
 _FULL_TURN = 6.29  # rad: above 2 pi as files round it
 _BALL = "spherical"  # a type of joint that URDF lacks and PyBullet reads
 _AXES: tuple[Vector, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -166,6 +167,10 @@ def _read(data: bytes, display: str, findings: Findings, resolve_mesh: ResolveMe
         return None
     _check_inertia(model, links)
     model = _without_balls(model, joints)
+    if root.report.errors:
+        return None
+    for name, mimic in model.followers.items():
+        _check_reach(model.joint(name), mimic, model.joint(mimic.joint), joints[name].find_all("mimic")[0])
     if root.report.errors:
         return None
     link_spans, joint_spans = ({name: element.value_span("name") for name, element in elements.items()} for elements in (links, joints))
@@ -500,14 +505,45 @@ def _check_references(joints: Mapping[str, Joint], links: Mapping[str, Element],
                 complete = False
                 headline = f"joint {quoted(name)} has the unknown link {quoted(link)} as its {tag}"
                 element.find_all(tag)[0].error(headline, attribute="link", help=known_names_help(link, links, "links"))
-        if joint.mimic and joint.mimic.joint not in joints:
-            headline = f"joint {quoted(name)} follows the unknown joint {quoted(joint.mimic.joint)}"
-            help = known_names_help(joint.mimic.joint, joints, "joints")
-            element.find_all("mimic")[0].error(headline, attribute="joint", help=help)
+        if joint.mimic:
+            _check_mimic(joint, joint.mimic, joints, element.find_all("mimic")[0])
     for cycle in _cycles({name: joint.mimic.joint for name, joint in joints.items() if joint.mimic}):
         headline = "these joints follow each other in a circle: " + ", ".join(map(quoted, cycle[:5]))
         elements[cycle[0]].find_all("mimic")[0].error(headline, attribute="joint")
     return complete
+
+
+def _check_mimic(joint: Joint, mimic: Mimic, joints: Mapping[str, Joint], element: Element) -> None:
+    """A joint follows one that is known and moves."""
+    leader = joints.get(mimic.joint)
+    if leader is None:
+        headline = f"joint {quoted(joint.name)} follows the unknown joint {quoted(mimic.joint)}"
+        element.error(headline, attribute="joint", help=known_names_help(mimic.joint, joints, "joints"))
+    elif not joint.moves:
+        element.warn(f"joint {quoted(joint.name)} is {joint.type}, so it follows nothing", help="remove the <mimic>")
+    elif not leader.moves:
+        headline = f"joint {quoted(joint.name)} follows {quoted(leader.name)}, which is {leader.type}"
+        help = known_names_help(
+            mimic.joint, [name for name, other in joints.items() if other.moves and other is not joint], "joints that move"
+        )
+        element.error(headline, attribute="joint", help=help)
+
+
+def _check_reach(joint: Joint, mimic: Mimic, leader: Joint, element: Element) -> None:
+    """A warning where the limits of a follower end before those of the joint at the end of its chain do."""
+    if not max(abs(mimic.multiplier), abs(mimic.offset)) <= MAX_MAGNITUDE:
+        element.error(
+            f"multiplied along its chain, joint {quoted(joint.name)} follows {quoted(leader.name)} by more than {MAX_MAGNITUDE:g}"
+        )
+    own, (lower, upper) = joint.limit, (leader.limit.lower, leader.limit.upper)
+    if own.lower is None or own.upper is None or lower is None or upper is None:
+        return
+    low, high = sorted((mimic.position(lower), mimic.position(upper)))
+    slack = _LIMIT_TOLERANCE * (high - low)
+    if low < own.lower - slack or high > own.upper + slack:
+        unit = "m" if joint.type == "prismatic" else "rad"
+        headline = f"joint {quoted(joint.name)} ends before {quoted(leader.name)} does, and stops it"
+        element.warn(headline, help=f"with limits of {low:.6g} and {high:.6g} {unit}, it follows all the way")
 
 
 def _root_link(joints: Mapping[str, Joint], links: Mapping[str, Element], elements: Mapping[str, Element]) -> str | None:

@@ -478,13 +478,21 @@ class Quantity(Parsed):
     def check(self, value: Any) -> None:
         found, wanted = count_literal(value) if isinstance(value, str) else 1, self.components or 1
         if found not in (None, wanted):
-            raise error("DB106", f"expected {counted_noun(wanted, 'number')}, found {found}", self.help_for(None))
+            raise error("DB106", f"expected {counted_noun(wanted, 'number')}, found {found}", self._help_for_count(str(value), found))
         if not isinstance(value, str):
             minimum = self.minimum if self.dimension in _MEASURES_WITHOUT_UNIT else None
             is_share = self.dimension == "number" and self.maximum == 1
             check_bounds(value, minimum, self.maximum, exclusive=self.exclusive, is_share=is_share)
             if self.whole and value != int(value):
                 raise mismatch(self.noun, value=value)
+
+    def _help_for_count(self, value: str, found: int | None) -> str | None:
+        """An example in the unit of the literal, which may be one of several that the measure has."""
+        words, units = value.split(), MEASURES[self.dimension][2].split(" or ")
+        unit = words[-1] if found and len(words) > found else ""
+        if self.components or len(units) == 1 or not unit or _dimension(unit) not in map(_dimension, units):
+            return self.help_for(None)
+        return f"write it like `{words[0]} {unit}`"
 
     def check_text(self, text: str) -> None:
         tree = self.tree(text)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ pytest.importorskip("deepbots_cli.engines.mujoco")
 import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
+from deepbots_cli.engines import ENGINES
 from deepbots_cli.errors import BatchError, UsageError
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.spaces import fitting_rows
@@ -52,9 +53,9 @@ def assert_same(mine: Any, other: Any) -> None:
     np.testing.assert_array_equal(rows(mine), rows(other))
 
 
-def compare(name: str, worlds: int, steps: int, overrides: tuple[str, ...] = ()) -> int:
+def compare(name: str, worlds: int, steps: int, overrides: tuple[str, ...] = (), allow_paths: Sequence[Path] = ()) -> int:
     """Step a batch beside single worlds; the number of episodes that ended."""
-    compiled = api.compile(name, overrides=overrides)
+    compiled = api.compile(name, overrides=overrides, allow_paths=allow_paths)
     seeds = [100 + world for world in range(worlds)]
     singles = [api.make(compiled, engine="mujoco") for _ in seeds]
     ended = 0
@@ -96,6 +97,55 @@ def test_memories_of_apply_wait_for_late_messages_in_a_batch_too(start: str) -> 
         "messages.to_robot={latency: uniform(0 .. 100 ms) each step, order: arrival}",
     )
     assert compare("cartpole", worlds=3, steps=60, overrides=overrides) > 0
+
+
+HAND = Path(__file__).parents[1] / "golden" / "lint" / "robots" / "hand.urdf"
+GRIP = f"""\
+deepbots: 1
+name: Grip
+world: {{timestep: 20 ms, substeps: 4}}
+robots:
+  hand:
+    urdf: {HAND}
+    base: fixed
+    groups: {{fingers: ["*"]}}
+    sensors: {{travel: {{type: joint_position, joints: fingers}}}}
+    actuators: {{grip: {{type: gripper, joints: fingers, closed: 0 mm, open: 40 mm}}}}
+    emit: [travel]
+    apply: {{grip: 0.5 + 0.5 * open}}
+action: {{open: -1 .. 1}}
+observation: {{hand.travel: -0.05 .. 0.05 m}}
+reward: {{
+  sum: (joint_position(hand.left) + joint_position(hand.right)) / m,
+  left: joint_position(hand.left) / m,
+}}
+reset: {{set: {{hand.fingers: uniform(0 .. 40 mm)}}}}
+truncation: {{max_steps: 20}}
+"""
+
+
+@pytest.fixture
+def grip(tmp_path: Path) -> str:
+    """A gripper of two fingers, of which one follows the other with the multiplier -1 and the offset -5 mm."""
+    path = tmp_path / "grip.yaml"
+    path.write_text(GRIP, encoding="utf-8")
+    return str(path)
+
+
+@pytest.mark.parametrize("engine", sorted(ENGINES))
+def test_a_finger_that_mimics_without_a_motor_moves_with_the_other(grip: str, engine: str) -> None:
+    with closing(api.make(grip, engine=engine, allow_paths=[HAND.parent])) as environment:
+        seen, _ = environment.reset(seed=0)
+        assert seen[0] > 0.0
+        assert seen[0] + seen[1] == pytest.approx(-0.1, abs=1e-6)
+        for _ in range(20):
+            *_, info = environment.step(np.array([1.0], np.float32))
+            assert info["reward_terms"]["sum"] == pytest.approx(-0.005, abs=0.0004)  # 1 % of the range
+        assert info["reward_terms"]["left"] == pytest.approx(0.04, abs=1e-3)
+
+
+def test_followers_live_the_same_episodes_in_a_batch(grip: str) -> None:
+    assert compare(grip, worlds=3, steps=45, allow_paths=[HAND.parent]) > 0
 
 
 @pytest.mark.slow

@@ -160,9 +160,10 @@ def test_a_joint_whose_limits_are_the_same_gets_no_motor(deepbots, tmp_path, rob
 
 
 @pytest.mark.parametrize("robot", ["gripper"], indirect=True)
-def test_that_a_joint_does_not_follow_another_is_said(deepbots, tmp_path, robot):
+def test_a_joint_that_follows_another_gets_no_motor(deepbots, tmp_path, robot):
     assert deepbots("new", "first", "--urdf", f"{robot}.urdf").code == 0
-    assert "# <mimic> is not simulated: right is moved like any other joint here." in (tmp_path / "first.yaml").read_text(encoding="utf-8")
+    assert "2 of 2 joints move, 2 limbs, 1 follows another joint;" in (tmp_path / "first.yaml").read_text(encoding="utf-8")
+    assert [motor.joints for motor in api.compile(tmp_path / "first.yaml").program.robots[0].actuators] == [("left",)]
 
 
 def test_a_robot_that_no_simulation_can_begin_with_gets_no_scenario(deepbots, tmp_path):

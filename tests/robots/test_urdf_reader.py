@@ -339,6 +339,55 @@ def test_a_mimic_joint_is_read(read_text):
     assert robot.model.joint("j").mimic == Mimic("elbow", -1.0, 0.0)
 
 
+def follower(mimic: str, limit: str = "", kind: str = "prismatic") -> str:
+    """The arm with a joint `j` that follows."""
+    text = f"""<link name="b">{INERTIAL}</link>
+<joint name="j" type="{kind}"><parent link="hand"/><child link="b"/><limit {limit}/>{mimic}</joint>"""
+    return broken("</robot>", text + "</robot>")
+
+
+def test_a_chain_of_mimic_joints_follows_the_joint_at_its_end(read_text):
+    text = follower('<mimic joint="elbow" multiplier="2" offset="0.5"/>', 'lower="-9" upper="9"').replace(
+        "</robot>",
+        f'<link name="c">{INERTIAL}</link><joint name="k" type="continuous"><parent link="b"/><child link="c"/>'
+        '<mimic joint="j" multiplier="-3" offset="1"/></joint></robot>',
+    )
+    robot, findings = read_text(text)
+    assert findings == []
+    assert robot.model.followers == {"j": Mimic("elbow", 2.0, 0.5), "k": Mimic("elbow", -6.0, -0.5)}
+
+
+BAD_MIMICS = {
+    "itself": ('<mimic joint="j"/>', "these joints follow each other in a circle: 'j'", "j"),
+    "not a number": ('<mimic joint="elbow" multiplier="nan"/>', "'nan' is not a finite number", "nan"),
+    "infinite": ('<mimic joint="elbow" offset="inf"/>', "'inf' is not a finite number", "inf"),
+    "too large": ('<mimic joint="elbow" multiplier="1e30"/>', "'multiplier' is larger than 1e+18", "1e30"),
+    "no joint": ("<mimic/>", "<mimic> without the attribute 'joint'", "<mimic/>"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_MIMICS)
+def test_a_bad_mimic_is_one_error_at_its_place(read_text, case):
+    mimic, headline, place = BAD_MIMICS[case]
+    robot, findings = read_text(follower(mimic, 'lower="-0.1" upper="0.1"'))
+    assert robot is None
+    finding = single(findings)
+    assert (finding.code, finding.headline, finding.span.text) == ("DB301", headline, place)
+
+
+def test_a_mimic_of_a_fixed_joint_is_an_error(read_text):
+    text = follower('<mimic joint="elbow"/>', 'lower="-9" upper="9"').replace('name="elbow" type="revolute"', 'name="elbow" type="fixed"')
+    finding = single(read_text(text)[1])
+    assert (finding.code, finding.headline) == ("DB301", "joint 'j' follows 'elbow', which is fixed")
+
+
+def test_a_follower_whose_limits_stop_its_leader_is_a_warning(read_text):
+    assert read_text(follower('<mimic joint="elbow" multiplier="-0.1"/>', 'lower="-0.2" upper="0.1"'))[1] == []
+    finding = warning(read_text, follower('<mimic joint="elbow"/>', 'lower="-0.1" upper="0.1"'))
+    assert finding.headline == "joint 'j' ends before 'elbow' does, and stops it"
+    assert finding.help == "with limits of -1 and 2 m, it follows all the way"
+
+
 def test_an_unexpanded_default_of_xacro_is_read_with_a_warning(read_text):
     finding = warning(read_text, broken('<origin xyz="1 0 0"/>', '<origin xyz="$(optenv WHERE 0.5 0 1)"/>'))
     assert finding.help == "its default is read: 0.5 0 1"

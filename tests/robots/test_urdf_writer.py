@@ -79,7 +79,7 @@ def robots(draw: st.DrawFn) -> RobotModel:
                 Limit(bounds[0], bounds[1], draw(optional), draw(optional)),
                 draw(not_negative),
                 draw(not_negative),
-                Mimic(joint_names[0], draw(numbers), draw(numbers)) if index and draw(st.booleans()) else None,
+                Mimic(joint_names[0], draw(numbers), draw(numbers)) if joints and joints[0].moves and draw(st.booleans()) else None,
             )
         )
     return RobotModel(draw(names).strip(), links, tuple(joints), link_names[0])

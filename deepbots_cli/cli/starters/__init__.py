@@ -145,18 +145,14 @@ def _found(draft: Draft) -> list[str]:
         "rotors": len(build.rotors),
         "limb" if len(build.limbs) == 1 else "limbs": 0 if build.wheels else len(build.limbs),
         "without a motor": len(build.idle),
+        "follows another joint" if len(model.followers) == 1 else "follow another joint": len(model.followers),
     }
     parts = [f"{len(model.moving_joints)} of {len(model.joints)} joints move", *(f"{n} {what}" for what, n in counts.items() if n)]
-    followers = [joint.name for joint in model.moving_joints if joint.mimic]
-    rest = f" and {len(followers) - 3} more" if len(followers) > 3 else ""
     base = "taken to be fixed to the ground" if draft.fixed else "free"
     lines = [
         f"What was found in {draft.urdf}: {', '.join(parts)};",
         f"{build.mass:.3g} kg, {build.size:.3g} m long at most; its base is {base}. The values below were chosen from these: change them.",
     ]
-    if followers:
-        verb = "is" if len(followers) == 1 else "are"
-        lines.append(f"<mimic> is not simulated: {', '.join(followers[:3])}{rest} {verb} moved like any other joint here.")
     return [" ".join(line.split()) for line in lines]  # the name of a file may hold line breaks
 
 

@@ -177,17 +177,23 @@ class Build:
     def axis(self, joint: Joint) -> Triple:
         return frames.rotate(self.frames[joint.child][1], joint.axis)
 
+    @property
+    def _free(self) -> list[Joint]:
+        return [joint for joint in self.model.moving_joints if not _is_locked(joint)]
+
     @cached_property
     def driven(self) -> list[Joint]:
         """The joints that a motor may move: those with an effort, or all where the file names no effort; locked joints never."""
-        free = [joint for joint in self.model.moving_joints if not _is_locked(joint)]
+        free = [joint for joint in self._free if joint.name not in self.model.followers]
         named = any(joint.limit.effort for joint in free)
         return [joint for joint in free if joint.limit.effort or (joint.limit.effort is None and not named)]
 
     @property
     def idle(self) -> list[Joint]:
-        """The joints that move without a motor."""
-        return [joint for joint in self.model.moving_joints if joint not in self.driven and not _is_locked(joint)]
+        """The joints that move without a motor, and follow none that has one."""
+        driven = {joint.name for joint in self.driven}
+        leaders = {name: mimic.joint for name, mimic in self.model.followers.items()}
+        return [joint for joint in self._free if leaders.get(joint.name, joint.name) not in driven]
 
     @property
     def weightless(self) -> list[Joint]:

@@ -41,7 +41,7 @@ class BatchMember(MuJoCoEngine):
         self._contact_monitor = None
         self._substep_callbacks = []
         self._renderer = cameras.WorldRenderer(world, self._world)
-        self.capabilities = frozenset({"contacts", "snapshot"})
+        self.capabilities = frozenset({"contacts", "mimic", "snapshot"})
         self.reset()
 
 

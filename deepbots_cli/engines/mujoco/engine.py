@@ -56,7 +56,7 @@ class MuJoCoEngine:
         self._substep_callbacks: list[Callable[[], object]] = []
         self._renderer = cameras.WorldRenderer(world, self._world)
         drawing: frozenset[Capability] = frozenset({"rendering"} if cameras.is_available() else ())
-        self.capabilities: frozenset[Capability] = drawing | {"contacts", "snapshot"}
+        self.capabilities: frozenset[Capability] = drawing | {"contacts", "mimic", "snapshot"}
         self.reset()
 
     # Time
@@ -147,6 +147,13 @@ class MuJoCoEngine:
     def set_joint(self, robot: str, joint: str, position: float, velocity: float) -> None:
         model, data, (number,) = self._world.model, self._world.data, self._joints(robot, (joint,))
         data.qpos[model.jnt_qposadr[number]], data.qvel[model.jnt_dofadr[number]] = position, velocity
+        body = self._pool(robot).current
+        for follower, mimic in body.model.followers_of(joint).items():
+            number = body.joints[follower]
+            data.qpos[model.jnt_qposadr[number]], data.qvel[model.jnt_dofadr[number]] = (
+                mimic.position(position),
+                mimic.multiplier * velocity,
+            )
         self._world.invalidate()
 
     def choose(self, body: str, variant: str) -> None:

@@ -28,7 +28,7 @@ from deepbots_cli.engines.objects import (
 from deepbots_cli.errors import EngineError
 from deepbots_cli.geometry import HeightGrid, height_grid, mesh_triangles
 from deepbots_cli.program.world import GROUND, Colour, Line, ObjectBody, Terrain, WorldModel
-from deepbots_cli.robots.model import Box, Capsule, Cylinder, Friction, Geometry, Joint, Link, Mesh, RobotModel, Sphere
+from deepbots_cli.robots.model import Box, Capsule, Cylinder, Friction, Geometry, Joint, Link, Mesh, Mimic, RobotModel, Sphere
 
 if TYPE_CHECKING:
     from deepbots_cli.frames import Frame, Matrix
@@ -46,6 +46,8 @@ MuJoCo's contacts are springs. With these a crate rests 27 um deep at steps of 1
 says within 0.4 %. Stiffer ones (2 steps, impedance 0.95 to 0.99) are ten times less deep, and a crate that slides hops: 4 % off.
 """
 CONTACT_IMPEDANCE = (0.9, 0.95, 0.001, 0.5, 2.0)
+GEAR_STEPS, GEAR_IMPEDANCE = 2.0, (0.9999, 0.9999, *CONTACT_IMPEDANCE[2:])
+"""Time constant (engine steps) and impedance of a joint that follows another one: as stiff as MuJoCo allows."""
 TYRE_IMPEDANCE = (2 * 0.9 / (1 + 0.9), 2 * 0.95 / (1 + 0.95), *CONTACT_IMPEDANCE[2:])
 """A tyre touches in one point where a cylinder touches in two: it gives way half as much as one of them, and sinks as deep as both.
 
@@ -288,6 +290,8 @@ class ModelBuilder:
             if self._flat and above is not None:
                 geoms[name] += self._add_tyres(made, link, above, geoms[name])
             order += children.get(name, ())
+        for follower, mimic in model.followers.items() if not self._for_rendering else ():
+            self._follow(joints[follower], joints[mimic.joint], mimic)
         self._made.append((body, links, joints, geoms))
         return body
 
@@ -354,6 +358,18 @@ class ModelBuilder:
         )
         actuator.gainprm[0] = 1.0
         return added
+
+    def _follow(self, follower: MjObject, leader: MjObject, mimic: Mimic) -> None:
+        """Hold a joint where its leader puts it."""
+        self._spec.add_equality(
+            type=mj.mjtEq.mjEQ_JOINT,
+            objtype=mj.mjtObj.mjOBJ_JOINT,
+            name1=follower.name,
+            name2=leader.name,
+            data=(mimic.offset, mimic.multiplier, *(0.0,) * (mj.mjNEQDATA - 2)),
+            solref=(GEAR_STEPS * self._spec.option.timestep, 1.0),
+            solimp=GEAR_IMPEDANCE,
+        )
 
     def _surface(self, made: MjObject, piece: Geometry, place: int, pooled: bool) -> MjObject:
         position, turned = frames.frame(piece.origin)

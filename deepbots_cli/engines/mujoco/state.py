@@ -88,6 +88,8 @@ class World:
                 self._initial_positions[1][body.mocap_index], self._initial_positions[2][body.mocap_index] = position, (w, x, y, z)
             elif body.position_index >= 0:
                 self._initial_positions[0][body.position_index : body.position_index + 7] = (*position, w, x, y, z)
+            for follower, mimic in body.model.followers.items():
+                self._initial_positions[0][model.jnt_qposadr[body.joints[follower]]] = mimic.offset
         model.dof_simplenum[:] = 0  # MuJoCo would take the inertia of simple bodies from `dof_M0`; motors change `dof_armature`
         self._varied_arrays = [model.opt.gravity, self.surfaces, *(getattr(model, name) for name in VARIED_ARRAYS)]
         self._nominal = [np.array(values) for values in self._varied_arrays]

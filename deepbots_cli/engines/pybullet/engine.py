@@ -125,7 +125,7 @@ class PyBulletEngine:
     """One world: about 29 MB until it is closed or dropped, and its readers and writers with it."""
 
     name = "pybullet"
-    capabilities: frozenset[Capability] = frozenset({"contacts", "rendering"})
+    capabilities: frozenset[Capability] = frozenset({"contacts", "mimic", "rendering"})
 
     def __init__(self, world: WorldModel) -> None:
         self._client = loading.create_client(world)
@@ -179,7 +179,7 @@ class PyBulletEngine:
         p.resetBasePositionAndOrientation(number, *pose, client)
         p.resetBaseVelocity(number, ZERO_VECTOR, ZERO_VECTOR, client)
         for index, brake in brakes.items():
-            p.resetJointState(number, index, 0.0, 0.0, client)
+            p.resetJointState(number, index, body.offsets.get(index, 0.0), 0.0, client)
             p.setJointMotorControl2(number, index, p.VELOCITY_CONTROL, 0.0, 0.0, brake, *DEFAULT_GAINS, client)
 
     def place(
@@ -193,8 +193,11 @@ class PyBulletEngine:
         self._cache.invalidate()
 
     def set_joint(self, robot: str, joint: str, position: float, velocity: float) -> None:
+        body = self._pool(robot).current
         number, (index,) = self._joints(robot, (joint,))
         p.resetJointState(number, index, position, velocity, self._client)
+        for follower, mimic in body.model.followers_of(joint).items():
+            p.resetJointState(number, body.joints[follower], mimic.position(position), mimic.multiplier * velocity, self._client)
         self._cache.invalidate()
 
     def choose(self, body: str, variant: str) -> None:

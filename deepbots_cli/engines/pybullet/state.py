@@ -40,8 +40,8 @@ class Dynamics:
 class Body:
     """One PyBullet body.
 
-    `brakes` is the friction (N m or N) of each joint by index, `anchor` a link that moves and touches, `static_links` the links
-    that never move.
+    `brakes` is the friction (N m or N) of each joint by index, `offsets` the position (rad or m) at a reset of each joint that follows
+    another one, `anchor` a link that moves and touches, `static_links` the links that never move.
     """
 
     def __init__(self, name: str, number: int, model: RobotModel, fixed: bool, client: int) -> None:
@@ -57,6 +57,7 @@ class Body:
             self.joints[info[1].decode()] = index
             self.links[info[12].decode()] = index
         self.brakes = {self.joints[joint.name]: joint.friction for joint in model.moving_joints}
+        self.offsets = {self.joints[name]: mimic.offset for name, mimic in model.followers.items()}
         self.static_links = frozenset(rigid_group(model, model.root) if fixed else ())
         touching = [self.links[link.name] for link in model.links if link.collisions and link.name not in self.static_links]
         self.anchor = touching[0] if touching else None
