@@ -398,7 +398,11 @@ class RobotBuilder:
         if driven is None:
             self.values.expression(text, scope, boolean=False)
             return None
-        typed = self.values.quantity(text, f"the target of `{name}`", scope, driven.dimension, driven.components, Stage.STEP)
+        parts = driven.components or ("",)
+        spec = self.scene.spec.actuators[name]
+        own = f"{{type: {spec.type}, {'link' if isinstance(spec, specs.Thrust) else 'joint'}: {parts[0]}}}"
+        help = f"one number drives all of them; for a number each, give each an actuator of its own: `{parts[0]}: {own}`"
+        typed = self.values.quantity(text, f"the target of `{name}`", scope, driven.dimension, driven.components, Stage.STEP, help)
         if typed is None:
             return None
         return Command(driven.actuator, Expression(name, text.span, text.text, typed, f"{self.scene.name}.apply.{name}"), driven.opening)

@@ -276,11 +276,13 @@ class Places:
         place = Placement(body, self.coordinates(pose), owner=draws_owner(pose.path))
         if not isinstance(pose, PlacementSpec):
             return self.resting_placement(place)
+        spacing = self._namespace.pair(pose, "spacing")
+        has_finding = spacing is None and self._values.is_present((*pose.path, "spacing"))
         place = replace(
             place,
             clearance=self._namespace.fixed(pose, "clearance") or 0.0,
             at_most=pose.at_most,
-            spacing=self._namespace.pair(pose, "spacing") or (0.0, 0.0),
+            spacing=spacing or (0.0, 0.0),
             velocity=self._namespace.expression(pose, "velocity", scope=self._scope),
             angular_velocity=self._namespace.expression(pose, "angular_velocity", scope=self._scope),
         )
@@ -295,7 +297,7 @@ class Places:
         self._check_spots(place.spot, pose.path)
         if isinstance(place.spot, Region) and used:
             self._room.check_region(place, place.spot, pose.path)
-        self._check_copies(place, pose.path, used=used)
+        self._check_copies(place, pose.path, used=used and not has_finding)
         return self.resting_placement(place)
 
     def coordinates(self, pose: Pose) -> dict[str, Expression]:

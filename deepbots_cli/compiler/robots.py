@@ -492,7 +492,11 @@ def _groups(model: RobotModel, spec: RobotSpec, values: ValueReader) -> dict[str
             continue
         elif odd := [pattern for pattern in not_joints if pattern in not_links]:
             span = values.span((*place, patterns.index(odd[0])))
-            report_unmatched(values, span, odd[0], "joint or link", list(dict.fromkeys([*joints, *links])))
+            fixed = next((joint for joint in model.joints if joint.name == odd[0]), None)
+            if fixed is not None:
+                report_motionless_joint(values, span, fixed, model)
+            else:
+                report_unmatched(values, span, odd[0], "joint or link", list(dict.fromkeys([*joints, *links])))
         else:
             values.findings.add(
                 "DB203", values.span(place), "joints and links in one group", help="make one group of joints, and one of links"

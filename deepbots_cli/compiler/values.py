@@ -15,7 +15,7 @@ from deepbots_cli.diagnostics import Findings, Fix, Label, Span
 from deepbots_cli.diagnostics.nearest import Replacement, nearest_word, suggest_replacement
 from deepbots_cli.document.nodes import MappingNode, Node, NodePath, ScalarNode, SequenceNode, descend, to_data
 from deepbots_cli.expressions import check, parser, syntax
-from deepbots_cli.expressions.dimensions import Dimension
+from deepbots_cli.expressions.dimensions import UNITS, Dimension
 from deepbots_cli.expressions.lower import constant_values
 from deepbots_cli.expressions.types import (
     Components,
@@ -33,6 +33,11 @@ from deepbots_cli.scenario.base import Section, section_fields
 from deepbots_cli.scenario.fields import FieldType, Quantity, choices_help, word_for_foreign_name
 from deepbots_cli.scenario.validate import replacement_for
 
+_HIDDEN = re.compile(r"[ \t]+(#[^\n]*\))")
+"""The comment behind a value on its line, where it holds a closing parenthesis."""
+_BARE_WORD = re.compile(r"(?<![\w.])(?<!\d )[A-Za-z_]\w*")
+"""A word that is not the unit of a number."""
+_COPY = re.compile(r"#\d")
 _KEY_BEFORE = re.compile(r"(?<![\w.])([\w.]+)['\"]?\s*:\s*$")
 ANY_NAME = "*"
 """Stands for all names: those of a section that is no mapping cannot be told."""
@@ -214,6 +219,11 @@ class ValueReader:
             span, piece = text.part(start, end), text.text[start:end]
             if code == "DB502" and any(found.code == "DB106" and found.span == span for found in self.findings):
                 return  # what to write instead of too few numbers shows the unit
+            if code == "DB503" and any(word in UNITS and word in self._invalid for word in _BARE_WORD.findall(text.text)):
+                return  # a definition has the name of a unit, which is no name
+            if code == "DB401" and help is None and (hidden := _HIDDEN.match(span.source.text, text.part(0, len(text.text)).end)):
+                help = f"a `#` after a space begins a comment, which hides `{hidden[1]}`"
+                help += f"; {parser.COPIES_HELP}" if _COPY.search(hidden[1]) else ""
             word = self._word_replacement(text, piece) if code == "DB402" else None
             if word and not (help or "").startswith("did you mean"):
                 help, replacement = f"did you mean `{word}`? {help}", Replacement(word, safe=False)
@@ -277,15 +287,18 @@ class ValueReader:
         dimension: Dimension | None,
         components: Components | None = None,
         stage: Stage = Stage.FIXED,
+        shape_help: str | None = None,
     ) -> Typed | None:
         """A value of the dimension (None: any) and components that a field declares, settled by `stage`.
 
-        `what` is how findings call the field, such as "the timestep".
+        `what` is how findings call the field, such as "the timestep"; `shape_help` as in `expect_value`.
         """
         typed = self.expression(text, scope, boolean=False)
         if typed is None:
             return None
-        value = expect_value(typed, self.report(text), what, dimension=dimension, components=components, stage=stage, unit=text.unit)
+        value = expect_value(
+            typed, self.report(text), what, dimension=dimension, components=components, stage=stage, unit=text.unit, shape_help=shape_help
+        )
         return value if value and self._is_vector(value, text, what) and self._is_within(value, text, what) else None
 
     def _is_vector(self, value: Typed, text: SourceText, what: str) -> bool:

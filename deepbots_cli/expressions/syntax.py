@@ -25,9 +25,9 @@ class Token(NamedTuple):
     end: int
 
 
-# YAML removes its comments; a text of several lines (`|`) still holds them.
+# YAML removes its comments; a text of several lines (`|`) still holds them. As in YAML, a blank precedes the sign of a comment.
 _TOKEN = re.compile(
-    r"(?:\s++|#[^\n]*+)*+(?:"
+    r"(?:\s++|(?<!\S)#[^\n]*+)*+(?:"
     rf"(?P<NUMBER>{NUMBER})"
     r"|(?P<NAME>[A-Za-z_][A-Za-z0-9_]*)"
     r"|(?P<STRANGE>\.{3,}+|\*\*|&&|\|\||->|=>|//|<>|[^-+*/^().,<>|%=!]|[=!](?!=))"

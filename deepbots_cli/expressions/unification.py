@@ -225,6 +225,7 @@ def expect_value(
     boolean: bool = False,
     stage: Stage = Stage.STEP,
     unit: str | None = None,
+    shape_help: str | None = None,
 ) -> Typed:
     """The value as a field takes it, or None after a finding.
 
@@ -235,13 +236,14 @@ def expect_value(
             `ANY_SHAPE` takes everything.
         stage: The latest at which the value may be settled.
         unit: The probable unit of a bare number.
+        shape_help: What to write instead of a vector of x, y and z where the components have other names.
     """
     require_kind([value], report, boolean=boolean)
     if not boolean and dimension is not None and value.type.dimension != dimension:
         if not (is_bare_number(value) and physical_quantity(dimension).bare_is_si):
             require_dimension(value, dimension, what, report, unit)
         value = value._replace(type=value.type._replace(dimension=dimension))
-    _require_shape(value, components, what, report)
+    _require_shape(value, components, what, report, shape_help)
     if value.type.stage > stage:
         allowed = "may be drawn once per episode, but must not change during the episode" if stage is Stage.EPISODE else "must be fixed"
         raise report_at(report, "DB407", value, f"{what} is {value.type.stage.description}", f"it {allowed}")
@@ -273,13 +275,16 @@ def expect_range(
     return found._replace(low=low, high=high)
 
 
-def _require_shape(value: Typed, components: Components | None, what: str, report: FindingReporter) -> None:
+def _require_shape(value: Typed, components: Components | None, what: str, report: FindingReporter, help: str | None = None) -> None:
     found = value.type.components
     if components == ANY_SHAPE or found is None or found == components:
         return
     if components is None:
         help = f"pick a component, or reduce it with {'`any` or `all`' if value.type.boolean else '`norm`, `sum`, `max` ...'}"
         raise report_at(report, "DB404", value, f"{what} must be a single value; this is {value.type.shape_description}", help)
+    if help and found[0] == "x" and "x" not in components:
+        headline = f"{what} has the components {shortened_list(components)}; this is {value.type.shape_description}"
+        raise report_at(report, "DB404", value, headline, help)
     if len(found) != len(components) and found[0] in ("x", "1"):
         headline = f"{what} has {len(found)} values, not {len(components)}"
         raise report_at(report, "DB106", value, headline, f"give {' and '.join(components)}")

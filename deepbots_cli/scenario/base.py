@@ -210,12 +210,14 @@ def _forms_of(annotation: Any) -> Forms:
 class Kinds:
     """A union of sections that is discriminated by the word under `key`.
 
-    `models_by_marker` holds the models that have no such word and are known by another key.
+    `models_by_marker` holds the models that have no such word and are known by another key, `remedies` what to write instead of a key
+    that belongs elsewhere.
     """
 
     key: str
     models: Mapping[str, type[Section]]
     models_by_marker: Mapping[str, type[Section]] = field(default_factory=dict)
+    remedies: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -249,6 +251,7 @@ class Kinds:
         if self.key not in value:
             wanted = " or ".join(f"`{key}`" for key in (self.key, *self.models_by_marker))
             help = f"give `{self.key}`: one of {', '.join(f'`{name}`' for name in self.names)}"
+            help = next((remedy for marker, remedy in self.remedies.items() if marker in value), help)
             raise error("DB102", f"missing key {wanted}", help, missing=(self.key, *self.models_by_marker))
         word = value[self.key]
         if not isinstance(word, str):

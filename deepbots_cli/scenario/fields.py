@@ -705,10 +705,10 @@ class Name(FieldType):
         if len(value) > MAX_NAME_LENGTH:
             raise error("DB105", f"a name of {len(value)} characters", f"use at most {MAX_NAME_LENGTH}")
         if self.shared:
-            taken = {"the name of a unit": UNITS, "built in": BUILT_IN_NAMES, "a word of the language": GRAMMAR_WORDS}
+            taken = {"a unit": UNITS, "built in": BUILT_IN_NAMES, "a word of the language": GRAMMAR_WORDS}
             for what, names in taken.items():
                 if value in names:
-                    raise error("DB105", f"`{value}` is {what}", "choose another name")
+                    raise error("DB202", f"the name `{value}` is taken: it is {what}", f"choose another name, such as `{value}_value`")
 
     def json_schema(self) -> JsonSchema:
         about = "A name of your choice: lower-case letters, digits and `_`, not beginning with a digit."
