@@ -15,9 +15,19 @@ from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.learning.episodes import Episode, by_drawn_value
 from deepbots_cli.program.world import WorldModel
 from deepbots_cli.robots.model import Cylinder, Sphere
-from deepbots_cli.view.frames import LinkName
-from deepbots_cli.view.page import COLOURS
-from deepbots_cli.view.plots import THEMES, Curve, TrainingLog, plot_band, plot_endings, plot_evaluation, style_panel
+from deepbots_cli.view.frames import COLOURS, LinkName
+from deepbots_cli.view.plots import (
+    THEMES,
+    Curve,
+    TrainingLog,
+    ending_colours,
+    plot_band,
+    plot_endings,
+    plot_evaluation,
+    plot_evaluations,
+    style_panel,
+    term_styles,
+)
 from deepbots_cli.view.trajectories import Moving, has_moved
 
 if TYPE_CHECKING:
@@ -27,6 +37,7 @@ if TYPE_CHECKING:
 
 SUCCESS, FAILURE = "#009E73", "#D55E00"
 _MAX_STARTS = 6
+_MAX_TICKS = 6  # of an axis whose numbers may be long
 _WIDTH, _WIDE_WIDTH = 5.0, 8.0  # inches
 _MIN_CLIMB = 0.25  # of its longer side; a trajectory that climbs more is also drawn from the side
 
@@ -38,18 +49,21 @@ def _figure(theme: str, height: float, columns: int = 1, rows: int = 1, width: f
     return figure, figure.subplots(rows, columns, squeeze=False)
 
 
+def _with_legend(figure: Figure, height: float) -> Figure:
+    """The figure with room for a legend of this height (inches)."""
+    figure.set_figheight(figure.get_figheight() + height)
+    return figure
+
+
 def returns(logs: Sequence[TrainingLog], theme: str) -> Figure:
     """Returns of training episodes, the mean over seeds with a band from the lowest to the highest, and evaluations."""
     figure, ((panel,),) = _figure(theme, 2.9)
     label = "training episodes" if len(logs) == 1 else f"training episodes, mean of {len(logs)} seeds"
     plot_band(panel, [log.returns for log in logs if log.returns is not None], {"color": COLOURS[0], "label": label})
-    evaluations = [log.evaluations for log in logs if log.evaluations is not None]
-    for number, curve in enumerate(evaluations):
-        panel.plot(*curve, "o", color=COLOURS[1], markersize=4, label="" if number else "evaluations during the training")
+    plot_evaluations(panel, logs, COLOURS[1], "evaluations during the training")
     for log in logs:
         plot_evaluation(panel, None, log, COLOURS[1])
-    style_panel(panel, "return", theme)
-    return figure
+    return _with_legend(figure, style_panel(panel, "return", theme, stages=[logs]))
 
 
 def successes(logs: Sequence[TrainingLog], theme: str) -> Figure | None:
@@ -62,24 +76,24 @@ def successes(logs: Sequence[TrainingLog], theme: str) -> Figure | None:
     for log in logs:
         plot_evaluation(None, panel, log, COLOURS[1])
     panel.set_ylim(-0.03, 1.03)
-    style_panel(panel, "success rate of training episodes", theme, legend=False)
+    style_panel(panel, "success rate of training episodes", theme, legend=False, stages=[logs])
     return figure
 
 
 def shares(logs: Sequence[TrainingLog], theme: str) -> Figure | None:
     """The size of each reward term of an episode, as a share of all their sizes; means over seeds."""
-    terms = sorted({term for log in logs for term in log.terms})
+    styles = term_styles(logs)
+    terms = list(styles)
     curves = [curve for log in logs for curve in log.terms.values() if len(curve[0])]
     if len(terms) < 2 or not curves:
         return None
     at = np.linspace(min(steps[0] for steps, _ in curves), max(steps[-1] for steps, _ in curves), 200)
     sizes = np.array([np.mean([np.interp(at, *_sizes(log.terms[term])) for log in logs if term in log.terms], axis=0) for term in terms])
     figure, ((panel,),) = _figure(theme, 2.9)
-    colours = [COLOURS[number % len(COLOURS)] for number in range(len(terms))]
+    colours = [styles[term]["color"] for term in terms]
     panel.stackplot(at, sizes / np.maximum(sizes.sum(axis=0), 1e-12), labels=terms, colors=colours, alpha=0.85, linewidth=0)
     panel.set_ylim(0, 1)
-    style_panel(panel, "size of each reward term, share of all", theme)
-    return figure
+    return _with_legend(figure, style_panel(panel, "size of each reward term, share of all", theme, stages=[logs]))
 
 
 def _sizes(curve: Curve) -> Curve:
@@ -91,9 +105,8 @@ def endings(logs: Sequence[TrainingLog], theme: str) -> Figure | None:
     if not any(log.endings for log in logs):
         return None
     figure, ((panel,),) = _figure(theme, 2.9)
-    plot_endings(panel, logs)
-    style_panel(panel, "endings, share of training episodes", theme)
-    return figure
+    plot_endings(panel, logs, ending_colours(logs))
+    return _with_legend(figure, style_panel(panel, "endings, share of training episodes", theme, stages=[logs]))
 
 
 def starts(episodes: Sequence[Episode], theme: str, *, success_defined: bool) -> Figure | None:
@@ -121,6 +134,7 @@ def starts(episodes: Sequence[Episode], theme: str, *, success_defined: bool) ->
             if part.return_interval is not None:
                 panel.plot([middle] * 2, part.return_interval, color=THEMES[theme][1], linewidth=1)
         style_panel(panel, "", theme, legend=False, axes=(name, "return"))
+        panel.locator_params(axis="x", nbins=_MAX_TICKS)
         if words:
             panel.set_xticks(range(len(words)), [word[:12] for word in words], parse_math=False)
     for panel in list(panels.flat)[len(names) :]:
@@ -152,6 +166,7 @@ def trajectories(
         for each in [*(each for each in shown if not each.label), *labelled]:
             _draw_episode(panel, plane, each, moving, COLOURS[labelled.index(each) if each.label else 6], theme)
         panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+        panel.locator_params(axis="x", nbins=_MAX_TICKS)
         style_panel(panel, "", theme, legend=False, axes=(f"{'xyz'[plane[0]]}, m", f"{'xyz'[plane[1]]}, m"))
     handles, titles = panels[0].get_legend_handles_labels()
     box = figure.legend(handles, titles, loc="outside lower center", fontsize=8, labelcolor=text, facecolor=ground, edgecolor=grid)

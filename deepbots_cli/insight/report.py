@@ -144,6 +144,19 @@ class Report:
         return Report(path, members, notes)
 
     @property
+    def stages(self) -> list[tuple[str, ...]]:
+        """The stages of a curriculum: run, name, timesteps at their beginning, mean value at their end, and their last evaluation."""
+        found: list[tuple[str, ...]] = []
+        for member in self.runs:
+            log, result = member.log, member.run.record.result
+            ends = {stage.name: f"{stage.value:.4g}" for stage in result.stages} if result else {}
+            evaluations = dict(zip(log.evaluation_stages, log.evaluations[1], strict=True)) if log.evaluations else {}
+            for start in log.stages:
+                last = f"{evaluations[start.name]:.4g}" if start.name in evaluations else ""
+                found.append((member.run.path.name, start.name, f"{start.steps:,.0f}", ends.get(start.name, ""), last))
+        return found
+
+    @property
     def result(self) -> str:
         """The result in one line, with its interval."""
         found = [member.evaluation for member in self.runs]
@@ -220,6 +233,7 @@ class Report:
         defined = self.runs[0].evaluation.success_defined
         seeds = "" if len(logs) == 1 else f" The line is the mean of {len(logs)} seeds, the band reaches from the lowest to the highest."
         mean = "Moving means over 100 episodes of the training, in which the policy explores."
+        mean += " Each stage of the curriculum is averaged by itself." if any(log.stages for log in logs) else ""
         diamond = " The diamond is the evaluation after the training." if any(log.evaluation for log in logs) else ""
         yield "returns", f"{mean}{seeds}{diamond}", figures.returns(logs, theme)
         yield "successes", f"{mean}{seeds}{diamond if defined else ''}", figures.successes(logs, theme)

@@ -27,6 +27,7 @@ from deepbots_cli.view.frames import FrameReader, WorldFrame
 if TYPE_CHECKING:
     from deepbots_cli.learning.run import ModelName, Run
 
+_TAIL_BYTES = 20_000  # of a log, which hold its last episode
 RANDOM, ZERO, HAND, POLICY, RECORDED = "random", "zero", "you", "policy", "recording"
 """Drivers besides the scripts of a scenario. `zero` is the middle of each range and the first option of each choice."""
 
@@ -183,6 +184,7 @@ class PolicyDriver(Driver):
         """`rows` are the worlds of a batch, which one forward pass acts in."""
         try:
             from deepbots_cli.learning import evaluation, models
+            from deepbots_cli.learning.episodes import read_log
             from deepbots_cli.learning.run import RunRecord
         except ModuleNotFoundError as error:
             raise MissingExtraError("train", "showing the policy of a run") from error
@@ -194,7 +196,7 @@ class PolicyDriver(Driver):
             models.steps_of,
             RunRecord.read,
         )
-        self._run, self._env, self._rows = run, env, rows
+        self._run, self._env, self._rows, self._read_log = run, env, rows, read_log
         self._model: Any = None
         self._stamp: tuple[int, int] | None = None
         self.begin(None)
@@ -206,7 +208,7 @@ class PolicyDriver(Driver):
         name = next(iter(found if not running else sorted(found, key=found.__getitem__, reverse=True)), None)
         if name is not None and found[name] != self._stamp:
             self._model, self._stamp = self._load(self._run, name, self._env), found[name]
-            self.note = f"policy after {self._steps_of(self._run.model(name)):,} steps" if running else ""
+            self.note = f"policy after {self._steps_of(self._run.model(name)):,} steps{self._stage()}" if running else ""
         if self._model is not None:
             self._policy = self._action_function(self._model, self._env, number=number, rows=self._rows)
         elif running:
@@ -214,6 +216,11 @@ class PolicyDriver(Driver):
             self._policy, self.note = lambda observation: space.sample(), "the training has saved no policy yet: random actions"
         else:
             raise RunError(f"{self._run.path} holds no model yet; train it, or show its scenario")
+
+    def _stage(self) -> str:
+        """The stage of the curriculum that the training is in, as its newest episodes say."""
+        rows = self._read_log(self._run.monitor, tail=_TAIL_BYTES)
+        return f", the training is in stage {rows[-1]['stage']}" if rows and rows[-1].get("stage") else ""
 
     def act(self, observation: Any) -> Any:
         return self._policy(observation)

@@ -27,6 +27,9 @@ from deepbots_cli.runtime.actuation import Push
 from deepbots_cli.runtime.messages import Channel, FieldCodec, LossyChannel
 from deepbots_cli.runtime.placement import Arrangement
 
+COLOURS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#8a8a8a", "#a58b00")
+"""Of Okabe and Ito, which colour-blind people can tell apart; grey for black."""
+
 Image = NDArray[np.uint8]
 LinkName = tuple[str, str]
 """A body and one of its links; the root link of an object has the name of the object."""

@@ -23,12 +23,13 @@ import numpy as np
 from deepbots_cli.diagnostics.render import render
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.frames import Triple, add, roll_pitch_yaw, scaled
+from deepbots_cli.learning.run import Run, RunRecord
 from deepbots_cli.port import ZERO_VECTOR
 from deepbots_cli.runtime.overview import extent, follows_robot, shift_beside, view_around
-from deepbots_cli.view import panel, server
+from deepbots_cli.view import panel, plots, server
 from deepbots_cli.view.batch import BatchPlayer
 from deepbots_cli.view.episodes import HAND, RANDOM, ZERO, Driver, Player, Source, SourceState, file_stamps
-from deepbots_cli.view.frames import AgentFrame, Image, PlottedField, WorldFrame
+from deepbots_cli.view.frames import COLOURS, AgentFrame, Image, PlottedField, WorldFrame
 from deepbots_cli.view.manual_input import ManualInput
 from deepbots_cli.view.recordings import SUFFIX, record
 from deepbots_cli.view.replay import ReplayPlayer
@@ -44,11 +45,10 @@ _MAX_STEPPING_S = 0.1  # s; a world that is slower than real time still answers
 _WATCH_INTERVAL_S = 0.25  # s
 _DEBOUNCE_S = 0.3  # s without a change, after which the value of a parameter counts
 _STEERING_TIME = 0.3  # s of the episode, in which the effect of a key on the yaw is measured
+_TRAINING_INTERVAL_S = 20.0  # s, after which the logs of a training are read again
 _MAX_SERIES = 8
 MAX_RECORDINGS = 100
 """What one page writes: a person drives for hours until then, and a program that presses the button does not fill the disk."""
-COLOURS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#8a8a8a", "#a58b00")
-"""Of Okabe and Ito, which colour-blind people can tell apart; grey for black."""
 _NUMBER_WITH_UNIT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?:\s+(.*)|(%|[a-zA-Z].*)?)\s*")
 """A number with its unit."""
 
@@ -278,6 +278,8 @@ class Page:
         if player.opened.parameters and self._compare is None:
             tabs["Parameters"] = partial(self._add_parameters, player.opened.parameters)
         group = gui.add_tab_group()
+        if self._training_run is not None:
+            tabs["Training"] = self._add_training
         for title, add_content in {**tabs, "Show": self._add_switches}.items():
             with group.add_tab(title):
                 add_content()
@@ -353,6 +355,27 @@ class Page:
 
     def _add_values(self) -> None:
         self._values = self.server.gui.add_html("")
+
+    @property
+    def _training_run(self) -> Run | None:
+        """The run that is shown, where it is one."""
+        run: Run | None = self.panels[0].player.opened.run
+        return run
+
+    def _add_training(self) -> None:
+        self._training, self._training_read_at = self.server.gui.add_html(""), -math.inf
+        self._read_training()
+
+    def _read_training(self) -> None:
+        """Show the stages and evaluations of the training of the run; while it goes on, from its logs of now."""
+        run = self._training_run
+        if run is None or time.monotonic() - self._training_read_at < _TRAINING_INTERVAL_S:
+            return
+        record = RunRecord.read(run.path)
+        episodes, evaluations = plots.logs_of(run.path)
+        rows = panel.training_rows(plots.stage_starts(record, episodes), evaluations, success=run.program.defines_success)
+        self._training.content = panel.table(rows)
+        self._training_read_at = time.monotonic() if record.status == "running" else math.inf
 
     def _add_plots(self) -> None:
         gui, layout = self.server.gui, self._panel_of_agent.player.reader.layout
@@ -558,6 +581,7 @@ class Page:
         for shown in self.panels:
             shown.show_newest(after_reset=True)
             shown.scene.draw(1.0)
+        self._read_training()
         if self._slider is not None and isinstance(self.player, ReplayPlayer):
             self._slider.max = max(1, self.player.length - 1)
         self._update_texts()

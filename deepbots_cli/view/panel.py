@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import html
 import math
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from statistics import fmean
+from typing import Any
 
 from deepbots_cli.view.frames import AgentFrame, FrameLayout, PlottedField, WorldFrame
 
@@ -33,6 +35,18 @@ def agent_rows(layout: FrameLayout, agent: AgentFrame) -> Iterator[str]:
     left = len(layout.observation) - _MAX_ROWS
     if left > 0:
         yield _row(f"and {left} more, see Plots", "")
+
+
+def training_rows(stages: Sequence[tuple[str, float]], evaluations: Sequence[Mapping[str, Any]], *, success: bool) -> Iterator[str]:
+    """The stages of a curriculum with the timesteps at their beginning, and the evaluations of a training, the newest first."""
+    if stages:
+        yield _head("stages of the curriculum, and their first timestep")
+        yield from (_wide_row(f"{number}. {name}", f"{steps:,.0f}") for number, (name, steps) in enumerate(stages, 1))
+    yield _head("evaluations during the training" if evaluations else "no evaluation yet")
+    for each in list(reversed(evaluations))[:_MAX_ROWS]:
+        stage = f", stage {each['stage']}" if each["stage"] else ""
+        rate = f", success {fmean(each['successes']):.0%}" if success else ""
+        yield _wide_row(f"{each['steps']:,.0f} steps{stage}", f"return {fmean(each['returns']):.4g}{rate}")
 
 
 def message_rows(layout: FrameLayout, frame: WorldFrame, others: Collection[str]) -> Iterator[str]:
@@ -66,6 +80,11 @@ def _row(name: str, value: str, bar: str = "") -> str:
     parts = html.escape(name).replace(".", ".<wbr>").replace("_", "_<wbr>")  # a long name breaks, and leaves room for the bar
     cells = f"<td style='overflow-wrap:anywhere'>{parts}</td><td style='{_NUMBER}'>{html.escape(value)}</td>"
     return f"<tr>{cells}<td style='width:35%'>{bar}</td></tr>"
+
+
+def _wide_row(name: str, value: str) -> str:
+    """A row without a bar, which leaves the words whole."""
+    return f"<tr><td>{html.escape(name)}</td><td colspan='2' style='text-align:right'>{html.escape(value)}</td></tr>"
 
 
 def _bar(field: PlottedField, value: float) -> str:

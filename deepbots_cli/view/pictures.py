@@ -24,8 +24,7 @@ from deepbots_cli.program.world import ObjectBody, RobotBody, WorldModel
 from deepbots_cli.runtime.overview import box_around, overview, view_around
 from deepbots_cli.view import trajectories
 from deepbots_cli.view.episodes import Player
-from deepbots_cli.view.frames import WorldFrame
-from deepbots_cli.view.page import COLOURS
+from deepbots_cli.view.frames import COLOURS, WorldFrame
 
 if TYPE_CHECKING:
     from PIL.Image import Image as Picture

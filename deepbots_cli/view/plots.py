@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import math
+import textwrap
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import fmean
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from deepbots_cli.learning.episodes import read_log
 from deepbots_cli.learning.group import is_group
 from deepbots_cli.learning.run import RECORD_NAME, EvaluationRecord, RunRecord, changed_settings, run_folders, short_settings
 from deepbots_cli.learning.verdict import quoted_evaluation
-from deepbots_cli.view.page import COLOURS
+from deepbots_cli.view.frames import COLOURS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,8 +30,13 @@ if TYPE_CHECKING:
 SUFFIXES = (".png", ".svg")
 _MAX_CURVE_POINTS = 200  # of a curve
 _MAX_COLOURED_ENDINGS = 20  # that have a colour of their own
+_MAX_STAGES = 100  # that are marked
 _MAX_LOG_BYTES = 1 << 28  # of a log
 _LINE_STYLES = ("-", "--", "-.", ":")
+_MARKS = ("o", "s", "^", "v", "P", "X")
+_PANEL_WIDTH, _LETTER_WIDTH = 4.3, 0.068  # inches: of a panel, and of a letter in its legend
+_ROW_HEIGHT = 9  # points; of the names of stages above a panel
+_MAX_LINE, _MAX_TITLE_LINE = 58, 64  # letters of a name below a panel, and of its title
 THEMES = {"light": ("#ffffff", "#202428", "#d5d8dc"), "dark": ("#16181c", "#e4e6ea", "#3c4046")}
 """Background, text and grid."""
 _EPISODE_COLUMNS = (
@@ -41,10 +47,21 @@ Curve = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Timesteps and values."""
 
 
+class StageStart(NamedTuple):
+    """A stage of a curriculum, and after how many timesteps of the training it began."""
+
+    name: str
+    steps: float
+
+
 @dataclass
 class TrainingLog:
     """What is known of one training: curves; reward terms and shares of endings by name. `group` is the scenario with
-    its digest, `settings` are the values that `--set` changed, and `name` is what its line is called."""
+    its digest, `settings` are the values that `--set` changed, and `name` is what its line is called.
+
+    `stages` are those of a curriculum that have begun. A curve has a nan where one of them begins: the next stage is another task.
+    `evaluation_stages` are those in which the policy acted in `evaluations`, empty for none.
+    """
 
     path: Path
     group: str
@@ -53,6 +70,8 @@ class TrainingLog:
     returns: Curve | None = None
     successes: Curve | None = None
     evaluations: Curve | None = None
+    evaluation_stages: Sequence[str] = ()
+    stages: Sequence[StageStart] = ()
     terms: dict[str, Curve] = field(default_factory=dict)
     endings: dict[str, Curve] = field(default_factory=dict)
     evaluation: EvaluationRecord | None = None
@@ -89,21 +108,35 @@ def _read_run(path: Path, window: int) -> TrainingLog:
     episodes, evaluations = logs_of(path)
     if not len(episodes):
         raise RunError(f"{path} holds no finished episode yet; plot it later")
-    steps, successes = episodes.steps, episodes.successes
-    log.returns = _averaged(steps, episodes.returns, window)
+    log.stages = stage_starts(record, episodes)
+    log.returns = _averaged(episodes, episodes.returns, window, log.stages)
     endings = episodes.endings.astype(str)
     common = [name for name, _ in Counter(endings.tolist()).most_common(_MAX_COLOURED_ENDINGS)]
     shares = {name or "unknown": endings == name for name in common} | {"others": ~np.isin(endings, common)}
-    log.endings = {name: _averaged(steps, share.astype(float), window) for name, share in shares.items() if share.any()}
+    log.endings = {name: _averaged(episodes, share.astype(float), window, log.stages) for name, share in shares.items() if share.any()}
     if found := quoted_evaluation(path, record):
         log.evaluation = found[1]
-    log.successes = _averaged(steps, successes, window) if successes.any() else None
+    log.successes = _averaged(episodes, episodes.successes, window, log.stages) if episodes.successes.any() else None
     if evaluations:
         log.evaluations = (np.array([line["steps"] for line in evaluations]), np.array([fmean(line["returns"]) for line in evaluations]))
+        log.evaluation_stages = [line["stage"] for line in evaluations]
     scalars = scalars_of(path / "tensorboard")
     finite = {tag: (at[np.isfinite(values)], values[np.isfinite(values)]) for tag, (at, values) in scalars.items()}
-    log.terms = {tag.removeprefix("reward/"): curve for tag, curve in finite.items() if tag.startswith("reward/") and len(curve[0])}
+    terms = {tag.removeprefix("reward/"): curve for tag, curve in finite.items() if tag.startswith("reward/") and len(curve[0])}
+    log.terms = {term: _with_breaks(curve, log.stages) for term, curve in terms.items()}
     return log
+
+
+def stage_starts(record: RunRecord, episodes: Any) -> list[StageStart]:
+    """When the stages of a training began: from its record, or else, while it goes on, with their first episode in `episodes`."""
+    done = {stage.name: float(max(0, min(stage.steps, 2**63))) for stage in record.result.stages} if record.result else {}
+    found: list[StageStart] = []
+    for name in [name for name in dict.fromkeys([*done, *episodes.stages]) if name][:_MAX_STAGES]:
+        own = episodes.steps[episodes.stages == name]
+        begun = (done.get(found[-1].name) or (own[0] if len(own) else None)) if found else 0.0
+        if begun is not None and (not found or begun >= found[-1].steps):
+            found.append(StageStart(name, float(begun)))
+    return found
 
 
 def _read_tensorboard(path: Path) -> TrainingLog:
@@ -182,12 +215,27 @@ def scalars_of(path: Path) -> dict[str, Curve]:
     return {tag: (np.array([s for s, _ in sorted(rows)]), np.array([v for _, v in sorted(rows)])) for tag, rows in found.items()}
 
 
-def _averaged(steps: NDArray[np.float64], values: NDArray[np.float64], window: int) -> Curve:
-    """Means over so many episodes up to each."""
-    sums = np.concatenate([[0.0], np.cumsum(values)])
-    ends = np.arange(1, len(values) + 1)
-    starts = np.maximum(0, ends - window)
-    return steps, (sums[ends] - sums[starts]) / (ends - starts)
+def _averaged(episodes: Any, values: NDArray[np.float64], window: int, stages: Sequence[StageStart]) -> Curve:
+    """Means over so many episodes up to each, of each stage by itself."""
+    pieces = []
+    for start, following in zip(stages or [StageStart("", 0.0)], [*stages[1:], StageStart("", np.inf)], strict=True):
+        # Worlds change over one by one: the last episodes of a stage end after the next one has begun.
+        mine = (episodes.stages == start.name) & (episodes.steps <= following.steps) if stages else np.full(len(values), True)
+        sums = np.concatenate([[0.0], np.cumsum(values[mine])])
+        ends = np.arange(1, len(sums))
+        begins = np.maximum(0, ends - window)
+        pieces.append((episodes.steps[mine], (sums[ends] - sums[begins]) / (ends - begins)))
+    return _with_breaks((np.concatenate([at for at, _ in pieces]), np.concatenate([means for _, means in pieces])), stages)
+
+
+def _with_breaks(curve: Curve, stages: Sequence[StageStart]) -> Curve:
+    """A curve with a nan where each stage but the first begins."""
+    at, values = curve
+    for start in stages[1:]:
+        place = int(np.searchsorted(at, start.steps, side="right"))
+        if 0 < place < len(at):
+            at, values = np.insert(at, place, start.steps), np.insert(values, place, np.nan)
+    return at, values
 
 
 def plot(logs: Sequence[TrainingLog], *, theme: str = "light") -> Figure:
@@ -209,39 +257,71 @@ def plot(logs: Sequence[TrainingLog], *, theme: str = "light") -> Figure:
     figure = Figure(figsize=(10.0, 3.4 + 2.7 * len(detailed)), layout="constrained", facecolor=THEMES[theme][0])
     axes = figure.subplots(1 + len(detailed), 2, squeeze=False)
     returns, successes = axes[0]
-    for left in axes[2:, 0]:
-        left.sharey(axes[1, 0])  # reward terms of two scenarios are compared by eye
-    for number, members in enumerate(groups.values()):
+    terms = [{term for log in members for term in log.terms} for members in detailed]
+    for left, own in zip(axes[2:, 0], terms[1:], strict=True):
+        if own & terms[0]:
+            left.sharey(axes[1, 0])  # the same terms of two scenarios are compared by eye
+    shown = list(groups.values())
+    for number, members in enumerate(shown):
         name = members[0].name
         label = name if len(members) == 1 else f"{name} ({len(members)} seeds)"
         style: dict[str, Any] = {"color": COLOURS[number], "linestyle": _LINE_STYLES[number % len(_LINE_STYLES)], "label": label}
         plot_band(returns, [log.returns for log in members if log.returns is not None], style)
         plot_band(successes, [log.successes for log in members if log.successes is not None], style)
+        plot_evaluations(returns, members, COLOURS[number])
         for log in members:
-            if log.evaluations is not None:
-                returns.plot(*log.evaluations, "o", color=COLOURS[number], markersize=3, alpha=0.7)
             plot_evaluation(returns, successes, log, COLOURS[number])
     marks = {"dots": any(log.evaluations for log in logs), "diamond": any(log.evaluation for log in logs)}
     named = ", ".join(mark for mark, is_there in marks.items() if is_there)
-    style_panel(returns, f"return of training episodes{f'; {named}: evaluations' if named else ''}", theme)
-    style_panel(successes, "success rate of training episodes", theme, legend=False)
-    successes.set_ylim(-0.03, 1.03)
-    if not successes.lines:
+    title = f"return of training episodes{f'; {named}: evaluations' if named else ''}"
+    heights = [style_panel(returns, title, theme, stages=shown)]
+    if successes.lines:
+        style_panel(successes, "success rate of training episodes", theme, legend=False, stages=shown)
+        successes.set_ylim(-0.03, 1.03)
+    else:
         successes.remove()
         returns.set_subplotspec(returns.get_gridspec()[0, :])
+    styles = term_styles(logs)
     for (left, right), members in zip(axes[1:], detailed, strict=True):
         name = f"{members[0].name}: " if len(groups) > 1 else ""
-        for number, term in enumerate(sorted({term for log in members for term in log.terms})):
-            style = {
-                "color": COLOURS[number % len(COLOURS)],
-                "linestyle": _LINE_STYLES[number // len(COLOURS) % len(_LINE_STYLES)],
-                "label": term,
-            }
-            plot_band(left, [log.terms[term] for log in members if term in log.terms], style)
-        style_panel(left, f"{name}reward terms of an episode", theme)
-        plot_endings(right, members)
-        style_panel(right, f"{name}endings, share of episodes", theme)
+        for term in sorted({term for log in members for term in log.terms}):
+            plot_band(left, [log.terms[term] for log in members if term in log.terms], styles[term])
+        plot_endings(right, members, ending_colours(logs))
+        heights.append(
+            max(
+                style_panel(left, f"{name}reward terms of an episode", theme, stages=[members]),
+                style_panel(right, f"{name}endings, share of episodes", theme, stages=[members]),
+            )
+        )
+    figure.set_figheight(figure.get_figheight() + sum(heights))
     return figure
+
+
+def term_styles(logs: Sequence[TrainingLog]) -> dict[str, dict[str, Any]]:
+    """The style of the line of each reward term, the same wherever it is drawn."""
+    terms = sorted({term for log in logs for term in log.terms})
+    return {
+        term: {
+            "color": COLOURS[number % len(COLOURS)],
+            "linestyle": _LINE_STYLES[number // len(COLOURS) % len(_LINE_STYLES)],
+            "label": term,
+        }
+        for number, term in enumerate(terms)
+    }
+
+
+def ending_colours(logs: Sequence[TrainingLog]) -> dict[str, str]:
+    """The color of each ending, the same wherever it is drawn; the most frequent endings come first, and paler colors after the eighth."""
+    shares = Counter[str]()
+    for log in logs:
+        shares.update({name: float(np.nanmean(curve[1])) for name, curve in log.endings.items()})
+    names = [name for name, _ in shares.most_common()]
+    return {name: _paler(COLOURS[number % len(COLOURS)], number // len(COLOURS)) for number, name in enumerate(names)}
+
+
+def _paler(colour: str, rounds: int) -> str:
+    parts = [int(colour[place : place + 2], 16) for place in (1, 3, 5)]
+    return "#" + "".join(f"{round(255 - (255 - part) * 0.6**rounds):02x}" for part in parts)
 
 
 def plot_band(panel: Axes, curves: Sequence[Curve], style: Mapping[str, Any]) -> None:
@@ -256,6 +336,22 @@ def plot_band(panel: Axes, curves: Sequence[Curve], style: Mapping[str, Any]) ->
         panel.fill_between(at, rows.min(axis=0), rows.max(axis=0), color=style["color"], alpha=0.22, linewidth=0)
 
 
+def plot_evaluations(panel: Axes, logs: Sequence[TrainingLog], colour: str, label: str = "") -> None:
+    """The evaluations during trainings: a dot each, and a mark of its own for each stage of a curriculum, which the legend names."""
+    names = list(dict.fromkeys(start.name for log in logs for start in log.stages))
+    found = [
+        (steps, value, name if name in names else "")
+        for log in logs
+        if log.evaluations is not None
+        for steps, value, name in zip(*log.evaluations, log.evaluation_stages or [""] * len(log.evaluations[0]), strict=True)
+    ]
+    for name in dict.fromkeys(name for _, _, name in found):
+        steps, values = zip(*((at, value) for at, value, own in found if own == name), strict=True)
+        mark = _MARKS[names.index(name) % len(_MARKS)] if name else _MARKS[0]
+        text = f"evaluations in stage {name}" if name else label
+        panel.plot(steps, values, mark, color=colour, markersize=4, alpha=0.8, linestyle="none", label=text)
+
+
 def plot_evaluation(returns: Axes | None, successes: Axes | None, log: TrainingLog, colour: str) -> None:
     """A diamond at the end of the training, in the panel of returns and of success rates."""
     found = log.evaluation
@@ -267,13 +363,15 @@ def plot_evaluation(returns: Axes | None, successes: Axes | None, log: TrainingL
 
 
 def _common_steps(curves: Sequence[Curve]) -> NDArray[np.float64]:
-    """Timesteps at equal distances, as far as all curves go."""
+    """Timesteps at equal distances, as far as all curves go, and those at which a curve has a break."""
     first, last = max(steps[0] for steps, _ in curves), min(steps[-1] for steps, _ in curves)
-    return np.linspace(first, max(last, curves[0][0][0] + 1), _MAX_CURVE_POINTS)
+    last = max(last, curves[0][0][0] + 1)
+    breaks = np.concatenate([steps[np.isnan(values)] for steps, values in curves])
+    return np.union1d(np.linspace(first, last, _MAX_CURVE_POINTS), breaks[(breaks > first) & (breaks < last)])
 
 
-def plot_endings(panel: Axes, logs: Sequence[TrainingLog]) -> None:
-    """How episodes end, as moving shares, means over seeds."""
+def plot_endings(panel: Axes, logs: Sequence[TrainingLog], colours: Mapping[str, str]) -> None:
+    """How episodes end, as moving shares, means over seeds; `colours` are those of `ending_colours`."""
     curves = [curve for log in logs for curve in log.endings.values()]
     if not curves:
         return
@@ -282,21 +380,62 @@ def plot_endings(panel: Axes, logs: Sequence[TrainingLog]) -> None:
         name: np.mean([np.interp(at, *endings[name]) if name in endings else np.zeros(len(at)) for endings in members], axis=0)
         for name in {name: None for endings in members for name in endings}
     }
-    names = sorted(found, key=lambda name: -found[name].sum())
-    colours = [COLOURS[number % len(COLOURS)] for number in range(len(names))]
-    panel.stackplot(at, [found[name] for name in names], labels=names, colors=colours, alpha=0.85, linewidth=0)
+    names = sorted(found, key=lambda name: -np.nansum(found[name]))
+    panel.stackplot(at, [found[name] for name in names], labels=names, colors=[colours[name] for name in names], alpha=0.85, linewidth=0)
     panel.set_ylim(0, 1)
 
 
-def style_panel(panel: Axes, title: str, theme: str, *, legend: bool = True, axes: tuple[str, str] | None = None) -> None:
-    """Style a panel; `axes` are the names of its axes, by default timesteps below."""
+def mark_stages(panel: Axes, groups: Sequence[Sequence[TrainingLog]], theme: str) -> tuple[int, list[str]]:
+    """A line where each stage of a curriculum began, and its name above the panel, or its number where the name has no room.
+
+    Each group of trainings has a row of names. Returns the number of rows, and what the numbers mean.
+    """
+    (low, high), width = panel.get_xlim(), _PANEL_WIDTH
+    rows, key = 0, list[str]()
+    for number, members in enumerate(groups):
+        colour = THEMES[theme][1] if len(groups) == 1 else COLOURS[number]
+        starts: dict[str, list[float]] = {}
+        for start in (start for log in members for start in log.stages):
+            starts.setdefault(start.name, []).append(start.steps)
+        first = sorted((min(steps), name) for name, steps in starts.items())
+        for place, (begin, name) in enumerate(first):
+            for steps in starts[name] if place else ():
+                panel.axvline(steps, color=colour, linestyle=(0, (4, 3)), linewidth=0.9, alpha=0.8)
+            end = first[place + 1][0] if place + 1 < len(first) else high
+            fits = (len(name) + 1) * _LETTER_WIDTH < (end - max(begin, low)) / (high - low) * width
+            text = name if fits else str(place + 1)
+            key += [] if fits else [f"{place + 1} {name}"]
+            panel.annotate(
+                text, (max(begin, low), 1.0), (2, 2 + _ROW_HEIGHT * rows), xycoords=("data", "axes fraction"), textcoords="offset points",
+                fontsize=7, color=colour, parse_math=False,
+            ).set_in_layout(False)  # fmt: skip
+        rows += bool(first)
+    return rows, list(dict.fromkeys(key))
+
+
+def style_panel(
+    panel: Axes,
+    title: str,
+    theme: str,
+    *,
+    legend: bool = True,
+    axes: tuple[str, str] | None = None,
+    stages: Sequence[Sequence[TrainingLog]] = (),
+) -> float:
+    """Style a panel; the height (inches) of its legend, which is below it and hides nothing.
+
+    `axes` are the names of its axes, by default timesteps below. `stages` are groups of trainings whose stages are marked.
+    """
     from matplotlib.ticker import EngFormatter
 
     ground, text, grid = THEMES[theme]
     panel.set_facecolor(ground)
-    panel.set_title(title, fontsize=10, color=text, loc="left", parse_math=False)  # a name may hold a $
-    below, beside = axes or ("timesteps", "")
-    panel.set_xlabel(below, fontsize=9, color=text, parse_math=False)
+    rows, key = mark_stages(panel, stages, theme)
+    panel.set_title(
+        textwrap.fill(title, _MAX_TITLE_LINE), fontsize=10, color=text, loc="left", pad=6 + _ROW_HEIGHT * rows, parse_math=False
+    )  # a name may hold a $
+    below, beside = axes or (f"timesteps; stage {', '.join(key)}" if key else "timesteps", "")
+    panel.set_xlabel(textwrap.fill(below, _MAX_LINE), fontsize=9, color=text, parse_math=False)
     panel.set_ylabel(beside, fontsize=9, color=text)
     if axes is None:
         panel.xaxis.set_major_formatter(EngFormatter(sep=""))
@@ -306,7 +445,27 @@ def style_panel(panel: Axes, title: str, theme: str, *, legend: bool = True, axe
     for side, spine in panel.spines.items():
         spine.set_visible(side in ("left", "bottom"))
         spine.set_color(grid)
-    if legend and panel.get_legend_handles_labels()[1]:
-        box = panel.legend(fontsize=8, labelcolor=text, facecolor=ground, edgecolor=grid, framealpha=0.85)
-        for label in box.get_texts():
-            label.set_parse_math(False)
+    return _legend_below(panel, theme) if legend else 0.0
+
+
+def _legend_below(panel: Axes, theme: str) -> float:
+    """A legend under the names of the axis; its height in inches. Long names take several lines."""
+    from matplotlib.transforms import ScaledTranslation
+
+    handles, names = panel.get_legend_handles_labels()
+    if not names:
+        return 0.0
+    names = [textwrap.fill(name, _MAX_LINE) for name in names]
+    longest = max(len(line) for name in names for line in name.splitlines())
+    columns = max(1, min(len(names), int(_PANEL_WIDTH / (0.5 + _LETTER_WIDTH * longest))))
+    lines = max(name.count("\n") + 1 for name in names) * math.ceil(len(names) / columns)
+    room = 0.42 + 0.14 * panel.get_xlabel().count("\n")  # inches below the panel for numbers and name of the axis
+    figure: Any = panel.figure
+    place = panel.transAxes + ScaledTranslation(0.0, -room, figure.dpi_scale_trans)
+    box = panel.legend(
+        handles, names, loc="upper left", bbox_to_anchor=(0.0, 0.0), bbox_transform=place, borderaxespad=0.0, ncols=columns,
+        fontsize=8, labelcolor=THEMES[theme][1], frameon=False, borderpad=0.0, columnspacing=1.2,
+    )  # fmt: skip
+    for label in box.get_texts():
+        label.set_parse_math(False)
+    return 0.08 + 0.16 * float(lines)

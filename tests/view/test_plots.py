@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import json
 import os
+import re
 
 import numpy as np
 import pytest
 
 pytest.importorskip("matplotlib")
 pytest.importorskip("tensorboard")
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
 from deepbots_cli.cli import main
 from deepbots_cli.errors import RunError
-from deepbots_cli.learning.run import FORMAT, RunRecord, write_record
+from deepbots_cli.learning.curriculum import CompletedStage
+from deepbots_cli.learning.run import FORMAT, RunRecord, RunResult, write_record
 from deepbots_cli.view import plots
+from deepbots_cli.view.panel import training_rows
 
 
 def _events(folder, **scalars):
@@ -29,21 +34,26 @@ def _events(folder, **scalars):
     return folder
 
 
-def _run(folder, digest, returns):
-    """A run directory as far as it is plotted; the first of four episodes is a success."""
+def _run(folder, digest, returns, endings=("found", "crashed", "crashed", "crashed"), stages=("",) * 4, completed=None):
+    """A run directory as far as it is plotted; `completed` are the steps after which each stage was done."""
     folder.mkdir()
+    result = None if completed is None else RunResult(
+        status="finished", steps=100, total_timesteps=100, episodes=4, mean_return=0.0, success_rate=0.0, best_return=None,
+        simulated_hours=0.1, evaluation_steps=0, solved_at=None, cpu_seconds=1.0, wall_seconds=1.0, weights_digest="", stage=stages[-1],
+        stages=tuple(CompletedStage(name, steps, 1, 0.5) for name, steps in completed.items()),
+    )  # fmt: skip
     record = RunRecord(
         format=FORMAT, deepbots="0", status="running", scenario="FindBall", source="", digest=digest, interface={}, inputs={},
         engine="pybullet", seed=0, seeds={}, total_timesteps=100, stop_when_solved=False, first_stage=None, keep_checkpoints=0,
-        initialized_from=None, command=(), versions={}, platform="", started="", updated="", resumed_at=(), result=None,
+        initialized_from=None, command=(), versions={}, platform="", started="", updated="", resumed_at=(), result=result,
     )  # fmt: skip
     write_record(folder, record)
-    endings = ["found", "crashed", "crashed", "crashed"]
-    rows = [f"{r},10,0.1,{n},{10 * n},0.1,{int(e == 'found')},{e}," for n, (r, e) in enumerate(zip(returns, endings, strict=True), 1)]
+    each = enumerate(zip(returns, endings, stages, strict=True), 1)
+    rows = [f"{r},10,0.1,{n},{10 * n},0.1,{int(e == 'found')},{e},{s}" for n, (r, e, s) in each]
     head = "r,l,t,episode,steps,simulated_hours,is_success,ended_by,stage"
     (folder / "monitor.csv").write_text("\n".join(['#{"t_start": 0}', head, *rows]) + "\n7,1")  # the last line is being written
     (folder / "evaluations").mkdir()
-    evaluation = {"steps": 30, "returns": [1.0, 3.0], "successes": [False, True]}
+    evaluation = {"steps": 30, "returns": [1.0, 3.0], "successes": [False, True]} | ({"stage": stages[2]} if stages[2] else {})
     (folder / "evaluations" / "training.jsonl").write_text(json.dumps(evaluation) + "\n")
     _events(folder / "tensorboard", reward__closer=[(10, 1.0), (40, 4.0)])
 
@@ -98,6 +108,106 @@ def test_reward_terms_of_scenarios_share_their_scale_and_no_place_is_left_for_un
     for log in logs:
         log.successes = None
     assert [axes.get_title(loc="left").split(" ")[0] for axes in plots.plot(logs).axes][:2] == ["return", "a0:"]
+
+
+def test_terms_of_scenarios_that_have_none_in_common_have_a_scale_each(runs):
+    logs = plots.read_logs([runs / "a0", runs / "b0"])
+    logs[1].terms = {"found": (np.array([10.0, 40.0]), np.array([50.0, 90.0]))}
+    figure = plots.plot(logs)
+    assert figure.axes[2].get_ylim()[1] < 10.0 < figure.axes[4].get_ylim()[1]
+
+
+def test_an_ending_has_one_color_in_a_plot_of_two_runs(tmp_path):
+    _run(tmp_path / "a", "x", [0, 2, 4, 6], endings=["found", "crashed", "crashed", "crashed"])
+    _run(tmp_path / "b", "y", [0, 2, 4, 6], endings=["crashed", "found", "found", "lost"])
+    figure = plots.plot(plots.read_logs([tmp_path / "a", tmp_path / "b"]))
+    colours = [
+        {area.get_label(): tuple(area.get_facecolor()[0]) for area in panel.collections} for panel in (figure.axes[3], figure.axes[5])
+    ]
+    assert len(set(colours[1].values())) == 3
+    assert {name: colours[1][name] for name in colours[0]} == colours[0]
+
+
+def test_more_endings_than_colors_have_a_color_each(tmp_path):
+    names = [f"ending_{number}" for number in range(12)]
+    _run(tmp_path / "a", "x", [0.0] * 12, endings=names, stages=[""] * 12)
+    assert len(set(plots.ending_colours(plots.read_logs([tmp_path / "a"])).values())) == 12
+
+
+def test_a_legend_hides_no_curve_and_leaves_the_figure_nowhere(runs):
+    log = runs / "b0" / "monitor.csv"
+    log.write_text(log.read_text().replace("crashed", "crashed_" + "into_a_thing_" * 6))
+    logs = plots.read_logs([runs])
+    logs[-1].name = "a folder with a name that is long" * 4
+    figure = plots.plot(logs)
+    FigureCanvasAgg(figure).draw()
+    legends = [(panel, panel.get_legend().get_window_extent()) for panel in figure.axes if panel.get_legend()]
+    assert len(legends) == 5
+    for panel, box in legends:
+        assert box.y1 <= panel.xaxis.get_tightbbox().y0 + 1
+        assert box.x0 >= 0
+        assert box.x1 <= figure.bbox.x1
+        assert box.y0 >= 0
+        assert not any(box.overlaps(other.get_tightbbox()) for other in figure.axes if other is not panel)
+
+
+STAGES = ("open", "open", "crowded", "crowded")
+
+
+@pytest.mark.parametrize(("completed", "begun"), [({"open": 22}, 22.0), (None, 30.0)])  # while it trains, the first episode says it
+def test_the_stages_of_a_curriculum_are_marked_with_their_names(tmp_path, completed, begun):
+    _run(tmp_path / "a", "x", [0, 2, 40, 60], stages=STAGES, completed=completed)
+    logs = plots.read_logs([tmp_path / "a"])
+    assert logs[0].stages == [("open", 0.0), ("crowded", begun)]
+    for panel in plots.plot(logs).axes:
+        assert [text.get_text() for text in panel.texts] == ["open", "crowded"]
+        assert [list(line.get_xdata()) for line in panel.lines].count([begun, begun]) == 1
+
+
+def test_a_log_with_a_stage_for_each_episode_is_plotted_in_time(tmp_path):
+    names = [f"stage_{number}" for number in range(20_000)]
+    _run(tmp_path / "a", "x", [0.0] * 20_000, endings=["crashed"] * 20_000, stages=names, completed={"stage_0": -(10**400)})
+    assert len(plots.read_logs([tmp_path / "a"])[0].stages) <= 100
+
+
+def test_a_curve_does_not_join_the_stages_of_a_curriculum(tmp_path):
+    _run(tmp_path / "a", "x", [0, 2, 40, 60], stages=STAGES, completed={"open": 22})
+    logs = plots.read_logs([tmp_path / "a"])
+    assert [list(part) for part in logs[0].returns] == [[10, 20, 22, 30, 40], pytest.approx([0, 1, np.nan, 40, 50], nan_ok=True)]
+    returns, _, terms, endings = plots.plot(logs).axes
+    for panel in (returns, terms):
+        at, values = panel.lines[0].get_data()
+        assert np.isnan(values[at == 22.0]).all()
+    assert len(endings.collections[0].get_paths()) == 2
+
+
+def test_an_evaluation_shows_the_stage_it_was_made_in(tmp_path):
+    _run(tmp_path / "a", "x", [0, 2, 40, 60], stages=STAGES, completed={"open": 22})
+    returns = plots.plot(plots.read_logs([tmp_path / "a"])).axes[0]
+    marks = {line.get_label(): (line.get_marker(), line.get_xydata().tolist()) for line in returns.lines}
+    assert marks["evaluations in stage crowded"] == ("s", [[30.0, 2.0]])
+
+
+def test_a_stage_whose_name_has_no_room_is_a_number_with_a_key(tmp_path):
+    _run(
+        tmp_path / "a",
+        "x",
+        [0, 2, 40, 60],
+        stages=("open", "a_narrow_one", "crowded", "crowded"),
+        completed={"open": 11, "a_narrow_one": 14},
+    )
+    panel = plots.plot(plots.read_logs([tmp_path / "a"])).axes[0]
+    assert [text.get_text() for text in panel.texts] == ["1", "2", "crowded"]
+    assert panel.get_xlabel() == "timesteps; stage 1 open, 2 a_narrow_one"
+
+
+def test_the_page_of_a_run_lists_stages_and_evaluations(tmp_path):
+    _run(tmp_path / "a", "x", [0, 2, 40, 60], stages=STAGES, completed={"open": 22})
+    episodes, evaluations = plots.logs_of(tmp_path / "a")
+    text = "".join(training_rows(plots.stage_starts(RunRecord.read(tmp_path / "a"), episodes), evaluations, success=True))
+    cells = re.findall(r"<td[^>]*>([^<]+)", text)
+    assert cells[1:5] == ["1. open", "0", "2. crowded", "22"]
+    assert cells[6:] == ["30 steps, stage crowded", "return 2, success 50%"]
 
 
 def test_endings_are_shares_of_episodes(runs):

@@ -64,6 +64,20 @@ def test_a_training_is_followed_to_its_newest_policy(tmp_path):
         assert player.driver._model is before
 
 
+def test_the_page_of_a_training_marks_the_stages_of_its_curriculum(tmp_path):
+    pytest.importorskip("viser")
+    from deepbots_cli.view.page import Page
+
+    stages = "curriculum=[{name: wide, set: {fall_angle: 8 deg}, until: 24 steps}, {name: usual}]"
+    run = Run.open(_trained(tmp_path, "cartpole", stages))
+    run.update(status="running")
+    with closing(Page(Source(str(run.path)), port=0)) as page:
+        assert page.player.note == "policy after 64 steps, the training is in stage usual"
+        text = page._training.content
+    (done,) = run.record.result.stages
+    assert text.index("1. wide") < text.index(">0<") < text.index("2. usual") < text.index(f">{done.steps}<")
+
+
 def test_a_parameter_of_a_run_changes_its_world_and_a_policy_that_does_not_fit_is_refused(tmp_path):
     run = str(_trained(tmp_path, "cartpole"))
     assert Source(run).open().parameters["fall_angle"] == "15 deg"

@@ -28,7 +28,8 @@ def command(
 
     The panels show returns, success rates, reward terms and endings.
     Runs of one scenario with different seeds are drawn as one line, the mean over the seeds. A band shows the range from the lowest to the
-    highest seed. Each further scenario has its own line. Dots are the evaluations during the training.
+    highest seed. Each further scenario has its own line. Dots are the evaluations during the training. Dashed lines mark where the stages
+    of a curriculum begin.
 
     \b
       deepbots plot runs/cartpole-0-1
