@@ -216,6 +216,18 @@ class RobotModel:
         """The joints that follow this one."""
         return {name: mimic for name, mimic in self.followers.items() if mimic.joint == leader}
 
+    @property
+    def end_link(self) -> str:
+        """The link that the most moving joints carry: of an arm, its hand or a finger; of several the last one."""
+        carried = {self.root: 0}
+        waiting = [self.root]
+        for parent in waiting:
+            for joint in self.joints:
+                if joint.parent == parent:
+                    carried[joint.child] = carried[parent] + int(joint.moves)
+                    waiting.append(joint.child)
+        return max(reversed(list(carried)), key=carried.__getitem__)
+
     def subtree_mass(self) -> dict[str, float]:
         """For each link by name, the mass (kg) of the link and of everything below it."""
         mass = {link.name: link.inertial.mass if link.inertial else 0.0 for link in self.links}

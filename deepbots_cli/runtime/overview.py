@@ -20,7 +20,7 @@ _FLAT_EYE_RISE = 0.9  # how much higher the eye stands over what is flat
 _VIEW_MARGIN = 1.08
 _SCENE_SPACING = 1.1  # how far apart two scenes stand, as a factor
 _MIN_HALF_SIDE_M = 0.05  # m; half the side of the smallest scene
-_LEG_ROOM = 0.2  # of its largest side, on each side of a robot that the view follows: legs swing out
+_LEG_ROOM, _ARM_ROOM = 0.2, 0.12  # of its largest side, around a robot that the view follows, and one with a fixed base
 
 Parameters = Mapping[tuple[str, str | None], Scalar]
 """What each component of a parameter is."""
@@ -133,8 +133,8 @@ def _robots(scenario: Program, places: dict[str, Placement], parameters: Paramet
         box = robot_bounds(robot.model, joints)
         turns = robot.name in places or robot.pose.rpy[2] != 0.0
         box = _all_round(box) if turns else box
-        if follows_robot(scenario.world):
-            room = _LEG_ROOM * max(high - low for low, high in zip(*box, strict=True))
+        if follows_robot(scenario.world) or (robot.fixed_base and robot.model.moving_joints):  # legs and arms swing out
+            room = (_ARM_ROOM if robot.fixed_base else _LEG_ROOM) * max(high - low for low, high in zip(*box, strict=True))
             box = add(box[0], (-room, -room, 0.0)), add(box[1], (room, room, room))
         low, high = _placed(box, robot.pose.xyz, places.get(robot.name), scenario.world, places, parameters)
         yield from ((add(low, shift), add(high, shift)) for shift in shifts)

@@ -155,7 +155,7 @@ class WorldScene:
         self._goals: dict[tuple[str, str], Any] = {}
         shown, hidden = ("rays", "contacts", "goal", "shortest path"), ("path", "names", "axes")
         self.visible_parts = dict.fromkeys(shown, True) | dict.fromkeys(hidden, False)
-        """What a person may show and hide. `shortest path` is that of `path_distance`, `path` the one that the robot took."""
+        """What a person may show and hide. `shortest path` is that of `path_distance`, `path` the robot's or its end link's."""
         self._build_surroundings(world)
         for robot in world.robots:
             self._build_robot(robot.name, robot.model)
@@ -169,7 +169,10 @@ class WorldScene:
         self._path = self._add_lines(f"{root}/path", line, thickness=3.0, visible=False)
         self._ways = self._add_lines(f"{root}/ways", line, visible=False)
         self._rays = self._add_lines(f"{root}/rays", line, visible=len(layout.sensor_rays) > 0)
-        self._followed = next((r.name for r in world.robots if not r.fixed_base), world.robots[0].name if world.robots else None)
+        first = next((r for r in world.robots if not r.fixed_base), next(iter(world.robots), None))
+        self._followed = (first.name, first.model.root) if first else None
+        self._traced = (first.name, first.model.end_link if first.fixed_base else first.model.root) if first else None
+        self._start = ZERO_VECTOR
         self._trail: list[tuple[float, float, float]] = []
         self._parts = list(self._nodes)
         self._now = self._before = self._sent = np.full((len(self._parts), 7), np.nan)
@@ -300,9 +303,9 @@ class WorldScene:
         self._now, self._frame = rows, frame
         for (body, form), node in self._variants.items():
             node.visible = (body, body) in frame.links and frame.variants.get(body, form) == form
-        if self._followed is not None:
-            root = self._layout.robots[self._followed].root
-            self._trail.append(frame.links[self._followed, root][0])
+        if self._followed is not None and self._traced is not None:
+            self._start = self._start if self._trail else frame.links[self._followed][0]
+            self._trail.append(frame.links[self._traced][0])
             del self._trail[1:-_MAX_PATH]
         self._mark(frame)
 
@@ -320,7 +323,7 @@ class WorldScene:
         if self._rays.visible and not np.array_equal(rays, self._rays_sent):
             self._rays.points, self._rays.colors, self._rays_sent = rays[..., :3], rays[..., 3:].astype(np.uint8), rays
         if self._followed is not None:
-            x, y, _ = rows[self._parts.index((self._followed, self._layout.robots[self._followed].root)), :3] - self._trail[0]
+            x, y, _ = rows[self._parts.index(self._followed), :3] - self._start
             shift = frames.add(self._place, (-x, -y, 0.0)) if self.follows else self._place
             self._anchor.position = shift
 

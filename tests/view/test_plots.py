@@ -137,7 +137,7 @@ def test_more_endings_than_colors_have_a_color_each(tmp_path):
 def test_a_legend_hides_no_curve_and_leaves_the_figure_nowhere(runs):
     log = runs / "b0" / "monitor.csv"
     log.write_text(log.read_text().replace("crashed", "crashed_" + "into_a_thing_" * 6))
-    logs = plots.read_logs([runs])
+    logs = plots.read_logs([runs / "a0", runs / "b0"])
     logs[-1].name = "a folder with a name that is long" * 4
     figure = plots.plot(logs)
     FigureCanvasAgg(figure).draw()

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from contextlib import closing
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
 
 from deepbots_cli import api
+from deepbots_cli.footprint import robot_bounds
+from deepbots_cli.runtime.overview import overview
 from deepbots_cli.view import trajectories
 from deepbots_cli.view.episodes import Player, Source
+from deepbots_cli.view.pictures import projection
 
 
 @pytest.fixture(scope="module")
@@ -54,3 +58,25 @@ def test_a_target_that_moves_is_followed():
         assert trajectories.find_moving(player.program, player.env.world, [found]).targets == (("", "agent"),)
     assert found["", "agent"][:, 1] == pytest.approx(0.2 * np.sin(np.pi / 2 * 0.04 * np.arange(6)), abs=1e-6)
     assert trajectories.has_moved(found["", "agent"])
+
+
+def test_the_page_draws_the_path_of_an_arm_by_its_end_link():
+    pytest.importorskip("viser")
+    from deepbots_cli.view.page import Page
+
+    with closing(Page(Source("panda_reach"), port=0, driver="random")) as page:
+        for _ in range(3):
+            page.step_once()
+        trail = np.array(page.world._trail)
+    assert np.linalg.norm(trail[-1] - trail[0]) > 0.005
+    assert trail[0][2] > 0.4  # and not where the base stands
+
+
+def test_the_view_does_not_cut_off_an_arm_that_reaches_out(push):
+    model = push[1].robots[0].model
+    view = overview(api.compile(api.load("panda_reach")).program, 300, 200)
+    low, high = robot_bounds(model, {"panda_joint2": 0.4, "panda_joint4": -1.2, "panda_joint6": 1.6})
+    for corner in product(*zip(low, high, strict=True)):
+        x, y = projection(view)(corner)
+        assert 0 < x < 300
+        assert 0 < y < 200
