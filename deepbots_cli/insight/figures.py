@@ -88,6 +88,7 @@ def shares(logs: Sequence[TrainingLog], theme: str) -> Figure | None:
     if len(terms) < 2 or not curves:
         return None
     at = np.linspace(min(steps[0] for steps, _ in curves), max(steps[-1] for steps, _ in curves), 200)
+    at = np.union1d(at, np.concatenate([steps[np.isnan(values)] for steps, values in curves]))  # where a stage begins
     sizes = np.array([np.mean([np.interp(at, *_sizes(log.terms[term])) for log in logs if term in log.terms], axis=0) for term in terms])
     figure, ((panel,),) = _figure(theme, 2.9)
     colours = [styles[term]["color"] for term in terms]
@@ -176,7 +177,8 @@ def trajectories(
 
 
 def _draw_episode(panel: Any, plane: tuple[int, int], shown: ReportEpisode, moving: Moving, colour: str, theme: str) -> None:
-    width, alpha, ground = (2.0, 1.0, THEMES[theme][0]) if shown.label else (0.9, 0.7, THEMES[theme][0])
+    ground = THEMES[theme][0]
+    width, alpha = (2.0, 1.0) if shown.label else (0.9, 0.7)
     for part in [*moving.parts, *moving.targets]:
         if part not in shown.positions:
             continue

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from deepbots_cli.diagnostics.render import render
-from deepbots_cli.errors import DeepbotsError, UsageError
+from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.frames import Triple, add, roll_pitch_yaw, scaled
 from deepbots_cli.learning.run import Run, RunRecord
 from deepbots_cli.port import ZERO_VECTOR
@@ -371,11 +371,17 @@ class Page:
         run = self._training_run
         if run is None or time.monotonic() - self._training_read_at < _TRAINING_INTERVAL_S:
             return
-        record = RunRecord.read(run.path)
-        episodes, evaluations = plots.logs_of(run.path)
+        self._training_read_at = math.inf
+        try:
+            record = RunRecord.read(run.path)
+            episodes, evaluations = plots.logs_of(run.path)
+        except RunError as error:
+            self._training.content = panel.notice("the training cannot be shown", html.escape(str(error)), "#D55E00")
+            return
         rows = panel.training_rows(plots.stage_starts(record, episodes), evaluations, success=run.program.defines_success)
         self._training.content = panel.table(rows)
-        self._training_read_at = time.monotonic() if record.status == "running" else math.inf
+        if record.status == "running":
+            self._training_read_at = time.monotonic()
 
     def _add_plots(self) -> None:
         gui, layout = self.server.gui, self._panel_of_agent.player.reader.layout

@@ -19,7 +19,7 @@ from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.files import atomic_write, check_output
 from deepbots_cli.footprint import Bounds, bounds_of_shape, box_sides, robot_bounds
 from deepbots_cli.frames import Triple
-from deepbots_cli.port import View
+from deepbots_cli.port import ZERO_VECTOR, View
 from deepbots_cli.program.world import ObjectBody, RobotBody, WorldModel
 from deepbots_cli.runtime.overview import box_around, overview, view_around
 from deepbots_cli.view import trajectories
@@ -181,12 +181,12 @@ class PaintedPath:
         wide, deep, climb = np.max([np.nanmax(points, axis=0) - np.nanmin(points, axis=0) for points in self.moving.values()], axis=0)
         if climb > _MIN_CLIMB * max(wide, deep):
             return view_around(boxes, shot.width, shot.height)
-        corners = np.array([corner for box in boxes for corner in box])
-        (x, y, _), half = (corners.max(axis=0) + corners.min(axis=0)) / 2, _MIN_HALF_SIDE_M
-        tall = math.tan(View((0, 0, 0), (0, 0, 0)).fov / 2) / _MARGIN_ABOVE
-        away = np.maximum(np.abs(corners - (x, y, 0.0)), (half, half, 0.0))  # along x it is the height of the picture that counts
-        height = float((np.maximum(away[:, 0], away[:, 1] * shot.height / shot.width) / tall + corners[:, 2]).max())
-        return View((float(x), float(y), height), (float(x), float(y), 0.0), shot.width, shot.height)
+        low, high = np.array(boxes).transpose(1, 0, 2)
+        (x, y, _), (x_end, y_end, _) = box_around(boxes)
+        middle, tall = ((x + x_end) / 2, (y + y_end) / 2, 0.0), math.tan(View(ZERO_VECTOR, ZERO_VECTOR).fov / 2) / _MARGIN_ABOVE
+        away = np.maximum(np.maximum(high - middle, np.subtract(middle, low)), _MIN_HALF_SIDE_M)
+        height = float((np.maximum(away[:, 0], away[:, 1] * shot.height / shot.width) / tall + high[:, 2]).max())  # x is upwards
+        return View((middle[0], middle[1], height), middle, shot.width, shot.height)
 
 
 def _bounds(points: ArrayLike) -> Bounds:

@@ -59,7 +59,8 @@ def read_positions(layout: FrameLayout, frames: Iterable[WorldFrame]) -> Positio
 
 def find_moving(program: Program, world: WorldModel, episodes: Sequence[Positions]) -> Moving:
     """What moves in at least one of these episodes of a program; `world` is that of the environment, with all copies of a robot."""
-    extents = {part: max(_extent(each[part]) for each in episodes if part in each) for each in episodes for part in each}
+    parts = dict.fromkeys(part for each in episodes for part in each)
+    extents = {part: max(_extent(each[part]) for each in episodes if part in each) for part in parts}
     subjects = _subjects(program)
     found: list[LinkName] = []
     named = {subject.body: None for subject in subjects} | {robot.name: None for robot in program.world.robots}

@@ -78,6 +78,17 @@ def test_the_page_of_a_training_marks_the_stages_of_its_curriculum(tmp_path):
     assert text.index("1. wide") < text.index(">0<") < text.index("2. usual") < text.index(f">{done.steps}<")
 
 
+def test_a_run_whose_log_is_damaged_is_still_shown(tmp_path):
+    pytest.importorskip("viser")
+    from deepbots_cli.view.page import Page
+
+    run = Run.open(_trained(tmp_path, "cartpole"))
+    run.monitor.write_text("#\nr,l,steps,is_success,ended_by\nx,1,1,0,fallen\n")
+    with closing(Page(Source(str(run.path)), port=0)) as page:
+        assert "one of its logs cannot be read" in page._training.content
+        assert page.player.driver_name == POLICY
+
+
 def test_a_parameter_of_a_run_changes_its_world_and_a_policy_that_does_not_fit_is_refused(tmp_path):
     run = str(_trained(tmp_path, "cartpole"))
     assert Source(run).open().parameters["fall_angle"] == "15 deg"
