@@ -22,6 +22,7 @@ from deepbots_cli.learning.episodes import Episode
 from deepbots_cli.learning.group import GroupRecord
 from deepbots_cli.learning.statistics import mean_interval
 from deepbots_cli.robots.model import Box, Sphere
+from deepbots_cli.view.plots import StageStart
 from tests.view.browser import CHROMIUM, browser
 
 
@@ -85,6 +86,15 @@ def test_best_median_and_worst_are_those_of_the_evaluation_and_happen_again(run)
     assert report.notes == []  # a return that differs now would be noted
     assert report.moving.parts == (("cart", "body"),)
     assert [len(each.positions["cart", "body"]) - 1 for each in report.episodes] == [each.outcome.length for each in shown]
+
+
+def test_the_stages_of_a_curriculum_are_listed_with_their_last_evaluation(run):
+    report = Report.read(run)
+    assert report.stages == []
+    (log,) = (member.log for member in report.runs)
+    log.stages, log.evaluation_stages = [StageStart("wide", 0.0), StageStart("usual", 4096.0)], ["wide", "wide"]
+    log.evaluations = np.array([2000.0, 4000.0]), np.array([20.0, 35.5])
+    assert [row[1:] for row in report.stages] == [("wide", "0", "", "35.5"), ("usual", "4,096", "", "")]
 
 
 def test_a_closed_line_is_drawn_closed(run):
