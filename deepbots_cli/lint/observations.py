@@ -8,11 +8,12 @@ from itertools import groupby
 from typing import NamedTuple
 
 from deepbots_cli.compiler.namespace import Origin
+from deepbots_cli.compiler.robots import joint_dimension, joint_interval
 from deepbots_cli.diagnostics import Edit, Finding, Fix, Label, Span
 from deepbots_cli.document.layout import removal_fix
 from deepbots_cli.expressions.dimensions import Dimension
 from deepbots_cli.expressions.functions import FUNCTIONS, Family
-from deepbots_cli.expressions.intervals import Interval
+from deepbots_cli.expressions.intervals import Interval, hull
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 from deepbots_cli.expressions.scalar import children as parts_of
 from deepbots_cli.expressions.types import Invocation, Reference, Typed, walk
@@ -29,6 +30,8 @@ _MIN_COVERED_SHARE = 0.25
 """Share of the range of a noisy value that an exact value covers at least."""
 _MIN_STEPS = 100
 """Fewer simulated steps allow no conclusion."""
+_MIN_RANGE_SHARE = 0.32
+"""Share of the range of all joints that each joint has at least; the arms that we know have 0.33 and more."""
 _MIN_SATURATED_SHARE = 0.5
 """Share of the steps of every policy in which a value is at the end of its range."""
 
@@ -431,7 +434,61 @@ def often_saturated(simulation: Simulation) -> Iterator[Finding]:
                 break
 
 
+def range_of_other_parts(context: RuleContext) -> Iterator[Finding]:
+    """DB318: `auto` gives all joints of a vector one range, and the limits of one of them are much tighter.
+
+    The range of a vector is that of all its parts together. Beside a joint that moves by 52 cm, one that moves by 16 cm uses a third of
+    [-1, 1], and the policy sees it coarsely. Give that joint a sensor of its own. The rule reports positions of joints of which one has
+    less than a third of the range.
+
+    Example::
+
+        robots:
+          arm:
+            urdf: panda
+            base: fixed
+            joints: {panda_joint2: {range: -10 .. 10 deg}}
+            sensors: {angles: {type: joint_position, joints: [panda_joint1, panda_joint2]}}
+            emit: [angles]
+        observation: {arm.angles: auto}
+
+    Instead::
+
+        robots:
+          arm:
+            urdf: panda
+            base: fixed
+            joints: {panda_joint2: {range: -10 .. 10 deg}}
+            sensors: {turn: {type: joint_position, joint: panda_joint1}, bend: {type: joint_position, joint: panda_joint2}}
+            emit: [turn, bend]
+        observation: {arm.turn: auto, arm.bend: auto}
+    """
+    for entry in context.program.policy.observation:
+        span, dimension = context.range_span(entry), entry.value.typed.type.dimension
+        own = _limits_of_parts(context.program, entry) if span.text == "auto" else []
+        shares = [(part.high - part.low) / (entry.high[0] - entry.low[0]) for part in own]
+        if shares and min(shares) < _MIN_RANGE_SHARE:
+            place = shares.index(min(shares))
+            joint, known = entry.value.components[place], range_text(own[place], dimension)
+            whole = range_text(Interval(entry.low[0], entry.high[0]), dimension)
+            headline = f"`auto` gives `{joint}` the range {whole} of all joints; its own is {known}"
+            yield Finding("DB318", span, headline, help=f"give `{joint}` a sensor of its own, and observe that with `auto`")
+
+
+def _limits_of_parts(program: Program, entry: Observation) -> list[Interval]:
+    """The limits of each joint, where an entry holds the positions of several; else nothing."""
+    parts, dimension = entry.value.components, entry.value.typed.type.dimension
+    for body in program.world.robots if len(parts) > 1 else ():
+        joints = {joint.name: joint for joint in body.model.moving_joints if joint_dimension(joint) == dimension}
+        if joints.keys() >= set(parts):
+            limits = [joint_interval(joints[part]) for part in parts]
+            if (hull(limits).low, hull(limits).high) == (entry.low[0], entry.high[0]):
+                return limits
+    return []
+
+
 STATIC_RULES = (
+    range_of_other_parts,
     noise_without_effect,
     observation_unbounded,
     bounds_mismatch,

@@ -1,4 +1,4 @@
-"""Robots: commands and actuators (DB312 to DB315), and rays that pass over everything (DB615)."""
+"""Robots: commands and actuators (DB312 to DB315), limits in degrees (DB317), and rays that pass over everything (DB615)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from deepbots_cli.compiler.values import ValueReader
 from deepbots_cli.diagnostics import Finding, Label, Span
 from deepbots_cli.expressions.dimensions import LENGTH, TIME
 from deepbots_cli.expressions.intervals import NEVER, Interval, hull
-from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
+from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar, World, walk
 from deepbots_cli.footprint import link_frames
 from deepbots_cli.frames import Frame, Triple, quaternion
 from deepbots_cli.lint.analysis import Analysis, RuleContext
@@ -40,6 +40,8 @@ _RESTING_GAP_M = 0.05
 _MAX_JOINT_POSITIONS = 12
 """Positions of all joints together that are tried."""
 _RANGE_FACTOR = 1.2
+_DEGREES = Interval(10.0, 360.0)
+"""The larger limit (rad) of a joint that is probably in degrees; a whole number, since the turns of a joint are multiples of pi."""
 _LOWEST, _HIGHEST = 0, 1
 
 
@@ -321,6 +323,64 @@ def _turned_in_place(simulation: Simulation, miss: UnreachedPose) -> Finding:
 # Rays
 
 
+def limits_in_degrees(context: RuleContext) -> Iterator[Finding]:
+    """DB317: the limits of a joint in a robot file were probably meant in degrees.
+
+    URDF is in radians: `upper="90"` is more than 14 turns. `auto` takes its range from the limits. The rule reports a turning joint that an
+    actuator, a sensor or an expression uses, if its limits are whole numbers and the larger one is from 10 to 360. Joints of
+    several turns, whose limits are multiples of pi, and very large limits that stand for none are not reported.
+
+    Example::
+
+        <robot name="table">
+          <link name="base"/>
+          <link name="plate">
+            <inertial><mass value="1"/><inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial>
+          </link>
+          <joint name="tilt" type="revolute">
+            <parent link="base"/>
+            <child link="plate"/>
+            <limit lower="-15" upper="15" effort="20" velocity="2"/>
+          </joint>
+        </robot>
+
+    Instead::
+
+        <robot name="table">
+          <link name="base"/>
+          <link name="plate">
+            <inertial><mass value="1"/><inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial>
+          </link>
+          <joint name="tilt" type="revolute">
+            <parent link="base"/>
+            <child link="plate"/>
+            <limit lower="-0.2618" upper="0.2618" effort="20" velocity="2"/>
+          </joint>
+        </robot>
+    """
+    program = context.program
+    trees = [tree for value in program.computed_expressions for tree in value.scalars]
+    read = {node.subjects[0] for tree in trees for node in walk(tree) if isinstance(node, World)}
+    models = {body.name: body.model for body in program.world.robots}
+    for robot in program.robots:
+        scene = context.namespace.robots[robot.name]
+        if scene is None:
+            continue
+        used = {joint for actuator in robot.actuators for joint in getattr(actuator, "joints", ())}
+        used |= {name for sensor in robot.sensors for name in sensor.subjects}
+        for joint in models[robot.name].moving_joints:
+            is_used = joint.name in used or f"{robot.name}.{joint.name}" in read
+            written = joint.limit == scene.file.model.joint(joint.name).limit and joint.name in scene.file.limit_spans
+            low, high = joint.limit.lower, joint.limit.upper
+            if not (is_used and written and joint.type == "revolute") or low is None or high is None:
+                continue
+            if low.is_integer() and high.is_integer() and _DEGREES.low <= max(-low, high) <= _DEGREES.high:
+                headline = f"the limits {low:g} and {high:g} rad of joint `{joint.name}` are {(high - low) / (2 * pi):.3g} turns apart"
+                help = f'if they are degrees, write lower="{radians(low):.5g}" upper="{radians(high):.5g}" in the robot file'
+                help += f", or `range: {low:g} .. {high:g} deg` under `joints`"
+                yield Finding("DB317", scene.file.limit_spans[joint.name], headline, help=help)
+
+
 def rays_meet_nothing(context: RuleContext) -> Iterator[Finding]:
     """DB615: the rays of a lidar, a sonar, an infrared or a laser sensor pass over everything in the world.
 
@@ -539,6 +599,7 @@ STATIC_RULES = (
     command_cut_off,
     joint_driven_twice,
     limp_at_start,
+    limits_in_degrees,
     rays_meet_nothing,
 )
 SIMULATED_RULES = (

@@ -86,7 +86,7 @@ _SHAPES = _VOCABULARY["geometry"][0].split()
 
 @dataclass(frozen=True, eq=False)
 class RobotFile:
-    """A robot, its text, and where each link and joint is named in it.
+    """A robot, its text, and where each link and joint is named in it, and the limits of each joint.
 
     `digest` is the sha256 (hex) of the file; `meshes` maps the real path of each mesh to the digest of its bytes.
     """
@@ -96,6 +96,7 @@ class RobotFile:
     digest: str
     link_spans: Mapping[str, Span]
     joint_spans: Mapping[str, Span]
+    limit_spans: Mapping[str, Span]
 
     @property
     def meshes(self) -> dict[str, str]:
@@ -174,7 +175,8 @@ def _read(data: bytes, display: str, findings: Findings, resolve_mesh: ResolveMe
     if root.report.errors:
         return None
     link_spans, joint_spans = ({name: element.value_span("name") for name, element in elements.items()} for elements in (links, joints))
-    return RobotFile(model, source, hashlib.sha256(data).hexdigest(), link_spans, joint_spans)
+    limit_spans = {name: limits[0].value_span(None) for name, element in joints.items() if (limits := element.find_all("limit"))}
+    return RobotFile(model, source, hashlib.sha256(data).hexdigest(), link_spans, joint_spans, limit_spans)
 
 
 def _decode(data: bytes, display: str, findings: Findings) -> Source | None:

@@ -135,7 +135,7 @@ def test_a_late_spring_holds_with_its_own_stiffness_and_sags_as_it_would_under_t
         for _ in range(20):
             panda.step(0 * panda.action_space.sample())
         found.append([state[0] for state in panda.engine.joint_states("panda", JOINTS)()])
-    assert found[0] == pytest.approx(found[1], abs=1e-9)
+    assert found[0] == pytest.approx(found[1], abs=1e-8)  # the solver stops at 1e-7; one finger follows the other
     assert found[0] != pytest.approx([0, -np.pi / 6, 0, -np.pi / 1.5, 0, np.pi / 2, np.pi / 4], abs=1e-4)
 
 

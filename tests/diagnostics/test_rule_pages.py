@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from deepbots_cli import api
 from deepbots_cli.compiler import check
 from deepbots_cli.diagnostics import RULES, Findings
 from deepbots_cli.diagnostics.findings import Source, suppress
@@ -21,13 +22,28 @@ SCENARIOS = Path(__file__).parents[2] / "scenarios"
 SHAPE = re.compile(r"(DB\d{3}): .*?\n\nExample::\n\n(.*?)\n\nInstead::\n\n(.*)", re.DOTALL)
 
 
+MEASURED = """\
+deepbots: 1
+name: Measured
+world: {timestep: 20 ms}
+robots: {robot: {urdf: robot.urdf, base: fixed, sensors: {q: {type: joint_position, joints: ["*"]}}, emit: [q]}}
+action: {push: -1 .. 1}
+observation: {robot.q: auto}
+reward: {moves: push}
+truncation: {max_steps: 100}
+"""
+
+
 def codes(text: str, page: Page, folder: Path) -> set[str]:
     """What is found in a fragment upon CartPole, by a simulation too where the page is about one, or in a robot file."""
     if page.language == "xml":
         file, findings = folder / "robot.urdf", Findings()
         file.write_text(text, encoding="utf-8")
-        read(file, file.name, findings)
-        return {finding.code for finding in findings}
+        robot = read(file, file.name, findings)
+        scenario = folder / "robot.yaml"
+        scenario.write_text(MEASURED, encoding="utf-8")
+        measured = api.lint(scenario) if robot is not None and robot.model.moving_joints else []
+        return {finding.code for finding in (*findings, *measured)}
     checked = check(loads(f"deepbots: 1\nextends: cartpole.yaml\n{text}\n", base=SCENARIOS))
     found = [*checked.findings, *static_findings(checked, preview=True)]
     if page.deep:

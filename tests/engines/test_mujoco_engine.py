@@ -148,7 +148,7 @@ except EngineError as error:
 """
     without = {"MUJOCO_GL": "disable", "PATH": ""}
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=without | {"PYTHONPATH": ":".join(sys.path)})
-    assert "['contacts', 'snapshot'] MuJoCo draws with OpenGL" in done.stdout, done.stderr
+    assert "['contacts', 'mimic', 'snapshot'] MuJoCo draws with OpenGL" in done.stdout, done.stderr
 
 
 def test_drawing_changes_nothing_that_follows(worlds, build):
