@@ -168,7 +168,7 @@ def _numbers(values: Iterable[float]) -> str:
 def _joint(joint: Joint, *, whole: bool = False) -> Row:
     """A joint and its limits; as a `whole` with its origin, damping and friction."""
     limit = joint.limit
-    more: Row = {"damping": joint.damping or None, "friction": joint.friction or None, "follows": joint.mimic.joint if joint.mimic else ""}
+    more: Row = {"damping": joint.damping or None, "friction": joint.friction or None, "follows": _law(joint)}
     return {
         "joint": joint.name,
         "type": joint.type,
@@ -183,6 +183,14 @@ def _joint(joint: Joint, *, whole: bool = False) -> Row:
         "max_effort": limit.effort,
         **(more if whole else {}),
     }
+
+
+def _law(joint: Joint) -> str:
+    """`-1 * left + 0.01` for a joint that follows another one."""
+    if joint.mimic is None:
+        return ""
+    offset = f" {'-' if joint.mimic.offset < 0.0 else '+'} {abs(joint.mimic.offset):.4g}" if joint.mimic.offset else ""
+    return f"{joint.mimic.multiplier:.4g} * {joint.mimic.joint}{offset}"
 
 
 # Scenarios

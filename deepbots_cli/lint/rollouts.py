@@ -496,7 +496,7 @@ class ArmWatch:
         key = (robot, actuator.name)
         self.commands[key] = self.commands.get(key, 0) + 1
         found = dict(zip(actuator.joints, solution, strict=True))
-        others = [joint.name for joint in model.moving_joints if joint.name not in found]
+        others = [joint.name for joint in model.moving_joints if joint.name not in found and joint.name not in model.followers]
         now = {name: state[0] for name, state in zip(others, world.engine.joint_states(robot, others)(), strict=True)} if others else {}
         place, turned = frames.compose(world.engine.pose(robot)(), footprint.link_frames(model, now | found)[actuator.link])
         distance = dist(place, target)

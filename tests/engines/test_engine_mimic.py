@@ -135,6 +135,27 @@ def test_a_reset_world_with_followers_equals_a_fresh_one(engine_name, build):
     assert stroke(build(engine_name, world(pair(-2.0, 0.1))), 0.3, 40) == fresh
 
 
+def test_a_restored_world_with_followers_goes_on_to_the_bit(engine_name, build):
+    engine = build(engine_name, world(pair(-2.0, 0.1)))
+    if "snapshot" not in engine.capabilities:
+        pytest.skip("it has no snapshots")
+    aim, read = engine.position_motor("robot", ["lead"], [20.0], None, None), engine.joint_states("robot", ["lead", "first", "second"])
+
+    def follow() -> list[object]:
+        seen: list[object] = []
+        for _ in range(10):
+            aim([0.3])
+            engine.step(4)
+            seen.append(read())
+        return seen
+
+    follow()
+    snapshot, expected = engine.snapshot(), follow()
+    engine.reset()
+    engine.restore(snapshot)
+    assert follow() == expected
+
+
 def test_inverse_kinematics_moves_a_follower_with_its_leader():
     """A lift of two stages, of which the upper one follows the lower."""
     model = RobotModel(

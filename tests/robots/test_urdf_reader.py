@@ -381,6 +381,11 @@ def test_a_mimic_of_a_fixed_joint_is_an_error(read_text):
     assert (finding.code, finding.headline) == ("DB301", "joint 'j' follows 'elbow', which is fixed")
 
 
+def test_a_fixed_joint_follows_nothing(read_text):
+    finding = warning(read_text, follower('<mimic joint="elbow"/>', kind="fixed"))
+    assert finding.headline == "joint 'j' is fixed, so it follows nothing"
+
+
 def test_a_follower_whose_limits_stop_its_leader_is_a_warning(read_text):
     assert read_text(follower('<mimic joint="elbow" multiplier="-0.1"/>', 'lower="-0.2" upper="0.1"'))[1] == []
     finding = warning(read_text, follower('<mimic joint="elbow"/>', 'lower="-0.1" upper="0.1"'))
