@@ -210,8 +210,9 @@ def link_frames(model: RobotModel, positions: Mapping[str, float] | None = None)
     for joint in model.joints:
         below.setdefault(joint.parent, []).append(joint)
     positions = positions or {}
-    followers = {name: mimic.position(positions.get(mimic.joint, 0.0)) for name, mimic in model.followers.items()}
-    positions = {**followers, **positions}
+    if model.followers:
+        followers = {name: mimic.position(positions.get(mimic.joint, 0.0)) for name, mimic in model.followers.items()}
+        positions = {**followers, **positions}
     found, waiting = {model.root: frames.IDENTITY_FRAME}, [model.root]
     while waiting:
         parent = waiting.pop()

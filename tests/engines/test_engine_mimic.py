@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 
 from deepbots_cli.engines.kinematics import Chain
+from deepbots_cli.footprint import link_frames
 from deepbots_cli.frames import IDENTITY_FRAME
 from deepbots_cli.program.world import RobotBody, WorldModel
 from deepbots_cli.robots.model import Inertial, Joint, Limit, Link, Mimic, Pose, RobotModel
@@ -154,6 +155,11 @@ def test_a_restored_world_with_followers_goes_on_to_the_bit(engine_name, build):
     engine.reset()
     engine.restore(snapshot)
     assert follow() == expected
+
+
+def test_frames_of_links_without_an_engine_follow_too():
+    where = link_frames(pair(-2.0, 0.1), {"lead": 0.2})
+    assert [where[link][0][2] for link in "abc"] == pytest.approx([0.2, -0.3, 0.3])
 
 
 def test_inverse_kinematics_moves_a_follower_with_its_leader():

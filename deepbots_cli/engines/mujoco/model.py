@@ -47,7 +47,10 @@ says within 0.4 %. Stiffer ones (2 steps, impedance 0.95 to 0.99) are ten times 
 """
 CONTACT_IMPEDANCE = (0.9, 0.95, 0.001, 0.5, 2.0)
 GEAR_STEPS, GEAR_IMPEDANCE = 2.0, (0.9999, 0.9999, *CONTACT_IMPEDANCE[2:])
-"""Time constant (engine steps) and impedance of a joint that follows another one: as stiff as MuJoCo allows."""
+"""Time constant (engine steps) and impedance of a joint that follows another one: as stiff as MuJoCo allows.
+
+A driven pair is off by 2 um, and one that is pushed into a limit by 6 um (steps of 5 ms, 0.1 kg, 20 N).
+"""
 TYRE_IMPEDANCE = (2 * 0.9 / (1 + 0.9), 2 * 0.95 / (1 + 0.95), *CONTACT_IMPEDANCE[2:])
 """A tyre touches in one point where a cylinder touches in two: it gives way half as much as one of them, and sinks as deep as both.
 
