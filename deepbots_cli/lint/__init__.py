@@ -8,7 +8,7 @@ names.py         unused definitions, equality of measurements, angles that jump 
 robots.py        commands, actuators, rays that pass over everything                         DB312 to DB315, DB317, DB615
 world.py         objects out of scale, means of engines, how episodes begin                  DB309, DB310, DB316, DB507, DB809, DB812
 observations.py  what the policy sees; saturation.py values at the end of their range        DB6
-rewards.py       the size of the reward; shaping.py its direction                            DB7, DB810
+rewards.py       the size of the reward; shaping.py its direction; incentives.py what pays   DB7, DB810
 endings.py       when episodes end, goals that cannot be reached                             DB8
 
 analysis.py      what rules ask about a program: definitions, equal quantities, thresholds; ranges.py interval analysis
@@ -32,7 +32,7 @@ from deepbots_cli.diagnostics import MAX_FINDINGS, RULES, Finding, Findings, Sou
 from deepbots_cli.diagnostics.findings import internal_error_finding, suppress
 from deepbots_cli.document.nodes import to_data
 from deepbots_cli.document.parse import parse
-from deepbots_cli.lint import endings, names, observations, rewards, robots, saturation, shaping, world
+from deepbots_cli.lint import endings, incentives, names, observations, rewards, robots, saturation, shaping, world
 from deepbots_cli.lint.analysis import RuleContext, StaticRule, names_in
 from deepbots_cli.lint.simulation import Limits, Simulation, measure
 
@@ -45,6 +45,7 @@ STATIC_RULES: tuple[StaticRule, ...] = (
     *observations.STATIC_RULES,
     *saturation.STATIC_RULES,
     *rewards.STATIC_RULES,
+    *incentives.STATIC_RULES,
     *shaping.STATIC_RULES,
     *endings.STATIC_RULES,
 )
@@ -53,6 +54,7 @@ SIMULATED_RULES: tuple[SimulatedRule, ...] = (
     *robots.SIMULATED_RULES,
     *observations.SIMULATED_RULES,
     *rewards.SIMULATED_RULES,
+    *incentives.SIMULATED_RULES,
     *endings.SIMULATED_RULES,
 )
 

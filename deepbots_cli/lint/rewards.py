@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import nextafter
 from typing import NamedTuple
 
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.intervals import INF, NEVER, TRUTH, Interval
-from deepbots_cli.expressions.scalar import Name, Op, Scalar, State, walk
+from deepbots_cli.expressions.scalar import Scalar, walk
 from deepbots_cli.expressions.types import Constant, Invocation, Operation, Reference, Typed, children
-from deepbots_cli.lint.analysis import Analysis, RewardTerms, RuleContext, Threshold, is_clock, thresholds, total_range
+from deepbots_cli.lint.analysis import Analysis, RewardTerms, RuleContext, thresholds, total_range
 from deepbots_cli.lint.ranges import Ranges
-from deepbots_cli.lint.simulation import IDLE, Episode, Simulation
+from deepbots_cli.lint.simulation import Simulation
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import Ending
 from deepbots_cli.program.values import Expression
 
 _DOMINANCE_RATIO = 100.0
@@ -23,8 +21,6 @@ _DOMINANCE_RATIO = 100.0
 _ROUNDING = 1e-9
 _MIN_STEPS = 200
 """Fewer simulated steps allow no conclusion."""
-_PROGRESS_FUNCTIONS = frozenset({"delta", "previous", "running_min", "running_max", "accumulate", "rising_edge", "hold"})
-"""Functions that pay for getting somewhere, and nothing for staying."""
 
 
 # Without bound
@@ -288,199 +284,6 @@ def non_finite_reward(simulation: Simulation) -> Iterator[Finding]:
         yield Finding("DB707", failed.span, f"`{failed.name}` is not finite", help=help, notes=failed.notes)
 
 
-# What pays
-
-
-def rewards_early_death(context: RuleContext) -> Iterator[Finding]:
-    """DB705: every step costs, no ending pays, and a failure costs less than the remaining steps.
-
-    The best policy is to fail at once, and the agent learns it first. Pay for success, pay for each good step, or make a failure cost
-    more than all remaining steps. In a task with a goal, the rule considers the steps in which the goal is not reached: if each of them
-    costs, as with `-1 when not goal_reached`, a failure that ends the episode ends these costs.
-
-    Example::
-
-        reward: {time: -1, crash: -10 when off_track}
-        remove: [reward.alive]
-
-    Instead::
-
-        reward: {alive: 1, crash: -10 when off_track}
-    """
-    program, reward = context.program, context.analysis.reward
-    ordinary, final = reward.split_by_end()
-    running = _short_of_the_goal(reward)
-    step = total_range(ordinary, running)
-    if not reward.is_complete or step.high >= 0.0:
-        return
-    if any(total_range(final, reward.ranges_at(ending)).high > 0.0 for ending in program.endings if ending.outcome == "success"):
-        return
-    if program.policy.goal is not None:  # no term can refer to the failure, so its price is whatever may be paid as it happens
-        if total_range(ordinary, reward.ranges_while_running()).high > 0.0:
-            return
-        final = [*ordinary, *final]
-    ahead = step.high * program.action_repeat * (reward.analysis.last_step - 1)
-    failures = [(ending, total_range(final, reward.ranges_at(ending)).low) for ending in program.endings if ending.outcome == "failure"]
-    ending, cost = next(((ending, cost) for ending, cost in failures if cost > ahead), (None, 0.0))
-    if ending is None:
-        return
-    price = "costs nothing" if cost == 0.0 else f"costs {-cost:.3g}" if cost < 0.0 else f"even pays {cost:.3g}"
-    headline = f"continuing an episode costs at least {-ahead:.3g}, and `{ending.value.name}` {price}"
-    help = "pay for a good step instead, such as `alive: 1`, or make a failure cost more than all steps together"
-    if program.policy.goal is not None:
-        headline = (
-            f"an episode that misses the goal costs at least {-ahead:.3g}, and one that ends by `{ending.value.name}` {price} or less"
-        )
-        help = f"pay for the goal instead, as in `1 when goal_reached`, or remove `{ending.value.name}`"
-    dearest = min(ordinary, key=lambda term: running.of(term[1]).high)[0]
-    yield Finding("DB705", dearest.span, headline, help=help, labels=(Label(ending.value.span, "the cheaper ending"),))
-
-
-def _short_of_the_goal(reward: RewardTerms) -> Ranges:
-    """Ranges in a step that ends nothing and, where there is a goal, does not reach it."""
-    goal, running = reward.program.policy.goal, reward.ranges_while_running()
-    reached = reward.analysis.resolve_aliases(Name("goal_reached"))
-    if goal is None or not isinstance(reached, Op):
-        return running
-    return running.where(reward.analysis.identity(reached.args[0]), Interval(nextafter(goal.tolerance, INF), INF))
-
-
-class UnchangedRanges(Ranges):
-    """Ranges in which values that are compared with the step before do not change."""
-
-    def _state(self, node: State) -> Interval:
-        match node.function:
-            case "delta" | "rising_edge":
-                return NEVER
-            case "previous":
-                return self.of(node.args[0])
-            case _:
-                return super()._state(node)
-
-
-def hovering_pays(context: RuleContext) -> Iterator[Finding]:
-    """DB708: staying just outside of the goal pays more than reaching the goal, which ends the episode.
-
-    The agent learns to stay there, for example 5 mm from its target. Pay for progress (`-10 * delta(distance) / m`), or pay more for the
-    success than the rest of an episode can pay.
-
-    Example::
-
-        augment: {left: abs(x - 30 cm)}
-        observation: {left: 0 .. 0.8 m}
-        reward: {near: 1 when left < 10 cm, there: 5 when arrived}
-        termination: {success: {arrived: left < 5 cm}}
-        remove: [reward.alive]
-
-    Instead::
-
-        augment: {left: abs(x - 30 cm)}
-        observation: {left: 0 .. 0.8 m}
-        reward: {nearer: -10 * delta(left) / m, there: 5 when arrived}
-        termination: {success: {arrived: left < 5 cm}}
-        remove: [reward.alive]
-    """
-    analysis, reward = context.analysis, context.analysis.reward
-    ordinary, _ = reward.split_by_end()
-    successes = [ending for ending in context.program.endings if ending.outcome == "success"]
-    if not reward.is_complete or len(successes) != 1 or not ordinary:
-        return
-    success, running = successes[0], reward.ranges_while_running()
-    possible = TRUTH if success.foreign else analysis.ranges_in(0.0, float(analysis.last_step)).of(analysis.scalars(success.value)[0])
-    if possible == NEVER or success in analysis.shadowed:
-        return  # DB801, DB804
-    for entry in analysis.comparisons(success.value):
-        for threshold in thresholds(entry, running):
-            if is_clock(analysis, threshold.quantity):
-                continue
-            pay = total_range(reward.terms, _staying_outside(running, threshold)).low
-            prize = total_range(reward.terms, _staying_outside(reward.ranges_at(success), threshold)).high if pay > 0.0 else INF
-            if pay * discounted_ticks(reward) > prize:
-                headline = f"staying just outside of `{success.value.name}` pays {pay:.3g} per step, and reaching it pays {prize:.3g} once"
-                best = max(ordinary, key=lambda term: running.of(term[1]).high)[0]
-                yield Finding("DB708", best.span, headline, help=_PROGRESS_HELP, labels=(Label(success.value.span, "ends these payments"),))
-                return
-
-
-def _staying_outside(ranges: Ranges, threshold: Threshold) -> Ranges:
-    """The ranges within a fifth of a threshold, on the side where the episode goes on."""
-    low, high = threshold.bound
-    kept = Interval(low - 0.2 * abs(low), low) if threshold.above else Interval(high, high + 0.2 * abs(high))
-    return UnchangedRanges(ranges.analysis, ranges.given, ranges.steps, (ranges.analysis.identity(threshold.quantity), kept))
-
-
-def discounted_ticks(reward: RewardTerms) -> float:
-    """The timesteps that count: half an episode, or the horizon of the discount factor if it is shorter."""
-    gamma = reward.program.policy.discount
-    seen = INF if gamma >= 1.0 else 1.0 / (1.0 - gamma)
-    return min(reward.analysis.last_step / 2, seen) * reward.program.action_repeat
-
-
-def other_policy_pays_more(simulation: Simulation) -> Iterator[Finding]:
-    """DB708: another behaviour pays more over a whole episode than success."""
-    successes = [ending for ending in simulation.program.endings if ending.outcome == "success"]
-    if not successes or not simulation.is_complete:
-        return
-    found = _better_than_success(simulation.report.episodes)
-    if found:
-        best, success = found
-        also = (Label(successes[0].value.span, "ends these payments"),)
-        headline = (
-            f"the return of {best.policy}, which runs to the time limit, is {best.discounted_return:.3g}; "
-            f"the return of {success.policy}, which succeeds, is {success.discounted_return:.3g}"
-        )
-        notes = (f"both are discounted returns of the episode with seed {best.seed}",)
-        yield Finding("DB708", _most_paid(simulation, best.policy).span, headline, help=_PROGRESS_HELP, notes=notes, labels=also)
-    elif len(successes) == 1 and not any(episode.end == "success" for episode in simulation.report.episodes):
-        yield from _idle_pays(simulation, successes[0])
-
-
-_PROGRESS_HELP = (
-    "pay for progress, as in `-10 * delta(distance) / m`, or pay more for the success than an episode without success can collect"
-)
-
-
-def _better_than_success(episodes: list[Episode]) -> tuple[Episode, Episode] | None:
-    """The best episode that lasted to its limit and the best success, with the same seed, if each seed with both says the same."""
-    pairs = []
-    for seed in sorted({episode.seed for episode in episodes}):
-        lasting = [episode for episode in episodes if episode.seed == seed and episode.end == "limit"]
-        reached = [episode for episode in episodes if episode.seed == seed and episode.end == "success"]
-        if lasting and reached:
-            pairs.append(
-                (max(lasting, key=lambda episode: episode.discounted_return), max(reached, key=lambda episode: episode.discounted_return))
-            )
-    return pairs[0] if pairs and all(best.discounted_return > success.discounted_return for best, success in pairs) else None
-
-
-def _idle_pays(simulation: Simulation, success: Ending) -> Iterator[Finding]:
-    """As the static rule: compare what doing nothing pays in the steps that count with what the success pays once."""
-    reward, row = simulation.analysis.reward, simulation.measured.get(IDLE)
-    ordinary, _ = reward.split_by_end()
-    if row is None or not reward.is_complete:
-        return
-    if any(episode.end not in ("limit", "left") for episode in simulation.report.episodes if episode.policy == IDLE):
-        return
-    trees = [node for _, tree in ordinary for node in walk(simulation.analysis.resolve_aliases(tree))]
-    if any(isinstance(node, State) and node.function in _PROGRESS_FUNCTIONS for node in trees):
-        return
-    pay = sum(term.total for term in row.terms) / row.steps
-    prize = total_range(reward.terms, reward.ranges_at(success)).high
-    ticks = discounted_ticks(reward)
-    if pay > 0.0 and pay * ticks > prize:
-        headline = f"doing nothing pays {pay:.3g} per step, and `{success.value.name}` pays {prize:.3g} once"
-        notes = (
-            f"measured in {row.steps} steps; about {ticks:.0f} steps count, given the discount factor of the training and the time limit",
-        )
-        also = (Label(success.value.span, "ends these payments"),)
-        yield Finding("DB708", _most_paid(simulation, IDLE).span, headline, help=_PROGRESS_HELP, notes=notes, labels=also)
-
-
-def _most_paid(simulation: Simulation, by: str) -> Expression:
-    """The term that pays most under a policy."""
-    return max(simulation.terms(), key=lambda entry: entry[1][by].total)[0]
-
-
 # Returns
 
 
@@ -575,9 +378,7 @@ STATIC_RULES = (
     reward_unbounded,
     term_dominates,
     inactive_term,
-    rewards_early_death,
-    hovering_pays,
     nothing_to_learn,
     return_out_of_reach,
 )
-SIMULATED_RULES = (dominating_term, silent_term, non_finite_reward, other_policy_pays_more)
+SIMULATED_RULES = (dominating_term, silent_term, non_finite_reward)

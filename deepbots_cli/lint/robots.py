@@ -382,12 +382,12 @@ def limits_in_degrees(context: RuleContext) -> Iterator[Finding]:
 
 
 def rays_meet_nothing(context: RuleContext) -> Iterator[Finding]:
-    """DB615: the rays of a lidar, a sonar, an infrared or a laser sensor pass over everything in the world.
+    """DB615: the rays of a lidar, a sonar, an infrared or a laser sensor pass over everything in the world, or begin below the ground.
 
-    Rays that pass above every body never hit one: every reading is the maximum of the range, and the policy learns nothing from it.
-    The walls of an arena are 10 cm high by default. The rule compares the height of the rays with the top of all solid bodies. It needs a
-    robot that stands level on flat ground or has a fixed base, and a sensor that no joint raises or tilts; rays that meet the ground
-    within their range are not reported.
+    Rays that pass above every body never hit one, and rays that begin below the ground meet nothing: every reading is the maximum of the
+    range, and the policy learns nothing from it. The walls of an arena are 10 cm high by default. The rule compares the height of the rays
+    with the ground and with the top of all solid bodies. It needs a robot that stands level on flat ground or has a fixed base, and a
+    sensor that no joint raises or tilts; rays that meet the ground within their range are not reported.
 
     Example::
 
@@ -407,11 +407,17 @@ def rays_meet_nothing(context: RuleContext) -> Iterator[Finding]:
             clearance = here.clearance(robot.name, sensor.name) if casts_rays(sensor) else None
             if clearance is not None and all(variant.clearance(robot.name, sensor.name) for variant in variants):
                 yield _passing_over(context.values, robot.name, sensor.name, clearance)
+            depth = here.depth(robot.name, sensor.name) if casts_rays(sensor) else None
+            if depth is not None and all(variant.depth(robot.name, sensor.name) for variant in variants):
+                yield _buried(context.values, robot.name, sensor.name, depth)
 
 
 def measured_rays_meet_nothing(simulation: Simulation) -> Iterator[Finding]:
     """DB615: the same for robots whose height does not follow from the scenario."""
     heights = Heights(simulation.analysis)
+    for (robot, sensor), depth in simulation.report.depths.items() if simulation.is_complete else ():
+        if heights.depth(robot, sensor) is None:
+            yield _buried(simulation.values, robot, sensor, depth, notes=(simulation.summary,))
     for (robot, sensor), clearance in simulation.report.clearances.items() if simulation.is_complete else ():
         if heights.needs_simulation(robot, sensor):
             yield _passing_over(simulation.values, robot, sensor, clearance, notes=(simulation.summary,))
@@ -441,6 +447,14 @@ class Heights:
                 tallest, highest = name, top
         return Clearance(lowest, highest, tallest) if tallest else None
 
+    def depth(self, robot: str, sensor: str) -> float | None:
+        """How far below flat ground all rays of a sensor begin, m; None if one begins above, or that is unknown."""
+        placed = self._placed_rays(robot, sensor) if self._world.ground is not None else None
+        if placed is None:
+            return None
+        highest = max(height for rays in placed for height, _ in rays)
+        return -highest if highest < -MAX_SINK else None
+
     def needs_simulation(self, robot: str, sensor: str) -> bool:
         """Whether the text does not tell the height of the rays, and no robot flies or may lift an object above them later."""
         loose = any(thing.solid and not kind.fixed for thing in self._world.objects for kind in (thing.variants or (thing,)))
@@ -452,6 +466,20 @@ class Heights:
 
     def _lowest(self, robot: str, name: str) -> float | None:
         """The lowest point of any ray within its range, m above the ground; None where it is unknown or a ray meets the ground."""
+        tried = self._placed_rays(robot, name)
+        if tried is None:
+            return None
+        for other in tried[1:]:
+            for (height, slope), (known, known_slope) in zip(other, tried[0], strict=True):
+                if abs(height - known) > _SAME_HEIGHT_M or abs(slope - known_slope) > _SAME_HEIGHT_M:
+                    return None
+        sensor = next(sensor for each in self._program.robots if each.name == robot for sensor in each.sensors if sensor.name == name)
+        reach = sensor.beams.reach if sensor.beams is not None else 0.0
+        lowest = min(height + min(0.0, slope * reach) for height, slope in tried[0])
+        return lowest if lowest > 0.0 else None
+
+    def _placed_rays(self, robot: str, name: str) -> list[list[tuple[float, float]]] | None:
+        """The height (m) at which each ray of a sensor begins, and its rise per m, in each attitude; None where that is unknown."""
         sensors = next((each.sensors for each in self._program.robots if each.name == robot), ())
         sensor = next((sensor for sensor in sensors if sensor.name == name), None)
         body = self._analysis.body(robot)
@@ -461,17 +489,11 @@ class Heights:
         mount = frames.frame(sensor.mount)
         rays = [frames.compose(mount, frames.frame(ray)) for ray in sensor.beams.rays]
         tried: list[list[tuple[float, float]]] = []
-        """The height at which each ray begins, and its rise per m, in each attitude."""
         for positions in _attitudes(body.model):
             link = frames.compose(root, footprint.link_frames(body.model, positions)[sensor.subjects[0]])
             placed = [frames.compose(link, ray) for ray in rays]
             tried.append([(place[2], frames.rotate(turn, (1.0, 0.0, 0.0))[2]) for place, turn in placed])
-        for other in tried[1:]:
-            for (height, slope), (known, known_slope) in zip(other, tried[0], strict=True):
-                if abs(height - known) > _SAME_HEIGHT_M or abs(slope - known_slope) > _SAME_HEIGHT_M:
-                    return None
-        lowest = min(height + min(0.0, slope * sensor.beams.reach) for height, slope in tried[0])
-        return lowest if lowest > 0.0 else None
+        return tried
 
     def _root(self, body: RobotBody) -> Frame | None:
         """The frame of a robot's root, without yaw: of a fixed base, or of a robot that stands level on the ground."""
@@ -593,6 +615,13 @@ def _passing_over(values: ValueReader, robot: str, sensor: str, clearance: Clear
         f"the rays of `{sensor}` meet nothing: they are at least {height} above the ground, and the tallest body, {named}, ends at {top}"
     )
     return Finding("DB615", values.key_span(("robots", robot, "sensors", sensor)), headline, help=help, notes=notes, labels=also)
+
+
+def _buried(values: ValueReader, robot: str, sensor: str, depth: float, notes: tuple[str, ...] = ()) -> Finding:
+    lower = with_unit(float(f"{depth:.3g}"), LENGTH)
+    headline = f"the rays of `{sensor}` meet nothing: they begin {lower} below the ground"
+    help = f"raise the `pose` of the sensor by more than {lower}"
+    return Finding("DB615", values.key_span(("robots", robot, "sensors", sensor)), headline, help=help, notes=notes)
 
 
 STATIC_RULES = (

@@ -97,7 +97,8 @@ class Simulator:
             return
         self._write({"measured": {by: counter.rows_by_part() for by, counter in self._counters.items() if by != _VARIANTS_LABEL}})
         self._write({"still": self._constant_numbers(), "silent": self._silent()})
-        self._write({"clearances": [[*both, *clearance] for both, clearance in self._rays.clearances.items()]})
+        depths = [[*both, depth] for both, depth in self._rays.depths.items() if 0.0 < depth < inf]
+        self._write({"clearances": [[*both, *clearance] for both, clearance in self._rays.clearances.items()], "depths": depths})
 
     def _build(self, program: Program) -> Supervisor:
         self._write({"at": ["build", 0]})
@@ -531,9 +532,10 @@ def _angle(q: frames.Quaternion) -> float:
 
 
 class RayWatch:
-    """Watches sensors whose rays have been above everything solid in all steps so far, and have met nothing.
+    """Watches sensors whose rays have met nothing in all steps so far, above everything solid or from below the ground.
 
-    `clearances` maps robot and sensor to where their rays pass; it is empty for teams and above terrain.
+    `clearances` maps robot and sensor to where their rays pass, `depths` to the smallest depth (m) at which they began; both are empty
+    for teams and above terrain.
     """
 
     def __init__(self, scenario: Program) -> None:
@@ -542,27 +544,33 @@ class RayWatch:
         found = [(robot.name, sensor) for robot in scenario.robots for sensor in robot.sensors if is_asked and casts_rays(sensor)]
         self._sensors = {(robot, sensor.name): sensor for robot, sensor in found}
         self.clearances: dict[tuple[str, str], Clearance] = dict.fromkeys(self._sensors, Clearance(inf, -inf, ""))
+        self.depths: dict[tuple[str, str], float] = dict.fromkeys(self._sensors if scenario.world.ground is not None else (), inf)
 
     def watch(self, engine: Engine) -> Callable[[], None]:
         """A function that checks the world of an engine, to be called in each step."""
-        if not self.clearances:
+        if not self.clearances and not self.depths:
             return lambda: None
         tops = {thing.name: _top_of(engine, thing) for thing in self._world.objects if thing.solid}
         tops |= {body.name: _top_of_robot(engine, body.name, footprint.robot_bounds(body.model)) for body in self._world.robots}
         if self._world.arena is not None:
             wall = self._world.arena.wall_height
             tops[ARENA] = lambda: wall
-        lowest = {both: _lowest(engine, both[0], self._sensors[both]) for both in self.clearances}
+        heights = {both: _ray_heights(engine, both[0], self._sensors[both]) for both in self.clearances.keys() | self.depths.keys()}
 
         def check() -> None:
             known = [(top(), name) for name, top in tops.items()] if self.clearances else []
-            for both, before in list(self.clearances.items()):
+            for both in [both for both in self._sensors if both in self.clearances or both in self.depths]:
                 highest = max((top for top in known if top[1] != both[0]), default=(inf, ""))
-                low = lowest[both]()
-                if low > highest[0] + MAX_SINK:
+                low, begin = heights[both]()
+                if both in self.clearances and low > highest[0] + MAX_SINK:
+                    before = self.clearances[both]
                     self.clearances[both] = Clearance(min(low, before.lowest), *max(highest, (before.top, before.tallest)))
                 else:
-                    del self.clearances[both]
+                    self.clearances.pop(both, None)
+                if both in self.depths and begin < -MAX_SINK:
+                    self.depths[both] = min(self.depths[both], -begin)
+                else:
+                    self.depths.pop(both, None)
 
         return check
 
@@ -579,16 +587,19 @@ def _top_of_robot(engine: Engine, name: str, box: footprint.Bounds) -> Callable[
     return lambda: pose()[0][2] + reach
 
 
-def _lowest(engine: Engine, robot: str, sensor: Sensor) -> Callable[[], float]:
-    """The lowest point of any ray within its range, m above the ground; -inf while a ray meets something."""
+def _ray_heights(engine: Engine, robot: str, sensor: Sensor) -> Callable[[], tuple[float, float]]:
+    """The lowest point of any ray within its range, and the highest at which one begins, m; (-inf, inf) while a ray meets something."""
     assert sensor.beams is not None  # it casts rays
     mount, reach, part = frames.frame(sensor.mount), sensor.beams.reach, (robot, sensor.subjects[0])
     rays = [frames.compose(mount, frames.frame(ray)) for ray in sensor.beams.rays]
-    ends = [end for ray in rays for end in (ray[0], frames.compose(ray, ((reach, 0.0, 0.0), frames.IDENTITY_ROTATION))[0])]
+    begins = [ray[0] for ray in rays]
+    ends = [*begins, *(frames.compose(ray, ((reach, 0.0, 0.0), frames.IDENTITY_ROTATION))[0] for ray in rays)]
     pose, cast = engine.pose(*part), engine.rays(part, rays, reach)
 
-    def lowest() -> float:
+    def measured() -> tuple[float, float]:
         (_, _, height), turn = pose()
-        return height + min(frames.rotate(turn, end)[2] for end in ends) if min(cast()) >= reach else -inf
+        if min(cast()) < reach:
+            return -inf, inf
+        return height + min(frames.rotate(turn, end)[2] for end in ends), height + max(frames.rotate(turn, begin)[2] for begin in begins)
 
-    return lowest
+    return measured

@@ -237,8 +237,9 @@ class SimulationReport:
     """The lines that the simulating process has written. Names in it are only ever looked up in the scenario.
 
     `endings_at_reset` maps endings to the seeds with which they hold at the start; `constant_numbers` and `zero_terms` are the places
-    of the numbers that never changed and of the terms that were always 0. `done` says whether the plan was completed, `fault` which
-    exception of deepbots ended it.
+    of the numbers that never changed and of the terms that were always 0. `clearances` and `depths` are about sensors whose rays met
+    nothing: how high they passed over all bodies, and how far below the ground (m) they began. `done` says whether the plan was completed,
+    `fault` which exception of deepbots ended it.
     """
 
     where: SimulationPosition = SimulationPosition("build", 0, 0)
@@ -251,6 +252,7 @@ class SimulationReport:
     constant_numbers: Sequence[int] = ()
     zero_terms: Sequence[int] = ()
     clearances: dict[tuple[str, str], Clearance] = field(default_factory=dict)
+    depths: dict[tuple[str, str], float] = field(default_factory=dict)
     stop: Mapping[str, Any] | None = None
     halt: Halt | None = None
     fault: str | None = None
@@ -277,8 +279,9 @@ class SimulationReport:
                     self.measured[by] = Statistics(steps, rows, numbers, terms)
             case {"still": still, "silent": silent}:
                 self.constant_numbers, self.zero_terms = still, silent
-            case {"clearances": rows}:
+            case {"clearances": rows, "depths": depths}:
                 self.clearances = {(robot, sensor): Clearance(*clearance) for robot, sensor, *clearance in rows}
+                self.depths = {(robot, sensor): depth for robot, sensor, depth in depths}
             case {"stop": Mapping() as stop}:
                 self.stop = stop
             case {"fault": str(fault)}:

@@ -1,0 +1,391 @@
+"""What pays: failing early (DB705), staying short of the success (DB708)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from math import ceil, nextafter
+
+from deepbots_cli.diagnostics import Finding, Label
+from deepbots_cli.expressions import intervals as iv
+from deepbots_cli.expressions.intervals import INF, NEVER, TRUTH, Interval
+from deepbots_cli.expressions.scalar import Name, Op, Scalar, State, World, walk
+from deepbots_cli.lint.analysis import Analysis, RewardTerms, RuleContext, Terms, Threshold, has_choice, is_clock, thresholds, total_range
+from deepbots_cli.lint.ranges import Ranges
+from deepbots_cli.lint.simulation import HELD_RANDOM, IDLE, RANDOM, Episode, Simulation
+from deepbots_cli.program.task import Ending
+from deepbots_cli.program.values import Expression
+
+_PROGRESS_FUNCTIONS = frozenset({"delta", "previous", "running_min", "running_max", "accumulate", "rising_edge", "hold"})
+"""Functions that pay for getting somewhere, and nothing for staying."""
+_RATE_FUNCTIONS = frozenset({"velocity", "angular_velocity", "joint_velocity"})
+"""Facts that are 0 while nothing moves."""
+_CLOCKS = frozenset({"time", "step"})
+_MIN_BREAK_EVEN = 0.5
+"""A scenario whose success pays is reported if more of the episodes than this share would have to succeed."""
+_MIN_WORTH = 0.25
+"""Payments that are, discounted, a smaller share of what the success pays do not keep an agent from it."""
+
+
+# Failing early
+
+
+def rewards_early_death(context: RuleContext) -> Iterator[Finding]:
+    """DB705: failing early costs less than an episode that goes on to its time limit.
+
+    The agent learns first to fail at once. If a success pays, going on pays only once the policy succeeds often enough. The finding gives
+    this share of episodes, and is reported if it is larger than a half. Make a failure cost more than all steps together, or pay for
+    each good step.
+
+    The rule takes the smallest cost of a step after which the episode goes on, and adds it up over the steps that count given the
+    discount factor. What `delta` pays is bounded by the whole change from the start of the episode, as far as the scenario gives it. In
+    a task with a goal, the rule considers the steps in which the goal is not reached: if each of them costs, as with
+    `-1 when not goal_reached`, a failure that ends the episode ends these costs.
+
+    Example::
+
+        augment: {left: abs(x - 30 cm)}
+        observation: {left: 0 .. 0.8 m}
+        reward: {time: -1, there: 10 when arrived, crash: -5 when off_track}
+        remove: [reward.alive]
+        termination: {success: {arrived: left < 5 cm}}
+
+    Instead::
+
+        augment: {left: abs(x - 30 cm)}
+        observation: {left: 0 .. 0.8 m}
+        reward: {time: -0.01, there: 10 when arrived, crash: -5 when off_track}
+        remove: [reward.alive]
+        termination: {success: {arrived: left < 5 cm}}
+    """
+    program, reward = context.program, context.analysis.reward
+    ordinary, final = reward.split_by_end()
+    running = _short_of_the_goal(reward)
+    last = (reward.analysis.last_step - 1) * program.action_repeat
+    at_limit = total_range(final, reward.ranges_at(None)).high
+    if not reward.is_complete or _total_sum(ordinary, running, last) + at_limit >= 0.0:
+        return
+    if program.policy.goal is not None:  # no term can refer to the failure, so its price is whatever may be paid as it happens
+        if total_range(ordinary, reward.ranges_while_running()).high > 0.0:
+            return
+        final = [*ordinary, *final]
+    failure = _cheapest_failure(reward, final)
+    if failure is None:
+        return
+    cost, ending = failure
+    steps = _steps_that_count(reward, ending)
+    living = _total_sum(ordinary, running, steps) + at_limit
+    prizes = [(total_range(final, reward.ranges_at(ending)).high, ending) for ending in program.endings if ending.outcome == "success"]
+    prize, success = max(prizes, key=lambda entry: entry[0], default=(0.0, None))
+    if cost <= living or living >= 0.0:
+        return
+    dearest = min(ordinary, key=lambda term: _total_sum([term], running, steps))[0]
+    also = (Label(ending.value.span, "the cheaper ending"),)
+    whole, price = f"{-_total_sum(ordinary, running, last) - at_limit:.3g}", _price(cost)
+    if success is not None and prize > 0.0:
+        share = break_even(living, cost, prize + max(0.0, _total_sum(ordinary, running, 0)))
+        if share >= _MIN_BREAK_EVEN:
+            headline = f"an episode to the time limit costs at least {whole}, `{ending.value.name}` {price}"
+            headline += f", and `{success.value.name}` pays {prize:.3g}"
+            yield Finding("DB705", dearest.span, headline, help=_LIVING_HELP, notes=_share_notes(reward, share, success), labels=also)
+        return
+    headline = f"continuing an episode costs at least {whole}, and `{ending.value.name}` {price}"
+    help = "pay for a good step instead, such as `alive: 1`, or make a failure cost more than all steps together"
+    if program.policy.goal is not None:
+        headline = f"an episode that misses the goal costs at least {whole}, and one that ends by `{ending.value.name}` {price} or less"
+        help = f"pay for the goal instead, as in `1 when goal_reached`, or remove `{ending.value.name}`"
+    yield Finding("DB705", dearest.span, headline, help=help, labels=also)
+
+
+_LIVING_HELP = "make a failure cost more than all steps together, or a step cost less"
+
+
+def _price(cost: float) -> str:
+    return "costs nothing" if cost == 0.0 else f"costs {-cost:.3g}" if cost < 0.0 else f"even pays {cost:.3g}"
+
+
+def _share_notes(reward: RewardTerms, share: float, success: Ending) -> tuple[str, ...]:
+    less = horizon(reward) < reward.analysis.last_step - 1
+    known = f"; about {horizon(reward):.0f} steps count, given the discount factor of the training" if less else ""
+    return (f"failing at once pays more unless `{success.value.name}` ends more than {100.0 * share:.0f} % of the episodes{known}",)
+
+
+def break_even(living: float, failing: float, success: float) -> float:
+    """The share of episodes that must succeed, at once, before going on is worth more than failing; all three are returns."""
+    return (failing - living) / (success - living)
+
+
+def horizon(reward: RewardTerms) -> float:
+    """The steps of the agent that count: those of an episode, or the horizon of the discount factor if it is shorter."""
+    gamma = reward.program.policy.discount
+    return min(float(reward.analysis.last_step), INF if gamma >= 1.0 else 1.0 / (1.0 - gamma))
+
+
+def _steps_that_count(reward: RewardTerms, ending: Ending) -> float:
+    """The timesteps after the first one in which an ending may hold, no more than the discount factor lets count."""
+    steps = min(reward.analysis.last_step - 1.0 - _first_step(reward.analysis, ending), horizon(reward))
+    return max(0.0, steps) * reward.program.action_repeat
+
+
+def _cheapest_failure(reward: RewardTerms, final: Terms) -> tuple[float, Ending] | None:
+    """The smallest reward for certain, and its failure, of the failure for which this is largest."""
+    failures = [ending for ending in reward.program.endings if ending.outcome == "failure"]
+    costs = [(total_range(final, reward.ranges_at(ending)).low, ending) for ending in failures]
+    return max(costs, key=lambda entry: entry[0], default=None)
+
+
+def _total_sum(terms: Terms, ranges: Ranges, steps: float) -> float:
+    """The largest sum of terms over the first steps of an episode."""
+    found = NEVER
+    for _, node in terms:
+        found = iv.add(found, _sum_over_steps(ranges, node, steps))
+    return found.high
+
+
+def _sum_over_steps(ranges: Ranges, node: Scalar, steps: float) -> Interval:
+    """The range of the sum of a value over the first steps of an episode. The sum of `delta(x)` is the change of x from its start."""
+    node = ranges.analysis.resolve_aliases(node)
+    match node:
+        case State("delta", (quantity, *start)):
+            begin = iv.hull([ranges.analysis.start.of(part) for part in (quantity, *start)])
+            return iv.subtract(ranges.of(quantity), begin)
+        case Op("neg", (inner,)):
+            return iv.negate(_sum_over_steps(ranges, inner, steps))
+        case Op("add" | "sub" as op, (a, b)):
+            combine = iv.add if op == "add" else iv.subtract
+            return combine(_sum_over_steps(ranges, a, steps), _sum_over_steps(ranges, b, steps))
+        case Op("mul" | "div" as op, (a, b)) if ranges.of(b).is_single:
+            combine = iv.multiply if op == "mul" else iv.divide
+            return combine(_sum_over_steps(ranges, a, steps), ranges.of(b))
+        case Op("mul", (a, b)) if ranges.of(a).is_single:
+            return iv.multiply(ranges.of(a), _sum_over_steps(ranges, b, steps))
+        case _:
+            return iv.multiply(ranges.of(node), iv.single(steps))
+
+
+def _short_of_the_goal(reward: RewardTerms) -> Ranges:
+    """Ranges in a step that ends nothing and, where there is a goal, does not reach it."""
+    goal, running = reward.program.policy.goal, reward.ranges_while_running()
+    reached = reward.analysis.resolve_aliases(Name("goal_reached"))
+    if goal is None or not isinstance(reached, Op):
+        return running
+    return running.where(reward.analysis.identity(reached.args[0]), Interval(nextafter(goal.tolerance, INF), INF))
+
+
+def measured_early_death(simulation: Simulation) -> Iterator[Finding]:
+    """DB705: the same for costs that only a simulation knows, such as `-distance`: even the cheapest simulated policy pays them."""
+    reward = simulation.analysis.reward
+    ordinary, final = reward.split_by_end()
+    failure, successes = _cheapest_failure(reward, final), [each for each in simulation.program.endings if each.outcome == "success"]
+    rows = {by: simulation.measured[by] for by in (RANDOM, HELD_RANDOM, IDLE) if by in simulation.measured}
+    if not (simulation.is_complete and reward.is_complete and simulation.program.policy.goal is None and failure and successes and rows):
+        return
+    if _total_sum(ordinary, _short_of_the_goal(reward), horizon(reward)) < 0.0:
+        return  # the static rule knows the costs
+    if any(not _CLOCKS.isdisjoint(simulation.analysis.dependencies(node)) for _, node in ordinary):
+        return  # later steps cost something else
+    cost, ending = failure
+    prize, success = max(((total_range(final, reward.ranges_at(each)).high, each) for each in successes), key=lambda entry: entry[0])
+    ours = {term.name for term, _ in ordinary}
+    totals = {by: [(term, found[by].total) for term, found in simulation.terms() if term.name in ours] for by in rows}
+    cheapest = max(rows, key=lambda by: sum(total for _, total in totals[by]) / rows[by].steps)
+    pay = sum(total for _, total in totals[cheapest]) / rows[cheapest].steps
+    living = pay * _steps_that_count(reward, ending) + total_range(final, reward.ranges_at(None)).high
+    if living >= cost or not 0.0 < prize < INF:
+        return
+    share = break_even(living, cost, prize)
+    if share >= _MIN_BREAK_EVEN:
+        dearest = min(totals[cheapest], key=lambda entry: entry[1])[0]
+        headline = f"a step costs {-pay:.3g}, `{ending.value.name}` {_price(cost)}, and `{success.value.name}` pays {prize:.3g}"
+        notes = (f"measured in {rows[cheapest].steps} steps of {cheapest}", *_share_notes(reward, share, success))
+        also = (Label(ending.value.span, "the cheaper ending"),)
+        yield Finding("DB705", dearest.span, headline, help=_LIVING_HELP, notes=notes, labels=also)
+
+
+# Staying short of the success
+
+
+class StillRanges(Ranges):
+    """Ranges while nothing moves: speeds are 0, and values that are compared with the step before do not change."""
+
+    def _world(self, node: World) -> Interval:
+        return NEVER if node.function in _RATE_FUNCTIONS else super()._world(node)
+
+    def _state(self, node: State) -> Interval:
+        match node.function:
+            case "delta" | "rising_edge":
+                return NEVER
+            case "previous":
+                return self.of(node.args[0])
+            case _:
+                return super()._state(node)
+
+    def _op(self, op: str, args: Sequence[Scalar]) -> Interval:
+        if op == "sub":
+            now = [node.args[0] if isinstance(node, State) and node.function == "previous" else node for node in args]
+            if self.analysis.identity(now[0]) == self.analysis.identity(now[1]):
+                return NEVER
+        return super()._op(op, args)
+
+
+def hovering_pays(context: RuleContext) -> Iterator[Finding]:
+    """DB708: an episode that avoids the success, which would end it, can collect more than the success pays.
+
+    The agent learns to stay just outside of the goal, for example 5 mm from its target, or to move in it so slowly that it never stops.
+    Pay for progress (`-10 * delta(distance) / m`), or pay more for the success than the rest of an episode can pay.
+
+    The rule adds up the largest reward of a step in which nothing moves, and in which one of the conditions of the success
+    barely does not hold. Rewards that the discount factor makes small beside the success are not reported.
+
+    Example::
+
+        augment: {left: abs(x - 30 cm)}
+        observation: {left: 0 .. 0.8 m}
+        reward: {near: 0.1 when left < 10 cm, there: 10 when arrived}
+        termination: {success: {arrived: left < 5 cm}}
+        remove: [reward.alive]
+
+    Instead::
+
+        augment: {left: abs(x - 30 cm)}
+        observation: {left: 0 .. 0.8 m}
+        reward: {nearer: -10 * delta(left) / m, there: 10 when arrived}
+        termination: {success: {arrived: left < 5 cm}}
+        remove: [reward.alive]
+    """
+    analysis, reward = context.analysis, context.analysis.reward
+    ordinary, final = reward.split_by_end()
+    successes = [ending for ending in context.program.endings if ending.outcome == "success"]
+    if not reward.is_complete or len(successes) != 1 or not ordinary:
+        return
+    success, running = successes[0], reward.ranges_while_running()
+    possible = TRUTH if success.foreign else analysis.ranges_in(0.0, float(analysis.last_step)).of(analysis.scalars(success.value)[0])
+    if possible == NEVER or success in analysis.shadowed:
+        return  # DB801, DB804
+    steps = max(0.0, analysis.last_step - ceil(_first_step(analysis, success))) * context.program.action_repeat
+    fine = min(0.0, total_range(final, reward.ranges_at(None)).high)
+    for threshold in _ways_to_avoid(analysis, success):
+        waiting = _just_before(running, threshold)
+        known = total_range(reward.terms, waiting)
+        pay = known.low if threshold is not None and has_choice(analysis, success.value) else known.high
+        if not 0.0 < pay < INF:
+            continue
+        prize = total_range(reward.terms, _just_before(reward.ranges_at(success), threshold)).high
+        if pay * steps + fine > prize and pay * min(steps, horizon(reward) * context.program.action_repeat) > _MIN_WORTH * prize:
+            headline = f"an episode that avoids `{success.value.name}` can collect up to {pay:.3g} per step, {pay * steps:.4g} in all"
+            headline += f", and `{success.value.name}` pays {prize:.3g} once"
+            best = max(ordinary, key=lambda term: waiting.of(term[1]).high)[0]
+            yield Finding("DB708", best.span, headline, help=_PROGRESS_HELP, labels=(Label(success.value.span, "ends these payments"),))
+            return
+
+
+def _ways_to_avoid(analysis: Analysis, success: Ending) -> list[Threshold | None]:
+    """The thresholds of a success, at each of which it may barely not hold; None for one that compares nothing, such as a contact."""
+    running = analysis.reward.ranges_while_running()
+    compared = list(analysis.comparisons(success.value))
+    found = [threshold for entry in compared for threshold in thresholds(entry, running) if not is_clock(analysis, threshold.quantity)]
+    return [*found] if compared else [None]
+
+
+def _first_step(analysis: Analysis, ending: Ending) -> float:
+    """The first step in which an ending may hold, as in `time > 5 s and still`, or `duration(still) > 5 s`."""
+    first, ranges, met = 0.0, analysis.ranges_in(0.0, float(analysis.last_step)), set[int]()
+    waiting = list(analysis.scalars(ending.value)[:1]) if ending.foreign is None else []
+    while waiting:
+        node = analysis.resolve_aliases(waiting.pop())
+        if analysis.identity(node) in met:
+            continue
+        met.add(analysis.identity(node))
+        match node:
+            case Op("and", args):
+                waiting += args
+            case Op("greater" | "greater_equal", (late, limit)) | Op("less" | "less_equal", (limit, late)):
+                clock = analysis.resolve_aliases(late)
+                if isinstance(clock, State) and clock.function == "duration":
+                    clock = Name("time")
+                if isinstance(clock, Name) and clock.name in _CLOCKS:
+                    first = max(first, ranges.of(limit).low / (analysis.period if clock.name == "time" else 1.0))
+    return min(first, float(analysis.last_step))
+
+
+def _just_before(ranges: Ranges, threshold: Threshold | None) -> Ranges:
+    """The ranges while nothing moves, within a fifth of a threshold, on the side where the episode goes on."""
+    kept = None
+    if threshold is not None:
+        low, high = threshold.bound
+        side = Interval(low - 0.2 * abs(low), low) if threshold.above else Interval(high, high + 0.2 * abs(high))
+        kept = (ranges.analysis.identity(threshold.quantity), side)
+    return StillRanges(ranges.analysis, ranges.given, ranges.steps, kept)
+
+
+def discounted_ticks(reward: RewardTerms) -> float:
+    """The timesteps that count: half an episode, or the horizon of the discount factor if it is shorter."""
+    return min(reward.analysis.last_step / 2, horizon(reward)) * reward.program.action_repeat
+
+
+def other_policy_pays_more(simulation: Simulation) -> Iterator[Finding]:
+    """DB708: another behaviour pays more over a whole episode than success."""
+    successes = [ending for ending in simulation.program.endings if ending.outcome == "success"]
+    if not successes or not simulation.is_complete:
+        return
+    found = _better_than_success(simulation.report.episodes)
+    if found:
+        best, success = found
+        also = (Label(successes[0].value.span, "ends these payments"),)
+        headline = (
+            f"the return of {best.policy}, which runs to the time limit, is {best.discounted_return:.3g}; "
+            f"the return of {success.policy}, which succeeds, is {success.discounted_return:.3g}"
+        )
+        notes = (f"both are discounted returns of the episode with seed {best.seed}",)
+        yield Finding("DB708", _most_paid(simulation, best.policy).span, headline, help=_PROGRESS_HELP, notes=notes, labels=also)
+    elif len(successes) == 1 and not any(episode.end == "success" for episode in simulation.report.episodes):
+        yield from _idle_pays(simulation, successes[0])
+
+
+_PROGRESS_HELP = (
+    "pay for progress, as in `-10 * delta(distance) / m`, or pay more for the success than an episode without success can collect"
+)
+
+
+def _better_than_success(episodes: list[Episode]) -> tuple[Episode, Episode] | None:
+    """The best episode that lasted to its limit and the best success, with the same seed, if each seed with both says the same."""
+    pairs = []
+    for seed in sorted({episode.seed for episode in episodes}):
+        lasting = [episode for episode in episodes if episode.seed == seed and episode.end == "limit"]
+        reached = [episode for episode in episodes if episode.seed == seed and episode.end == "success"]
+        if lasting and reached:
+            pairs.append(
+                (max(lasting, key=lambda episode: episode.discounted_return), max(reached, key=lambda episode: episode.discounted_return))
+            )
+    return pairs[0] if pairs and all(best.discounted_return > success.discounted_return for best, success in pairs) else None
+
+
+def _idle_pays(simulation: Simulation, success: Ending) -> Iterator[Finding]:
+    """As the static rule: compare what doing nothing pays in the steps that count with what the success pays once."""
+    reward, row = simulation.analysis.reward, simulation.measured.get(IDLE)
+    ordinary, _ = reward.split_by_end()
+    if row is None or not reward.is_complete:
+        return
+    if any(episode.end not in ("limit", "left") for episode in simulation.report.episodes if episode.policy == IDLE):
+        return
+    trees = [node for _, tree in ordinary for node in walk(simulation.analysis.resolve_aliases(tree))]
+    if any(isinstance(node, State) and node.function in _PROGRESS_FUNCTIONS for node in trees):
+        return
+    pay = sum(term.total for term in row.terms) / row.steps
+    prize = total_range(reward.terms, reward.ranges_at(success)).high
+    ticks = discounted_ticks(reward)
+    if pay > 0.0 and pay * ticks > prize:
+        headline = f"doing nothing pays {pay:.3g} per step, and `{success.value.name}` pays {prize:.3g} once"
+        notes = (
+            f"measured in {row.steps} steps; about {ticks:.0f} steps count, given the discount factor of the training and the time limit",
+        )
+        also = (Label(success.value.span, "ends these payments"),)
+        yield Finding("DB708", _most_paid(simulation, IDLE).span, headline, help=_PROGRESS_HELP, notes=notes, labels=also)
+
+
+def _most_paid(simulation: Simulation, by: str) -> Expression:
+    """The term that pays most under a policy."""
+    return max(simulation.terms(), key=lambda entry: entry[1][by].total)[0]
+
+
+STATIC_RULES = (rewards_early_death, hovering_pays)
+SIMULATED_RULES = (measured_early_death, other_policy_pays_more)
