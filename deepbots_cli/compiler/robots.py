@@ -123,11 +123,11 @@ def report_unmatched(values: ValueReader, span: Span, pattern: str, what: str, n
 
 def report_missing_joint(values: ValueReader, span: Span, pattern: str, model: RobotModel) -> None:
     """A joint where one is needed that moves: it does not exist, it cannot move, or it follows another one."""
-    joint = next((joint for joint in model.joints if joint.name == pattern), None)
-    if pattern in model.followers:
-        report_follower(values, span, pattern, model)
-    elif joint is not None:
-        report_motionless_joint(values, span, joint, model)
+    matched = matching_names((joint.name for joint in model.joints), pattern)
+    if matched and matched[0] in model.followers:
+        report_follower(values, span, matched[0], model)
+    elif matched:
+        report_motionless_joint(values, span, model.joint(matched[0]), model)
     else:
         report_unmatched(values, span, pattern, "joint", [joint.name for joint in model.moving_joints])
 
@@ -492,9 +492,8 @@ def _groups(model: RobotModel, spec: RobotSpec, values: ValueReader) -> dict[str
             continue
         elif odd := [pattern for pattern in not_joints if pattern in not_links]:
             span = values.span((*place, patterns.index(odd[0])))
-            fixed = next((joint for joint in model.joints if joint.name == odd[0]), None)
-            if fixed is not None:
-                report_motionless_joint(values, span, fixed, model)
+            if matching_names((joint.name for joint in model.joints), odd[0]):
+                report_missing_joint(values, span, odd[0], model)
             else:
                 report_unmatched(values, span, odd[0], "joint or link", list(dict.fromkeys([*joints, *links])))
         else:
