@@ -337,8 +337,9 @@ def other_policy_pays_more(simulation: Simulation) -> Iterator[Finding]:
         )
         notes = (f"both are discounted returns of the episode with seed {best.seed}",)
         yield Finding("DB708", _most_paid(simulation, best.policy).span, headline, help=_PROGRESS_HELP, notes=notes, labels=also)
-    elif len(successes) == 1 and not any(episode.end == "success" for episode in simulation.report.episodes):
-        yield from _idle_pays(simulation, successes[0])
+    elif len(successes) == 1:
+        is_reached = any(episode.end == "success" for episode in simulation.report.episodes)
+        yield from ([] if is_reached else _idle_pays(simulation, successes[0])) or _place_pays(simulation, successes[0])
 
 
 _PROGRESS_HELP = (
@@ -359,17 +360,49 @@ def _better_than_success(episodes: list[Episode]) -> tuple[Episode, Episode] | N
     return pairs[0] if pairs and all(best.discounted_return > success.discounted_return for best, success in pairs) else None
 
 
-def _idle_pays(simulation: Simulation, success: Ending) -> Iterator[Finding]:
+def _place_pays(simulation: Simulation, success: Ending) -> list[Finding]:
+    """As the static rule, for a reward of places whose range the scenario does not tell: the highest that any step paid."""
+    analysis, reward = simulation.analysis, simulation.analysis.reward
+    ordinary, final = reward.split_by_end()
+    if not reward.is_complete or total_range(ordinary, _just_before(reward.ranges_while_running(), None)).high < INF:
+        return []
+    highest = {term.name: max(row.high for row in rows.values()) for term, rows in simulation.terms() if rows}
+    staying = [term for term, node in ordinary if term.name in highest and not _is_progress(analysis, node)]
+    best = max(staying, key=lambda term: highest[term.name], default=None)
+    prize = total_range(final, reward.ranges_at(success)).high
+    if best is None:
+        return []
+    pay = highest[best.name] + sum(min(0.0, highest[term.name]) for term in staying if term is not best)
+    steps = max(0.0, analysis.last_step - ceil(_first_step(analysis, success))) * simulation.program.action_repeat
+    if pay <= 0.0 or pay * steps <= prize or pay * min(steps, horizon(reward)) <= _MIN_WORTH * prize:
+        return []
+    headline = f"`{best.name}` pays up to {pay:.3g} in a step, {pay * steps:.4g} in an episode that stays there"
+    headline += f", and `{success.value.name}` pays {prize:.3g} once"
+    also = (Label(success.value.span, "ends these payments"),)
+    return [Finding("DB708", best.span, headline, help=_PROGRESS_HELP, notes=(simulation.summary,), labels=also)]
+
+
+def _is_progress(analysis: Analysis, node: Scalar) -> bool:
+    """Whether a value depends on motion, or on what was before."""
+    for part in analysis.walk_definitions(node):
+        if (isinstance(part, State) and part.function in _PROGRESS_FUNCTIONS) or (
+            isinstance(part, World) and part.function in _RATE_FUNCTIONS
+        ):
+            return True
+    return False
+
+
+def _idle_pays(simulation: Simulation, success: Ending) -> list[Finding]:
     """As the static rule: compare what doing nothing pays in the steps that count with what the success pays once."""
     reward, row = simulation.analysis.reward, simulation.measured.get(IDLE)
     ordinary, _ = reward.split_by_end()
     if row is None or not reward.is_complete:
-        return
+        return []
     if any(episode.end not in ("limit", "left") for episode in simulation.report.episodes if episode.policy == IDLE):
-        return
+        return []
     trees = [node for _, tree in ordinary for node in walk(simulation.analysis.resolve_aliases(tree))]
     if any(isinstance(node, State) and node.function in _PROGRESS_FUNCTIONS for node in trees):
-        return
+        return []
     pay = sum(term.total for term in row.terms) / row.steps
     prize = total_range(reward.terms, reward.ranges_at(success)).high
     ticks = discounted_ticks(reward)
@@ -379,7 +412,8 @@ def _idle_pays(simulation: Simulation, success: Ending) -> Iterator[Finding]:
             f"measured in {row.steps} steps; about {ticks:.0f} steps count, given the discount factor of the training and the time limit",
         )
         also = (Label(success.value.span, "ends these payments"),)
-        yield Finding("DB708", _most_paid(simulation, IDLE).span, headline, help=_PROGRESS_HELP, notes=notes, labels=also)
+        return [Finding("DB708", _most_paid(simulation, IDLE).span, headline, help=_PROGRESS_HELP, notes=notes, labels=also)]
+    return []
 
 
 def _most_paid(simulation: Simulation, by: str) -> Expression:
