@@ -423,7 +423,7 @@ _HINTS = {sign: _Hint(f"write `{text.strip()}`", text) for sign, text in _FOREIG
     ",": _Hint("a comma separates the arguments of a function; decimals have a point"),
     "+-": _Hint("`normal(mean +- std)` is a draw; elsewhere put a space between the signs"),
     "|": _Hint("write `abs(x)` for the absolute value, `choice(a | b)` for a draw, and `or` between conditions"),
-    "#": _Hint(COPIES_HELP),
+    "#": _Hint(f"{COPIES_HELP}; a comment needs a blank before its `#`"),
     "->": _Hint("a schedule belongs in the settings of `train`"),
 }
 
