@@ -125,7 +125,7 @@ def test_the_card_tells_what_goes_in_and_out_and_how_good_it_is(bundle):
     assert low <= known["result"]["mean_return"] <= high
     text = (bundle / "README.md").read_text()
     assert "| 2 | cart.pole_angle | rad | -0.349066 .. 0.349066 | -1 .. 1 | 0 |" in text
-    assert f"mean return {known['result']['mean_return']:.4g} (95 % interval" in text
+    assert f"mean return {known['result']['mean_return']:.4g} in every episode (95 % interval, from" in text
 
 
 def test_the_programs_of_the_readme_and_of_the_docs_run(bundle, run, monkeypatch):

@@ -88,5 +88,7 @@ def test_equal_returns_are_not_shown_as_an_interval_around_them(run_copy: Path, 
     run.write_evaluation(to_json(equal))
     assert main(["runs", str(run_copy)]) == 0
     assert "155.8" not in capsys.readouterr().out
-    assert run_verdict(run_copy, run.record).text.startswith("mean return 0 in every episode, over 3 held-out episodes")
+    assert run_verdict(run_copy, run.record).text.startswith(
+        "mean return 0 in every episode (95 % interval, from the possible returns: -155.8"
+    )
     assert interval_text((200.0, 200.0)) == "200"
