@@ -200,6 +200,18 @@ def test_a_place_that_cannot_be_written_to_is_told_before_anything_runs(run, tmp
     assert "is not a directory" in capsys.readouterr().err
 
 
+def test_a_quick_evaluation_does_not_replace_the_result_of_a_report(run, tmp_path):
+    copy = shutil.copytree(run, tmp_path / "run")
+    before = Report.read(copy).result
+    kept = json.loads((copy / "evaluations" / "0001.json").read_text())
+    quick = kept | {"episodes": 3, "planned": 3, "mean_return": 99.0, "solved": True, "outcomes": kept["outcomes"][:3]}
+    (copy / "evaluations" / "0002.json").write_text(json.dumps(quick))
+    assert Report.read(copy).result == before
+    (copy / "evaluations" / "0001.json").unlink()
+    (copy / "evaluations" / "0002.json").write_text(json.dumps(quick | {"planned": 12}))
+    assert "over 3 held-out episodes from seed 3 (stopped by a requirement after 3 of 12 episodes)" in Report.read(copy).result
+
+
 def test_a_report_replaces_no_file_without_force(run, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "cartpole.html").write_text("mine")
