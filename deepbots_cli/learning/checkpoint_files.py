@@ -129,7 +129,7 @@ class CheckpointState(_Part):
     action_space: GeneratorState
     python: tuple[Literal[3], Annotated[list[Word], Field(min_length=_WORDS + 1, max_length=_WORDS + 1)], float | None]
     numpy: tuple[Place, Bit, float]
-    segments: Annotated[list[tuple[Count, Count]], Field(max_length=100_000)]
+    segments: Annotated[list[tuple[Count, Count]], Field(max_length=1_000_000)]
     """First and last step (of a row of the environment) of each file of the replay buffer."""
     replay: tuple[Count, Count]
     """The size of the replay buffer, and the step in its first row."""
