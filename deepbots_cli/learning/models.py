@@ -220,6 +220,8 @@ def _read(path: Path, limit: int) -> dict[str, Mapping[str, Any]]:
             for name in archive.namelist():
                 if name.endswith(".pth"):
                     content = archive.read(name)
+                    if not content.startswith(b"PK\x03\x04"):  # torch would take it for a file of before 2020
+                        raise ValueError("it holds other things than plain tensors")
                     with _opened(io.BytesIO(content), len(content)) as inner:
                         _check_pickle(inner)
                     tensors[name.removesuffix(".pth")] = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
