@@ -5,7 +5,8 @@ trace.py       an episode that runs again, with what each step saw, did, earned 
 statements.py  sentences with their evidence: the form of every row in the two tables
 episode.py     the table that explains an episode
 training.py    what is known of a training: its logs, and a few short episodes
-diagnosis.py   the table of causes why a training does not learn
+diagnosis.py   the table of causes why a training does not learn; stages.py those of stages, starts and rare success,
+               rewards.py those of the reward
 report.py      one HTML file about a run or a group: result, curves, episodes, scenario; figures.py its figures
 export.py      the policy of a run as ONNX graphs
 card.py        the bundle of an exported policy: its card, and whether it fits a scenario

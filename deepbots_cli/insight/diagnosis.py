@@ -6,58 +6,97 @@ learning impossible comes before what often does, and both before what may only 
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from itertools import combinations
+from shlex import quote
 from statistics import fmean
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from deepbots_cli.errors import RunError
-from deepbots_cli.insight.statements import Numbers, Percentage, Statement, StatementRule, list_text, statements_about
+from deepbots_cli.insight.rewards import (
+    ending_early_pays,
+    loitering,
+    reward_apart_from_success,
+    silent_terms,
+    standing_still_pays,
+    term_dominates,
+)
+from deepbots_cli.insight.stages import (
+    criterion,
+    criterion_text,
+    easy_stage_counted,
+    hides_success,
+    plateau,
+    some_starts_fail,
+    stage_too_hard,
+    stuck_in_stage,
+    success_never_seen,
+    success_plateau,
+)
+from deepbots_cli.insight.statements import (
+    Numbers,
+    Percentage,
+    Statement,
+    StatementRule,
+    SuccessRate,
+    list_text,
+    quantity_text,
+    statements_about,
+)
 from deepbots_cli.insight.trace import Array, Trace
-from deepbots_cli.insight.training import TrainingEvidence, lint_findings
+from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, lint_findings, returns_rise
 from deepbots_cli.learning.defaults import default_values, longest_episode
-from deepbots_cli.program.task import Choices, Observation
+from deepbots_cli.program.task import ActionRange, Choices, Observation
 
 _SAME_TOLERANCE = 1e-6  # numbers of the observation, from -1 to 1, that differ by less are equal
-_MIN_EPISODES = 8  # episodes, below which the returns of a training tell nothing
 _AT_RESET = "already holds at reset"  # the error of an episode that cannot start
 _UNLEARNABLE = {"DB705", "DB711", "DB807", "DB810"}
 """Lint shows by these that failing at once earns most, that all policies earn the same, or that what is required is out of reach."""
-_CERTAIN_SHARE, _SYMPTOMS = 0.9, {"too_few_steps", "short_training", "one_ending"}
-"""Beside a cause that is as likely as this, the length of the training and its most frequent ending are no causes of their own."""
+_CERTAIN_SHARE, _SYMPTOMS = 0.9, {"too_few_steps", "short_training", "one_ending", "success_plateau"}
+"""Beside a cause that is as likely as this, the length of the training, its most frequent ending and a flat success are no causes."""
 _PROVISIONAL_CAUSES = {"success_never_seen", "silent_terms", "one_ending", "exploration_too_large"}
-"""What may still change in a training that was cut short: a cause only after half of the planned timesteps, or if it is certain."""
+"""What may still change in a training or a stage that is young: a cause only once it is mature, or if it is certain."""
 
 
 def diagnose(training: TrainingEvidence) -> list[Statement]:
-    """The causes that apply, the most likely first; none for a training that solves its task, or of late succeeds in most episodes.
-
-    A policy that solves its task in evaluations, which act without exploration, has learned, unless it is still random in the training.
+    """The causes that apply in the present stage, the most likely first; none for a training that has learned its task.
 
     Raises:
         RunError: The training has finished no episode, and has not failed either.
     """
-    if not len(training.episodes) and not training.has_failed:
-        raise RunError(
-            f"{training.run.path} holds no finished episode yet; train it longer, with: deepbots train --resume {training.run.path}"
-        )
-    late, can_succeed = training.episodes.successes[-100:], training.program.solved is None and training.program.defines_success
-    succeeds, evaluated = (can_succeed and len(of) >= _MIN_EPISODES and fmean(of) >= 0.8 for of in (late, training.last_successes))
-    if training.solved_while_exploring or succeeds:
+    path = training.run.path
+    if not len(training.all_episodes) and not training.has_failed:
+        wait = "wait for it" if training.is_running else f"train it longer, with: deepbots train --resume {path}"
+        raise RunError(f"{path} holds no finished episode yet; {wait}")
+    learned = has_learned(training)
+    if learned == "exploring" or not (len(training.episodes) or training.has_failed):
         return []
-    causes = (exploration_too_large,) if training.solved or evaluated else CAUSES
-    found = sorted(statements_about(causes, training), key=lambda statement: -statement.evidence["likelihood"])
+    found = sorted(
+        statements_about((exploration_too_large,) if learned else CAUSES, training), key=lambda each: -each.evidence["likelihood"]
+    )
     unlikely = [statement for statement in found if statement.evidence["likelihood"] < _CERTAIN_SHARE]
-    left_out = (_SYMPTOMS if len(unlikely) < len(found) else set()) | (_PROVISIONAL_CAUSES if _length(training)["share"] < 0.5 else set())
+    left_out = (_SYMPTOMS if len(unlikely) < len(found) else set()) | (set() if training.is_mature else _PROVISIONAL_CAUSES)
     return [statement for statement in found if not (statement in unlikely and statement.cause in left_out)]
 
 
-def _per_step(traces: Sequence[Trace]) -> float:
-    """The mean reward of a step."""
-    return sum(trace.returns for trace in traces) / max(1, sum(trace.steps for trace in traces))
+def has_learned(t: TrainingEvidence) -> Literal["exploring", "evaluated"] | None:
+    """Whether the policy has learned the task, in the episodes of the training or only in evaluations, which do not explore.
+
+    The task is the scenario itself, or the last stage. An evaluation since the training comes before both: what it excludes was not
+    learned. Where the scenario does not say what counts as solved, a success rate of 80 % does.
+    """
+    solved, succeeds = t.run.program.solved, t.run.program.defines_success
+    final = SuccessRate([each.is_success for each in t.final_episodes])
+    excluded = bool(final.episodes >= MIN_EPISODES and succeeds and final.high < (0.8 if solved is None else solved.success_rate or 0.0))
+    late = t.episodes.successes[-100:] if t.is_last_stage and solved is None and succeeds else ()
+    if not excluded and (t.solved_while_exploring or (len(late) >= MIN_EPISODES and fmean(late) >= 0.8)):
+        return "exploring"
+    last = t.last_successes if t.is_last_stage else [each.is_success for each in t.final_episodes]
+    return "evaluated" if t.solved or (solved is None and succeeds and len(last) >= MIN_EPISODES and fmean(last) >= 0.8) else None
 
 
 # Faults
@@ -119,7 +158,7 @@ def ending_at_once(t: TrainingEvidence) -> Numbers | None:
     Try: Loosen the bound of '{ending}', or start farther away from it: `deepbots explain-episode RUN` shows the value and the bound.
     """
     lengths, longest = t.episodes.lengths, t.program.truncation.max_episode_steps(t.program.period)
-    if len(lengths) < _MIN_EPISODES:
+    if len(lengths) < MIN_EPISODES:
         return None
     long, (name, count) = float(np.quantile(lengths, 0.9)), Counter(t.episodes.endings).most_common(1)[0]
     if long > min(12, 0.2 * longest) or name not in t.program.failures:
@@ -145,22 +184,59 @@ def lint_warns(t: TrainingEvidence) -> Numbers | None:
 # Observations
 
 
+def sensor_without_reading(t: TrainingEvidence) -> Numbers | None:
+    """{count} of {of} numbers of the observation never changed in {moments} moments ({values}): {guess}.
+
+    Try: Look at what they measure: `deepbots view RUN` draws the rays of sensors. Check that their place and direction are right, and that
+    something is in their range; or leave them out of `observation`.
+    """
+    spans = _spans(t)
+    still = [name for name, (span, _) in spans.items() if span < _SAME_TOLERANCE]
+    if not still:
+        return None
+    at_end = [name for name in still if abs(spans[name][1]) > 1 - _SAME_TOLERANCE]
+    guess = "sensors that saw nothing, or values that nothing moves"
+    if len(at_end) == len(still):
+        guess = "they are always at an end of their range, as the readings of a sensor that sees nothing"
+    share = len(still) / len(spans)
+    values = list_text([f"{name} always {_unscaled(t, name, spans[name][1])}" for name in still])
+    return {"likelihood": 0.95 if share >= 0.75 else 0.35 * share, "count": len(still), "of": len(spans), "moments": t.probe_moments,
+            "names": still, "values": values, "guess": guess}  # fmt: skip
+
+
+def _spans(t: TrainingEvidence) -> dict[str, tuple[float, float]]:
+    """Of each number of the observation but the previous action: how far it moves in the short episodes, and its first value."""
+    if t.probe_moments < 2 * MIN_EPISODES:
+        return {}
+    seen = np.concatenate([trace.observations for trace in t.probes])
+    spans = zip(np.ptp(seen, axis=0), seen[0], strict=True)
+    return {
+        n.full_name: (float(span), float(first)) for n, (span, first) in zip(t.program.policy.numbers, spans, strict=True)
+        if n.name != "previous_action"
+    }  # fmt: skip
+
+
+def _unscaled(t: TrainingEvidence, name: str, value: float) -> str:
+    """A number of the observation, from -1 to 1, as the value that it stands for."""
+    number = next(each for each in t.program.policy.numbers if each.full_name == name)
+    if number.is_truth:
+        return "true" if value else "false"
+    return quantity_text(number.low + (value + 1) / 2 * (number.high - number.low), number.unit)
+
+
 def constant_observation(t: TrainingEvidence) -> Numbers | None:
     """{count} of {of} numbers of the observation hardly change ({names}): in {moments} moments they move by at most {span} of a range of
     2.
 
     Try: Narrow their ranges under `observation` to the values that occur: `deepbots inspect RUN` lists the ranges.
     """
-    if t.probe_moments < 2 * _MIN_EPISODES:
-        return None
-    spans = np.ptp(np.concatenate([trace.observations for trace in t.probes]), axis=0)
-    numbers = [(n.full_name, float(span)) for n, span in zip(t.program.policy.numbers, spans, strict=True) if n.name != "previous_action"]
-    names = [name for name, span in numbers if span < 0.01]
+    spans = _spans(t)
+    names = [name for name, (span, _) in spans.items() if _SAME_TOLERANCE <= span < 0.01]
     if not names:
         return None
-    share = len(names) / len(numbers)
-    return {"likelihood": 0.95 if share >= 0.75 else 0.35 * share, "count": len(names), "of": len(numbers), "moments": t.probe_moments,
-            "names": list_text(names), "span": max(span for name, span in numbers if name in names)}  # fmt: skip
+    share = len(names) / len(spans)
+    return {"likelihood": 0.95 if share >= 0.75 else 0.35 * share, "count": len(names), "of": len(spans), "moments": t.probe_moments,
+            "names": list_text(names), "span": max(spans[name][0] for name in names)}  # fmt: skip
 
 
 def saturated_observation(t: TrainingEvidence) -> Numbers | None:
@@ -169,7 +245,7 @@ def saturated_observation(t: TrainingEvidence) -> Numbers | None:
 
     Try: Widen their ranges under `observation`: beyond the ends the policy cannot tell values apart.
     """
-    if t.probe_moments < 2 * _MIN_EPISODES:
+    if t.probe_moments < 2 * MIN_EPISODES:
         return None
     found = {entry.name: _beyond(t, entry) for entry in t.program.policy.observation if entry.clip and entry.name != "previous_action"}
     cut = {n.full_name: part for e in t.program.policy.observation for n, part in zip(e.numbers, found.get(e.name, ()), strict=False)}
@@ -203,107 +279,6 @@ def _spread(values: Array) -> float:
 # Reward
 
 
-def term_dominates(t: TrainingEvidence) -> Numbers | None:
-    """The reward term '{term}' is {share} of the reward: with random actions it gives {mean} a step, and all other terms together {others}.
-
-    Try: Weaken '{term}' until the other terms outweigh it, such as by a factor of 10.
-    """
-    names = [term.name for term in t.program.policy.reward]
-    sums = {name: float(sum(np.nansum(trace.terms[name]) for trace in t.random)) for name in names}
-    whole = sum(map(abs, sums.values()))
-    if len(sums) < 2 or not whole:
-        return None
-    name = max(sums, key=lambda each: abs(sums[each]))
-    share, rest = abs(sums[name]) / whole, sum(value for key, value in sums.items() if key != name)
-    varies = any(np.ptp(trace.terms[name]) > 1e-9 for trace in t.random if trace.steps)
-    others = [fmean(trace.returns - float(np.nansum(trace.terms[name])) for trace in traces) for traces in (t.random, t.policy or t.random)]
-    if share < 0.55 or not varies or not sums[name] < 0 < rest or others[1] > 1.5 * others[0]:  # the policy earns the others all the same
-        return None
-    steps = sum(trace.steps for trace in t.random)
-    return {
-        "likelihood": 0.94,
-        "term": name,
-        "share": Percentage(share),
-        "mean": sums[name] / steps,
-        "others": rest / steps,
-        "steps": steps,
-    }
-
-
-def ending_early_pays(t: TrainingEvidence) -> Numbers | None:
-    """It pays to fail early: a step earns {reward} on average, {failed} of the late episodes fail, and the return falls with the length of
-    an episode (correlation {correlation}).
-
-    Try: Let a step that goes well earn a positive reward (check the signs of the terms), or let a failure cost more than the steps
-    that it saves.
-    """
-    late = t.episodes_between(0.75, 1.0)
-    if len(late) < _MIN_EPISODES:
-        return None
-    failed = float(np.mean([ending in t.program.failures for ending in late.endings]))
-    per_step = float(late.returns.sum() / max(1.0, late.lengths.sum()))
-    if failed < 0.5 or per_step >= 0 or late.successes.mean() > 0.2 or np.ptp(t.episodes.lengths) == 0 or _per_step(t.policy) > 0:
-        return None
-    together = float(np.corrcoef(t.episodes.lengths, t.episodes.returns)[0, 1]) if np.ptp(t.episodes.returns) else 0.0
-    if not together < -0.5:
-        return None
-    return {"likelihood": 0.92, "reward": per_step, "failed": Percentage(failed), "length": float(late.lengths.mean()),
-            "first": float(t.episodes_between(0.0, 0.25).lengths.mean()), "correlation": together}  # fmt: skip
-
-
-def standing_still_pays(t: TrainingEvidence) -> Numbers | None:
-    """Standing still pays: commanding zeros earns {still} a step, the policy {policy}, and {rate} of the late episodes succeed.
-
-    Try: Reward the way toward the success (such as the change of a distance), and make time cost something instead of earning it.
-    """
-    late = t.episodes_between(0.75, 1.0)
-    if not t.idle or not t.program.defines_success or (len(late.successes) and late.successes.mean() >= 0.5):
-        return None
-    still, policy = _per_step(t.idle), _per_step(t.policy or t.random)
-    outcomes = [trace.outcome for trace in t.idle]  # where standing still fails soon, it pays until then only
-    if still <= 0 or "success" in outcomes or 2 * outcomes.count("failure") > len(outcomes) or still < 0.8 * policy:
-        return None
-    return {"likelihood": 0.93, "still": still, "policy": policy, "random": _per_step(t.random), "episodes": len(t.idle),
-            "rate": Percentage(float(late.successes.mean()) if len(late.successes) else 0.0)}  # fmt: skip
-
-
-def success_never_seen(t: TrainingEvidence) -> Numbers | None:
-    """None of {episodes} episodes is a success ('{ending}'){though}; their returns differ by {spread} (standard deviation).
-
-    Try: {remedy} start nearer to the success, or loosen its condition; a curriculum can do the latter two.
-    """
-    if not t.program.defines_success or len(t.episodes) < _MIN_EPISODES or t.episodes.successes.any():
-        return None
-    flat = float(np.ptp(t.episodes.returns)) < 1e-9
-    names = [ending.name for ending in t.program.endings if ending.outcome == "success"] or ["goal_reached"]
-    late = {term.name: t.curve(f"reward/{term.name}") for term in t.program.policy.reward}
-    paid = {name: max(0.0, float(curve[-max(1, len(curve) // 4) :].mean())) for name, curve in late.items() if len(curve)}
-    name, whole = max(paid, key=lambda each: paid[each], default=""), sum(paid.values())
-    share = paid[name] / whole if whole else 0.0
-    though, remedy = "", "Add a term that pays for coming nearer,"
-    if share >= 0.8 and too_few_steps(t) is None:
-        though = f", and '{name}' pays {share:.0%} of what late episodes gain: the policy stays at a local optimum of this term"
-        remedy = f"Let '{name}' lead around obstacles, such as with path_distance in place of a straight distance;"
-    return {"likelihood": 0.93 if flat else 0.7 if _length(t)["share"] >= 0.5 else 0.45, "episodes": len(t.episodes),
-            "ending": " or ".join(names), "spread": float(t.episodes.returns.std()), "mean": float(t.episodes.returns.mean()),
-            "term": name if whole else None, "term_share": share, "though": though, "remedy": remedy}  # fmt: skip
-
-
-def silent_terms(t: TrainingEvidence) -> Numbers | None:
-    """{count} of {of} reward terms are 0 in all {steps} steps of short episodes and in the logs: {names}.
-
-    Try: Check the condition of each such term: `deepbots run SCENARIO` shows the terms of an episode.
-    """
-    names = [term.name for term in t.program.policy.reward]
-    sums = {name: sum(float(np.abs(trace.terms[name]).sum()) for trace in t.probes) for name in names}
-    silent = [name for name, value in sums.items() if value == 0 and not np.abs(t.curve(f"reward/{name}")).max(initial=0.0)]
-    steps = sum(trace.steps for trace in t.probes)
-    if not silent or not steps:
-        return None
-    likelihood = 0.9 if len(silent) == len(sums) else 0.3
-    return {"likelihood": likelihood, "names": list_text(silent), "count": len(silent), "of": len(sums), "steps": steps}
-
-
 # Learning
 
 
@@ -327,11 +302,68 @@ def learning_rate_too_high(t: TrainingEvidence) -> Numbers | None:
             "clipped": Percentage(clipped), "kl": kl, "first": first, "last": last}  # fmt: skip
 
 
+def exploration_hides_success(t: TrainingEvidence) -> Numbers | None:
+    """Without exploration the policy succeeds in {without} of its last evaluations{where}, and while it explored in {with} at the end of
+    the training: the exploration prevents the success.
+
+    Try: {remedy}, or loosen what the success requires. The policy is good as it is: `deepbots view`, `eval` and `export` do not explore.
+    """
+    found, until = hides_success(t), criterion(t)
+    if found is None:
+        return None
+    counts = until is not None and until.episodes is not None and until.metric != "steps"
+    remedies = [*(["let the next stage begin by evaluations, with `in evaluation` in its `until`"] if counts else []), *exploration(t, 0.1)]
+    remedy = " and ".join(remedies) or "shorten the time that the success has to last"
+    return {"likelihood": 0.94, "without": found[0], "with": found[1], "where": f" in stage '{t.stage}'" if t.stage else "",
+            "remedy": remedy[0].upper() + remedy[1:]}  # fmt: skip
+
+
+def exploration_delays_stage(t: TrainingEvidence) -> Numbers | None:
+    """Stage '{stage}' went on for {delay} steps after its evaluations had reached {criterion}, because exploration kept the episodes of
+    the training below it: {success} of these evaluations without exploration.
+
+    Try: Let the next stage begin by evaluations, with `in evaluation` in its `until`.
+    """
+    worst: dict[str, Any] = {}
+    for place, stage in enumerate(t.stages[: t.stage_index]):
+        until, after = stage.until, t.episodes_of(t.stages[place + 1].name)
+        if until is None or until.metric == "steps" or until.episodes is None or not len(after):
+            continue
+        values = "successes" if until.metric == "success_rate" else "returns"
+        done = [each for each in t.all_evaluations if each.get("stage") == stage.name]
+        reached = [k for k in range(len(done)) if all(fmean(each[values]) >= until.threshold for each in done[k:])]
+        delay = int(after.steps[0] - done[reached[0]]["steps"]) if reached else 0
+        if delay > max(worst.get("delay", 0), 0.1 * t.planned):
+            rate = SuccessRate([float(success) for each in done[reached[0] :] for success in each["successes"]])
+            worst = {"likelihood": 0.5, "stage": stage.name, "delay": delay, "criterion": criterion_text(until), "success": rate}
+    return worst or None
+
+
+def exploration(t: TrainingEvidence, factor: float) -> list[str]:
+    """How to change the options for exploration that the algorithm has, with their present and proposed values."""
+    found, settings = [], t.settings
+    weight, noise = t.number_setting("ent_coef"), getattr(settings.get("action_noise"), "sigma", None)
+    if weight is not None and (weight or factor > 1):
+        wanted = weight * factor or 0.01
+        found.append(f"{'raise' if factor > 1 else 'lower'} `train.ent_coef` from {weight:g} to {wanted:.2g}")
+    elif isinstance(settings.get("ent_coef"), str):
+        size = sum(len(part.names) for part in t.program.policy.action if isinstance(part, ActionRange))
+        found.append(f"set `train.target_entropy` from {settings.get('target_entropy')} to {-size * (0.5 if factor > 1 else 2):g}")
+    if noise is not None:
+        now = f"{noise.start:g}" if noise.start == noise.end else f"{noise.start:g} -> {noise.end:g}"
+        wanted = 0.3 if factor > 1 else 0.1 * noise.end or 0.01
+        found.append(f"{'raise' if factor > 1 else 'lower'} `sigma` of `train.action_noise` from {now} to {noise.start:g} -> {wanted:.2g}")
+    if (chance := t.number_setting("exploration_final_eps")) is not None:
+        wanted = min(0.3, 3 * chance or 0.1) if factor > 1 else 0.1 * chance
+        found.append(f"{'raise' if factor > 1 else 'lower'} `train.exploration_final_eps` from {chance:g} to {wanted:.2g}")
+    return found
+
+
 def exploration_too_large(t: TrainingEvidence) -> Numbers | None:
     """The policy is still random: after {updates} updates its entropy is {entropy}, {share} of that at the start, with `ent_coef`
     {weight}. Its late training episodes have a mean return of {late}{evaluated}.
 
-    Try: Lower `train.ent_coef`, such as to 0.01 or 0.
+    Try: Lower `train.ent_coef` from {weight} to {wanted}.
     """
     weight, random = t.number_setting("ent_coef"), _random_entropy(t)
     entropy, spread = -t.curve("train/entropy_loss"), t.curve("train/std")
@@ -344,21 +376,8 @@ def exploration_too_large(t: TrainingEvidence) -> Numbers | None:
     last = fmean(t.evaluations[-1]["returns"]) if t.evaluations else None
     return {"likelihood": 0.93 if weight >= 0.1 else 0.5, "weight": weight, "entropy": late, "share": Percentage(share),
             "updates": len(entropy), "late": float(t.episodes_between(0.75, 1.0).returns.mean()), "last_evaluation": last,
-            "evaluated": "" if last is None else f", and the last evaluation, without exploration, one of {last:.3g}"}  # fmt: skip
-
-
-def exploration_hides_success(t: TrainingEvidence) -> Numbers | None:
-    """Without exploration the policy succeeds in {without} of {episodes} episodes of its last evaluation, and while it explored in {with}
-    of the last {late} episodes of the training: the noise of the exploration prevents the success.
-
-    Try: Use the policy as it is, since `deepbots view`, `eval` and `export` do not explore. To let the training succeed too, lower its
-    exploration (`train.ent_coef` or `train.action_noise`), or loosen what the success requires.
-    """
-    late, last = t.episodes_between(0.75, 1.0).successes[-100:], t.last_successes
-    if min(len(late), len(last)) < _MIN_EPISODES or fmean(last) < max(0.5, late.mean() + 0.3):
-        return None
-    return {"likelihood": 0.94, "without": Percentage(fmean(last)), "episodes": len(last), "with": Percentage(late.mean()),
-            "late": len(late)}  # fmt: skip
+            "evaluated": "" if last is None else f", and the last evaluation, without exploration, one of {last:.3g}",
+            "wanted": min(0.01, 0.1 * weight)}  # fmt: skip
 
 
 def _random_entropy(t: TrainingEvidence) -> float | None:
@@ -371,17 +390,22 @@ def _random_entropy(t: TrainingEvidence) -> float | None:
 def exploration_collapsed(t: TrainingEvidence) -> Numbers | None:
     """The policy hardly explores: {measure} is {value} after {steps} steps, and below {least} it finds little new.
 
-    Try: Raise the noise: `train.ent_coef` of PPO and A2C, `train.action_noise` of DDPG and TD3; or lower `train.learning_rate`.
+    Try: {remedy}.
     """
+    rate, remedies = t.number_setting("learning_rate"), exploration(t, 10.0)
+    remedies += [f"lower `train.learning_rate` from {rate:g} to {rate / 3:.1g}"] if rate is not None else []
+    remedy = " or ".join(remedies) or "raise the noise of the algorithm"
+    remedy = remedy[0].upper() + remedy[1:]
     sigma = getattr(getattr(t.settings.get("action_noise"), "sigma", None), "start", None)
     if sigma == 0:
-        return {"likelihood": 0.85, "measure": "the standard deviation of the action noise", "value": 0.0, "least": 0.1, "steps": t.steps}
+        return {"likelihood": 0.85, "measure": "the standard deviation of the action noise", "value": 0.0, "least": 0.1, "steps": t.steps,
+                "remedy": remedy}  # fmt: skip
     random, measures = _random_entropy(t), []
     if random is not None:
         measures.append(("the entropy of the policy", -t.curve("train/entropy_loss"), 0.05 * random))
     for measure, curve, least in [*measures, ("the standard deviation of the actions", t.curve("train/std"), 0.05)]:
-        if len(curve) >= _MIN_EPISODES and (value := float(curve[len(curve) // 2])) < least:
-            return {"likelihood": 0.6, "steps": t.steps // 2, "measure": measure, "value": value, "least": least}
+        if len(curve) >= MIN_EPISODES and (value := float(curve[len(curve) // 2])) < least:
+            return {"likelihood": 0.6, "steps": t.steps // 2, "measure": measure, "value": value, "least": least, "remedy": remedy}
     return None
 
 
@@ -391,56 +415,54 @@ def one_ending(t: TrainingEvidence) -> Numbers | None:
     Try: Run `deepbots explain-episode RUN`: it shows the value and the bound of this ending in one of them.
     """
     late = t.episodes_between(0.75, 1.0)
-    if len(late) < _MIN_EPISODES:
+    if len(late) < MIN_EPISODES:
         return None
     name, count = Counter(late.endings).most_common(1)[0]
     share = count / len(late)
-    if name not in t.program.failures or share < 0.9 or len(t.program.endings) < 2 or too_few_steps(t) is not None:
+    if name not in t.program.failures or share < 0.9 or len(t.program.endings) < 2 or returns_rise(t) is not None:
         return None
     return {"likelihood": 0.25, "ending": name, "share": Percentage(share), "episodes": len(late), "length": float(late.lengths.mean())}
 
 
 def too_few_steps(t: TrainingEvidence) -> Numbers | None:
-    """The policy still learns: the mean return of the last quarter of the training is {last}, {gain} above that of the first half, after
+    """The policy still learns: the mean return of the last quarter of {what} is {last}, {gain} above that of the first half, after
     {steps} steps; the scenario plans {planned}.
 
-    Try: Train on: deepbots train --resume {run} --timesteps {more}
+    Try: {advice}
     """
-    early, late = t.episodes_between(0.0, 0.5).returns, t.episodes_between(0.75, 1.0).returns
-    if len(t.episodes) < 2 * _MIN_EPISODES:
+    rise = returns_rise(t)
+    if rise is None or plateau(t) is not None:
         return None
-    gain = float(late.mean() - early.mean())
-    chance = 2 * float(np.hypot(early.std() / np.sqrt(len(early)), late.std() / np.sqrt(len(late))))
-    # A return that rises evenly gains a third of its total rise in the last quarter; below half of that it levels off.
-    start, before = (float(t.episodes_between(share, share + 0.25).returns.mean()) for share in (0.0, 0.5))
-    if not gain > chance > 0 or late.mean() - before < (late.mean() - start) / 6:
-        return None
-    length = _length(t)
-    return {**length, "likelihood": 0.8 if length["share"] < 0.5 else 0.65, "first": float(early.mean()), "last": float(late.mean()),
-            "gain": gain, "chance": chance}  # fmt: skip
+    (first, last, gain, chance), length = rise, _length(t)
+    return {**length, "likelihood": 0.8 if length["share"] < 0.5 else 0.65, "what": f"stage '{t.stage}'" if t.stage else "the training",
+            "first": first, "last": last, "gain": gain, "chance": chance}  # fmt: skip
 
 
 def short_training(t: TrainingEvidence) -> Numbers | None:
     """The training is short: {steps} steps and {episodes} episodes, {share} of the {planned} steps of the scenario.
 
-    Try: Train on: deepbots train --resume {run} --timesteps {more}
+    Try: {advice}
     """
     length = _length(t)
-    if length["share"] >= 0.5 or too_few_steps(t) is not None:
+    if length["share"] >= 0.5 or t.is_running or returns_rise(t) is not None:
         return None
-    return {**length, "likelihood": 0.5, "episodes": len(t.episodes)}
+    return {**length, "likelihood": 0.5, "episodes": len(t.all_episodes)}
 
 
 def _length(t: TrainingEvidence) -> dict[str, Any]:
-    settings = t.program.policy.training
-    planned = settings.total_timesteps if settings else t.run.record.total_timesteps
-    more = str(max(planned, 2 * t.steps))
-    return {"steps": t.steps, "planned": planned, "share": Percentage(t.steps / planned), "more": more, "run": str(t.run.path)}
+    """How long a training is, and how to train on; a number of steps has two digits that are not 0."""
+    more = max(t.planned, math.ceil(2 * t.steps / (unit := 10 ** max(0, len(str(2 * t.steps)) - 2))) * unit)
+    advice = f"Train on: deepbots train --resume {quote(str(t.run.path))} --timesteps {more}"
+    if t.is_running:
+        advice = f"Let it run: {t.steps:,} of {t.run.record.total_timesteps:,} steps are made."
+    return {"steps": t.steps, "planned": t.planned, "share": Percentage(t.steps / t.planned), "more": more, "advice": advice}
 
 
 CAUSES: tuple[StatementRule[TrainingEvidence], ...] = (
-    ending_at_reset, not_finite, action_without_effect, ending_at_once, lint_warns, constant_observation, saturated_observation,
-    term_dominates, ending_early_pays, standing_still_pays, success_never_seen, silent_terms, learning_rate_too_high,
-    exploration_hides_success, exploration_too_large, exploration_collapsed, one_ending, too_few_steps, short_training,
+    ending_at_reset, not_finite, action_without_effect, ending_at_once, lint_warns, sensor_without_reading, constant_observation,
+    saturated_observation, term_dominates, ending_early_pays, standing_still_pays, loitering, stage_too_hard, easy_stage_counted,
+    some_starts_fail, reward_apart_from_success, stuck_in_stage, success_never_seen, silent_terms, learning_rate_too_high,
+    exploration_hides_success, exploration_delays_stage, exploration_too_large, exploration_collapsed, success_plateau, one_ending,
+    too_few_steps, short_training,
 )  # fmt: skip
 """Why a training does not learn."""

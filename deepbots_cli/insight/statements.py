@@ -44,6 +44,38 @@ class Percentage(float):
     """A share, shown in per cent."""
 
 
+class SuccessRate(dict[str, Any]):
+    """How many of some episodes succeed, with Wilson's 95 % interval; shown as `52% (46% to 58%) of 240 episodes`."""
+
+    def __init__(self, successes: Sequence[float]) -> None:
+        from deepbots_cli.learning.statistics import wilson  # which imports scipy
+
+        count, episodes = int(sum(successes)), len(successes)
+        interval = wilson(count, episodes) if episodes else (0.0, 1.0)
+        super().__init__(successes=count, episodes=episodes, rate=count / max(1, episodes), interval=interval)
+
+    @property
+    def rate(self) -> float:
+        return float(self["rate"])
+
+    @property
+    def low(self) -> float:
+        """The lower end of the interval."""
+        return float(self["interval"][0])
+
+    @property
+    def high(self) -> float:
+        return float(self["interval"][1])
+
+    @property
+    def episodes(self) -> int:
+        return int(self["episodes"])
+
+    def __str__(self) -> str:
+        rate, low, high = (_number_text(Percentage(share)) for share in (self.rate, self.low, self.high))
+        return f"{rate} ({low} to {high}) of {self.episodes:,} episodes"
+
+
 def statements_about(rules: Sequence[StatementRule[T]], subject: T) -> list[Statement]:
     """The statements of the rows that apply, in the order of the table."""
     found = []

@@ -5,6 +5,7 @@ Logs are `monitor.csv`, the TensorBoard files and the evaluations during the tra
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -24,11 +25,11 @@ from deepbots_cli.insight.conditions import instrument_program
 from deepbots_cli.insight.trace import Array, Trace, TraceRecorder
 from deepbots_cli.learning import failures
 from deepbots_cli.learning.defaults import effective_hyperparameters
-from deepbots_cli.learning.episodes import meets_solved
-from deepbots_cli.learning.run import Run, changed_settings
-from deepbots_cli.learning.verdict import quoted_episodes
+from deepbots_cli.learning.episodes import Episode, meets_solved
+from deepbots_cli.learning.run import Run, changed_settings, is_training
+from deepbots_cli.learning.verdict import quoted_episodes, run_verdict
 from deepbots_cli.lint import all_findings
-from deepbots_cli.program import Program
+from deepbots_cli.program import CurriculumStage, Program
 from deepbots_cli.program.task import ActionRange, Choices, Schedule
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.streams import derive_seed
@@ -38,30 +39,100 @@ from deepbots_cli.view.plots import logs_of, scalars_of
 PROBE_EPISODES, PROBE_STEPS, CONSTANT_ACTION_STEPS = 4, 300, 40
 """Short episodes of the policy, of random actions and without commands, and their steps at most; and the steps of a constant action."""
 
+MIN_EPISODES = 8
+"""Episodes, below which the returns of a training tell nothing."""
+
 
 @dataclass(eq=False)
 class TrainingEvidence:
     """A training as its files tell it, and short episodes.
 
-    `episodes` and `evaluations` are those of `logs_of`, with the last evaluation since the training as the last one. `scalars` are curves
-    of TensorBoard by tag: steps and values. `failure` is the error that ended the training. The short episodes have the same starts:
-    `policy` those of the last policy, `random` those of random actions, `idle` those of an action that commands zeros, and
-    `constant_actions` one for each constant action, by the part of the action that alone differs.
+    `all_episodes` and `all_evaluations` are those of `logs_of`; the last evaluation since the training is the last one, in stage "".
+    `episodes` and `evaluations` are those of the stage in which the training stands, and so is `program`: returns of another stage say
+    nothing about it. `scalars` are curves of TensorBoard by tag: steps and values. `failure` is the error that ended the training. The
+    short episodes have the same starts, in the present stage: `policy` those of the last policy, `random` those of random actions, `idle`
+    those of an action that commands zeros, and `constant_actions` one for each constant action, by the part of the action that alone
+    differs. `final_episodes` are those of the last evaluation since the training.
     """
 
     run: Run
-    episodes: Any
-    evaluations: Sequence[Mapping[str, Any]]
+    all_episodes: Any
+    all_evaluations: Sequence[Mapping[str, Any]]
     scalars: Mapping[str, tuple[Array, Array]]
     failure: str = ""
+    final_episodes: Sequence[Episode] = ()
+    is_running: bool = False
     policy: Sequence[Trace] = ()
     random: Sequence[Trace] = ()
     idle: Sequence[Trace] = ()
     constant_actions: dict[str, Mapping[str, Trace]] = field(default_factory=dict)
 
+    # Stages
+
     @property
+    def stages(self) -> Sequence[CurriculumStage]:
+        return self.run.program.curriculum
+
+    @cached_property
+    def stage_index(self) -> int:
+        """The place of the present stage, the furthest that an episode or an evaluation was in; 0 without a curriculum."""
+        names, result = [stage.name for stage in self.stages], self.run.record.result
+        seen = {*self.all_episodes.stages, *(each.get("stage", "") for each in self.all_evaluations), result.stage if result else ""}
+        return max((names.index(name) for name in seen if name in names), default=0)
+
+    @property
+    def stage(self) -> str:
+        """The name of the present stage; "" without a curriculum."""
+        return self.stages[self.stage_index].name if self.stages else ""
+
+    @property
+    def is_last_stage(self) -> bool:
+        return self.stage_index >= len(self.stages) - 1
+
+    @cached_property
     def program(self) -> Program:
-        return self.run.program
+        """The scenario of the present stage."""
+        return self.stages[self.stage_index].program if self.stages else self.run.program
+
+    def episodes_of(self, stage: str) -> Any:
+        return self.all_episodes[self.all_episodes.stages == stage]
+
+    @cached_property
+    def episodes(self) -> Any:
+        """Those of the present stage."""
+        return self.episodes_of(self.stage) if self.stages else self.all_episodes
+
+    @cached_property
+    def evaluations(self) -> Sequence[Mapping[str, Any]]:
+        """Those in the present stage; in the last stage also those in the scenario itself."""
+        names = {self.stage, ""} if self.is_last_stage else {self.stage}
+        return [each for each in self.all_evaluations if each.get("stage", "") in names]
+
+    @cached_property
+    def first_step(self) -> int:
+        """The step in which the present stage began."""
+        ends = self.run.record.result.stages if self.run.record.result else ()
+        if self.stage_index and ends and ends[-1].name == self.stages[self.stage_index - 1].name:
+            return ends[-1].steps
+        return int(self.episodes.steps[0] - self.episodes.lengths[0]) if self.stage_index and len(self.episodes) else 0
+
+    @property
+    def stage_steps(self) -> int:
+        """Steps since the present stage began."""
+        return max(0, self.steps - self.first_step)
+
+    @property
+    def planned(self) -> int:
+        """The steps that the scenario plans."""
+        settings = self.run.program.policy.training
+        return settings.total_timesteps if settings else self.run.record.total_timesteps
+
+    @property
+    def is_mature(self) -> bool:
+        """Whether the present stage has had half of its share of the planned steps, so that what has not come yet may never come."""
+        return self.stage_steps >= 0.5 * self.planned / max(1, len(self.stages))
+
+    # Episodes
 
     @property
     def has_failed(self) -> bool:
@@ -78,13 +149,26 @@ class TrainingEvidence:
         return sum(len(trace.values) for trace in self.probes)
 
     def episodes_between(self, first: float, last: float) -> Any:
-        """The episodes from one share of them to another: `episodes_between(0.75, 1)` is the last quarter."""
+        """The episodes of the present stage from one share of them to another: `episodes_between(0.75, 1)` is the last quarter."""
         return self.episodes[round(first * len(self.episodes)) : round(last * len(self.episodes))]
+
+    def episodes_by_steps(self, first: float, last: float) -> Any:
+        """The episodes of the present stage that ended between two shares of its steps."""
+        low, high = (self.first_step + share * self.stage_steps for share in (first, last))
+        return self.episodes[(self.episodes.steps > low) & (self.episodes.steps <= high)]
+
+    @cached_property
+    def late_evaluations(self) -> list[float]:
+        """The successes in the evaluations of the last quarter of the present stage, at least in the last one."""
+        if not self.evaluations or not self.program.defines_success:
+            return []
+        late = [each for each in self.evaluations if each.get("steps", math.inf) > self.first_step + 0.75 * self.stage_steps]
+        return [float(success) for each in late or self.evaluations[-1:] for success in each["successes"]]
 
     @cached_property
     def settings(self) -> Mapping[str, Any]:
         """The hyperparameters that the training takes, by name."""
-        return {entry.name: entry.value for entry in effective_hyperparameters(self.program, self.run.record.total_timesteps)}
+        return {entry.name: entry.value for entry in effective_hyperparameters(self.run.program, self.run.record.total_timesteps)}
 
     def number_setting(self, name: str) -> float | None:
         """A hyperparameter as a number, the first one of a schedule; None where it is none."""
@@ -94,29 +178,54 @@ class TrainingEvidence:
 
     @property
     def steps(self) -> int:
-        result = self.run.record.result
-        return result.steps if result is not None else int(self.episodes.steps[-1]) if len(self.episodes) else 0
+        """Of the whole training; the result of one that runs is as old as its last process."""
+        result, known = self.run.record.result, int(self.all_episodes.steps[-1]) if len(self.all_episodes) else 0
+        return max(known, result.steps if result is not None else 0)
+
+    # What was learned
 
     @property
     def solved_while_exploring(self) -> bool:
-        """Whether the episodes of the training met what `solved` asks for."""
+        """Whether the episodes of the training met what `solved` asks for, which only the last stage can."""
         return self.run.record.result is not None and self.run.record.result.solved_at is not None
 
     @property
     def last_successes(self) -> Sequence[bool]:
-        """Whether each episode of the last evaluation succeeded; empty without an evaluation or a success."""
+        """Whether each episode of the last evaluation of the present stage succeeded; empty without an evaluation or a success."""
         return self.evaluations[-1]["successes"] if self.evaluations and self.program.defines_success else ()
 
-    @property
+    @cached_property
     def solved(self) -> bool:
-        """Whether the episodes of the training or one of its evaluations met what `solved` asks for."""
-        solved = self.program.solved
-        means = [(fmean(each["returns"]), fmean(each["successes"])) for each in self.evaluations]
-        return self.solved_while_exploring or (solved is not None and any(meets_solved(solved, *each) for each in means))
+        """Whether the policy solves the task, as `run_verdict` says; before its evaluation also by those during the last stage."""
+        solved, verdict = self.run.program.solved, run_verdict(self.run.path, self.run.record)
+        if solved is None or verdict.evaluation is not None:
+            return bool(verdict.solved)
+        means = [(fmean(each["returns"]), fmean(each["successes"])) for each in self.evaluations if self.is_last_stage]
+        return bool(verdict.solved) or any(meets_solved(solved, *each) for each in means)
 
     def curve(self, tag: str) -> Array:
-        """The values of a curve; none where TensorBoard has no such tag."""
-        return self.scalars[tag][1] if tag in self.scalars else np.zeros(0)
+        """The values of a curve in the present stage, of `train/...` in all stages; none where TensorBoard has no such tag."""
+        if tag not in self.scalars:
+            return np.zeros(0)
+        steps, values = self.scalars[tag]
+        return values[steps > self.first_step] if self.first_step and not tag.startswith("train/") else values
+
+
+def returns_rise(t: TrainingEvidence) -> tuple[float, float, float, float] | None:
+    """Mean returns of the first half and of the last quarter of the present stage, their difference, and twice its standard error.
+
+    None where the return does not rise, or levels off.
+    """
+    early, late = t.episodes_between(0.0, 0.5).returns, t.episodes_between(0.75, 1.0).returns
+    if len(t.episodes) < 2 * MIN_EPISODES:
+        return None
+    gain = float(late.mean() - early.mean())
+    chance = 2 * float(np.hypot(early.std() / np.sqrt(len(early)), late.std() / np.sqrt(len(late))))
+    # A return that rises evenly gains a third of its total rise in the last quarter; below half of that it levels off.
+    start, before = (float(t.episodes_between(share, share + 0.25).returns.mean()) for share in (0.0, 0.5))
+    if not gain > chance > 0 or late.mean() - before < (late.mean() - start) / 6:
+        return None
+    return float(early.mean()), float(late.mean()), gain, chance
 
 
 def lint_findings(run: Run) -> tuple[str, list[Finding]]:
@@ -143,10 +252,13 @@ def read_training(run: Run) -> TrainingEvidence:
     failure = failures.read_failure(files[-1])[0] if files else None
     error = "" if failure is None else f"episode {failure.episode:,}, {failure.error}"
     episodes, evaluations = logs_of(run.path)
-    if (last := quoted_episodes(run)) is not None:
+    running = is_training(run.path)
+    done: Sequence[Episode] = ()
+    if not running and (last := quoted_episodes(run)) is not None:
         done = last[1].outcomes
-        evaluations.append({"returns": [each.total_return for each in done], "successes": [each.is_success for each in done]})
-    return TrainingEvidence(run, episodes, evaluations, scalars_of(run.tensorboard), error)
+        returns, successes = [each.total_return for each in done], [each.is_success for each in done]
+        evaluations.append({"stage": "", "returns": returns, "successes": successes})
+    return TrainingEvidence(run, episodes, evaluations, scalars_of(run.tensorboard), error, done, running)
 
 
 def run_probes(training: TrainingEvidence, *, allow_code: bool = False, on_episode: Callable[[int, int], object] | None = None) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from pathlib import Path
 from shlex import quote
-from statistics import fmean
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -18,6 +17,7 @@ from deepbots_cli.learning.verdict import last_episodes
 
 if TYPE_CHECKING:
     from deepbots_cli.insight.trace import Trace
+    from deepbots_cli.insight.training import TrainingEvidence
 
 
 def explain_episode(
@@ -106,6 +106,15 @@ def _trace(shown: str, episode: int | None, seed: int | None, *, last: bool, all
     return traced
 
 
+def _outcome(training: TrainingEvidence) -> str:
+    """What the last evaluation of the task says: `; solved; success in 97% (91% to 99%) of 100 episodes of the last evaluation`."""
+    from deepbots_cli.insight.statements import SuccessRate
+
+    program, final = training.run.program, SuccessRate([each.is_success for each in training.final_episodes])
+    state = "" if program.solved is None else f"; {'solved' if training.solved else 'not solved'} ({program.solved.description})"
+    return state + (f"; success in {final} of the last evaluation" if final.episodes and program.defines_success else "")
+
+
 _ENDS = ("margin", "truth_ending", "truncation_limit", "nearest")
 """Of an explanation, what says how an episode ended: past which limit, or how near to a success."""
 MAX_SHOWN = 10
@@ -181,12 +190,15 @@ def diagnose(
         raise UsageError(f"{run} is a group without a run yet; train it with: deepbots train --resume {quote(str(run))}")
     with terminal.transient_line("reading the logs ..."):
         from deepbots_cli.insight.diagnosis import diagnose as find_causes
+        from deepbots_cli.insight.diagnosis import has_learned
+        from deepbots_cli.insight.stages import present_stage
+        from deepbots_cli.insight.statements import statements_about
         from deepbots_cli.insight.training import read_training, run_probes
     found: list[dict[str, Any]] = []
     for folder in folders:
         try:
             training = read_training(Run.open(folder))
-            if not only_logs and not training.solved:
+            if not only_logs and not has_learned(training):
                 with terminal.progress("short episodes", always=False) as show:
                     run_probes(training, allow_code=allow_code, on_episode=show)
             causes = find_causes(training)
@@ -196,15 +208,26 @@ def diagnose(
             terminal.note(f"note: {error}")
             found.append({"run": folder, "error": str(error)})
             continue
-        found.append({"run": folder, "steps": training.steps, "solved": training.solved, "causes": [cause.as_json() for cause in causes]})
+        stage = next(iter(statements_about((present_stage,), training)), None)
+        found.append(
+            {
+                "run": folder,
+                "steps": training.steps,
+                "running": training.is_running,
+                "solved": training.solved,
+                "stage": stage.evidence if stage is not None else None,
+                "causes": [cause.as_json() for cause in causes],
+            }
+        )
         if as_json:
             continue
-        if not causes:
-            last, state = training.last_successes, "solved" if training.solved else "not solved"
-            result = f"; its policy succeeds in {fmean(last):.0%} of the {len(last)} episodes of the last evaluation" if len(last) else ""
-            terminal.print_result(f"{folder}: no cause found after {training.steps:,} steps ({state}){result}")
-            continue
-        terminal.print_result(f"{folder}: {len(causes)} cause{'s' * (len(causes) > 1)}, the most likely first")
+        runs = "; it still runs" if training.is_running else ""
+        if causes:
+            terminal.print_result(f"{folder}: {len(causes)} cause{'s' * (len(causes) > 1)}, the most likely first{runs}")
+        else:
+            terminal.print_result(f"{folder}: no cause found after {training.steps:,} steps{runs}{_outcome(training)}")
+        if stage is not None:
+            terminal.print_result(stage.text)
         for number, cause in enumerate(causes, start=1):
             terminal.print_result(f"\n{number}. {cause.text}\n   Try: {cause.advice}")
     if all("error" in each for each in found):

@@ -1,0 +1,205 @@
+"""Causes that lie in the reward: terms that pay for something else than the success, or nothing at all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from statistics import fmean
+
+import numpy as np
+
+from deepbots_cli.insight.conditions import comparisons_in, measure
+from deepbots_cli.insight.stages import hides_success, plateau
+from deepbots_cli.insight.statements import Numbers, Percentage, SuccessRate, list_text
+from deepbots_cli.insight.trace import Trace
+from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, returns_rise
+
+_LIMITS = ("max_steps", "max_time")
+
+
+def _per_step(traces: Sequence[Trace]) -> float:
+    """The mean reward of a step."""
+    return sum(trace.returns for trace in traces) / max(1, sum(trace.steps for trace in traces))
+
+
+def term_dominates(t: TrainingEvidence) -> Numbers | None:
+    """The reward term '{term}' is {share} of the reward: with random actions it gives {mean} a step, and all other terms together {others}.
+
+    Try: Weaken '{term}' until the other terms outweigh it, such as by a factor of 10.
+    """
+    names = [term.name for term in t.program.policy.reward]
+    sums = {name: float(sum(np.nansum(trace.terms[name]) for trace in t.random)) for name in names}
+    whole = sum(map(abs, sums.values()))
+    if len(sums) < 2 or not whole:
+        return None
+    name = max(sums, key=lambda each: abs(sums[each]))
+    share, rest = abs(sums[name]) / whole, sum(value for key, value in sums.items() if key != name)
+    varies = any(np.ptp(trace.terms[name]) > 1e-9 for trace in t.random if trace.steps)
+    others = [fmean(trace.returns - float(np.nansum(trace.terms[name])) for trace in traces) for traces in (t.random, t.policy or t.random)]
+    if share < 0.55 or not varies or not sums[name] < 0 < rest or others[1] > 1.5 * others[0]:  # the policy earns the others all the same
+        return None
+    steps = sum(trace.steps for trace in t.random)
+    return {
+        "likelihood": 0.94,
+        "term": name,
+        "share": Percentage(share),
+        "mean": sums[name] / steps,
+        "others": rest / steps,
+        "steps": steps,
+    }
+
+
+def ending_early_pays(t: TrainingEvidence) -> Numbers | None:
+    """It pays to fail early: a step earns {reward} on average, {failed} of the late episodes fail, and the return falls with the length of
+    an episode (correlation {correlation}).{going_on}
+
+    Try: Let a step that goes well earn a positive reward (check the signs of the terms), or let a failure cost more than the steps
+    that it saves.
+    """
+    late = t.episodes_between(0.75, 1.0)
+    if len(late) < MIN_EPISODES:
+        return None
+    failed = float(np.mean([ending in t.program.failures for ending in late.endings]))
+    per_step = float(late.returns.sum() / max(1.0, late.lengths.sum()))
+    if failed < 0.5 or per_step >= 0 or late.successes.mean() > 0.2 or np.ptp(t.episodes.lengths) == 0 or _per_step(t.policy) > 0:
+        return None
+    together = float(np.corrcoef(t.episodes.lengths, t.episodes.returns)[0, 1]) if np.ptp(t.episodes.returns) else 0.0
+    if not together < -0.5:
+        return None
+    return {"likelihood": 0.93, "reward": per_step, "failed": Percentage(failed), "length": float(late.lengths.mean()),
+            "first": float(t.episodes_between(0.0, 0.25).lengths.mean()), "correlation": together, **_going_on(t)}  # fmt: skip
+
+
+def _going_on(t: TrainingEvidence) -> Numbers:
+    """What failing, lasting until the time limit and succeeding return, and how often an episode has to succeed before going on pays."""
+    failed = t.episodes.returns[np.isin(t.episodes.endings, list(t.program.failures))]
+    won = t.episodes.returns[t.episodes.successes > 0]
+    lasted = t.episodes.returns[np.isin(t.episodes.endings, _LIMITS) & (t.episodes.successes == 0)]
+    if min(len(failed), len(lasted)) < 3:
+        return {"going_on": ""}
+    fail, last = float(failed.mean()), float(lasted.mean())
+    text, found = f" A failure returns {fail:.3g}, and an episode that lasts until its limit {last:.3g}", {"failing": fail, "lasting": last}
+    if len(won) and (win := float(won.mean())) > fail > last:
+        found |= {"succeeding": win, "break_even": (fail - last) / (win - last)}
+        text += f"; a success returns {win:.3g}, so going on pays only if {found['break_even']:.0%} of such episodes succeed"
+    return {**found, "going_on": f"{text}."}
+
+
+def standing_still_pays(t: TrainingEvidence) -> Numbers | None:
+    """Standing still pays: commanding zeros earns {still} a step, the policy {policy}, and {rate} of the late episodes succeed.
+
+    Try: Reward the way toward the success (such as the change of a distance), and make time cost something instead of earning it.
+    """
+    late = t.episodes_between(0.75, 1.0)
+    if not t.idle or not t.program.defines_success or (len(late.successes) and late.successes.mean() >= 0.5):
+        return None
+    still, policy = _per_step(t.idle), _per_step(t.policy or t.random)
+    outcomes = [trace.outcome for trace in t.idle]  # where standing still fails soon, it pays until then only
+    if still <= 0 or "success" in outcomes or 2 * outcomes.count("failure") > len(outcomes) or still < 0.8 * policy:
+        return None
+    return {"likelihood": 0.93, "still": still, "policy": policy, "random": _per_step(t.random), "episodes": len(t.idle),
+            "rate": Percentage(float(late.successes.mean()) if len(late.successes) else 0.0)}  # fmt: skip
+
+
+def loitering(t: TrainingEvidence) -> Numbers | None:
+    """Staying near the success pays more than the success: {share} of the late episodes last until the time limit, and '{term}' pays
+    {per_step} a step over the second half of such episodes, {whole} in an episode of {steps} steps. {compared}
+
+    Try: Let '{term}' pay for coming nearer instead of for being near (`delta(...)` of its value), end the episode where it pays, or weaken
+    it until all its steps together earn less than the success.
+    """
+    if not t.program.defines_success or not t.is_mature or not t.policy:
+        return None
+    late = t.episodes_between(0.5, 1.0)
+    at_limit, won = np.isin(late.endings, _LIMITS) & (late.successes == 0), t.episodes.successes > 0
+    staying = [trace for trace in t.policy if trace.outcome in ("time limit", "not ended") and trace.steps >= 2 * MIN_EPISODES]
+    if len(late) < MIN_EPISODES or at_limit.mean() < 0.3 or not staying or not all(map(_stays_near, staying)):
+        return None
+    halves = {
+        term.name: np.concatenate([trace.terms[term.name][trace.steps // 2 :] for trace in staying]) for term in t.program.policy.reward
+    }
+    paid = {name: float(values.mean()) for name, values in halves.items() if (values > 0).mean() >= 0.8}
+    if not paid or sum(values.mean() for values in halves.values()) <= 0 or (t.idle and _per_step(t.idle) >= 0.8 * _per_step(t.policy)):
+        return None
+    name, longest = max(paid, key=lambda each: paid[each]), t.program.truncation.max_episode_steps(t.program.period)
+    stayed, compared, gained = float(late.returns[at_limit].mean()), "No episode of the training succeeded.", None
+    if won.any():
+        gained = float(t.episodes.returns[won].mean())
+        compared = f"The {int(won.sum()):,} episodes with a success return {gained:.3g} on average, late ones without it {stayed:.3g}."
+        if won.sum() >= MIN_EPISODES and gained > stayed + 0.1 * abs(stayed):
+            return None
+    return {"likelihood": 0.935, "share": Percentage(float(at_limit.mean())), "term": name, "per_step": paid[name],
+            "whole": paid[name] * longest, "steps": longest, "return_of_success": gained, "return_of_staying": stayed,
+            "compared": compared}  # fmt: skip
+
+
+def _stays_near(trace: Trace) -> bool:
+    """Whether an episode came near to a success and stayed there: a comparison that was missing at its start is not far from holding."""
+    for ending in trace.program.endings:
+        condition = trace.instrumented.conditions.get(ending.name) if ending.outcome == "success" else None
+        for outer in comparisons_in(condition) if condition is not None else ():
+            for leaf in comparisons_in(outer.lasting) if outer.lasting is not None else (outer,):
+                past = [measure(leaf, values) for values in trace.values]
+                half, missing = past[len(past) // 2 :], [-(each.margin or 0.0) for each in past]
+                nearer = leaf.bound is not None and np.median(missing[len(past) // 2 :]) <= 0.35 * missing[0]
+                if not past[0].holds and (nearer or np.mean([each.holds for each in half]) >= 0.25):
+                    return True
+    return False
+
+
+def reward_apart_from_success(t: TrainingEvidence) -> Numbers | None:
+    """The reward and the success go apart: {how}.{rising}
+
+    Try: Let a success earn more than anything that an episode can collect without it, and weaken the terms that pay for something else.
+    """
+    if not t.program.defines_success or not t.is_mature:
+        return None
+    late = t.episodes_by_steps(0.5, 1.0)
+    episodes = late if late.successes.sum() >= MIN_EPISODES else t.episodes
+    won, lost = episodes.returns[episodes.successes > 0], episodes.returns[episodes.successes == 0]
+    if min(len(won), len(lost)) < MIN_EPISODES or late.successes.mean() >= 0.8:
+        return None
+    rates = [SuccessRate(part.successes) for part in (t.episodes_between(0.0, 0.25), t.episodes_between(0.75, 1.0))]
+    rise, term = returns_rise(t), _rising_term(t)
+    rising = f" '{term}' rises most, from {_ends(t, term)[0]:.3g} to {_ends(t, term)[1]:.3g} an episode." if term else ""
+    error = 2 * float(np.hypot(won.std() / np.sqrt(len(won)), lost.std() / np.sqrt(len(lost))))
+    numbers = {"return_of_success": float(won.mean()), "return_without": float(lost.mean()), "early": rates[0], "late": rates[1],
+               "term": term, "rising": rising}  # fmt: skip
+    if won.mean() < lost.mean() - error:
+        how = f"{len(won):,} episodes with a success return {won.mean():.3g} on average, and {len(lost):,} without it {lost.mean():.3g}"
+        return {**numbers, "likelihood": 0.925, "how": how}
+    falls = rates[1].high < rates[0].low
+    flat = plateau(t) is not None and rates[1].rate <= rates[0].rate + 0.03 and hides_success(t) is None
+    if rise is None or not (falls or flat):
+        return None
+    how = f"the mean return of the last quarter is {rise[1]:.3g}, {rise[2]:.3g} above that of the first half, and the success rate "
+    how += f"went from {rates[0]} in the first quarter to {rates[1]} in the last one"
+    return {**numbers, "likelihood": 0.91 if falls else 0.72, "how": how}
+
+
+def _ends(t: TrainingEvidence, term: str) -> tuple[float, float]:
+    """The mean of a reward term per episode in the first and in the last quarter of the present stage."""
+    curve = t.curve(f"reward/{term}")
+    quarter = max(1, len(curve) // 4)
+    return (float(curve[:quarter].mean()), float(curve[-quarter:].mean())) if len(curve) else (0.0, 0.0)
+
+
+def _rising_term(t: TrainingEvidence) -> str:
+    ends = {term.name: _ends(t, term.name) for term in t.program.policy.reward}
+    gains = {name: last - first for name, (first, last) in ends.items()}
+    name = max(gains, key=lambda each: gains[each], default="")
+    return name if name and gains[name] > 0 else ""
+
+
+def silent_terms(t: TrainingEvidence) -> Numbers | None:
+    """{count} of {of} reward terms are 0 in all {steps} steps of short episodes and in the logs: {names}.
+
+    Try: Check the condition of each such term: `deepbots run SCENARIO` shows the terms of an episode.
+    """
+    names = [term.name for term in t.program.policy.reward]
+    sums = {name: sum(float(np.abs(trace.terms[name]).sum()) for trace in t.probes) for name in names}
+    silent = [name for name, value in sums.items() if value == 0 and not np.abs(t.curve(f"reward/{name}")).max(initial=0.0)]
+    steps = sum(trace.steps for trace in t.probes)
+    if not silent or not steps:
+        return None
+    likelihood = 0.9 if len(silent) == len(sums) else 0.3
+    return {"likelihood": likelihood, "names": list_text(silent), "count": len(silent), "of": len(sums), "steps": steps}

@@ -1,0 +1,343 @@
+"""Causes that lie in the stage of a curriculum, in the starts of its episodes, or in a success that does not come."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from statistics import fmean
+from typing import Any
+
+import numpy as np
+
+from deepbots_cli.compiler.inputs import RESOLVED_NAME
+from deepbots_cli.document import descend, load
+from deepbots_cli.document.nodes import MappingNode, inline_text
+from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.insight.statements import Numbers, Percentage, SuccessRate, list_text
+from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, returns_rise
+from deepbots_cli.learning.episodes import DrawnBin, Episode, by_drawn_value
+from deepbots_cli.program.task import Criterion
+
+_MIN_QUARTER = 30  # episodes in a quarter of a stage, below which its success rate is too uncertain to be called flat
+_BINS = 20  # parts of a stage in which a plateau is sought
+_RARE = 0.03  # a success rate that is as good as none
+_MAX_SORTED = 2_000  # episodes of a training that are sorted by what they draw
+_CHANCE = 1e-4  # of a value that has nothing to do with success to be named, over all values
+
+# The present stage
+
+
+def present_stage(t: TrainingEvidence) -> Numbers | None:
+    """The training stands in stage '{stage}', number {number} of {count}, since step {since} of {steps}. {evaluated}{ends}"""
+    if not t.stages:
+        return None
+    done, late = SuccessRate(t.late_evaluations), t.late_evaluations
+    evaluated = f"Its last evaluations there succeed in {done}. " if late else "" if t.evaluations else "It was not evaluated there yet. "
+    until, value = criterion(t), criterion_value(t)
+    now = "" if value is None or until is None else f"; now it is {criterion_number(until, value)}"
+    ends = f"The stage ends with {criterion_text(until)}{now}." if until else "It is the last stage."
+    return {"stage": t.stage, "number": t.stage_index + 1, "count": len(t.stages), "since": t.first_step, "steps": t.steps,
+            "success": done if late else None, "evaluated": evaluated, "ends": ends, "value": value}  # fmt: skip
+
+
+def criterion(t: TrainingEvidence) -> Criterion | None:
+    """What ends the present stage; None in the last one."""
+    return t.stages[t.stage_index].until if t.stages and not t.is_last_stage else None
+
+
+def criterion_number(until: Criterion, value: float) -> str:
+    if until.metric == "success_rate":
+        return f"{value:.0%}"
+    return f"{value:,.0f} steps" if until.metric == "steps" else f"{value:,.4g}"
+
+
+def criterion_text(until: Criterion) -> str:
+    if until.metric == "steps":
+        return criterion_number(until, until.threshold)
+    counted = "in an evaluation" if until.episodes is None else f"over {until.episodes} episodes of the training"
+    return f"a {until.metric.replace('_', ' ')} of {criterion_number(until, until.threshold)} {counted}"
+
+
+def criterion_value(t: TrainingEvidence) -> float | None:
+    """What the criterion of the present stage compares now."""
+    until = criterion(t)
+    if until is None:
+        return None
+    if until.metric == "steps":
+        return float(t.stage_steps)
+    if until.episodes is None:
+        values = t.evaluations[-1]["successes" if until.metric == "success_rate" else "returns"] if t.evaluations else []
+    else:
+        values = _measured(t.episodes, until)[-until.episodes :].tolist()
+    return fmean(values) if values else None
+
+
+def _measured(episodes: Any, until: Criterion) -> Any:
+    return episodes.successes if until.metric == "success_rate" else episodes.returns
+
+
+def _until(until: Criterion, value: float, *, in_evaluation: bool = False) -> str:
+    """The key with another threshold, as the scenario writes it."""
+    threshold = f"{100 * value:.0f} %" if until.metric == "success_rate" else f"{value:.4g}"
+    counted = "in evaluation" if in_evaluation or until.episodes is None else f"over {until.episodes} episodes"
+    return f"`until: {until.metric} >= {threshold} {counted}`"
+
+
+def stage_changes(t: TrainingEvidence) -> str:
+    """What the present stage sets otherwise than the one before: `near: 4 cm -> 1 mm`; "" where that is not known."""
+    try:
+        root = load(t.run.path / RESOLVED_NAME, project=t.run.path).root
+    except DeepbotsError:
+        return ""
+    sets: list[dict[str, str]] = []
+    for place in (t.stage_index - 1, t.stage_index):
+        node, _, depth = descend(root, ("curriculum", place, "set")) if root is not None else (None, None, 0)
+        entries = node.entries if depth == 3 and isinstance(node, MappingNode) else {}
+        sets.append({name: inline_text(entry.value) for name, entry in entries.items()})
+    before, now = sets
+    usual = "the value of the scenario"
+    changed = {name: (before.get(name, usual), now.get(name, usual)) for name in {**before, **now}}
+    return list_text([f"{name}: {was} -> {new}" for name, (was, new) in changed.items() if was != new] or [""])
+
+
+def stage_too_hard(t: TrainingEvidence) -> Numbers | None:
+    """The step to stage '{stage}' is too hard: stage '{before}' succeeded in {success_before} at its end, and '{stage}' in {success} since
+    half of its {steps} steps.
+
+    Try: Add a stage between the two, with values between theirs{changes}, or let '{stage}' begin nearer to its success.
+    """
+    if not t.stage_index or not t.program.defines_success or not t.is_mature:
+        return None
+    before = t.stages[t.stage_index - 1].name
+    was, now = SuccessRate(t.episodes_of(before).successes[-100:]), SuccessRate(t.episodes_by_steps(0.5, 1.0).successes)
+    rise = _rate(t.episodes_by_steps(0.75, 1.0)) - _rate(t.episodes_by_steps(0.5, 0.75))
+    if min(was.episodes, now.episodes) < MIN_EPISODES or was.rate < 0.5 or now.rate > 0.1 or now.high > 0.6 * was.low or rise > 0.05:
+        return None
+    if t.late_evaluations and fmean(t.late_evaluations) > 0.3:
+        return None
+    changes = stage_changes(t)
+    return {"likelihood": 0.935, "stage": t.stage, "before": before, "success_before": was, "success": now, "steps": t.stage_steps,
+            "changes": f" ({changes})" if changes else ""}  # fmt: skip
+
+
+def easy_stage_counted(t: TrainingEvidence) -> Numbers | None:
+    """The policy has learned an easy stage only: the training ended in stage '{stage}', number {number} of {count}, where its evaluations
+    succeed in {success}{task}. The stage ends with {criterion}; {reached}.
+
+    Try: {remedy}
+    """
+    until, late = criterion(t), SuccessRate(t.late_evaluations)
+    if until is None or t.is_running or (t.steps < 0.5 * t.planned and not t.final_episodes):
+        return None
+    if late.episodes < MIN_EPISODES or late.rate < 0.8 or _rate(t.episodes_between(0.75, 1.0)) < late.rate - 0.3:
+        return None
+    final, value = SuccessRate([each.is_success for each in t.final_episodes]), criterion_value(t)
+    task = f", and in the scenario itself in {final}" if final.episodes else "; these evaluations are not those of the task"
+    reached = f"the training made {t.stage_steps:,} steps there" if value is None or until.metric == "steps" else (
+        f"it was at {criterion_number(until, value)}")  # fmt: skip
+    threshold = Criterion("success_rate", 0.8, None) if until.metric == "steps" else until
+    wanted = min(threshold.threshold, value) if value is not None and until.metric != "steps" else threshold.threshold
+    remedy = f"Let the stage end when it is learned, such as by {_until(threshold, wanted, in_evaluation=True)}."
+    return {"likelihood": 0.93, "stage": t.stage, "number": t.stage_index + 1, "count": len(t.stages), "success": late, "task": task,
+            "criterion": criterion_text(until), "reached": reached, "remedy": remedy, "value": value}  # fmt: skip
+
+
+def stuck_in_stage(t: TrainingEvidence) -> Numbers | None:
+    """The training is stuck in stage '{stage}', number {number} of {count}, since step {since}: the {metric} of its episodes was {before}
+    in the third quarter of the stage and {late} in the last one, and the next stage begins at {threshold}.
+
+    Try: {remedy}. Look at the causes below, too: they are those of this stage.
+    """
+    until = criterion(t)
+    if until is None or until.metric == "steps" or t.stage_steps < t.planned / len(t.stages):
+        return None
+    if t.program.defines_success and is_rare(t):
+        return None
+    third, last = (_measured(t.episodes_by_steps(*part), until) for part in ((0.5, 0.75), (0.75, 1.0)))
+    if min(len(third), len(last)) < _MIN_QUARTER or last.mean() >= until.threshold or hides_success(t) is not None:
+        return None
+    error = float(np.hypot(third.std() / np.sqrt(len(third)), last.std() / np.sqrt(len(last))))
+    # At this pace, the criterion would take as long again as the whole stage.
+    if last.mean() - third.mean() > max(1.5 * error, 0.2 * (until.threshold - last.mean())):
+        return None
+    if t.evaluations and (late := SuccessRate(t.late_evaluations)).episodes >= MIN_EPISODES and late.rate >= 0.95:
+        return None  # it is learned: an easy stage that counts
+    before, late_text = (criterion_number(until, float(part.mean())) for part in (third, last))
+    reached = float(np.mean(np.concatenate([third, last])))
+    wanted = 0.9 * reached if until.metric == "success_rate" else reached - 0.1 * abs(reached)
+    remedy = "Put an easier stage before it"
+    if until.metric == "mean_return" or wanted >= 0.2:
+        remedy = f"Let the next stage begin at what this one reaches, such as {_until(until, wanted)}; or put an easier stage before it"
+    return {"likelihood": 0.75, "stage": t.stage, "number": t.stage_index + 1, "count": len(t.stages), "since": t.first_step,
+            "metric": until.metric.replace("_", " "), "before": before, "late": late_text, "value": float(last.mean()),
+            "threshold": criterion_number(until, until.threshold), "remedy": remedy}  # fmt: skip
+
+
+# Success that does not rise
+
+
+def _rate(episodes: Any) -> float:
+    return float(episodes.successes.mean()) if len(episodes) else 0.0
+
+
+def is_rare(t: TrainingEvidence) -> bool:
+    """Whether a success in the present stage is as good as never seen, in its late episodes and evaluations too."""
+    of, last = SuccessRate(t.episodes.successes), t.episodes.successes[-100:]
+    seldom = not of["successes"] or (len(last) and float(last.mean()) <= _RARE and (of.high <= _RARE or _stays_rare(t)))
+    return bool(seldom) and (not t.late_evaluations or fmean(t.late_evaluations) <= 0.1)
+
+
+def _stays_rare(t: TrainingEvidence) -> bool:
+    """Whether the last half of a stage that is mature has hardly more successes than a random policy may have."""
+    third, last = t.episodes_by_steps(0.5, 0.75), t.episodes_by_steps(0.75, 1.0)
+    return t.is_mature and min(len(third), len(last)) >= _MIN_QUARTER and max(_rate(third), _rate(last)) <= _RARE
+
+
+def plateau(t: TrainingEvidence) -> tuple[int, float, float] | None:
+    """The step since which the success rate of the present stage has been flat, and the lowest and highest rate since then.
+
+    It is flat if it did not rise over the last half of the stage, also without exploration. None where success is rare, or nearly certain.
+    """
+    if not t.program.defines_success or not t.is_mature or is_rare(t):
+        return None
+    quarters = [t.episodes_by_steps(k / 4, (k + 1) / 4).successes for k in (1, 2, 3)]
+    if min(map(len, quarters)) < _MIN_QUARTER:
+        return None
+    rates = [float(part.mean()) for part in quarters]
+    chance = [0.5 * np.sqrt(0.25 / len(part) + 0.25 / len(quarters[2])) for part in quarters]
+    if rates[2] - rates[1] > 0.05 + chance[1] or rates[2] - rates[0] > 0.1 + chance[0] or fmean(rates[1:]) > 0.9:
+        return None
+    middle = t.first_step + 0.5 * t.stage_steps
+    early = [float(s) for each in t.evaluations if middle > each.get("steps", np.inf) > middle / 2 for s in each["successes"]]
+    if early and t.late_evaluations and fmean(t.late_evaluations) > max(0.9, fmean(early) + 0.15):
+        return None
+    bins = [t.episodes_by_steps(k / _BINS, (k + 1) / _BINS).successes for k in range(_BINS)]
+    late, first = fmean(rates[1:]), _BINS
+    while first and (not len(part := bins[first - 1]) or abs(part.mean() - late) <= 0.05 + 2 * np.sqrt(0.25 / len(part))):
+        first -= 1
+    first = min(first, _BINS // 2)
+    known = [float(part.mean()) for part in bins[first:] if len(part) >= MIN_EPISODES] or rates[1:]
+    return round(t.first_step + first / _BINS * t.stage_steps), min(known), max(known)
+
+
+def success_plateau(t: TrainingEvidence) -> Numbers | None:
+    """The success rate no longer rises: it was between {low} and {high} from step {since} to {steps}{where}; the last half of these
+    episodes succeed in {success}.
+
+    Try: Look at episodes that do not succeed: `deepbots eval RUN --details` shows which starts they have, `deepbots explain-episode RUN`
+    what they lack. More steps alone are unlikely to help.
+    """
+    found = plateau(t)
+    if found is None or some_starts_fail(t) is not None or stuck_in_stage(t) is not None or hides_success(t) is not None:
+        return None
+    since, low, high = found
+    late = SuccessRate(t.episodes_by_steps(0.5, 1.0).successes)
+    return {"likelihood": 0.6, "since": since, "low": Percentage(low), "high": Percentage(high), "steps": t.steps,
+            "where": f" in stage '{t.stage}'" if t.stage else "", "success": late}  # fmt: skip
+
+
+def some_starts_fail(t: TrainingEvidence) -> Numbers | None:
+    """The success rate no longer rises, and it depends on the start: with `{drawn}` {worst} it succeeds in {failing}, with `{drawn}`
+    {best} in {succeeding} ({source}; all parts: {parts}).
+
+    Try: Check that these starts can succeed, with a script or by hand (`deepbots play`), and that the policy observes `{drawn}` or its
+    effect. Then let the training see more of them, such as by a narrower range under `reset` at first, with a curriculum.
+    """
+    if plateau(t) is None and stuck_in_stage(t) is None:
+        return None
+    source, done = _episodes_with_draws(t)
+    found = by_drawn_value([replace(episode, drawn=dict(_flat(episode.drawn))) for episode in done])
+    named = [(chance, name, bins) for name, bins in found.items() if (chance := _chance(bins)) < _CHANCE / len(found)]
+    apart = [(name, bins) for _, name, bins in sorted(named, key=lambda entry: entry[0]) if _is_apart(bins)]
+    if not apart:
+        return None
+    name, bins = apart[0]
+    worst, best = (choose(bins, key=lambda each: each.success_rate) for choose in (min, max))
+    rates = [{"low": b.low, "high": b.high, "episodes": b.episodes, "rate": b.success_rate, "interval": b.success_interval} for b in bins]
+    parts = "; ".join(f"{_range(each)} {each.success_rate:.0%}" for each in bins)
+    return {"likelihood": 0.92, "drawn": name, "worst": _range(worst), "failing": _bin_rate(worst), "best": _range(best),
+            "succeeding": _bin_rate(best), "source": source, "parts": parts, "bins": rates}  # fmt: skip
+
+
+def _episodes_with_draws(t: TrainingEvidence) -> tuple[str, Sequence[Episode]]:
+    """The episodes that are sorted by what they drew: those of the last evaluation, else late ones of the present stage."""
+    if t.is_last_stage and len(t.final_episodes) >= 40:
+        return "the last evaluation", t.final_episodes
+    late = t.episodes_by_steps(0.5, 1.0)[-_MAX_SORTED:]
+    done = []
+    for each in late:
+        try:
+            drawn = json.loads(each.drawn) if each.drawn else {}
+        except ValueError:
+            continue
+        if isinstance(drawn, Mapping):
+            done.append(Episode(each.returns, int(each.lengths), bool(each.successes), each.endings, drawn=drawn))
+    return "late episodes of the training", done
+
+
+def _flat(drawn: Mapping[str, Any]) -> Iterator[tuple[str, float | str]]:
+    """Drawn values by name, the components of a vector one by one."""
+    for name, value in drawn.items():
+        if isinstance(value, list | tuple):
+            yield from ((f"{name}[{place}]", float(part)) for place, part in enumerate(value) if isinstance(part, int | float))
+        elif isinstance(value, int | float | str):
+            yield name, value
+
+
+def _chance(bins: Sequence[DrawnBin]) -> float:
+    """The probability that success differs as much between the parts where it does not depend on them (chi-squared test)."""
+    from scipy.special import chdtrc  # here, since commands that only read runs work without scipy
+
+    counts = np.array([[each.successes, each.episodes - each.successes] for each in bins], float)
+    expected = np.outer(counts.sum(axis=1), counts.sum(axis=0)) / counts.sum()
+    return float(chdtrc(len(bins) - 1, ((counts - expected) ** 2 / expected).sum())) if expected.all() else 1.0
+
+
+def _is_apart(bins: Sequence[DrawnBin]) -> bool:
+    """Whether the worst part succeeds less than half as often as the best one, in view of their intervals."""
+    return min(each.success_interval[1] for each in bins) < 0.5 * max(each.success_interval[0] for each in bins)
+
+
+def _range(part: DrawnBin) -> str:
+    if isinstance(part.low, str) or isinstance(part.high, str) or part.low == part.high:
+        return f"{part.low:.3g}" if isinstance(part.low, float | int) else str(part.low)
+    return f"from {part.low:.3g} to {part.high:.3g}"
+
+
+def _bin_rate(part: DrawnBin) -> str:
+    low, high = part.success_interval
+    return f"{part.success_rate:.0%} ({low:.0%} to {high:.0%}) of {part.episodes:,} episodes"
+
+
+def hides_success(t: TrainingEvidence) -> tuple[SuccessRate, SuccessRate] | None:
+    """The success rates of late evaluations and of late episodes of the training, if exploration hides most of the success."""
+    late, without = t.episodes_between(0.75, 1.0).successes[-100:], SuccessRate(t.late_evaluations)
+    explored = SuccessRate(late)
+    if min(without.episodes, explored.episodes) < MIN_EPISODES or without.rate < max(0.5, explored.rate + 0.3):
+        return None
+    return without, explored
+
+
+def success_never_seen(t: TrainingEvidence) -> Numbers | None:
+    """{seen} of {episodes} episodes{where} {verb} a success ('{ending}'){though}; their returns differ by {spread} (standard deviation).
+
+    Try: {remedy} start nearer to the success, or loosen its condition; a curriculum can do the latter two.
+    """
+    if not t.program.defines_success or len(t.episodes) < MIN_EPISODES or not is_rare(t):
+        return None
+    flat, count = float(np.ptp(t.episodes.returns)) < 1e-9, int(t.episodes.successes.sum())
+    names = [ending.name for ending in t.program.endings if ending.outcome == "success"] or ["goal_reached"]
+    late = {term.name: t.curve(f"reward/{term.name}") for term in t.program.policy.reward}
+    paid = {name: max(0.0, float(curve[-max(1, len(curve) // 4) :].mean())) for name, curve in late.items() if len(curve)}
+    name, whole = max(paid, key=lambda each: paid[each], default=""), sum(paid.values())
+    share = paid[name] / whole if whole else 0.0
+    though, remedy = "", "Add a term that pays for coming nearer,"
+    if share >= 0.8 and not returns_rise(t):
+        though = f", and '{name}' pays {share:.0%} of what late episodes gain: the policy stays at a local optimum of this term"
+        remedy = f"Let '{name}' lead around obstacles, such as with path_distance in place of a straight distance;"
+    return {"likelihood": 0.93 if flat else 0.7 if t.is_mature else 0.45, "episodes": len(t.episodes), "count": count,
+            "seen": f"Only {count}" if count else "None", "verb": "are" if count > 1 else "is",
+            "where": f" in stage '{t.stage}'" if t.stage else "", "ending": " or ".join(names), "spread": float(t.episodes.returns.std()),
+            "mean": float(t.episodes.returns.mean()), "term": name if whole else None, "term_share": share, "though": though,
+            "remedy": remedy}  # fmt: skip
