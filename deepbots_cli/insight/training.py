@@ -27,7 +27,7 @@ from deepbots_cli.learning import failures
 from deepbots_cli.learning.defaults import effective_hyperparameters
 from deepbots_cli.learning.episodes import Episode, meets_solved
 from deepbots_cli.learning.run import Run, changed_settings, is_training
-from deepbots_cli.learning.verdict import quoted_episodes, run_verdict
+from deepbots_cli.learning.verdict import RunVerdict, quoted_episodes, run_verdict
 from deepbots_cli.lint import all_findings
 from deepbots_cli.program import CurriculumStage, Program
 from deepbots_cli.program.task import ActionRange, Choices, Schedule
@@ -47,12 +47,12 @@ MIN_EPISODES = 8
 class TrainingEvidence:
     """A training as its files tell it, and short episodes.
 
-    `all_episodes` and `all_evaluations` are those of `logs_of`; the last evaluation since the training is the last one, in stage "".
+    `all_episodes` and `all_evaluations` are those of `logs_of`; the quoted evaluation since the training is the last one, in stage "".
     `episodes` and `evaluations` are those of the stage in which the training stands, and so is `program`: returns of another stage say
     nothing about it. `scalars` are curves of TensorBoard by tag: steps and values. `failure` is the error that ended the training. The
     short episodes have the same starts, in the present stage: `policy` those of the last policy, `random` those of random actions, `idle`
     those of an action that commands zeros, and `constant_actions` one for each constant action, by the part of the action that alone
-    differs. `final_episodes` are those of the last evaluation since the training.
+    differs. `final_episodes` are those of the evaluation that `verdict` quotes.
     """
 
     run: Run
@@ -61,6 +61,7 @@ class TrainingEvidence:
     scalars: Mapping[str, tuple[Array, Array]]
     failure: str = ""
     final_episodes: Sequence[Episode] = ()
+    verdict: RunVerdict = RunVerdict(None, None)
     is_running: bool = False
     policy: Sequence[Trace] = ()
     random: Sequence[Trace] = ()
@@ -194,14 +195,14 @@ class TrainingEvidence:
         """Whether each episode of the last evaluation of the present stage succeeded; empty without an evaluation or a success."""
         return self.evaluations[-1]["successes"] if self.evaluations and self.program.defines_success else ()
 
-    @cached_property
+    @property
     def solved(self) -> bool:
         """Whether the policy solves the task, as `run_verdict` says; before its evaluation also by those during the last stage."""
-        solved, verdict = self.run.program.solved, run_verdict(self.run.path, self.run.record)
-        if solved is None or verdict.evaluation is not None:
-            return bool(verdict.solved)
+        solved = self.run.program.solved
+        if solved is None or self.final_episodes or self.verdict.solved:
+            return bool(self.verdict.solved)
         means = [(fmean(each["returns"]), fmean(each["successes"])) for each in self.evaluations if self.is_last_stage]
-        return bool(verdict.solved) or any(meets_solved(solved, *each) for each in means)
+        return any(meets_solved(solved, *each) for each in means)
 
     def curve(self, tag: str) -> Array:
         """The values of a curve in the present stage, of `train/...` in all stages; none where TensorBoard has no such tag."""
@@ -258,7 +259,8 @@ def read_training(run: Run) -> TrainingEvidence:
         done = last[1].outcomes
         returns, successes = [each.total_return for each in done], [each.is_success for each in done]
         evaluations.append({"stage": "", "returns": returns, "successes": successes})
-    return TrainingEvidence(run, episodes, evaluations, scalars_of(run.tensorboard), error, done, running)
+    verdict = run_verdict(run.path, run.record)
+    return TrainingEvidence(run, episodes, evaluations, scalars_of(run.tensorboard), error, done, verdict, running)
 
 
 def run_probes(training: TrainingEvidence, *, allow_code: bool = False, on_episode: Callable[[int, int], object] | None = None) -> None:

@@ -29,7 +29,7 @@ from deepbots_cli.learning import train
 from deepbots_cli.learning.episodes import Episode
 from deepbots_cli.learning.group import GroupRecord
 from deepbots_cli.learning.run import Run, run_lock
-from deepbots_cli.learning.verdict import quoted_episodes
+from deepbots_cli.learning.verdict import RunVerdict, quoted_episodes
 from tests.insight.broken import BROKEN, all_causes
 
 DOCS = Path(__file__).parents[2] / "docs" / "diagnose.md"
@@ -304,7 +304,7 @@ def test_a_run_whose_last_evaluation_misses_the_criterion_is_not_told_to_be_solv
     done = [Episode(5.0, 60, k >= 7, "parked") for k in range(100)]
     training = _logs(run.path, _returns(good, 0), np.full(400, 60), success=good, evaluations=_evaluated(*[1.0] * 20))
     assert training.solved
-    assert not replace(training, final_episodes=done).solved
+    assert not replace(training, final_episodes=done, verdict=RunVerdict(False, None)).solved
 
 
 def test_a_sensor_that_saw_nothing_is_not_told_to_have_a_smaller_range(tmp_path):
