@@ -6,6 +6,7 @@ verdict.py       which evaluation of a run counts, what it was made with, and wh
 run.py           the run directory: what is kept, written atomically, read with suspicion
 models.py        models as Stable-Baselines3's zip files, read without unpickling
 checkpoints.py   the whole state of a training, from which it goes on to the bit
+checkpoint_files.py  the files of a checkpoint, and what they may hold
 plugins.py       callbacks and loggers of other packages
 callbacks.py     what happens during training: evaluations, the best model, scalars, when to stop
 algorithms.py    algorithms made for a scenario, action noise

@@ -171,7 +171,8 @@ def torch_settings() -> Iterator[None]:
 
 def takes_masks(model: BaseAlgorithm) -> bool:
     """Whether the policy wants to know which choices are forbidden."""
-    return "action_masks" in signature(model.predict).parameters
+    # `FinitePredictions` hands arguments on to the class below it.
+    return any("action_masks" in signature(vars(kind)["predict"]).parameters for kind in type(model).__mro__ if "predict" in vars(kind))
 
 
 def has_masks(model: BaseAlgorithm) -> bool:
