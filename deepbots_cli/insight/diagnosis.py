@@ -73,11 +73,13 @@ def diagnose(training: TrainingEvidence) -> list[Statement]:
         wait = "wait for it" if training.is_running else f"train it longer, with: deepbots train --resume {path}"
         raise RunError(f"{path} holds no finished episode yet; {wait}")
     learned = has_learned(training)
-    if learned == "exploring" or not (len(training.episodes) or training.has_failed):
+    if not (len(training.episodes) or training.has_failed):
         return []
-    found = sorted(
-        statements_about((exploration_too_large,) if learned else CAUSES, training), key=lambda each: -each.evidence["likelihood"]
-    )
+    causes = CAUSES
+    if learned:  # starts that fail are of interest where the scenario does not say how many may
+        starts = (some_starts_fail,) if training.run.program.solved is None else ()
+        causes = (*starts, *((exploration_too_large,) if learned == "evaluated" else ()))
+    found = sorted(statements_about(causes, training), key=lambda each: -each.evidence["likelihood"])
     unlikely = [statement for statement in found if statement.evidence["likelihood"] < _CERTAIN_SHARE]
     left_out = (_SYMPTOMS if len(unlikely) < len(found) else set()) | (set() if training.is_mature else _PROVISIONAL_CAUSES)
     return [statement for statement in found if not (statement in unlikely and statement.cause in left_out)]
