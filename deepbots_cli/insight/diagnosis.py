@@ -54,9 +54,10 @@ from deepbots_cli.program.task import ActionRange, Choices, Observation
 
 _SAME_TOLERANCE = 1e-6  # numbers of the observation, from -1 to 1, that differ by less are equal
 _AT_RESET = "already holds at reset"  # the error of an episode that cannot start
-_UNLEARNABLE = {"DB705", "DB711", "DB807", "DB810"}
-"""Lint shows by these that failing at once earns most, that all policies earn the same, or that what is required is out of reach."""
-_CERTAIN_SHARE, _SYMPTOMS = 0.9, {"too_few_steps", "short_training", "one_ending", "success_plateau"}
+_UNLEARNABLE = {"DB705", "DB708", "DB711", "DB807", "DB810"}
+"""Lint shows by these that failing or avoiding the success earns most, that all policies earn the same, or that what is required is out of
+reach."""
+_CERTAIN_SHARE, _SYMPTOMS = 0.9, {"too_few_steps", "one_ending", "success_plateau"}
 """Beside a cause that is as likely as this, the length of the training, its most frequent ending and a flat success are no causes."""
 _PROVISIONAL_CAUSES = {"success_never_seen", "silent_terms", "one_ending", "exploration_too_large"}
 """What may still change in a training or a stage that is young: a cause only once it is mature, or if it is certain."""
@@ -427,28 +428,21 @@ def one_ending(t: TrainingEvidence) -> Numbers | None:
 
 
 def too_few_steps(t: TrainingEvidence) -> Numbers | None:
-    """The policy still learns: the mean return of the last quarter of {what} is {last}, {gain} above that of the first half, after
-    {steps} steps; the scenario plans {planned}.
+    """{finding}, after {steps} steps and {episodes} episodes; the scenario plans {planned} steps.
 
     Try: {advice}
     """
-    rise = returns_rise(t)
-    if rise is None or plateau(t) is not None:
+    length, rise, what = _length(t), returns_rise(t), f"stage '{t.stage}'" if t.stage else "the training"
+    if rise is not None and plateau(t) is None:
+        first, last, gain, chance = rise
+        finding = (
+            f"The policy still learns: the mean return of the last quarter of {what} is {last:.3g}, {gain:.3g} above that of the first half"
+        )
+        return {**length, "likelihood": 0.8 if length["share"] < 0.5 else 0.65, "finding": finding, "first": first, "last": last,
+                "gain": gain, "chance": chance}  # fmt: skip
+    if length["share"] >= 0.5 or t.is_running or rise is not None:
         return None
-    (first, last, gain, chance), length = rise, _length(t)
-    return {**length, "likelihood": 0.8 if length["share"] < 0.5 else 0.65, "what": f"stage '{t.stage}'" if t.stage else "the training",
-            "first": first, "last": last, "gain": gain, "chance": chance}  # fmt: skip
-
-
-def short_training(t: TrainingEvidence) -> Numbers | None:
-    """The training is short: {steps} steps and {episodes} episodes, {share} of the {planned} steps of the scenario.
-
-    Try: {advice}
-    """
-    length = _length(t)
-    if length["share"] >= 0.5 or t.is_running or returns_rise(t) is not None:
-        return None
-    return {**length, "likelihood": 0.5, "episodes": len(t.all_episodes)}
+    return {**length, "likelihood": 0.5, "finding": "The training is short"}
 
 
 def _length(t: TrainingEvidence) -> dict[str, Any]:
@@ -457,7 +451,8 @@ def _length(t: TrainingEvidence) -> dict[str, Any]:
     advice = f"Train on: deepbots train --resume {quote(str(t.run.path))} --timesteps {more}"
     if t.is_running:
         advice = f"Let it run: {t.steps:,} of {t.run.record.total_timesteps:,} steps are made."
-    return {"steps": t.steps, "planned": t.planned, "share": Percentage(t.steps / t.planned), "more": more, "advice": advice}
+    return {"steps": t.steps, "episodes": len(t.all_episodes), "planned": t.planned, "share": Percentage(t.steps / t.planned), "more": more,
+            "advice": advice}  # fmt: skip
 
 
 CAUSES: tuple[StatementRule[TrainingEvidence], ...] = (
@@ -465,6 +460,6 @@ CAUSES: tuple[StatementRule[TrainingEvidence], ...] = (
     saturated_observation, term_dominates, ending_early_pays, standing_still_pays, loitering, stage_too_hard, easy_stage_counted,
     some_starts_fail, reward_apart_from_success, stuck_in_stage, success_never_seen, silent_terms, learning_rate_too_high,
     exploration_hides_success, exploration_delays_stage, exploration_too_large, exploration_collapsed, success_plateau, one_ending,
-    too_few_steps, short_training,
+    too_few_steps,
 )  # fmt: skip
 """Why a training does not learn."""
