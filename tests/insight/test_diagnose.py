@@ -82,7 +82,7 @@ def test_logs_alone_tell_some_causes(short):
 @pytest.fixture(scope="session")
 def aiming(tmp_path_factory) -> Path:
     """A training of all its timesteps in a task with a success; not to be changed."""
-    sets = ["termination.success={there: x > 0.3 m}", "train.total_timesteps=512"]
+    sets = ["termination.success={there: x > 0.3 m}", "reward.there=300 when there", "train.total_timesteps=512"]
     compiled = api.compile(api.load("cartpole", overrides=sets))
     return train(compiled, total_timesteps=512, seed=2, run=tmp_path_factory.mktemp("runs") / "aiming").run
 
