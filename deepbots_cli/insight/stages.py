@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 from statistics import fmean
 from typing import Any
 
@@ -238,16 +237,17 @@ def success_plateau(t: TrainingEvidence) -> Numbers | None:
 
 
 def some_starts_fail(t: TrainingEvidence) -> Numbers | None:
-    """The success rate no longer rises, and it depends on the start: with `{drawn}` {worst} it succeeds in {failing}, with `{drawn}`
-    {best} in {succeeding} ({source}; all parts: {parts}).
+    """{flat} depends on the start: with `{drawn}` {worst} the policy succeeds in {failing}, with `{drawn}` {best} in {succeeding}
+    ({source}; all parts: {parts}).
 
     Try: Check that these starts can succeed, with a script or by hand (`deepbots play`), and that the policy observes `{drawn}` or its
     effect. Then let the training see more of them, such as by a narrower range under `reset` at first, with a curriculum.
     """
-    if plateau(t) is None and stuck_in_stage(t) is None:
+    is_flat = plateau(t) is not None or stuck_in_stage(t) is not None
+    if not is_flat and not t.final_episodes:  # they may still be learned
         return None
     source, done = _episodes_with_draws(t)
-    found = by_drawn_value([replace(episode, drawn=dict(_flat(episode.drawn))) for episode in done])
+    found = by_drawn_value(done)
     named = [(chance, name, bins) for name, bins in found.items() if (chance := _chance(bins)) < _CHANCE / len(found)]
     apart = [(name, bins) for _, name, bins in sorted(named, key=lambda entry: entry[0]) if _is_apart(bins)]
     if not apart:
@@ -256,14 +256,15 @@ def some_starts_fail(t: TrainingEvidence) -> Numbers | None:
     worst, best = (choose(bins, key=lambda each: each.success_rate) for choose in (min, max))
     rates = [{"low": b.low, "high": b.high, "episodes": b.episodes, "rate": b.success_rate, "interval": b.success_interval} for b in bins]
     parts = "; ".join(f"{_range(each)} {each.success_rate:.0%}" for each in bins)
-    return {"likelihood": 0.92, "drawn": name, "worst": _range(worst), "failing": _bin_rate(worst), "best": _range(best),
-            "succeeding": _bin_rate(best), "source": source, "parts": parts, "bins": rates}  # fmt: skip
+    flat = "The success rate no longer rises, and it" if is_flat else "Success"
+    return {"likelihood": 0.92 if is_flat else 0.55, "flat": flat, "drawn": name, "worst": _range(worst), "failing": _bin_rate(worst),
+            "best": _range(best), "succeeding": _bin_rate(best), "source": source, "parts": parts, "bins": rates}  # fmt: skip
 
 
 def _episodes_with_draws(t: TrainingEvidence) -> tuple[str, Sequence[Episode]]:
-    """The episodes that are sorted by what they drew: those of the last evaluation, else late ones of the present stage."""
+    """The episodes that are sorted by what they drew: those of the quoted evaluation, else late ones of the present stage."""
     if t.is_last_stage and len(t.final_episodes) >= 40:
-        return "the last evaluation", t.final_episodes
+        return "the evaluation", t.final_episodes
     late = t.episodes_by_steps(0.5, 1.0)[-_MAX_SORTED:]
     done = []
     for each in late:
@@ -274,15 +275,6 @@ def _episodes_with_draws(t: TrainingEvidence) -> tuple[str, Sequence[Episode]]:
         if isinstance(drawn, Mapping):
             done.append(Episode(each.returns, int(each.lengths), bool(each.successes), each.endings, drawn=drawn))
     return "late episodes of the training", done
-
-
-def _flat(drawn: Mapping[str, Any]) -> Iterator[tuple[str, float | str]]:
-    """Drawn values by name, the components of a vector one by one."""
-    for name, value in drawn.items():
-        if isinstance(value, list | tuple):
-            yield from ((f"{name}[{place}]", float(part)) for place, part in enumerate(value) if isinstance(part, int | float))
-        elif isinstance(value, int | float | str):
-            yield name, value
 
 
 def _chance(bins: Sequence[DrawnBin]) -> float:
