@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from deepbots_cli.expressions.scalar import Name, Scalar, World
 from deepbots_cli.lint.analysis import Analysis
 from deepbots_cli.program import Program
+from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import RobotBody, WorldModel
 from deepbots_cli.robots.model import RobotModel
 from deepbots_cli.view.frames import FrameLayout, LinkName, WorldFrame
@@ -75,7 +76,8 @@ def find_moving(program: Program, world: WorldModel, episodes: Sequence[Position
     moving = [part for part in found if extents[part] >= least] or found[:1]
     objects = {thing.name.partition("#")[0] for thing in world.objects}
     rank = min((subject.rank for subject in subjects if subject.body in objects), default=0)
-    reached = {subject.body for subject in subjects if subject.rank == rank < 2}
+    avoided = _avoided(program) if rank else set()
+    reached = {subject.body for subject in subjects if subject.rank == rank < 2} - avoided
     standing = [(thing.name, thing.name) for thing in world.objects if thing.name.partition("#")[0] in reached]
     targets = [part for part in extents if not part[0]] + [part for part in standing if part in extents and part not in moving]
     return Moving(tuple(moving[:MAX_TRAJECTORIES]), tuple(targets))
@@ -107,13 +109,25 @@ def _subjects(program: Program) -> list[_Subject]:
     values = [*goals, *endings, *((1, term) for term in policy.reward), *((2, entry.value) for entry in policy.observation)]
     found: dict[tuple[str, str], _Subject] = {}
     for rank, value in sorted(values, key=lambda ranked: ranked[0]):
-        for tree in () if value.foreign else analysis.scalars(value):
-            for node in analysis.walk_definitions(tree):
-                for full_name in _full_names(analysis, node):
-                    body, _, part = full_name.partition(".")
-                    subject = _Subject(body.partition("#")[0], part, rank)
-                    found.setdefault(subject[:2], subject)
+        for both in _read_by(analysis, value):
+            found.setdefault(both, _Subject(*both, rank))
     return list(found.values())
+
+
+def _avoided(program: Program) -> set[str]:
+    """The bodies that a failure reads, such as walls that must not be touched."""
+    analysis = Analysis(program).ideal
+    failures = [ending.value for ending in program.endings if ending.outcome == "failure"]
+    return {body for value in failures for body, _ in _read_by(analysis, value)}
+
+
+def _read_by(analysis: Analysis, value: Expression) -> Iterator[tuple[str, str]]:
+    """The bodies that an expression reads, each with its link or joint (empty for the body as a whole)."""
+    for tree in () if value.foreign else analysis.scalars(value):
+        for node in analysis.walk_definitions(tree):
+            for full_name in _full_names(analysis, node):
+                body, _, part = full_name.partition(".")
+                yield body.partition("#")[0], part
 
 
 def _full_names(analysis: Analysis, node: Scalar) -> Iterator[str]:

@@ -60,6 +60,14 @@ def test_a_target_that_moves_is_followed():
     assert trajectories.has_moved(found["", "agent"])
 
 
+def test_a_wall_that_a_failure_reads_is_no_target():
+    overrides = ["objects.post={shape: box, size: 5 5 5 cm, fixed: true}", "reset.place.post={x: 0.3 m, y: 0.3 m}",
+                 "termination.failure.hit=contact(cart, post)", "reward.hit=-5 when hit"]  # fmt: skip
+    program = api.compile(api.load("cartpole", overrides=overrides)).program
+    moving = trajectories.find_moving(program, program.world, [_positions(program.world, base_link=0.2)])
+    assert moving.targets == ()
+
+
 def test_the_page_draws_the_path_of_an_arm_by_its_end_link():
     pytest.importorskip("viser")
     from deepbots_cli.view.page import Page
