@@ -86,8 +86,8 @@ def new(
         terminal.show_json({"scenario": written[0], "files": written})
         return
     _list(written, kept)
-    terminal.note(_next(quote(str(written[0]))))
     _name_faster_engine(written[0])
+    terminal.note(_next(quote(str(written[0]))))
     if not schema:
         terminal.note(f"  deepbots schema --for {_named(written[0])}")
 

@@ -309,6 +309,6 @@ def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, allow_code: b
         return
     terminal.note(
         "\nnext:\n" + (f"  deepbots diagnose {run}\n" if solved is False else "") + f"  deepbots eval {run} --video {film}\n"
-        f"  deepbots train --resume {run} --timesteps {report.longer_goal(max(result.steps, result.total_timesteps)):_} --full\n"
+        f"  deepbots train --resume {run} --timesteps {report.longer_goal(max(result.steps, result.total_timesteps)):_}\n"
         f"  tensorboard --logdir {logs}"
     )
