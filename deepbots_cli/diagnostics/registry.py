@@ -93,6 +93,7 @@ _CATALOGUE = (
     Rule("DB316", "beyond-engine", "error", "an engine that is not installed, or does not support a part of the world"),
     Rule("DB317", "limits-in-degrees", "warning", "limits of a joint in radians that were probably meant in degrees"),
     Rule("DB318", "range-of-other-parts", "warning", "`auto` for joints of which one has much tighter limits than the others"),
+    Rule("DB319", "unlimited-motor", "warning", "a motor without a limit of torque or force"),
     Rule("DB401", "expression-syntax", "error", "an expression that cannot be read"),
     Rule("DB402", "unknown-name", "error", "an expression names something that does not exist"),
     Rule("DB403", "boolean-number-mix", "error", "a truth value where a number belongs, or the reverse"),

@@ -1,4 +1,4 @@
-"""Robots: commands and actuators (DB312 to DB315), limits in degrees (DB317), and rays that pass over everything (DB615)."""
+"""Robots: commands and actuators (DB312 to DB315, DB319), limits in degrees (DB317), and rays that pass over everything (DB615)."""
 
 from __future__ import annotations
 
@@ -37,6 +37,8 @@ _FOOT_HEIGHT_M = 0.005
 """m; wheels and casters that end within so much of the lowest one carry the robot."""
 _RESTING_GAP_M = 0.05
 """m; a robot that is placed so close to its resting height comes to rest there."""
+_MAX_NAMES = 4
+"""Joints that a finding lists."""
 _MAX_JOINT_POSITIONS = 12
 """Positions of all joints together that are tried."""
 _RANGE_FACTOR = 1.2
@@ -320,7 +322,37 @@ def _turned_in_place(simulation: Simulation, miss: UnreachedPose) -> Finding:
     return Finding("DB315", span, headline, help=help, notes=notes)
 
 
-# Rays
+# Limits of the robot file
+
+
+def unlimited_motor(context: RuleContext) -> Iterator[Finding]:
+    """DB319: a motor without a limit of torque or force.
+
+    The limit of a motor is the `effort` of its joint in the robot file, or `max_torque` of the actuator. deepbots reads `effort="0"` as
+    not stated, since many files write 0 for joints that are driven. A motor without any limit follows its command whatever the load, and
+    pushes everything aside. Torque motors and springs (`stiffness`) are not reported: their command limits them.
+
+    Example::
+
+        robots: {cart: {actuators: {pole: {type: position_motor, joint: pole_hinge}}, apply: {pole: drive * 10 deg}}}
+
+    Instead::
+
+        robots: {cart: {actuators: {pole: {type: position_motor, joint: pole_hinge, max_torque: 2 N*m}}, apply: {pole: drive * 10 deg}}}
+    """
+    for robot in context.program.robots:
+        model = context.analysis.body(robot.name).model
+        for actuator in robot.actuators:
+            limits = dict(zip(_held_joints(actuator), getattr(actuator, "max_torque", ()), strict=False))
+            free = [model.joint(joint) for joint, limit in limits.items() if limit is None]
+            if not free:
+                continue
+            what, unit = ("force", "N") if free[0].type == "prismatic" else ("torque", "N*m")
+            shown = ", ".join(f"`{joint.name}`" for joint in free[:_MAX_NAMES]) + (", ..." if len(free) > _MAX_NAMES else "")
+            headline = f"`{actuator.name}` has unlimited {what}: the robot file gives no effort for {shown}"
+            help = f"write `max_torque` with the {what} of the motor, such as `max_torque: 10 {unit}`"
+            notes = ('an effort of 0 in a robot file is read as "not stated"',)
+            yield Finding("DB319", _joints_span(context.values, robot.name, actuator.name), headline, help=help, notes=notes)
 
 
 def limits_in_degrees(context: RuleContext) -> Iterator[Finding]:
@@ -379,6 +411,9 @@ def limits_in_degrees(context: RuleContext) -> Iterator[Finding]:
                 help = f'if they are degrees, write lower="{radians(low):.5g}" upper="{radians(high):.5g}" in the robot file'
                 help += f", or `range: {low:g} .. {high:g} deg` under `joints`"
                 yield Finding("DB317", scene.file.limit_spans[joint.name], headline, help=help)
+
+
+# Rays
 
 
 def rays_meet_nothing(context: RuleContext) -> Iterator[Finding]:
@@ -628,6 +663,7 @@ STATIC_RULES = (
     command_cut_off,
     joint_driven_twice,
     limp_at_start,
+    unlimited_motor,
     limits_in_degrees,
     rays_meet_nothing,
 )
