@@ -60,7 +60,7 @@ def start_values(given: Sequence[str] | None) -> dict[str, Any]:
     """The `options` of `reset` that `--start` gives: a number, a word, or several numbers with commas between them.
 
     Raises:
-        UsageError: One is not of the form NAME=VALUE, or a name is given twice.
+        UsageError: One is not of the form NAME=VALUE, a name is given twice, or numbers are in brackets or without commas.
     """
     found: dict[str, Any] = {}
     for text in given or ():
@@ -72,10 +72,21 @@ def start_values(given: Sequence[str] | None) -> dict[str, Any]:
         try:
             numbers = [float(number) for number in value.split(",")]
         except ValueError:
+            parts = value.strip("[]() ").replace(",", " ").split()
+            if parts and all(map(_is_number, parts)):
+                raise UsageError(f"--start {text}: write the numbers with commas alone: --start {name}={','.join(parts)}") from None
             found[name] = value
         else:
             found[name] = numbers if len(numbers) > 1 else numbers[0]
     return found
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _whole(text: str) -> int | None:

@@ -66,7 +66,7 @@ class EpisodeAccumulator:
         self._seed: int | None = None
         self._drawn: Mapping[str, float | str] = {}
 
-    def begin(self, seed: int, info: Mapping[str, Any]) -> None:
+    def begin(self, seed: int | None, info: Mapping[str, Any]) -> None:
         """Note how the episode begins: the seed of the reset, and the info that it returned."""
         self._seed, self._drawn = seed, info.get("drawn", {})
 

@@ -157,6 +157,14 @@ def test_run_shows_returns_endings_and_terms(deepbots):
     assert "ended_by" in ran.out
 
 
+def test_the_start_of_an_episode_of_run_can_be_given_back(deepbots):
+    words = ["run", "cartpole", "--set", "reset.set.cart.pole_hinge=uniform(-3 .. 3 deg)", "--policy", "zero", "--episodes", "2", "--json"]
+    _, second = json.loads(deepbots(*words).out)["episodes"]
+    ((name, value),) = second["drawn"].items()
+    first, _ = json.loads(deepbots(*words, "--start", f"{name}={value!r}").out)["episodes"]
+    assert first == second
+
+
 def test_the_same_seed_runs_the_same_episodes(deepbots):
     first, again, other = (deepbots("run", "cartpole", "--seed", seed, "--json").out for seed in (3, 3, 4))
     assert first == again != other

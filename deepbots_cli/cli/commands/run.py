@@ -175,13 +175,15 @@ def _row(episode: Episode) -> Row:
         "ended_by": episode.ended_by,
         "success": episode.is_success,
         "reward_terms": dict(episode.terms),
+        "drawn": dict(episode.drawn),
     }
 
 
 def _show(done: list[Episode]) -> None:
     shown = done if len(done) <= MAX_SHOWN else done[:FIRST_EPISODES]
     rows = [{"episode": number, **_row(episode)} for number, episode in enumerate(shown)]
-    terminal.print_result("episodes\n" + table([{name: value for name, value in row.items() if name != "reward_terms"} for row in rows]))
+    listed = [{name: value for name, value in row.items() if name not in ("reward_terms", "drawn")} for row in rows]
+    terminal.print_result("episodes\n" + table(listed))
     if len(shown) < len(done):
         terminal.print_result(f"  and {len(done) - len(shown):,} more")
     terminal.print_result("\nreward terms\n" + table([_term(done, name) for name in done[0].terms]))
@@ -220,8 +222,10 @@ def run_episodes(
     """
     left = max_steps
     for number in range(count):
-        environment.reset(seed=seed if number == 0 else None, options=options)
+        root = seed if number == 0 else None
+        _, drawn = environment.reset(seed=root, options=options)
         accumulator, ended = EpisodeAccumulator(), False
+        accumulator.begin(root, drawn)
         while not ended:
             _, reward, terminated, truncated, info = environment.step(policy())
             accumulator.add(reward, info)
