@@ -107,12 +107,12 @@ def _trace(shown: str, episode: int | None, seed: int | None, *, last: bool, all
 
 
 def _outcome(training: TrainingEvidence) -> str:
-    """What the last evaluation of the task says: `; solved; success in 97% (91% to 99%) of 100 episodes of the last evaluation`."""
+    """What the evaluation of the verdict says: `; solved; success in 97% (91% to 99%) of 100 episodes of the evaluation`."""
     from deepbots_cli.insight.statements import SuccessRate
 
     program, final = training.run.program, SuccessRate([each.is_success for each in training.final_episodes])
     state = "" if program.solved is None else f"; {'solved' if training.solved else 'not solved'} ({program.solved.description})"
-    return state + (f"; success in {final} of the last evaluation" if final.episodes and program.defines_success else "")
+    return state + (f"; success in {final} of the evaluation" if final.episodes and program.defines_success else "")
 
 
 _ENDS = ("margin", "truth_ending", "truncation_limit", "nearest")

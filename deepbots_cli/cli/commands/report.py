@@ -15,7 +15,9 @@ from deepbots_cli.errors import MissingExtraError, UsageError
 
 def command(
     run: Annotated[Path, typer.Argument(metavar="RUN|GROUP", help="A run directory of `deepbots train`, or the folder of a group.")],
-    out: Annotated[Path | None, typer.Option("--out", "-o", metavar="FILE", help="File to write, .html; by default RUN.html.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="FILE", help="File to write; by default RUN.html in the current folder.")
+    ] = None,
     force: Force = False,
     figures: Annotated[Path | None, typer.Option("--figures", metavar="FOLDER", help="Also write every figure as PNG.")] = None,
     episodes: Annotated[
