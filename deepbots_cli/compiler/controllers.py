@@ -267,7 +267,7 @@ def _pose(name: str, scene: ResolvedRobot, namespace: Namespace) -> Symbol:
     if not sound or len(dimensions) != 1:
         return Symbol(name, None)
     known = tuple(positions.values())
-    return Symbol(name, Type(dimensions.pop(), tuple(positions), interval=Interval(min(known), max(known))), known)
+    return Symbol(name, Type(dimensions.pop(), tuple(positions)).with_intervals(map(single, known)), known)
 
 
 @dataclass(eq=False)

@@ -414,7 +414,7 @@ class Signals:
             return Symbol(name, None)
         added = self._namespace.noise(given, typed) if isinstance(given, Measured) else None
         self.valued[name] = text.expression(typed, name, noise=added)
-        return Symbol(name, typed.type._replace(interval=EVERYTHING, stage=Stage.STEP) if added else typed.type)
+        return Symbol(name, typed.type._replace(interval=EVERYTHING, intervals=(), stage=Stage.STEP) if added else typed.type)
 
     def ordered(self) -> tuple[Expression, ...]:
         """Augmentation and signals, each after those that it is made of."""

@@ -311,9 +311,10 @@ class Places:
                     found[part] = self._namespace.expression(pose, part, scope=self._scope)
             vector = self._namespace.expression(pose, whole, scope=self._scope)
             if vector is not None:
-                typed, single = vector.typed, vector.typed.type._replace(components=None)
+                typed = vector.typed
                 for index, part in enumerate(parts):
-                    tree = ComponentSelection(single, typed.start, typed.end, typed, (index,)) if typed.type.components else typed
+                    chosen = typed.type.selected((index,))
+                    tree = ComponentSelection(chosen, typed.start, typed.end, typed, (index,)) if typed.type.components else typed
                     found[part] = replace(vector, name=part, typed=tree)
         return {part: coordinate for part, coordinate in found.items() if coordinate is not None}
 

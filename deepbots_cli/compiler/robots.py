@@ -86,11 +86,6 @@ def rigid_root(model: RobotModel, link: str) -> tuple[str, Frame]:
     return link, frame
 
 
-def position_interval(joints: Iterable[Joint]) -> Interval:
-    """The positions that the limits of any of the joints leave."""
-    return intervals.hull([joint_interval(joint) for joint in joints])
-
-
 Group = tuple[Kind, tuple[str, ...]]
 """Joints or links, and the short names of its members."""
 
@@ -363,7 +358,8 @@ class ResolvedRobot:
             if kind is Kind.LINKS:
                 return Subject(full, kind, names)
             joints = [self.model.joint(member) for member in members]
-            return Subject(full, kind, names, dimension=joint_dimension(joints[0]), interval=position_interval(joints))
+            limits = tuple(map(joint_interval, joints))
+            return Subject(full, kind, names, dimension=joint_dimension(joints[0]), interval=intervals.hull(limits), intervals=limits)
         if not (is_link and kinds and Kind.LINK in kinds):
             for joint in self.model.moving_joints:
                 if joint.name == part:

@@ -8,7 +8,7 @@ from itertools import pairwise
 from typing import Any
 
 from deepbots_cli.compiler.namespace import Namespace
-from deepbots_cli.compiler.robots import ResolvedRobot, joint_dimension, position_interval
+from deepbots_cli.compiler.robots import ResolvedRobot, joint_dimension, joint_interval
 from deepbots_cli.compiler.values import ValueReader
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import LENGTH, NUMBER, TIME, Dimension
@@ -69,27 +69,24 @@ class SensorsCompiler:
         own = self._namespace.parameters(spec, kind_parameters(type(spec), *BASES), known.dimension, slides=slides)
         if own is None:
             return
-        faults, reach = _noise_model(self._namespace, spec, known)
+        faults, known = _noise_model(self._namespace, spec, known)
         if isinstance(spec, RaySensor) and spec.lookup is None:
             sensor = self._with_ray_reach(sensor, spec, faults)
         unit = "" if known.boolean or known.picture else str(known.dimension)
         self._sensors[name] = replace(sensor, unit=unit, faults=faults, parameters=own)
-        self.symbols[name] = Symbol(name, known._replace(interval=reach, stage=Stage.STEP))
+        self.symbols[name] = Symbol(name, known._replace(stage=Stage.STEP))
 
     def _read(self, name: str, spec: SensorSpec) -> tuple[Sensor, Type] | None:
         """A sensor without errors, and the type of its readings; None after a finding."""
-        dimension, components, interval, picture = spec.dimension, spec.components, spec.interval, None
+        dimension, components, intervals, picture = spec.dimension, spec.components, [spec.interval], None
         subjects: tuple[str, ...] = ()
         more: dict[str, Any] = {}
         match spec:
             case JointSensor():
                 joints = self._scene.joints_of(spec, self._values)
                 if joints:
-                    subjects, dimension, interval = (
-                        tuple(j.name for j in joints),
-                        spec.dimension_of(joints[0]),
-                        spec.interval_of(position_interval(joints)),
-                    )
+                    subjects, dimension = tuple(joint.name for joint in joints), spec.dimension_of(joints[0])
+                    intervals = [spec.interval_of(joint_interval(joint)) for joint in joints]
                 components = subjects if spec.joints is not None else ()
             case ContactSensor():
                 subjects = self._scene.links_of(spec, self._values)
@@ -103,7 +100,7 @@ class SensorsCompiler:
                     scan = _scan(self._namespace, spec)
                     if scan is None:
                         return None
-                    more["beams"], components, dimension, interval = scan
+                    more["beams"], components, dimension, intervals[0] = scan
                 elif isinstance(spec, Camera):
                     optics = _intrinsics(self._namespace, spec)
                     if optics is None:
@@ -114,7 +111,7 @@ class SensorsCompiler:
         sensor = Sensor(name, spec.type, subjects, components, "", reader=spec.reader, world_function=spec.world_function, **more)
         if picture:
             return sensor, Type(picture=picture, stage=Stage.STEP)
-        return sensor, Type(dimension, components or None, boolean=spec.boolean, interval=interval, stage=Stage.STEP)
+        return sensor, Type(dimension, components or None, boolean=spec.boolean, stage=Stage.STEP).with_intervals(intervals)
 
     def _with_ray_reach(self, sensor: Sensor, spec: RaySensor, faults: NoiseModel | None) -> Sensor:
         """The sensor with rays that go to the end of its range."""
@@ -270,13 +267,13 @@ MAX_TICKS = 100_000
 _NUMERIC_SENSOR_KEYS = ("noise", "bias", "drift", "resolution", "range")
 
 
-def _noise_model(namespace: Namespace, spec: SensorSpec, known: Type) -> tuple[NoiseModel | None, Interval]:
-    """The errors of a sensor, period apart, and the interval of its readings; None for a perfect sensor."""
+def _noise_model(namespace: Namespace, spec: SensorSpec, known: Type) -> tuple[NoiseModel | None, Type]:
+    """The errors of a sensor, period apart, and the type of its readings with them; None for a perfect sensor."""
     drawn = len(namespace.variations)
     latency = _latency(namespace, spec)
     if known.boolean or known.picture:
         _refuse_errors(namespace.values, spec, known)
-        model, reach = NoiseModel(latency=latency), known.interval
+        model = NoiseModel(latency=latency)
     else:
         noise, relative_noise = _error(namespace, spec, "noise", known)
         bias, relative_bias = _error(namespace, spec, "bias", known)
@@ -284,11 +281,12 @@ def _noise_model(namespace: Namespace, spec: SensorSpec, known: Type) -> tuple[N
         resolution, (low, high) = _resolution(namespace, spec, known), _range(namespace, spec, known)
         model = NoiseModel(1, latency, noise, relative_noise, bias, relative_bias, drift, low, high, resolution)
         wanders = noise or relative_noise or bias or relative_bias or drift
-        reach = Interval(min(low), max(high)) if low else EVERYTHING if wanders else known.interval
-        if resolution and reach.is_finite:
+        reach = list(map(Interval, low, high)) or ([EVERYTHING] if wanders else list(known.intervals) or [known.interval])
+        if resolution:
             half = max(resolution) / 2
-            reach = Interval(reach.low - half, reach.high + half)
-    return None if model == NoiseModel() and len(namespace.variations) == drawn else model, reach
+            reach = [Interval(each.low - half, each.high + half) if each.is_finite else each for each in reach]
+        known = known.with_intervals(reach)
+    return None if model == NoiseModel() and len(namespace.variations) == drawn else model, known
 
 
 def _refuse_errors(values: ValueReader, spec: SensorSpec, known: Type) -> None:

@@ -240,8 +240,8 @@ class _Checker:
         wanted = (member,) if member in components else tuple(member)
         if not set(wanted) <= set(components) or len(set(wanted)) < len(wanted):
             raise self._unknown("component", member, components, node, before)
-        chosen = value.type._replace(components=None if len(wanted) == 1 else wanted)
-        return ComponentSelection(chosen, node.start, node.end, value, tuple(components.index(name) for name in wanted))
+        indices = tuple(components.index(name) for name in wanted)
+        return ComponentSelection(value.type.selected(indices), node.start, node.end, value, indices)
 
     def _subject(self, node: syntax.Node, kinds: frozenset[Kind], function: str) -> Subject:
         """The part of the world that an argument names; DB203 for one of another kind, DB402 for none."""
@@ -316,7 +316,7 @@ class _Checker:
         values = tuple(unit.to_si(item.value) if unit else item.value for item in items)
         if not all(map(math.isfinite, values)):
             raise self._fault("DB401", node, "a quantity too large for a number")
-        known = Type(unit.dimension if unit else NUMBER, components, interval=Interval(min(values), max(values)))
+        known = Type(unit.dimension if unit else NUMBER, components).with_intervals(map(single, values))
         return Constant(known, node.start, node.end, values, unit)
 
     def _vector(self, node: syntax.Vector) -> Typed:
@@ -328,9 +328,8 @@ class _Checker:
         items = self.each(self.visit, node.items)
         require_kind(items, self._report)
         components = self._gathered(items)
-        interval, stage = hull([item.type.interval for item in items]), max(item.type.stage for item in items)
-        result = Type(dimension_of(items, node, self._report), components, interval=interval, stage=stage)
-        return Vector(result, node.start, node.end, tuple(items))
+        result = Type(dimension_of(items, node, self._report), components, stage=max(item.type.stage for item in items))
+        return Vector(result.with_intervals(item.type.interval for item in items), node.start, node.end, tuple(items))
 
     def _gathered(self, values: Sequence[Typed]) -> Components:
         """The components of single values side by side."""
@@ -366,14 +365,14 @@ class _Checker:
         components = components_of((value, condition), node, self._report)
         nothing = Constant(Type(interval=single(0.0)), node.end, node.end, (0.0,))
         stage = max(value.type.stage, condition.type.stage)
-        result = Type(value.type.dimension, components, interval=hull((value.type.interval, single(0.0))), stage=stage)
+        result = _ranged(Type(value.type.dimension, components, stage=stage), lambda known: hull((known, single(0.0))), (value.type,))
         return Invocation(result, node.start, node.end, "where", (), (condition, value, nothing))
 
     def _unary(self, node: syntax.Unary, operand: Typed) -> Typed:
         require_kind([operand], self._report, boolean=node.operator == "not")
         if node.operator == "not":
             return Operation(operand.type, node.start, node.end, "not", (operand,))
-        result = operand.type._replace(interval=OPERATORS["neg"].interval(operand.type.interval))
+        result = _ranged(operand.type, OPERATORS["neg"].interval, (operand.type,))
         if isinstance(operand, Constant):
             return operand._replace(type=result, start=node.start, values=tuple(-value for value in operand.values))
         return Operation(result, node.start, node.end, "neg", (operand,))
@@ -386,12 +385,12 @@ class _Checker:
             require_kind(both, self._report)
             result = Type(self._result_dimension(node, left, right), components, stage=stage)
             self._warn_of_domain(node.operator, left, right, node)
-            interval = OPERATORS[operator].interval(left.type.interval, right.type.interval)
+            result = _ranged(result, OPERATORS[operator].interval, (left.type, right.type))
             # A division by zero gives an interval that is not single.
-            overflows = interval.is_single and not interval.is_finite
+            overflows = result.interval.is_single and not result.interval.is_finite
             if overflows and all(value.type.interval.is_finite and value.type.interval.is_single for value in both):
                 self._fault("DB406", node, "a result too large for a number")
-            return Operation(result._replace(interval=interval), node.start, node.end, operator, both)
+            return Operation(result, node.start, node.end, operator, both)
         if node.operator not in COMPARISONS:
             require_kind(both, self._report, boolean=True)
         elif not (left.type.boolean and right.type.boolean and node.operator in ("==", "!=")):
@@ -426,14 +425,17 @@ class _Checker:
 
     def _warn_of_domain(self, operator: str, left: Typed, right: Typed, node: syntax.Binary) -> None:
         """DB405 for a divisor that can be zero, DB406 for a root of a value that can be negative."""
-        a, b = left.type.interval, right.type.interval
-        if operator == "/" and b.is_finite and 0.0 in b:
+        columns = _columns((left.type, right.type))
+        b = next((b for _, b in columns if b.is_finite and 0.0 in b), None)
+        if operator == "/" and b is not None:
             between = f"the divisor is between {b.low:g} and {b.high:g}, and can be zero"
             self._fault("DB405", node.right, "a division by zero" if b.is_single else between, _no_zero(right))
-        if operator == "^" and a.is_finite:
-            if a.low < 0.0 and b.is_single and not b.low.is_integer():
-                self._fault("DB406", node.left, f"a fractional power of a value that can be as low as {a.low:g}", _KEEP_ABOVE_HELP)
-            if 0.0 in a and b.high < 0.0:
+        if operator == "^":
+            powers = [(a, b) for a, b in columns if a.is_finite]
+            low = min((a.low for a, b in powers if b.is_single and not b.low.is_integer()), default=0.0)
+            if low < 0.0:
+                self._fault("DB406", node.left, f"a fractional power of a value that can be as low as {low:g}", _KEEP_ABOVE_HELP)
+            if any(0.0 in a and b.high < 0.0 for a, b in powers):
                 self._fault("DB405", node.left, "a negative power of a value that can be zero", _no_zero(left))
 
     # calls
@@ -518,17 +520,23 @@ class _Checker:
         components = self._components(node, function, subjects, bound)
         count = len(values[0].type.components or ()) if values else 0
         reduction = function.reduction if components is None and count else None
-        given = [subject.interval for subject in subjects] + [value.type.interval for value in values]
-        interval = TRUTH if boolean else reduction.interval(given[0], count) if reduction else function.interval(*given)
-        if reduction and values[0].type.has_group_components:  # there may be none of them
-            interval = hull([interval, single(float(reduction.empty or 0.0))])
 
         stage = max((value.type.stage for value in values), default=Stage.FIXED)
         if function.family is Family.DRAW:
             stage = max(stage, Stage.EPISODE)
         elif function.family is not Family.PURE:
             stage = Stage.STEP
-        return Type(NUMBER if boolean else function.result(measured), components, boolean, interval, stage)
+        result = Type(NUMBER if boolean else function.result(measured), components, boolean, TRUTH, stage)
+        if boolean:
+            return result
+        if reduction:
+            whole = reduction.interval(values[0].type.interval, count)
+            if values[0].type.has_group_components:  # there may be none of them
+                whole = hull([whole, single(float(reduction.empty or 0.0))])
+            return result._replace(interval=whole)
+        if function.name == "vector":
+            return result.with_intervals(value.type.interval for value in values)
+        return _ranged(result, function.interval, (*subjects, *(value.type for value in values)))
 
     def _components(
         self, node: syntax.Call, function: Function, subjects: tuple[Subject, ...], bound: list[tuple[Param, Typed]]
@@ -571,6 +579,17 @@ class _Checker:
             low, high = values
             with suppress(StopChecking):
                 _require_rising(TypedRange(low, high, low.start, high.end), self._report)
+
+
+def _columns(given: Sequence[Type | Subject]) -> list[tuple[Interval, ...]]:
+    """The intervals of values for each component; for all at once, where those of single components are not known."""
+    count = max(len(value.intervals) for value in given) if given else 0
+    return [tuple(value.intervals[at] if value.intervals else value.interval for value in given) for at in range(count or 1)]
+
+
+def _ranged(result: Type, rule: Callable[..., Interval], given: Sequence[Type | Subject]) -> Type:
+    """The result with the interval that `rule` makes of those given, for each component."""
+    return result.with_intervals(rule(*column) for column in _columns(given))
 
 
 def _usage(function: Function) -> str:

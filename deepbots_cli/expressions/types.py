@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 
 from deepbots_cli.diagnostics.nearest import Replacement
 from deepbots_cli.expressions.dimensions import NUMBER, Dimension, Unit
-from deepbots_cli.expressions.intervals import EVERYTHING, Interval
+from deepbots_cli.expressions.intervals import EVERYTHING, Interval, hull
 
 Components = tuple[str, ...]
 PLANE: Components = ("x", "y")
@@ -37,7 +37,8 @@ class Stage(IntEnum):
 class Type(NamedTuple):
     """Dimension, components (None for a single value), interval in SI units and stage of a number, truth value or picture.
 
-    The interval of a vector covers all its components. The interval of a truth value has no meaning.
+    The interval of a vector covers all its components; `intervals` are those of each, where they differ. The interval of a truth value
+    has no meaning.
     """
 
     dimension: Dimension = NUMBER
@@ -46,6 +47,24 @@ class Type(NamedTuple):
     interval: Interval = EVERYTHING
     stage: Stage = Stage.FIXED
     picture: Shape | None = None
+    intervals: tuple[Interval, ...] = ()
+
+    def with_intervals(self, intervals: Iterable[Interval]) -> Type:
+        """The type with an interval per component, or with one for all of them. Equal ones are kept once: a scan has 1000 components."""
+        known = tuple(intervals)
+        return self._replace(interval=hull(known), intervals=known if len(set(known)) > 1 else ())
+
+    def selected(self, indices: Sequence[int]) -> Type:
+        """The type of some components of a vector, by position."""
+        names = tuple(self.components[index] for index in indices) if self.components and len(indices) > 1 else None
+        chosen = self._replace(components=names)
+        return chosen.with_intervals(self.intervals[index] for index in indices) if self.intervals else chosen
+
+    def interval_of(self, component: str | None) -> Interval:
+        """The interval of one component; that of the whole, where no other is known."""
+        if self.components and self.intervals and component in self.components:
+            return self.intervals[self.components.index(component)]
+        return self.interval
 
     @property
     def description(self) -> str:
@@ -110,8 +129,8 @@ class Subject(NamedTuple):
 
     `members` are the full names in a group (`dog.fl_toe`), in order. `link` is the full name of the link whose pose is read:
     a robot's base link. `pieces` are the bodies of a wall; a function reads each piece. For joints, `dimension` is that of
-    their position (angle or length) and `interval` holds their limits. Uses of the kind `BROKEN`, an invalid definition, are
-    not reported.
+    their position (angle or length), `interval` holds their limits and `intervals` those of each member. Uses of the kind `BROKEN`,
+    an invalid definition, are not reported.
     """
 
     name: str
@@ -121,6 +140,7 @@ class Subject(NamedTuple):
     dimension: Dimension = NUMBER
     interval: Interval = EVERYTHING
     pieces: tuple[str, ...] = ()
+    intervals: tuple[Interval, ...] = ()
 
     @property
     def components(self) -> Components | None:

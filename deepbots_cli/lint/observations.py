@@ -438,8 +438,8 @@ def range_of_other_parts(context: RuleContext) -> Iterator[Finding]:
     """DB318: `auto` gives all joints of a vector one range, and the limits of one of them are much tighter.
 
     The range of a vector is that of all its parts together. Beside a joint that moves by 52 cm, one that moves by 16 cm uses a third of
-    [-1, 1], and the policy sees it coarsely. Give that joint a sensor of its own. The rule reports positions of joints of which one has
-    less than a third of the range.
+    [-1, 1], and the policy sees it coarsely. Observe each joint by itself. The rule reports positions of joints of which one has less
+    than a third of the range.
 
     Example::
 
@@ -459,9 +459,9 @@ def range_of_other_parts(context: RuleContext) -> Iterator[Finding]:
             urdf: panda
             base: fixed
             joints: {panda_joint2: {range: -10 .. 10 deg}}
-            sensors: {turn: {type: joint_position, joint: panda_joint1}, bend: {type: joint_position, joint: panda_joint2}}
-            emit: [turn, bend]
-        observation: {arm.turn: auto, arm.bend: auto}
+            sensors: {angles: {type: joint_position, joints: [panda_joint1, panda_joint2]}}
+            emit: [angles]
+        observation: {arm.angles.panda_joint1: auto, arm.angles.panda_joint2: auto}
     """
     for entry in context.program.policy.observation:
         span, dimension = context.range_span(entry), entry.value.typed.type.dimension
@@ -472,7 +472,7 @@ def range_of_other_parts(context: RuleContext) -> Iterator[Finding]:
             joint, known = entry.value.components[place], range_text(own[place], dimension)
             whole = range_text(Interval(entry.low[0], entry.high[0]), dimension)
             headline = f"`auto` gives `{joint}` the range {whole} of all joints; its own is {known}"
-            yield Finding("DB318", span, headline, help=f"give `{joint}` a sensor of its own, and observe that with `auto`")
+            yield Finding("DB318", span, headline, help=f"observe each joint by itself, as in `{entry.value.name}.{joint}: auto`")
 
 
 def _limits_of_parts(program: Program, entry: Observation) -> list[Interval]:

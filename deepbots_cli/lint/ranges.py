@@ -101,7 +101,8 @@ class Ranges:
         if self.analysis.is_noisy(node.name):
             return EVERYTHING
         foreign = self.analysis.expression_named(node.name)
-        return foreign.typed.type.interval if foreign is not None else self.analysis.leaves.get(node.name, EVERYTHING)
+        known = foreign.typed.type if foreign is not None else self.analysis.leaves.get(node.name)
+        return known.interval_of(node.component) if known else EVERYTHING
 
     def _world(self, node: World) -> Interval:
         if node.function == "joint_position":

@@ -7,7 +7,7 @@ from deepbots_cli.expressions.dimensions import ANGLE, ANGULAR_VELOCITY, FORCE, 
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import constant_values
-from deepbots_cli.expressions.types import SPACE, Context, Stage
+from deepbots_cli.expressions.types import SPACE, Context, Kind, Stage, Subject
 from deepbots_cli.expressions.unification import ANY_SHAPE, expect_range, expect_value
 
 
@@ -122,6 +122,36 @@ def test_a_bare_zero_fits_every_dimension(bench):
 
 def test_a_joint_is_bounded_by_its_limits(bench):
     assert bench.clean("joint_position(cart.pole_hinge)").type.interval == Interval(-1.3, 1.3)
+
+
+@pytest.mark.parametrize(
+    ("text", "low", "high"),
+    [
+        ("uniform(0.5 -0.1 .. 1 0.2).x", 0.5, 1.0),
+        ("uniform(0.5 -0.1 .. 1 0.2).yx.x", 0.5, 1.0),
+        ("(-uniform(0.5 -0.1 .. 1 0.2)).x", -1.0, -0.5),
+        ("(2 * uniform(0.5 -0.1 .. 1 0.2) + vector(1, 0)).x", 2.0, 3.0),
+        ("clamp(uniform(0.5 -0.1 .. 1 0.2), 0 .. 0.8).x", 0.5, 0.8),
+        ("choice(1 -5 | 2 5).x", 1.0, 2.0),
+        ("vector(1, gas).x", 1.0, 1.0),
+        ("(1 2 gas).x", 1.0, 1.0),
+        ("sqrt(uniform(0.25 4 .. 1 9)).y", 2.0, 3.0),
+        ("(1 / uniform(1 -4 .. 2 -2)).y", -0.5, -0.25),
+        ("uniform(0.5 -0.1 .. 1 0.2)", -0.1, 1.0),
+        ("min(uniform(0.5 -0.1 .. 1 0.2))", -0.1, 1.0),
+        ("stride.hip", -1.0, 1.0),
+    ],
+)
+def test_the_interval_of_a_component_is_not_that_of_the_whole_vector(bench, text, low, high):
+    assert bench.clean(text, Context.RESET).type.interval == pytest.approx(Interval(low, high))
+
+
+def test_the_position_of_one_joint_of_a_group_keeps_its_own_limits(bench):
+    limits = (Interval(-0.1, 0.1), Interval(0.0, 2.0))
+    legs = Subject("cart.legs", Kind.JOINTS, ("cart.hip", "cart.knee"), dimension=ANGLE, interval=Interval(-0.1, 2.0), intervals=limits)
+    bench.scope.things["cart.legs"] = legs
+    assert bench.clean("joint_position(cart.legs).knee").type.interval == Interval(0.0, 2.0)
+    assert bench.clean("joint_position(cart.legs)").type.interval == Interval(-0.1, 2.0)
 
 
 @pytest.mark.parametrize(

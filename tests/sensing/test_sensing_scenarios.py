@@ -113,6 +113,41 @@ def test_the_known_range_of_a_sensor_is_its_automatic_one(make: Make) -> None:
     assert rows[:, 1] == pytest.approx(2 * rows[:, 0], abs=0.1)
 
 
+ARM = """\
+deepbots: 1
+name: Arm
+world: {timestep: 20 ms, substeps: 4}
+robots:
+  arm:
+    urdf: panda
+    base: fixed
+    joints: {panda_joint1: {range: -1 .. 2 rad}, panda_joint2: {range: -0.1 .. 0.2 rad}}
+    sensors: {angles: {type: joint_position, joints: [panda_joint1, panda_joint2]%s}}
+    actuators: {motor: {type: position_motor, joints: [panda_joint1]}}
+    emit: [angles]
+    apply: {motor: drive * 1 rad}
+action: {drive: -1 .. 1}
+observation: {arm.angles.panda_joint1: auto, arm.angles.panda_joint2: auto, arm.angles: auto}
+reward: {a: 1}
+truncation: {max_steps: 10}
+"""
+
+
+@pytest.mark.parametrize(
+    ("more", "ranges"),
+    [
+        ("", [(-1.0, 2.0), (-0.1, 0.2), (-1.0, 2.0), (-1.0, 2.0)]),
+        (", resolution: 0.2 rad", [(-1.1, 2.1), (-0.2, 0.3), (-1.1, 2.1), (-1.1, 2.1)]),
+        (", noise: 0.1 rad, range: -1 .. 1 rad", [(-1.0, 1.0)] * 4),
+    ],
+)
+def test_one_joint_of_a_sensor_of_several_is_not_observed_in_the_range_of_the_others(more: str, ranges: list[tuple[float, float]]) -> None:
+    program = check(loads(ARM % more, base=Path.cwd())).program
+    assert program is not None
+    ends = [pair for entry in program.policy.observation for pair in zip(entry.low, entry.high, strict=True)]
+    assert ends == [pytest.approx(pair) for pair in ranges]
+
+
 def test_the_same_seed_gives_the_same_readings(make: Make) -> None:
     world = make("{type: joint_position, joint: slider, noise: uniform(1 .. 5 cm), latency: uniform(0 .. 60 ms)}")
     first = seen(world, 30)
