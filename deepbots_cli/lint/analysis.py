@@ -277,6 +277,14 @@ class Analysis:
 
     # Equal quantities
 
+    def own_contacts(self, node: Scalar) -> list[str]:
+        """The contacts between links of one robot, which are never true: links of one robot do not touch each other."""
+        found = [part for part in self.walk_definitions(node) if isinstance(part, World) and part.function == "contact"]
+        owners = [(part, {name.partition(".")[0] for name in part.subjects}) for part in found]
+        copies = self.program.policy.copies
+        robots = self._robots.keys() - {copies.robot if copies else ""}  # a copy may touch another one
+        return sorted({f"contact({', '.join(part.subjects)})" for part, of in owners if len(of) == 1 and of <= robots})
+
     def identity(self, node: Scalar) -> int:
         """A number that two trees share if they mean the same quantity."""
         known = self._identities.get(id(node))

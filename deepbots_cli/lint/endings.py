@@ -33,7 +33,8 @@ def never_true(context: RuleContext) -> Iterator[Finding]:
     """DB801: an ending can never hold.
 
     For example, the joint has a stop before the limit, a distance would have to be negative, or an angle in degrees is compared in
-    radians. Episodes then run to the time limit.
+    radians. Episodes then run to the time limit. A contact between two links of one robot, which never touch each other, is reported
+    wherever an ending uses it.
 
     Example::
 
@@ -52,6 +53,9 @@ def never_true(context: RuleContext) -> Iterator[Finding]:
             headline = f"`{ending.value.name}` can never hold"
             notes = tuple(_reasons(context.analysis, ending))
             yield Finding("DB801", ending.value.span, headline, help="correct the condition, or remove the ending", notes=notes)
+        elif own := [] if ending.foreign else context.analysis.own_contacts(context.analysis.scalars(ending.value)[0]):
+            headline = f"`{own[0]}` is never true: links of one robot do not touch each other"
+            yield Finding("DB801", ending.value.span, headline, help="ask for `clearance(...)` between the two links")
 
 
 def _truth_over_episode(analysis: Analysis, ending: Ending) -> Interval:

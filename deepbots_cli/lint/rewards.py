@@ -203,7 +203,8 @@ def dominating_term(simulation: Simulation) -> Iterator[Finding]:
 def inactive_term(context: RuleContext) -> Iterator[Finding]:
     """DB704: a term of the reward is zero in every step.
 
-    Its condition never holds, it is a difference of constants, or it has a factor of zero. A term that is written as 0, or is
+    Its condition never holds, it is a difference of constants, or it has a factor of zero. A contact between two links of one robot
+    never holds, since they do not touch each other, and is reported wherever a term uses it. A term that is written as 0, or is
     multiplied by a parameter of 0, is disabled on purpose, and is not reported.
 
     Example::
@@ -215,7 +216,12 @@ def inactive_term(context: RuleContext) -> Iterator[Finding]:
         reward: {alive: 1, upright: 1 when abs(cart.pole_angle) < 5 deg}
     """
     inactive = [_always_zero(analysis) for analysis in context.versions]
+    touching = {term.name: context.analysis.own_contacts(node) for term, node in context.analysis.reward.terms}
     for term in context.program.policy.reward:
+        if touching.get(term.name):
+            headline = f"`{touching[term.name][0]}` is never true: links of one robot do not touch each other"
+            yield Finding("DB704", term.span, headline, help="ask for `clearance(...)` between the two links")
+            continue
         if all(term.name in names for names in inactive) and not _is_turned_off(term.typed, context.analysis):
             headline = f"`{term.name}` is zero in every step"
             yield Finding("DB704", term.span, headline, help="remove the term, or correct its condition")
