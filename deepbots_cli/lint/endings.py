@@ -55,7 +55,7 @@ def never_true(context: RuleContext) -> Iterator[Finding]:
             yield Finding("DB801", ending.value.span, headline, help="correct the condition, or remove the ending", notes=notes)
         elif own := [] if ending.foreign else context.analysis.own_contacts(context.analysis.scalars(ending.value)[0]):
             headline = f"`{own[0]}` is never true: links of one robot do not touch each other"
-            yield Finding("DB801", ending.value.span, headline, help="ask for `clearance(...)` between the two links")
+            yield Finding("DB801", ending.value.span, headline, help="compare `clearance(...)` of the two links with a distance")
 
 
 def _truth_over_episode(analysis: Analysis, ending: Ending) -> Interval:

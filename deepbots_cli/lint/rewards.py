@@ -220,7 +220,7 @@ def inactive_term(context: RuleContext) -> Iterator[Finding]:
     for term in context.program.policy.reward:
         if touching.get(term.name):
             headline = f"`{touching[term.name][0]}` is never true: links of one robot do not touch each other"
-            yield Finding("DB704", term.span, headline, help="ask for `clearance(...)` between the two links")
+            yield Finding("DB704", term.span, headline, help="compare `clearance(...)` of the two links with a distance")
             continue
         if all(term.name in names for names in inactive) and not _is_turned_off(term.typed, context.analysis):
             headline = f"`{term.name}` is zero in every step"
