@@ -89,8 +89,8 @@ def diagnose(training: TrainingEvidence) -> list[Statement]:
 def has_learned(t: TrainingEvidence) -> Literal["exploring", "evaluated"] | None:
     """Whether the policy has learned the task, in the episodes of the training or only in evaluations, which do not explore.
 
-    The task is the scenario itself, or the last stage of its curriculum. The task is not learned if an evaluation after the training excludes
-    it. In a scenario without `solved`, the task is learned from a success rate of 80 % on.
+    The task is the scenario itself, or the last stage of its curriculum. The task is not learned if an evaluation after the training
+    excludes it. In a scenario without `solved`, the task is learned from a success rate of 80 % on.
     """
     solved, succeeds = t.run.program.solved, t.run.program.defines_success
     final = SuccessRate([each.is_success for each in t.final_episodes])
