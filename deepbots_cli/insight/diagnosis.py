@@ -6,7 +6,6 @@ learning impossible comes before what often does, and both before what may only 
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Sequence
 from itertools import combinations
@@ -50,6 +49,7 @@ from deepbots_cli.insight.statements import (
 from deepbots_cli.insight.trace import Array, Trace
 from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, lint_findings, returns_rise
 from deepbots_cli.learning.defaults import default_values, longest_episode
+from deepbots_cli.learning.report import longer_goal
 from deepbots_cli.program.task import ActionRange, Choices, Observation
 
 _SAME_TOLERANCE = 1e-6  # numbers of the observation, from -1 to 1, that differ by less are equal
@@ -446,8 +446,8 @@ def too_few_steps(t: TrainingEvidence) -> Numbers | None:
 
 
 def _length(t: TrainingEvidence) -> dict[str, Any]:
-    """How long a training is, and how to train on; a number of steps has two digits that are not 0."""
-    more = max(t.planned, math.ceil(2 * t.steps / (unit := 10 ** max(0, len(str(2 * t.steps)) - 2))) * unit)
+    """How long a training is, and how to train on."""
+    more = max(t.planned, longer_goal(t.steps))
     advice = f"Train on: deepbots train --resume {quote(str(t.run.path))} --timesteps {more}"
     if t.is_running:
         advice = f"Let it run: {t.steps:,} of {t.run.record.total_timesteps:,} steps are made."
