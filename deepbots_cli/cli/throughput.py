@@ -144,7 +144,7 @@ class FasterEngine:
         )
 
 
-def engine_speeds(program: Program, used: str, *, seconds: float = 0.15, seed: int = 0, allow_code: bool = False) -> dict[str, float]:
+def engine_speeds(program: Program, used: str, *, seconds: float = 0.05, seed: int = 0, allow_code: bool = False) -> dict[str, float]:
     """Steps of one world per second of CPU time in the engine `used`, and in our others that are installed and can hold the world.
 
     Each engine is measured for `seconds` of CPU time; the worlds are built in addition.
@@ -167,7 +167,7 @@ def faster_engine(speeds: Mapping[str, float], used: str) -> FasterEngine | None
 
 
 def note_faster_engine(program: Program, *, allow_code: bool = False) -> None:
-    """Measure for half a second of CPU time, and say in a line if another engine than the default one is faster."""
+    """Measure for about 0.15 s of CPU time, and say in a line if another engine than the default one is faster."""
     if sum(kind.is_installed for kind in ENGINES.own.values()) < 2:
         return
     used = chosen(None)

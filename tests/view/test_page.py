@@ -38,10 +38,15 @@ CAMERA = {"type": "ViewerCameraMessage", "wxyz": (1, 0, 0, 0), "position": (0, -
 """What a browser tells first."""
 
 
+def _client(page):
+    """A browser that reads nothing; with a limit on what waits to be read, closing takes 10 s."""
+    return connect(page.address.replace("http", "ws"), subprotocols=[f"viser-v{viser.__version__}"], max_size=None, max_queue=None)
+
+
 def _run(page, until, seconds=30.0):
     """Serve the page to a client until something holds, and say that it came to hold."""
     end = time.monotonic() + seconds
-    with connect(page.address.replace("http", "ws"), subprotocols=[f"viser-v{viser.__version__}"], max_size=None) as wire:
+    with _client(page) as wire:
         wire.send(msgspec.msgpack.encode(CAMERA))
         page.run(lambda: until() or time.monotonic() > end)
     assert until()
@@ -169,7 +174,7 @@ def test_a_value_that_no_control_offers_changes_nothing_and_prints_nothing(capfd
         wrong = {"driver": ["nobody", 5], "seed": [-1, "x", 1e300], "speed": [0, 99.0, "fast", math.nan], "time": ["explode", [1]]}
         updates = [(handles[name]._impl.uuid, {"value": value}) for name in wrong for value in wrong[name]]
         updates += [(handles["driver"]._impl.uuid, {"props": 5}), ("nothing", {"value": 1}), (handles["seed"]._impl.uuid, {"value": 7})]
-        with connect(page.address.replace("http", "ws"), subprotocols=[f"viser-v{viser.__version__}"], max_size=None) as wire:
+        with _client(page) as wire:
             wire.send(msgspec.msgpack.encode(CAMERA))
             for uuid, update in updates:
                 wire.send(msgspec.msgpack.encode({"type": "GuiUpdateMessage", "uuid": uuid, "updates": update}))

@@ -194,7 +194,7 @@ def _announce(program: Program, seeds: str, timesteps: int | None, *, full: bool
 
 
 _MEASURED_FROM_STEPS = 20_000
-"""Timesteps from which on a training is long enough to measure for half a second which engine is faster."""
+"""Timesteps from which on a training is long enough to measure first which engine is faster."""
 
 
 def _name_faster_engine(program: Program, timesteps: int | None, *, allow_code: bool) -> None:
