@@ -100,8 +100,8 @@ def check_new_folder(folder: Path, *, force: bool) -> None:
         UsageError: As `check_folder`, or it is not empty.
     """
     check_folder(folder)
-    if folder.is_dir() and any(folder.iterdir()):
-        refuse_overwriting(folder, force=force)
+    if not force and folder.is_dir() and any(folder.iterdir()):
+        raise UsageError(f"{folder} is not empty; choose another folder, or replace files of the same name with --force (force=True)")
 
 
 def check_folder(folder: Path) -> None:

@@ -12,14 +12,12 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
-import deepbots_cli
-
 _SAFE_PATH = "PYTHONSAFEPATH"
 
 
 def python_command(module: str, *arguments: str) -> list[str]:
     """The command line that runs `module` of deepbots in a process of its own, together with `python_environment`."""
-    return [sys.executable, "-P", "-m", module, *arguments]
+    return [sys.executable, "-m", module, *arguments]
 
 
 def python_environment(changes: Mapping[str, str] | None = None) -> dict[str, str]:
@@ -27,7 +25,7 @@ def python_environment(changes: Mapping[str, str] | None = None) -> dict[str, st
 
     An empty entry of PYTHONPATH, which is the working directory, is left out.
     """
-    ours = str(Path(deepbots_cli.__file__).parents[1])
+    ours = str(Path(__file__).parents[1])
     path = [*filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep)), ours]
     return {**os.environ, "PYTHONPATH": os.pathsep.join(path), _SAFE_PATH: "1", **(changes or {})}
 

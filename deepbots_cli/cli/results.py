@@ -15,7 +15,7 @@ from deepbots_cli.errors import RunError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.learning.episodes import DrawnBin, Interval, Summary
 from deepbots_cli.learning.report import to_json
-from deepbots_cli.learning.run import POLICY_NAME, EvaluationRecord, Run, TrainingResult
+from deepbots_cli.learning.run import POLICY_NAME, EvaluationRecord, Run, TrainingResult, in_parentheses
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.comparison import GroupResult
@@ -224,7 +224,7 @@ def group_text(group: GroupResult) -> str:
             f"over {count} seed{'' if count == 1 else 's'}",
             row_as_lines(rows),
             *notes,
-            *(f"made with: {words}" for words in dict.fromkeys(words for each in group.evaluations for words in each.remarks)),
+            *(f"note: {words}" for words in dict.fromkeys(words for each in group.evaluations for words in each.remarks)),
         ]
     )
 
@@ -261,7 +261,7 @@ def robustness_text(found: Robustness) -> str:
     return "\n".join(
         [
             f"robustness of {found.run} in {found.scenario}: {found.nominal.episodes} held-out episodes of each level,"
-            f" from seed {found.nominal.seed}{_in_parentheses(found.nominal.circumstances)}",
+            f" from seed {found.nominal.seed}{in_parentheses(found.nominal.circumstances)}",
             f"bar: {'success rate' if is_rate else 'mean return'} of {bar} ({found.bar_source})",
             table(rows),
             "",
@@ -270,10 +270,6 @@ def robustness_text(found: Robustness) -> str:
             *([] if found.nominal_holds else [f"note: the policy is below the bar without any change; set another bar with {option}"]),
         ]
     )
-
-
-def _in_parentheses(words: Sequence[str]) -> str:
-    return f" ({'; '.join(words)})" if words else ""
 
 
 def _against_bar(*, holds: bool, certain: bool) -> str:
@@ -345,7 +341,7 @@ def evaluated_in(result: EvaluationResult) -> dict[str, str]:
         "case": result.case or "",
         "stage": result.stage or "",
         "deterministic": str(int(result.deterministic)),
-        "made_with": "; ".join(result.remarks),
+        "remarks": "; ".join(result.remarks),
     }
 
 

@@ -75,9 +75,10 @@ def counts(text: str) -> list[int]:
 def measure(
     compiled: Compiled, engines: list[str], worlds: list[int], *, steps: int, rounds: int, seed: int, end: float
 ) -> tuple[list[Row], int]:
-    """Time about `steps` steps of worlds with random actions, resets included, for each engine in turn, `rounds` times; the rounds.
+    """Time about `steps` steps of worlds with random actions, resets included, for each engine in turn, `rounds` times.
 
-    Where a second or later round would end after `end` (s, as `time.perf_counter`), it is left out.
+    Returns the rows of the table, and the number of rounds that were measured. A second or later round that would end after `end` (s, as
+    `time.perf_counter`) is left out.
     """
     cases = [(name, count) for name in engines for count in (worlds if name == BATCH else [1])]
     found: dict[tuple[str, int], list[Row]] = {case: [] for case in cases}
@@ -167,8 +168,11 @@ def faster_engine(speeds: Mapping[str, float], used: str) -> FasterEngine | None
 
 
 def note_faster_engine(program: Program, *, allow_code: bool = False) -> None:
-    """Measure for about 0.15 s of CPU time, and say in a line if another engine than the default one is faster."""
-    if sum(kind.is_installed for kind in ENGINES.own.values()) < 2:
+    """Measure for about 0.15 s of CPU time, and say in a line if another engine is faster than the default one.
+
+    Nothing is measured for a scenario that names its engine.
+    """
+    if program.engine is not None or sum(kind.is_installed for kind in ENGINES.own.values()) < 2:
         return
     used = chosen(None)
     with suppress(DeepbotsError):  # which the command that makes the world reports

@@ -71,7 +71,7 @@ def diagnose(training: TrainingEvidence) -> list[Statement]:
     """
     path = training.run.path
     if not len(training.all_episodes) and not training.has_failed:
-        wait = "wait for it" if training.is_running else f"train it longer, with: deepbots train --resume {path}"
+        wait = "wait for it" if training.is_running else f"train it longer, with: deepbots train --resume {quote(str(path))}"
         raise RunError(f"{path} holds no finished episode yet; {wait}")
     learned = has_learned(training)
     if not (len(training.episodes) or training.has_failed):
@@ -93,13 +93,18 @@ def has_learned(t: TrainingEvidence) -> Literal["exploring", "evaluated"] | None
     excludes it. In a scenario without `solved`, the task is learned from a success rate of 80 % on.
     """
     solved, succeeds = t.run.program.solved, t.run.program.defines_success
+    required = 0.8 if solved is None else solved.success_rate or 0.0
+
+    def suffices(successes: Sequence[float]) -> bool:
+        """In a scenario without `solved`."""
+        return solved is None and succeeds and len(successes) >= MIN_EPISODES and fmean(successes) >= required
+
     final = SuccessRate([each.is_success for each in t.final_episodes])
-    excluded = bool(final.episodes >= MIN_EPISODES and succeeds and final.high < (0.8 if solved is None else solved.success_rate or 0.0))
-    late = t.episodes.successes[-100:] if t.is_last_stage and solved is None and succeeds else ()
-    if not excluded and (t.solved_while_exploring or (len(late) >= MIN_EPISODES and fmean(late) >= 0.8)):
+    excluded = succeeds and final.episodes >= MIN_EPISODES and final.high < required
+    if not excluded and (t.solved_while_exploring or (t.is_last_stage and suffices(t.episodes.successes[-100:]))):
         return "exploring"
     last = t.last_successes if t.is_last_stage else [each.is_success for each in t.final_episodes]
-    return "evaluated" if t.solved or (solved is None and succeeds and len(last) >= MIN_EPISODES and fmean(last) >= 0.8) else None
+    return "evaluated" if t.solved or suffices(last) else None
 
 
 # Faults
@@ -306,8 +311,8 @@ def learning_rate_too_high(t: TrainingEvidence) -> Numbers | None:
 
 
 def exploration_hides_success(t: TrainingEvidence) -> Numbers | None:
-    """Without exploration the policy succeeds in {without} of its last evaluations{where}, and while it explored in {with} at the end of
-    the training: the exploration prevents the success.
+    """Without exploration, the policy succeeds in {without} of its last evaluations{where}. With exploration, it succeeds in {with} at the
+    end of the training. The exploration prevents the success.
 
     Try: {remedy}, or loosen what the success requires. The policy is good as it is: `deepbots view`, `eval` and `export` do not explore.
     """
@@ -315,15 +320,15 @@ def exploration_hides_success(t: TrainingEvidence) -> Numbers | None:
     if found is None:
         return None
     counts = until is not None and until.episodes is not None and until.metric != "steps"
-    remedies = [*(["let the next stage begin by evaluations, with `in evaluation` in its `until`"] if counts else []), *exploration(t, 0.1)]
-    remedy = " and ".join(remedies) or "shorten the time that the success has to last"
+    by_evaluation = ["let the next stage begin by evaluations, with `in evaluation` in its `until`"] if counts else []
+    remedy = " and ".join([*by_evaluation, *_exploration_changes(t, 0.1)]) or "shorten the time that the success has to last"
     return {"likelihood": 0.94, "without": found[0], "with": found[1], "where": f" in stage '{t.stage}'" if t.stage else "",
-            "remedy": remedy[0].upper() + remedy[1:]}  # fmt: skip
+            "remedy": _sentence(remedy)}  # fmt: skip
 
 
 def exploration_delays_stage(t: TrainingEvidence) -> Numbers | None:
     """Stage '{stage}' went on for {delay} steps after its evaluations had reached {criterion}, because exploration kept the episodes of
-    the training below it: {success} of these evaluations without exploration.
+    the training below it. Without exploration, the policy succeeds in {success} of these evaluations.
 
     Try: Let the next stage begin by evaluations, with `in evaluation` in its `until`.
     """
@@ -342,23 +347,27 @@ def exploration_delays_stage(t: TrainingEvidence) -> Numbers | None:
     return worst or None
 
 
-def exploration(t: TrainingEvidence, factor: float) -> list[str]:
+def _sentence(words: str) -> str:
+    return words[0].upper() + words[1:]
+
+
+def _exploration_changes(t: TrainingEvidence, factor: float) -> list[str]:
     """How to change the options for exploration that the algorithm has, with their present and proposed values."""
-    found, settings = [], t.settings
-    weight, noise = t.number_setting("ent_coef"), getattr(settings.get("action_noise"), "sigma", None)
+    found, settings, verb = [], t.settings, "raise" if factor > 1 else "lower"
+    weight, chance = t.number_setting("ent_coef"), t.number_setting("exploration_final_eps")
+    noise = getattr(settings.get("action_noise"), "sigma", None)
     if weight is not None and (weight or factor > 1):
-        wanted = weight * factor or 0.01
-        found.append(f"{'raise' if factor > 1 else 'lower'} `train.ent_coef` from {weight:g} to {wanted:.2g}")
+        found.append(f"{verb} `train.ent_coef` from {weight:g} to {weight * factor or 0.01:.2g}")
     elif isinstance(settings.get("ent_coef"), str):
         size = sum(len(part.names) for part in t.program.policy.action if isinstance(part, ActionRange))
         found.append(f"set `train.target_entropy` from {settings.get('target_entropy')} to {-size * (0.5 if factor > 1 else 2):g}")
-    if noise is not None:
+    if noise is not None and (noise.end or factor > 1):
         now = f"{noise.start:g}" if noise.start == noise.end else f"{noise.start:g} -> {noise.end:g}"
-        wanted = 0.3 if factor > 1 else 0.1 * noise.end or 0.01
-        found.append(f"{'raise' if factor > 1 else 'lower'} `sigma` of `train.action_noise` from {now} to {noise.start:g} -> {wanted:.2g}")
-    if (chance := t.number_setting("exploration_final_eps")) is not None:
-        wanted = min(0.3, 3 * chance or 0.1) if factor > 1 else 0.1 * chance
-        found.append(f"{'raise' if factor > 1 else 'lower'} `train.exploration_final_eps` from {chance:g} to {wanted:.2g}")
+        wanted = "0.3" if factor > 1 else f"{noise.start:g} -> {0.1 * noise.end:.2g}"
+        found.append(f"{verb} `sigma` of `train.action_noise` from {now} to {wanted}")
+    if chance is not None and (chance or factor > 1):
+        wanted_chance = min(0.3, 3 * chance or 0.1) if factor > 1 else 0.1 * chance
+        found.append(f"{verb} `train.exploration_final_eps` from {chance:g} to {wanted_chance:.2g}")
     return found
 
 
@@ -395,10 +404,9 @@ def exploration_collapsed(t: TrainingEvidence) -> Numbers | None:
 
     Try: {remedy}.
     """
-    rate, remedies = t.number_setting("learning_rate"), exploration(t, 10.0)
+    rate, remedies = t.number_setting("learning_rate"), _exploration_changes(t, 10.0)
     remedies += [f"lower `train.learning_rate` from {rate:g} to {rate / 3:.1g}"] if rate is not None else []
-    remedy = " or ".join(remedies) or "raise the noise of the algorithm"
-    remedy = remedy[0].upper() + remedy[1:]
+    remedy = _sentence(" or ".join(remedies) or "raise the noise of the algorithm")
     sigma = getattr(getattr(t.settings.get("action_noise"), "sigma", None), "start", None)
     if sigma == 0:
         return {"likelihood": 0.85, "measure": "the standard deviation of the action noise", "value": 0.0, "least": 0.1, "steps": t.steps,
@@ -448,9 +456,9 @@ def too_few_steps(t: TrainingEvidence) -> Numbers | None:
 def _length(t: TrainingEvidence) -> dict[str, Any]:
     """How long a training is, and how to train on."""
     more = max(t.planned, longer_goal(t.steps))
-    advice = f"Train on: deepbots train --resume {quote(str(t.run.path))} --timesteps {more}"
+    advice = f"Train on: deepbots train --resume {quote(str(t.run.path))} --timesteps {more:_}"
     if t.is_running:
-        advice = f"Let it run: {t.steps:,} of {t.run.record.total_timesteps:,} steps are made."
+        advice = f"Let it run: {t.steps:,} of {t.run.record.total_timesteps:,} steps have been made."
     return {"steps": t.steps, "episodes": len(t.all_episodes), "planned": t.planned, "share": Percentage(t.steps / t.planned), "more": more,
             "advice": advice}  # fmt: skip
 

@@ -32,7 +32,7 @@ from deepbots_cli.insight.card import render_template
 from deepbots_cli.insight.training import lint_findings
 from deepbots_cli.learning.episodes import UNBOUNDED, Episode
 from deepbots_cli.learning.group import Group, is_group
-from deepbots_cli.learning.run import EvaluationWithEpisodes, Run, is_training
+from deepbots_cli.learning.run import EvaluationWithEpisodes, Run, in_parentheses, is_training
 from deepbots_cli.learning.verdict import RunVerdict, quoted_episodes, run_verdict
 from deepbots_cli.program.world import WorldModel
 from deepbots_cli.view import pictures, plots, trajectories
@@ -168,11 +168,11 @@ class Report:
             text += ", success rate " + _seed_statistics("{:.1%}", rates, (0.0, 1.0))
         answers = [member.verdict.solved for member in self.runs]
         solved = f"; {answers.count(True)} solved" if None not in answers else ""
-        made_with = "; ".join(dict.fromkeys(words for each in found for words in each.remarks))
+        remarks = in_parentheses(words for each in found for words in each.remarks)
         fewest, most = min(each.episodes for each in found), max(each.episodes for each in found)
         counts = f"{most:,}" if fewest == most else f"{fewest:,} to {most:,}"
         seeds = f"{len(found)} seed{'s' * (len(found) > 1)}"
-        return f"{text}, over {seeds} with {counts} held-out episodes each{made_with and f' ({made_with})'}{solved}"
+        return f"{text}, over {seeds} with {counts} held-out episodes each{remarks}{solved}"
 
     def choose_episodes(self, count: int = _MAX_TRACED_EPISODES) -> list[ReportEpisode]:
         """Episodes at equal distances in the order of their returns, of which the first, the middle and the last have a label."""

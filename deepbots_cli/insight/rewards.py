@@ -147,7 +147,7 @@ def _stays_near(trace: Trace) -> bool:
 
 
 def reward_apart_from_success(t: TrainingEvidence) -> Numbers | None:
-    """The reward and the success go apart: {how}.{rising}
+    """A higher return does not mean more success: {how}.{rising}
 
     Try: Let a success earn more than anything that an episode can collect without it, and weaken the terms that pay for something else.
     """
@@ -160,10 +160,10 @@ def reward_apart_from_success(t: TrainingEvidence) -> Numbers | None:
         return None
     rates = [SuccessRate(part.successes) for part in (t.episodes_between(0.0, 0.25), t.episodes_between(0.75, 1.0))]
     rise, term = returns_rise(t), _rising_term(t)
-    rising = f" '{term}' rises most, from {_ends(t, term)[0]:.3g} to {_ends(t, term)[1]:.3g} an episode." if term else ""
+    rising = "" if term is None else f" '{term[0]}' rises most, from {term[1]:.3g} to {term[2]:.3g} an episode."
     error = 2 * float(np.hypot(won.std() / np.sqrt(len(won)), lost.std() / np.sqrt(len(lost))))
     numbers = {"return_of_success": float(won.mean()), "return_without": float(lost.mean()), "early": rates[0], "late": rates[1],
-               "term": term, "rising": rising}  # fmt: skip
+               "term": term[0] if term else "", "rising": rising}  # fmt: skip
     if won.mean() < lost.mean() - error:
         how = f"{len(won):,} episodes with a success return {won.mean():.3g} on average, and {len(lost):,} without it {lost.mean():.3g}"
         return {**numbers, "likelihood": 0.925, "how": how}
@@ -183,11 +183,11 @@ def _ends(t: TrainingEvidence, term: str) -> tuple[float, float]:
     return (float(curve[:quarter].mean()), float(curve[-quarter:].mean())) if len(curve) else (0.0, 0.0)
 
 
-def _rising_term(t: TrainingEvidence) -> str:
-    ends = {term.name: _ends(t, term.name) for term in t.program.policy.reward}
-    gains = {name: last - first for name, (first, last) in ends.items()}
-    name = max(gains, key=lambda each: gains[each], default="")
-    return name if name and gains[name] > 0 else ""
+def _rising_term(t: TrainingEvidence) -> tuple[str, float, float] | None:
+    """The reward term that rises most, with its mean in the first and in the last quarter."""
+    ends = [(term.name, *_ends(t, term.name)) for term in t.program.policy.reward]
+    found = max(ends, key=lambda each: each[2] - each[1], default=None)
+    return found if found is not None and found[2] > found[1] else None
 
 
 def silent_terms(t: TrainingEvidence) -> Numbers | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from statistics import fmean
 from typing import Any
@@ -28,7 +29,7 @@ _CHANCE = 1e-4  # of a value that has nothing to do with success to be named, ov
 
 
 def present_stage(t: TrainingEvidence) -> Numbers | None:
-    """The training stands in stage '{stage}', number {number} of {count}, since step {since} of {steps}. {evaluated}{ends}"""
+    """The training is in stage '{stage}' ({number} of {count}), which began at step {since} of {steps}. {evaluated}{ends}"""
     if not t.stages:
         return None
     done, late = SuccessRate(t.late_evaluations), t.late_evaluations
@@ -78,7 +79,7 @@ def _measured(episodes: Any, until: Criterion) -> Any:
 
 def _until(until: Criterion, value: float, *, in_evaluation: bool = False) -> str:
     """The key with another threshold, as the scenario writes it."""
-    threshold = f"{100 * value:.0f} %" if until.metric == "success_rate" else f"{value:.4g}"
+    threshold = f"{math.floor(100 * value + 1e-9)} %" if until.metric == "success_rate" else f"{value:.4g}"
     counted = "in evaluation" if in_evaluation or until.episodes is None else f"over {until.episodes} episodes"
     return f"`until: {until.metric} >= {threshold} {counted}`"
 
@@ -101,8 +102,8 @@ def stage_changes(t: TrainingEvidence) -> str:
 
 
 def stage_too_hard(t: TrainingEvidence) -> Numbers | None:
-    """The step to stage '{stage}' is too hard: stage '{before}' succeeded in {success_before} at its end, and '{stage}' in {success} since
-    half of its {steps} steps.
+    """The step to stage '{stage}' is too hard: episodes of stage '{before}' succeeded in {success_before} at its end, and those of
+    '{stage}' in {success} in the second half of its {steps} steps.
 
     Try: Add a stage between the two, with values between theirs{changes}, or let '{stage}' begin nearer to its success.
     """
@@ -207,8 +208,8 @@ def plateau(t: TrainingEvidence) -> tuple[int, float, float] | None:
     chance = [0.5 * np.sqrt(0.25 / len(part) + 0.25 / len(quarters[2])) for part in quarters]
     if rates[2] - rates[1] > 0.05 + chance[1] or rates[2] - rates[0] > 0.1 + chance[0] or fmean(rates[1:]) > 0.9:
         return None
-    middle = t.first_step + 0.5 * t.stage_steps
-    early = [float(s) for each in t.evaluations if middle > each.get("steps", np.inf) > middle / 2 for s in each["successes"]]
+    quarter, middle = (t.first_step + share * t.stage_steps for share in (0.25, 0.5))
+    early = [float(s) for each in t.evaluations if quarter < each.get("steps", np.inf) < middle for s in each["successes"]]
     if early and t.late_evaluations and fmean(t.late_evaluations) > max(0.9, fmean(early) + 0.15):
         return None
     bins = [t.episodes_by_steps(k / _BINS, (k + 1) / _BINS).successes for k in range(_BINS)]
@@ -292,9 +293,9 @@ def _is_apart(bins: Sequence[DrawnBin]) -> bool:
 
 
 def _range(part: DrawnBin) -> str:
-    if isinstance(part.low, str) or isinstance(part.high, str) or part.low == part.high:
-        return f"{part.low:.3g}" if isinstance(part.low, float | int) else str(part.low)
-    return f"from {part.low:.3g} to {part.high:.3g}"
+    if isinstance(part.low, str) or isinstance(part.high, str):
+        return str(part.low)
+    return f"{part.low:.3g}" if part.low == part.high else f"from {part.low:.3g} to {part.high:.3g}"
 
 
 def _bin_rate(part: DrawnBin) -> str:

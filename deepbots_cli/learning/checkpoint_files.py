@@ -1,8 +1,7 @@
 """The files of a checkpoint: what `state.json` and the arrays may hold, and how they are read.
 
-A run may come from someone else, and a checkpoint is read into an algorithm that believes its own state. So every number has bounds
-here, and an array must have the dtype and the shape of the one that it replaces, which is compared before the array is read.
-Nothing is unpickled.
+A run may come from someone else, and Stable-Baselines3 does not check its state. Therefore every number has bounds here, and an array
+must have the dtype and the shape of the one that it replaces, which are compared before the array is read. Nothing is unpickled.
 """
 
 from __future__ import annotations
@@ -49,7 +48,7 @@ Place = Annotated[int, Field(ge=0, le=_WORDS)]
 
 
 class _Part(BaseModel, strict=True, extra="forbid", allow_inf_nan=False):
-    """Of a checkpoint."""
+    """Base of the models of a checkpoint."""
 
 
 class NumpyScalar(_Part):
@@ -103,7 +102,7 @@ class EpisodeInfo(_Part):
 
 
 CounterName = Literal["num_timesteps", "_episode_num", "_n_updates", "_n_calls", "_current_progress_remaining", "exploration_rate"]
-"""Attributes of an algorithm of Stable-Baselines3, of which each has some."""
+"""Counters of Stable-Baselines3; each algorithm has some of them."""
 
 
 class CheckpointState(_Part):
@@ -122,8 +121,8 @@ class CheckpointState(_Part):
     observed: Text
     """The fingerprint of the last observations."""
     counts: dict[CounterName, Count | float]
-    infos: Annotated[list[EpisodeInfo], Field(max_length=10_000)]
-    successes: Annotated[list[bool], Field(max_length=10_000)]
+    infos: list[EpisodeInfo]
+    successes: list[bool]
     pending: tuple[dict[Text, bool | Number | str | None], dict[Text, Count], dict[Text, list[Text]]]
     """What was recorded for the logger and is not yet written: values, their numbers, and where they are left out."""
     action_space: GeneratorState

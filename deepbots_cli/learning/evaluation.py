@@ -40,7 +40,7 @@ from deepbots_cli.learning.episodes import (
     zero_action,
 )
 from deepbots_cli.learning.failures import FailureRecorder
-from deepbots_cli.learning.run import ModelName, Run, remark_on_episodes
+from deepbots_cli.learning.run import ModelName, Run, in_parentheses, remark_on_episodes
 from deepbots_cli.learning.verdict import circumstances, solved_verdict
 from deepbots_cli.lint.rewards import possible_returns
 from deepbots_cli.program import Program, identity
@@ -339,14 +339,13 @@ def _result(
         case=case,
         stage=stage,
     )
-    made_with = "; ".join((*differences, *remark_on_episodes(len(done), planned, None)))
     return EvaluationResult(
         run=run.path,
         scenario=program.name,
         model=model,
         success_defined=program.defines_success,
         solved=solved,
-        verdict=f"{verdict} ({made_with})" if made_with else verdict,
+        verdict=verdict + in_parentheses((*differences, *remark_on_episodes(len(done), planned, None))),
         circumstances=differences,
         engine=engine,
         case=case,

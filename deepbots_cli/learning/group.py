@@ -142,7 +142,8 @@ class GroupTraining:
 
     @property
     def interrupted(self) -> bool:
-        return bool(self.waiting)
+        """Whether a stop was asked for, also in the last roll-out of the last seed, which leaves no seed waiting."""
+        return bool(self.waiting) or any(result.stop_requested for result in self.trained)
 
 
 OnSeed = Callable[[int, int, int], object]

@@ -36,10 +36,9 @@ class ListedRun:
     """A run or a group, from its files.
 
     Of a group, `mean_return` and `success_rate` are means over the runs that have one, `steps` and `cpu_seconds` are sums, and `runs` are
-    its members. `score` says what the return and the success rate are of: `evaluation` is the evaluation of the best model in the
-    scenario of the training with the most episodes, `evaluated_episodes`, since the training ended, and `remarks` what differs from a
-    whole one; `training` the recent episodes of the
-    training, of which the policy explores.
+    its members. `score` says what the return and the success rate are of. `evaluation`: the quoted evaluation (`quoted_evaluation`) of
+    `evaluated_episodes` episodes; `remarks` say how it differs from a usual one. `training`: the recent episodes of the training, in
+    which the policy explores.
     `settings` are the assignments of `--set`. `success_rate` is None where the scenario defines no success. `solved` is that of
     `run_verdict`. Of a run that trains, `cpu_seconds` is as old as its last checkpoint. `updated` is a time in UTC,
     `problem` why the files cannot be read.

@@ -329,16 +329,16 @@ def _mass(root: MappingNode, program: Program, name: str | None) -> tuple[str, C
         if link.inertial is not None and link.inertial.mass > 0
     }
     links = {link: mass for link, (mass, is_fixed) in heavy.items() if not is_fixed}
-    loose = {body.name for body in program.world.objects if not body.fixed}
+    fixed = {body.name for body in program.world.objects if body.fixed}
     written = [key for key in _keys(root, "objects") if _text(root, "objects", key, "mass") is not None]
-    objects = [key for key in written if key in loose or not any(body.name == key for body in program.world.objects)]
+    objects = [key for key in written if key not in fixed]
     if name is not None and name not in links and name not in objects:
         reason = (
             f"'{name}' is fixed to the world, so its mass changes no motion"
             if name in heavy or name in written
             else (f"nothing called '{name}' has a mass")
         )
-        raise UsageError(f"{reason}; there are {', '.join([*links, *objects])}")
+        raise UsageError(f"{reason}; choose from: {', '.join([*links, *objects]) or 'nothing here'}")
     chosen = name or max(links, key=lambda link: links[link], default=None)
     if chosen is None:
         return None
@@ -349,13 +349,10 @@ def _mass(root: MappingNode, program: Program, name: str | None) -> tuple[str, C
 
 def _fixed_links(body: RobotBody) -> set[str]:
     """The links that are fixed to the world: the root of a fixed base, and what fixed joints hold to it."""
-    found = {body.model.root} if body.fixed_base else set()
-    waiting = list(found)
-    for link in waiting:
-        held = [joint.child for joint in body.model.joints if joint.parent == link and joint.type == "fixed"]
-        found.update(held)
-        waiting += held
-    return found
+    found = [body.model.root] if body.fixed_base else []
+    for link in found:
+        found += [joint.child for joint in body.model.joints if joint.parent == link and joint.type == "fixed"]
+    return set(found)
 
 
 def _nested(path: Sequence[str], value: Change) -> Change:

@@ -21,7 +21,7 @@ import json
 import platform
 import re
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -376,8 +376,13 @@ class EvaluationRecord(BaseModel):
             text += f" (95 % interval{', from the possible returns:' * equal} {{:.4g}} .. {{:.4g}})".format(*self.return_interval)
         if self.success_rate is not None and self.success_interval is not None:
             text += f", success rate {self.success_rate:.1%} (95 % interval {{:.1%}} .. {{:.1%}})".format(*self.success_interval)
-        made_with = f" ({'; '.join(self.remarks)})" if self.remarks else ""
-        return f"{text}, over {self.episodes:,} held-out episodes from seed {self.seed}{made_with}"
+        return f"{text}, over {self.episodes:,} held-out episodes from seed {self.seed}{in_parentheses(self.remarks)}"
+
+
+def in_parentheses(remarks: Iterable[str]) -> str:
+    """` (a; b)`, each remark once; empty without one."""
+    found = "; ".join(dict.fromkeys(remarks))
+    return f" ({found})" if found else ""
 
 
 def remark_on_episodes(episodes: int, planned: int | None, required: int | None) -> tuple[str, ...]:

@@ -94,11 +94,11 @@ class RunVerdict:
 def run_verdict(path: Path, record: RunRecord) -> RunVerdict:
     """The verdict about a run, from its files. While the run trains, its evaluations are those of older models and do not count."""
     quoted = None if record.status == "running" and is_training(path) else quoted_evaluation(path, record)
-    met_in_training = record.result is not None and record.result.solved_at is not None
+    met_in_training = True if record.result is not None and record.result.solved_at is not None else None
     if quoted is None:
         return RunVerdict(met_in_training, None)
     _, evaluation = quoted
-    return RunVerdict(evaluation.solved if evaluation.solved is not None else met_in_training or None, evaluation)
+    return RunVerdict(met_in_training if evaluation.solved is None else evaluation.solved, evaluation)
 
 
 def quoted_evaluation(path: Path, record: RunRecord) -> tuple[Path, EvaluationRecord] | None:

@@ -16,6 +16,7 @@ from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import EngineError, MissingExtraError, RunError, ScenarioError, UsageError
+from deepbots_cli.learning.episodes import read_log
 from deepbots_cli.port import View
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Choices
@@ -184,7 +185,6 @@ class PolicyDriver(Driver):
         """`rows` are the worlds of a batch, which one forward pass acts in."""
         try:
             from deepbots_cli.learning import evaluation, models
-            from deepbots_cli.learning.episodes import read_log
             from deepbots_cli.learning.run import RunRecord
         except ModuleNotFoundError as error:
             raise MissingExtraError("train", "showing the policy of a run") from error
@@ -196,7 +196,7 @@ class PolicyDriver(Driver):
             models.steps_of,
             RunRecord.read,
         )
-        self._run, self._env, self._rows, self._read_log = run, env, rows, read_log
+        self._run, self._env, self._rows = run, env, rows
         self._model: Any = None
         self._stamp: tuple[int, int] | None = None
         self.begin(None)
@@ -219,7 +219,7 @@ class PolicyDriver(Driver):
 
     def _stage(self) -> str:
         """The stage of the curriculum that the training is in, as its newest episodes say."""
-        rows = self._read_log(self._run.monitor, tail=_TAIL_BYTES)
+        rows = read_log(self._run.monitor, tail=_TAIL_BYTES)
         return f", the training is in stage {rows[-1]['stage']}" if rows and rows[-1].get("stage") else ""
 
     def act(self, observation: Any) -> Any:

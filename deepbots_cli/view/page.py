@@ -545,10 +545,6 @@ class Page:
     def _record(self, client: Any) -> None:
         """Write the episode so far as a recording: the same actions from the same seed are the same episode."""
         assert self.player is not None
-        if self._source.start:
-            if client is not None:
-                client.add_notification("not recorded", "A recording keeps the seed alone; begin without --start.", loading=False)
-            return
         if self._recorded >= MAX_RECORDINGS:
             if client is not None:
                 client.add_notification("not recorded", f"this page has written {MAX_RECORDINGS} recordings; start `deepbots play` again")

@@ -39,10 +39,10 @@ _ROW_HEIGHT = 9  # points; of the names of stages above a panel
 _MAX_LINE, _MAX_TITLE_LINE = 58, 64  # letters of a name below a panel, and of its title
 THEMES = {"light": ("#ffffff", "#202428", "#d5d8dc"), "dark": ("#16181c", "#e4e6ea", "#3c4046")}
 """Background, text and grid."""
-_EPISODE_COLUMNS = (
+_EPISODE_COLUMNS = [
     *((name, float) for name in ("steps", "returns", "lengths", "successes")),
     *((name, object) for name in ("endings", "stages", "drawn")),
-)
+]
 Curve = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Timesteps and values."""
 
@@ -177,7 +177,7 @@ def logs_of(run: Path) -> tuple[Any, list[dict[str, Any]]]:
             raise ValueError("a number is not finite, or a step is negative")
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise RunError(f"{run} is damaged: one of its logs cannot be read") from error
-    return np.array(found, list(_EPISODE_COLUMNS)).view(np.recarray), evaluations
+    return np.array(found, _EPISODE_COLUMNS).view(np.recarray), evaluations
 
 
 def _text(path: Path) -> str:
@@ -281,12 +281,12 @@ def plot(logs: Sequence[TrainingLog], *, theme: str = "light") -> Figure:
     else:
         successes.remove()
         returns.set_subplotspec(returns.get_gridspec()[0, :])
-    styles = term_styles(logs)
+    styles, endings = term_styles(logs), ending_colours(logs)
     for (left, right), members in zip(axes[1:], detailed, strict=True):
         name = f"{members[0].name}: " if len(groups) > 1 else ""
         for term in sorted({term for log in members for term in log.terms}):
             plot_band(left, [log.terms[term] for log in members if term in log.terms], styles[term])
-        plot_endings(right, members, ending_colours(logs))
+        plot_endings(right, members, endings)
         heights.append(
             max(
                 style_panel(left, f"{name}reward terms of an episode", theme, stages=[members]),

@@ -62,7 +62,8 @@ def find_moving(program: Program, world: WorldModel, episodes: Sequence[Position
     """What moves in at least one of these episodes of a program; `world` is that of the environment, with all copies of a robot."""
     parts = dict.fromkeys(part for each in episodes for part in each)
     extents = {part: max(_extent(each[part]) for each in episodes if part in each) for part in parts}
-    subjects = _subjects(program)
+    analysis = Analysis(program).ideal
+    subjects = _subjects(program, analysis)
     found: list[LinkName] = []
     named = {subject.body: None for subject in subjects} | {robot.name: None for robot in program.world.robots}
     for body in named:
@@ -76,7 +77,7 @@ def find_moving(program: Program, world: WorldModel, episodes: Sequence[Position
     moving = [part for part in found if extents[part] >= least] or found[:1]
     objects = {thing.name.partition("#")[0] for thing in world.objects}
     rank = min((subject.rank for subject in subjects if subject.body in objects), default=0)
-    avoided = _avoided(program) if rank else set()
+    avoided = _avoided(program, analysis) if rank else set()
     reached = {subject.body for subject in subjects if subject.rank == rank < 2} - avoided
     standing = [(thing.name, thing.name) for thing in world.objects if thing.name.partition("#")[0] in reached]
     targets = [part for part in extents if not part[0]] + [part for part in standing if part in extents and part not in moving]
@@ -101,9 +102,9 @@ def _extent(points: NDArray[np.float64]) -> float:
     return float(np.linalg.norm(np.ptp(known, axis=0))) if len(known) else 0.0
 
 
-def _subjects(program: Program) -> list[_Subject]:
+def _subjects(program: Program, analysis: Analysis) -> list[_Subject]:
     """What the task reads, each once, in the order of the module's docstring."""
-    analysis, policy = Analysis(program).ideal, program.policy
+    policy = program.policy
     endings = [(0 if ending.outcome == "success" else 2, ending.value) for ending in program.endings]
     goals = [(0, policy.goal.achieved), (2, policy.goal.desired)] if policy.goal else []
     values = [*goals, *endings, *((1, term) for term in policy.reward), *((2, entry.value) for entry in policy.observation)]
@@ -114,9 +115,8 @@ def _subjects(program: Program) -> list[_Subject]:
     return list(found.values())
 
 
-def _avoided(program: Program) -> set[str]:
+def _avoided(program: Program, analysis: Analysis) -> set[str]:
     """The bodies that a failure reads, such as walls that must not be touched."""
-    analysis = Analysis(program).ideal
     failures = [ending.value for ending in program.endings if ending.outcome == "failure"]
     return {body for value in failures for body, _ in _read_by(analysis, value)}
 

@@ -121,7 +121,7 @@ def test_a_project_is_never_written_over_anything(deepbots, tmp_path):
     (tmp_path / "mine" / "notes.txt").write_text("mine\n")
     ran = deepbots("eject", "cartpole", "mine", "--json")
     assert (ran.code, ran.out) == (2, "")
-    assert "already exists; overwrite it with --force" in ran.err
+    assert "mine is not empty; choose another folder, or replace files of the same name with --force" in ran.err
     assert [path.name for path in (tmp_path / "mine").iterdir()] == ["notes.txt"]
 
 

@@ -95,7 +95,7 @@ def test_no_command_overwrites_a_file_without_force(deepbots, tmp_path, words):
         path.write_text("of the user")
     ran = deepbots(*words)
     assert (ran.code, ran.out) == (2, "")
-    assert re.fullmatch(r"error: (mine\S*|cartpole.yaml) already exists; overwrite it with --force .*, or choose another name\n", ran.err)
+    assert re.fullmatch(r"error: ((mine\S*|cartpole.yaml) already exists; overwrite it|mine is not empty; .*) with --force .*\n", ran.err)
     assert [path.read_text() for path in present] == ["of the user"] * len(present)
     assert {path for path in tmp_path.rglob("*") if path.is_file()} == {*present}
 

@@ -185,6 +185,11 @@ def test_two_runs_of_a_scenario_are_compared_on_the_same_starts(deepbots, traine
     assert one["runs"][0]["outcomes"] == other["runs"][0]["outcomes"]
 
 
+def test_robustness_refuses_what_it_would_leave_out(deepbots, trained):
+    ran = deepbots("eval", "mine", "--robustness", "--require-solved")
+    assert (ran.code, ran.err) == (2, "error: --require-solved does not go with --robustness\n")
+
+
 def test_a_gate_without_a_success_is_decided_long_before_the_last_episode(deepbots, tmp_path):
     never = "termination.success={balanced: time > 1 h}"
     assert deepbots(*TINY, "--run", "mine", "--set", never).code == 0
@@ -283,20 +288,20 @@ def test_a_run_is_evaluated_under_other_settings(deepbots, trained):
 def test_a_requirement_met_by_a_changed_criterion_names_the_change_in_every_format(deepbots, trained, tmp_path):
     changed = ("--set", "solved={mean_return: 1, episodes: 4}", "--min-return", "0")
     ran = deepbots("eval", "mine", *changed, "--require-solved", "--junit", "gate.xml", "--csv", "gate.csv")
-    made_with = "(--set 'solved={mean_return: 1, episodes: 4}')"
+    remarks = "(--set 'solved={mean_return: 1, episodes: 4}')"
     assert ran.code == 0
     assert ran.out.splitlines()[-1].startswith("solved: ")
-    assert ran.out.splitlines()[-1].endswith(made_with)
+    assert ran.out.splitlines()[-1].endswith(remarks)
     suite = ElementTree.parse(tmp_path / "gate.xml").getroot()
     assert [case.get("name") for case in suite.iter("testcase")] == [
-        f"the task is solved {made_with}",
-        f"mean return of at least 0 {made_with}",
+        f"the task is solved {remarks}",
+        f"mean return of at least 0 {remarks}",
     ]
     named = {entry.get("name"): entry.get("value") for entry in suite.iter("property")}
     assert (named["run"], named["scenario"], named["set"]) == ("mine", "CartPole", "solved={mean_return: 1, episodes: 4}")
     with (tmp_path / "gate.csv").open(newline="") as stream:
         row = next(csv.DictReader(stream))
-    assert (row["run"], row["set"], row["made_with"]) == ("mine", "solved={mean_return: 1, episodes: 4}", made_with[1:-1])
+    assert (row["run"], row["set"], row["remarks"]) == ("mine", "solved={mean_return: 1, episodes: 4}", remarks[1:-1])
     deepbots("copy", "cartpole")
     deepbots("eval", "mine", "--scenario", "cartpole.yaml", "--min-return", "0", "--episodes", "3", "--junit", "other.xml")
     suite = ElementTree.parse(tmp_path / "other.xml").getroot()

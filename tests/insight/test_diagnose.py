@@ -167,7 +167,7 @@ def test_evaluations_of_an_easy_stage_do_not_count_as_solved(staged):
     assert "stage 'wide', number 1 of 2" in first.text
     assert "`until: success_rate >= 80 % in evaluation`" in first.advice
     text = statements_about((present_stage,), training)[0].text
-    assert "stands in stage 'wide', number 1 of 2, since step 0 of 24,000" in text
+    assert "is in stage 'wide' (1 of 2), which began at step 0 of 24,000" in text
     assert "succeed in 95% (83% to 99%) of 40 episodes" in text
     done = [Episode(1.0, 60, k < 6, "max_steps") for k in range(100)]
     (final,) = [each for each in diagnose(replace(training, final_episodes=done)) if each.cause == "easy_stage_counted"]
@@ -259,6 +259,13 @@ def test_advice_on_exploration_names_options_that_the_algorithm_has(staged, tmp_
     assert "lower `train.ent_coef` from 0.05 to 0.005" in diagnose(_logs(weighted, _returns(good, 0), **logs))[0].advice
 
 
+def test_action_noise_of_zero_is_raised_to_a_number_above_zero(tmp_path):
+    silent = _shuttle(tmp_path, "train={algorithm: TD3, total_timesteps: 24000, action_noise: {type: normal, sigma: 0}}")
+    collapsed = diagnose(_logs(silent, _returns(np.zeros(400), 0)))
+    (advice,) = [each.advice for each in collapsed if each.cause == "exploration_collapsed"]
+    assert "aise `sigma` of `train.action_noise` from 0 to 0.3" in advice
+
+
 def test_a_stage_that_exploration_prolonged_is_named(staged):
     """Its evaluations had reached the criterion long before the episodes of the training did."""
     good = np.concatenate([_outcomes(300, 0.0, 0.5), _outcomes(300, 0.4, 0.4)])
@@ -302,7 +309,7 @@ def test_a_training_that_runs_is_not_told_to_resume(carriage, tmp_path, capsys):
     assert "--resume" not in text
     rising = _returns(np.zeros(100), 0, 5)
     training = replace(_logs(carriage, rising, np.full(100, 60)), is_running=True)
-    assert [each.advice for each in diagnose(training)] == ["Let it run: 6,000 of 128 steps are made."]
+    assert [each.advice for each in diagnose(training)] == ["Let it run: 6,000 of 128 steps have been made."]
     assert main(["diagnose", str(run), "--only-logs"]) == 0
     assert "--resume" in capsys.readouterr().out
 

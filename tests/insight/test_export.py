@@ -195,7 +195,7 @@ def test_a_spoiled_bundle_is_told_in_a_sentence(bundle, tmp_path, capsys, spoil,
 
 def test_nothing_is_overwritten_and_a_group_is_refused(bundle, run, tmp_path, capsys):
     assert main(["export", str(run), "-o", str(bundle)]) == 2
-    assert "already exists; overwrite it with --force" in capsys.readouterr().err
+    assert "is not empty; choose another folder, or replace files of the same name with --force" in capsys.readouterr().err
     (tmp_path / "file").write_text("")
     assert main(["export", str(run), "-o", str(tmp_path / "file" / "new")]) == 2
     assert "is not a directory" in capsys.readouterr().err

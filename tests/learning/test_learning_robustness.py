@@ -83,7 +83,7 @@ def test_the_link_or_object_whose_mass_is_changed_can_be_named(trained: Training
         assert root is not None
         found = dict(plans(root, api.compile(scenario).program, name))
         assert changed_scenario(base, dict(found[f"mass of {name}"])["x 2"]).digest != api.compile(scenario).digest
-    with pytest.raises(UsageError, match=r"nothing called 'cart.poel' has a mass; there are cart\.body, "):
+    with pytest.raises(UsageError, match=r"nothing called 'cart.poel' has a mass; choose from: cart\.body, "):
         evaluate_robustness(trained.run, mass_of="cart.poel", build=stand_in.build)
 
 
@@ -122,7 +122,7 @@ def test_the_mass_of_what_is_fixed_to_the_world_is_not_varied(tmp_path: Path) ->
     assert root is not None
     assert [name for name, _ in plans(root, program) if name.startswith("mass")] == ["mass of arm.rod"]
     for name in ("arm.post", "wall"):
-        with pytest.raises(UsageError, match=f"'{name}' is fixed to the world, so its mass changes no motion; there are arm.rod$"):
+        with pytest.raises(UsageError, match=f"'{name}' is fixed to the world, so its mass changes no motion; choose from: arm.rod$"):
             list(plans(root, program, name))
 
 

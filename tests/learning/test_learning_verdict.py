@@ -53,7 +53,7 @@ def test_an_edited_criterion_does_not_make_a_run_solved(run_copy: Path) -> None:
 def test_an_evaluation_of_an_easy_stage_or_another_scenario_does_not_make_a_run_solved(run_copy: Path, where: dict[str, object]) -> None:
     run = Run.open(run_copy)
     run.write_evaluation(to_json(evaluate(run, episodes=12, build=stand_in.build)) | where | {"solved": True, "episodes": 999})
-    assert not run_verdict(run_copy, run.record).solved
+    assert run_verdict(run_copy, run.record).solved is None
     assert quoted_evaluation(run_copy, run.record) is None
 
 

@@ -45,7 +45,7 @@ def command(
             "--steps",
             metavar="N",
             parser=whole_number(100),
-            help="Steps per measurement; by default as many as fit into 20 s.",
+            help="Steps per measurement; by default as many as fit into 20 s, at most 2,000.",
         ),
     ] = None,
     pairs: Annotated[
@@ -86,8 +86,8 @@ def command(
     timed. The ratio is the time of an environment step divided by the time of its physics. The difference is the cost of messages,
     observation, reward and endings. If another engine steps this world at least 1.5 times as fast, a line names it.
 
-    By default, the measurement takes at most 20 s, or one round of several engines. With more --steps and --pairs, it takes longer, and its
-    ratio repeats more closely.
+    By default, the measurement takes at most 20 s. With several engines, it takes at least one round, however long that is. With more
+    --steps and --pairs, it takes longer, and its ratio repeats more closely.
 
     \b
       deepbots bench cartpole
@@ -154,7 +154,7 @@ def _affordable_steps(per_second: float, pairs: int) -> int:
     `per_second` are steps by the clock.
     """
     runs = 2 * (pairs + 1) + 1
-    return max(100, min(2000, 100 * round(0.0075 * LIMIT_S * per_second / runs)))
+    return max(100, min(2000, 100 * round(0.75 * LIMIT_S * per_second / runs / 100)))
 
 
 @dataclass(frozen=True)

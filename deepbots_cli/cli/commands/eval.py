@@ -34,7 +34,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.files import check_output
 from deepbots_cli.learning import report
 from deepbots_cli.learning.group import Group, is_group
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.run import Run, in_parentheses
 from deepbots_cli.lint.rewards import possible_returns
 from deepbots_cli.program.identity import task_digest
 
@@ -111,7 +111,7 @@ def command(
         typer.Option(
             "--mass-of",
             metavar="NAME",
-            help="Object or ROBOT.LINK whose mass --robustness changes; by default the heaviest that can move.",
+            help="Object or ROBOT.LINK whose mass --robustness changes; by default the heaviest link that can move.",
         ),
     ] = None,
     details: Annotated[
@@ -188,7 +188,7 @@ def command(
       deepbots eval runs/find_ball-0-1 --min-success 90% --junit gate.xml
 
     Next: `deepbots compare RUN RUN` compares policies on the same starts, `deepbots runs RUN` lists its evaluations, and
-    `deepbots train --resume RUN --timesteps N --full` continues the training.
+    `deepbots train --resume RUN --timesteps N` continues the training.
     """
     if episodes == FAILED_EPISODES:
         refused: dict[str, Any] = {
@@ -236,6 +236,8 @@ def command(
         return
     known = Run.open(run)
     if robustness:
+        dropped = {"video": video, "csv": csv, "junit": junit, "baselines": baselines, "details": details, "require-solved": require_solved}
+        _refuse("does not go with --robustness", **dropped)
         changed = with_engine(overrides, several[0])
         _robustness(known, gates, changed, allow_paths or (), scenario, case, stage, as_json=as_json, seed=seed, mass_of=mass_of, **chosen)
         return
@@ -258,7 +260,7 @@ def command(
             terminal.note(f"{video} will show episode 0, which is drawn after the evaluation")
         with terminal.progress("episodes" if name is None else f"episodes in {name}", always=False) as show_episode:
             options = chosen | {"scenario": compiled, "engine": name, "on_episode": show_episode}
-            result = evaluate(known, case=case, stage=stage, video_to=video, force=force or bool(found), until=until, **options)
+            result = evaluate(known, case=case, stage=stage, video_to=video, force=force, until=until, **options)
             alone = case is not None or stage is not None
             cases = () if alone else evaluate_cases(known, stages=details, **options)
             others: Sequence[EvaluationResult] = ()
@@ -416,11 +418,11 @@ class Gates:
 
     def requirements(self, result: EvaluationResult, planned: int) -> list[Requirement]:
         """The answers for a run; a requirement that another one has left undecided is left out."""
-        made_with = _made_with([result])
-        found = [("the task is solved", bool(result.solved), result.verdict.removesuffix(made_with))] if self.solved else []
+        remarks = in_parentheses(result.circumstances)
+        found = [("the task is solved", bool(result.solved), result.verdict.removesuffix(remarks))] if self.solved else []
         answers = self.verdicts(result.outcomes, planned, result.possible_returns)
         found += [(words, verdict.met, verdict.reason) for words, verdict in answers if verdict.met is not None]
-        return [(f"{words}{made_with}", met, reason) for words, met, reason in found]
+        return [(f"{words}{remarks}", met, reason) for words, met, reason in found]
 
     def decided_of_group(self, episodes: Sequence[Episode], planned: int) -> bool:
         """Whether the planned episodes that are left, of all runs together, cannot change the answer to `--min-success`.
@@ -449,13 +451,8 @@ class Gates:
         if self.min_return is not None:
             met = group.mean_return >= self.min_return
             found.append((f"mean return of at least {self.min_return:g}", met, f"mean return {group.mean_return:.4g} {over}"))
-        return [(f"{words}{_made_with(group.evaluations)}", met, reason) for words, met, reason in found]
-
-
-def _made_with(evaluations: Sequence[EvaluationResult]) -> str:
-    """In parentheses, what the evaluations were made with; empty where they are of the best model in the scenario of the training."""
-    found = dict.fromkeys(words for each in evaluations for words in each.circumstances)
-    return f" ({'; '.join(found)})" if found else ""
+        remarks = in_parentheses(words for each in group.evaluations for words in each.circumstances)
+        return [(f"{words}{remarks}", met, reason) for words, met, reason in found]
 
 
 def _evaluate_group(

@@ -78,7 +78,6 @@ def explain_episode(
 
 def _trace(shown: str, episode: int | None, seed: int | None, *, last: bool, allow_code: bool) -> Trace:
     from deepbots_cli.insight import trace
-    from deepbots_cli.learning.run import Run
     from deepbots_cli.view.episodes import Source
 
     path = Path(shown)
@@ -183,7 +182,6 @@ def diagnose(
     Next: `deepbots explain-episode RUN` explains an episode, and docs/diagnose.md every cause.
     """
     from deepbots_cli.learning.group import Group, is_group
-    from deepbots_cli.learning.run import Run
 
     folders = Group.open(run).runs if is_group(run) else [run]
     if not folders:

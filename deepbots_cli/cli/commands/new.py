@@ -99,7 +99,7 @@ def _name_faster_engine(scenario: Path) -> None:
     except ModuleNotFoundError:
         return
     program = api.load(scenario).program
-    if program is not None and program.engine is None:
+    if program is not None:
         throughput.note_faster_engine(program)
 
 
@@ -299,6 +299,7 @@ def write_new(files: Files, folder: Path, *, force: bool = False) -> list[Path]:
         refuse_overwriting(*in_the_way, force=force)
     for path in in_the_way:
         check_writable(path)
+    for path in in_the_way:
         with atomic_write(path) as draft:
             draft.write_bytes(wanted[path])
     begun: list[Path] = []

@@ -49,5 +49,5 @@ def command(
         figure.savefig(draft, format=out.suffix[1:].lower(), dpi=130)
     for log in logs:
         if log.evaluation is not None and log.evaluation.remarks:
-            terminal.note(f"note: the diamond of {log.path} is an evaluation made with: {'; '.join(log.evaluation.remarks)}")
+            terminal.note(f"note: about the evaluation that the diamond of {log.path} shows: {'; '.join(log.evaluation.remarks)}")
     terminal.print_result(f"{out} ({len(logs)} run{'s' * (len(logs) > 1)})")

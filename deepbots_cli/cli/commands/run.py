@@ -223,9 +223,9 @@ def run_episodes(
     left = max_steps
     for number in range(count):
         root = seed if number == 0 else None
-        _, drawn = environment.reset(seed=root, options=options)
+        _, info = environment.reset(seed=root, options=options)
         accumulator, ended = EpisodeAccumulator(), False
-        accumulator.begin(root, drawn)
+        accumulator.begin(root, info)
         while not ended:
             _, reward, terminated, truncated, info = environment.step(policy())
             accumulator.add(reward, info)

@@ -85,7 +85,7 @@ def command(
             if run.problem is not None:
                 terminal.note(f"{run.path.name}: {run.problem}")
             if run.remarks:
-                terminal.note(f"{run.path.name}: its evaluation was made with: {'; '.join(run.remarks)}")
+                terminal.note(f"{run.path.name}: about its evaluation: {'; '.join(run.remarks)}")
     elif scenario is not None or solved or live:
         terminal.note(f"no run in {folder} is so; without options, `deepbots runs` lists all")
     else:
@@ -153,7 +153,7 @@ def _evaluation(number: int, kept: EvaluationRecord) -> Row:
         "number": number,
         "evaluated": kept.evaluated[:16].replace("T", " "),
         "model": kept.model,
-        "made_with": "; ".join(kept.remarks) or kept.elsewhere or kept.case or (f"stage {kept.stage}" if kept.stage else ""),
+        "remarks": "; ".join(kept.remarks) or kept.elsewhere or kept.case or (f"stage {kept.stage}" if kept.stage else ""),
         "episodes": kept.episodes,
         "seed": kept.seed,
         "return": kept.mean_return,

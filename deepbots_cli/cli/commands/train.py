@@ -198,9 +198,9 @@ _MEASURED_FROM_STEPS = 20_000
 
 
 def _name_faster_engine(program: Program, timesteps: int | None, *, allow_code: bool) -> None:
-    """Say which engine steps the world of a scenario without an engine faster than the default one."""
+    """Say which engine steps the world faster than the default one, before a long training."""
     training = program.policy.training
-    if program.engine is None and training is not None and (timesteps or training.total_timesteps) >= _MEASURED_FROM_STEPS:
+    if training is not None and (timesteps or training.total_timesteps) >= _MEASURED_FROM_STEPS:
         from deepbots_cli.cli import throughput
 
         throughput.note_faster_engine(program, allow_code=allow_code)
@@ -258,8 +258,12 @@ def _finish_group(group: GroupTraining, *, quiet: bool, as_json: bool, allow_cod
         raise typer.Exit(INTERRUPTED)
     if not quiet:
         terminal.note("evaluating on held-out episodes, without the exploration of the training, so returns differ ...")
-    with terminal.progress("runs", always=False) as show_run:
-        evaluation = learning.evaluate_group(group.group, allow_code=allow_code, on_run=show_run)
+    try:
+        with terminal.progress("runs", always=False) as show_run:
+            evaluation = learning.evaluate_group(group.group, allow_code=allow_code, on_run=show_run)
+    except KeyboardInterrupt:
+        terminal.note(f"interrupted; the trainings are finished, evaluate their policies with: deepbots eval {quote(str(group.group))}")
+        raise typer.Exit(INTERRUPTED) from None
     for found in evaluation.evaluations:
         results.write_evaluation(Run.open(found.run), with_cases(found, ()))
     if as_json:
@@ -281,7 +285,7 @@ def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, allow_code: b
     """Show the result of the training; unless it was interrupted, evaluate the policy and name the next commands."""
     if not as_json:
         terminal.print_result(results.training_text(result))
-    sys.stdout.flush()  # what ends a process after a while may not let it write later
+    sys.stdout.flush()  # after SIGTERM, the process may be killed at any moment
     if result.stop_requested:
         if as_json:
             terminal.show_json({"training": report.to_json(result), "evaluation": None})

@@ -257,8 +257,8 @@ def picture(
 
     It shows the beginning of an episode, or the world after some steps.
 
-    With --path, it shows the end of an episode, and the paths of the robots and of the objects that the task moves: of an arm, its end
-    link. The view is from above, or from the side where a path climbs.
+    With --path, it shows the end of an episode, and the paths of the robots and of the objects that the task moves. For a
+    robot with a fixed base, it shows the link that the task is about. The view is from above, or from the side where a path climbs.
 
     \b
       deepbots picture find_ball
