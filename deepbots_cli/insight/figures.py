@@ -12,9 +12,10 @@ import numpy as np
 from deepbots_cli import frames
 from deepbots_cli.footprint import bounds_of_shape
 from deepbots_cli.frames import Frame, Triple
-from deepbots_cli.learning.episodes import Episode, by_drawn_value
+from deepbots_cli.learning.episodes import by_drawn_value
 from deepbots_cli.program.world import WorldModel
 from deepbots_cli.robots.model import Cylinder, Sphere
+from deepbots_cli.rollout import Episode
 from deepbots_cli.view.frames import COLOURS, LinkName
 from deepbots_cli.view.plots import (
     THEMES,

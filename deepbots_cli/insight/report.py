@@ -30,11 +30,12 @@ from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.insight import figures
 from deepbots_cli.insight.card import render_template
 from deepbots_cli.insight.training import lint_findings
-from deepbots_cli.learning.episodes import UNBOUNDED, Episode
+from deepbots_cli.learning.episodes import UNBOUNDED
 from deepbots_cli.learning.group import Group, is_group
 from deepbots_cli.learning.run import EvaluationWithEpisodes, Run, in_parentheses, is_training
 from deepbots_cli.learning.verdict import RunVerdict, quoted_episodes, run_verdict
 from deepbots_cli.program.world import WorldModel
+from deepbots_cli.rollout import Episode
 from deepbots_cli.view import pictures, plots, trajectories
 from deepbots_cli.view.episodes import Player, Source
 from deepbots_cli.view.frames import LinkName

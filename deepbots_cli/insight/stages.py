@@ -16,8 +16,9 @@ from deepbots_cli.document.nodes import MappingNode, inline_text
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.insight.statements import Numbers, Percentage, SuccessRate, list_text
 from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, returns_rise
-from deepbots_cli.learning.episodes import DrawnBin, Episode, by_drawn_value
+from deepbots_cli.learning.episodes import DrawnBin, by_drawn_value
 from deepbots_cli.program.task import Criterion
+from deepbots_cli.rollout import Episode
 
 _MIN_QUARTER = 30  # episodes in a quarter of a stage, below which its success rate is too uncertain to be called flat
 _BINS = 20  # parts of a stage in which a plateau is sought

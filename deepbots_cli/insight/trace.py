@@ -23,8 +23,9 @@ from deepbots_cli.insight.conditions import InstrumentedProgram, MeasuredCompari
 from deepbots_cli.learning import failures
 from deepbots_cli.learning.run import ModelName, Run
 from deepbots_cli.program import Program
+from deepbots_cli.rollout import Start, play, steps
+from deepbots_cli.rollout.drivers import sequence_driver
 from deepbots_cli.runtime import Supervisor
-from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.view.episodes import SourceState
 from deepbots_cli.view.frames import value_of_row
 from deepbots_cli.view.recordings import RecordedEpisode, Recording, observation_hash
@@ -173,9 +174,9 @@ def trace_episodes(
     with algorithms.torch_settings(), closing(_world(watch, run.engine_for(run.program), allow_code, draw=bool(films))) as world:
         policy = evaluation.load_model(run, model, world)
         for number in numbers:
-            film, begin = films.get(number), derive_seed(seed, "evaluation", number)
+            film, begin = films.get(number), Start.of_evaluation(seed, number)
             with video.recording_video(world, film, watch.program.period) if film is not None else nullcontext(world) as acted:
-                evaluation.repeat_episode(policy, acted, begin, number, deterministic=deterministic)
+                play(acted, evaluation.PolicyDriver(policy, acted, deterministic=deterministic), begin)
             trace = world.trace(f"episode {number} of {run.path}", notes=run.notes())
             row = list(world.world.agents).index(trace.agent) if trace.agent else None
             observations = [seen if row is None else value_of_row(seen, row) for seen in world.observations[:-1]]
@@ -201,15 +202,13 @@ def trace_recorded(opened: SourceState, episodes: Sequence[RecordedEpisode]) -> 
     assert opened.program is not None  # a recording that does not compile is refused when it is opened
     with closing(_world(instrument_program(opened.program), opened.source.engine, opened.source.allow_code)) as world:
         for recorded in episodes:
-            acting = actions(recording, recorded, world.action_space)
-            observation, _ = world.reset(seed=recorded.seed)
+            again = steps(world, sequence_driver(actions(recording, recorded, world.action_space)), Start(recorded.seed))
             for place in range(len(recorded.steps)):
-                differs = False
                 try:
-                    observation = world.step(next(acting))[0] if place else observation
-                except UsageError:  # the episode has ended, or the action is none of this scenario
-                    differs = True
-                if differs or observation_hash_at(recording, recorded, place) != observation_hash(observation):
+                    step = next(again, None)
+                except UsageError:  # the action is none of this scenario
+                    step = None
+                if step is None or observation_hash_at(recording, recorded, place) != observation_hash(step.observation):
                     reason = "; ".join(version_changes(recording)) or "it was made on another machine, or changed since then"
                     what = f"{recording.path}: the episode differs from its recording at step {place}"
                     raise UsageError(f"{what}, so it cannot be explained here: {reason}")

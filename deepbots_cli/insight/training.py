@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import islice
 from shlex import join, quote
 from statistics import fmean
 from typing import Any
@@ -25,15 +26,16 @@ from deepbots_cli.insight.conditions import instrument_program
 from deepbots_cli.insight.trace import Array, Trace, TraceRecorder
 from deepbots_cli.learning import failures
 from deepbots_cli.learning.defaults import effective_hyperparameters
-from deepbots_cli.learning.episodes import Episode, meets_solved
+from deepbots_cli.learning.episodes import meets_solved
 from deepbots_cli.learning.run import Run, changed_settings, is_training
 from deepbots_cli.learning.verdict import RunVerdict, quoted_episodes, run_verdict
 from deepbots_cli.lint import all_findings
 from deepbots_cli.program import CurriculumStage, Program
 from deepbots_cli.program.task import ActionRange, Choices, Schedule
+from deepbots_cli.rollout import Driver, Episode, Start, steps
+from deepbots_cli.rollout.drivers import action_from_values, constant_driver, random_driver
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.streams import derive_seed
-from deepbots_cli.view.episodes import action_from_values
 from deepbots_cli.view.plots import logs_of, scalars_of
 
 PROBE_EPISODES, PROBE_STEPS, CONSTANT_ACTION_STEPS = 4, 300, 40
@@ -278,16 +280,12 @@ def run_probes(training: TrainingEvidence, *, allow_code: bool = False, on_episo
         total = PROBE_EPISODES * (1 + (still is not None) + (model is not None)) + sum(map(len, constant.values()))
         done = 0
 
-        def episode(seed: int, begin: Callable[[], Callable[[Any], Any]], steps: int = PROBE_STEPS) -> Trace:
+        def episode(seed: int, driver: Driver, count: int = PROBE_STEPS) -> Trace:
             nonlocal done
             error = ""
             try:
-                observation, _ = world.reset(seed=seed)
-                act = begin()
-                for _ in range(steps):
-                    observation, _, terminated, truncated, _ = world.step(act(observation))
-                    if terminated or truncated:
-                        break
+                for _ in islice(steps(world, driver, Start(seed)), count + 1):
+                    pass
             except DeepbotsError as failed:
                 error = str(failed)
             done += 1
@@ -295,18 +293,15 @@ def run_probes(training: TrainingEvidence, *, allow_code: bool = False, on_episo
                 on_episode(done, total)
             return world.trace("a short episode", error=error)
 
-        def fixed(action: Any) -> Callable[[], Callable[[Any], Any]]:
-            return lambda: lambda observation: action
-
-        training.random = [episode(seed, lambda: lambda observation: world.action_space.sample()) for seed in seeds]
+        training.random = [episode(seed, random_driver(world)) for seed in seeds]
         for part, actions in constant.items():
             training.constant_actions[part] = {
-                name: episode(seeds[0], fixed(action), CONSTANT_ACTION_STEPS) for name, action in actions.items()
+                name: episode(seeds[0], constant_driver(action), CONSTANT_ACTION_STEPS) for name, action in actions.items()
             }
         if still is not None:
-            training.idle = [episode(seed, fixed(still)) for seed in seeds]
+            training.idle = [episode(seed, constant_driver(still)) for seed in seeds]
         if model is not None:
-            training.policy = [episode(seed, lambda: evaluation.action_function(model, world)) for seed in seeds]
+            training.policy = [episode(seed, evaluation.PolicyDriver(model, world)) for seed in seeds]
 
 
 def _constant(env: Supervisor) -> dict[str, dict[str, Any]]:

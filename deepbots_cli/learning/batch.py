@@ -15,9 +15,9 @@ from deepbots_cli import api, engines
 from deepbots_cli.codegen import batch_obstacles
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.learning.environments import VectorEnvironment, WorldFactory, last_info
-from deepbots_cli.learning.episodes import Episode
 from deepbots_cli.learning.failures import BatchFailureRecorder
 from deepbots_cli.program import Program
+from deepbots_cli.rollout import Episode
 from deepbots_cli.runtime.batch import BatchStep, BatchSupervisor, EpisodeHistory
 
 MIN_WORLDS = 8

@@ -35,13 +35,14 @@ from deepbots_cli.learning import batch, models
 from deepbots_cli.learning.curriculum import Curriculum
 from deepbots_cli.learning.defaults import effective_hyperparameters
 from deepbots_cli.learning.environments import World, WorldFactory
-from deepbots_cli.learning.episodes import Episode, Statistics, Summary
+from deepbots_cli.learning.episodes import Statistics, Summary
 from deepbots_cli.learning.evaluation import batch_rollout, rollout
 from deepbots_cli.learning.failures import FailureRecorder
 from deepbots_cli.learning.report import LINE_INTERVAL_S, Reporter, TrainingProgress
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Choices, Training, policy_inputs
+from deepbots_cli.rollout import Episode
 from deepbots_cli.runtime.batch import BatchSupervisor
 from deepbots_cli.runtime.streams import derive_seed
 

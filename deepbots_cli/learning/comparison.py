@@ -14,11 +14,12 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.environments import WorldFactory, compiled_scenario
-from deepbots_cli.learning.episodes import Episode, Interval
+from deepbots_cli.learning.episodes import Interval
 from deepbots_cli.learning.evaluation import EvaluationResult, StopCondition, evaluate
 from deepbots_cli.learning.group import Group, is_group
 from deepbots_cli.learning.run import ModelName, Run, run_folders
 from deepbots_cli.learning.statistics import Difference, compare_episodes, compare_seeds, interquartile_mean, mean_interval
+from deepbots_cli.rollout import Episode
 from deepbots_cli.scenario import Scenario
 
 MIN_SEEDS = 3

@@ -10,9 +10,9 @@ from typing import Annotated
 from pydantic import BaseModel, Field, NonNegativeInt
 
 from deepbots_cli.errors import RunError
-from deepbots_cli.learning.episodes import Episode
 from deepbots_cli.program import CurriculumStage, Program
 from deepbots_cli.program.task import Criterion
+from deepbots_cli.rollout import Episode
 
 
 @dataclass(frozen=True)

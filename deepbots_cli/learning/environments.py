@@ -21,9 +21,10 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvO
 
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
-from deepbots_cli.learning.episodes import Episode, EpisodeAccumulator
-from deepbots_cli.learning.failures import FailureRecorder, set_random_state
+from deepbots_cli.learning.failures import FailureRecorder
 from deepbots_cli.program import Program
+from deepbots_cli.rollout import Episode, EpisodeAccumulator
+from deepbots_cli.rollout.episode import set_random_state
 from deepbots_cli.runtime.batch import EpisodeHistory
 from deepbots_cli.scenario import Scenario
 

@@ -8,8 +8,8 @@ import math
 import os
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from itertools import pairwise
 from pathlib import Path
 from statistics import fmean, stdev
@@ -17,10 +17,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import BaseModel, Field, NonNegativeInt
 
-from deepbots_cli.errors import DeepbotsError, RunError
+from deepbots_cli.errors import RunError
 from deepbots_cli.files import unwritable_message
 from deepbots_cli.program.draws import is_of_member
 from deepbots_cli.program.task import Solved
+from deepbots_cli.rollout import Episode
 
 if TYPE_CHECKING:
     from stable_baselines3.common.monitor import ResultsWriter
@@ -37,68 +38,6 @@ _MAX_LINE_BYTES = 64_000
 
 Interval = tuple[float, float]
 UNBOUNDED: Interval = (-math.inf, math.inf)
-
-
-@dataclass(frozen=True)
-class Episode:
-    """One finished episode; `terms` are the reward terms, summed over it.
-
-    Of an evaluation, `seed` is the seed of the reset that it began with, and `drawn` holds what this reset drew, by the place in the
-    scenario, such as `parameters.mark` (SI units; see `Supervisor.reset`).
-    """
-
-    total_return: float
-    length: NonNegativeInt
-    is_success: bool
-    ended_by: str | None
-    terms: Mapping[str, float] = field(default_factory=dict)
-    seed: int | None = None
-    drawn: Mapping[str, float | str] = field(default_factory=dict)
-
-
-class EpisodeAccumulator:
-    """Adds up the running episode."""
-
-    def __init__(self) -> None:
-        self._return = 0.0
-        self._length = 0
-        self._terms: dict[str, float] = {}
-        self._seed: int | None = None
-        self._drawn: Mapping[str, float | str] = {}
-
-    def begin(self, seed: int | None, info: Mapping[str, Any]) -> None:
-        """Note how the episode begins: the seed of the reset, and the info that it returned."""
-        self._seed, self._drawn = seed, info.get("drawn", {})
-
-    def add(self, reward: float, info: Mapping[str, Any]) -> None:
-        """Count one step.
-
-        Raises:
-            DeepbotsError: The reward is not finite; names the terms at fault.
-        """
-        terms = info.get("reward_terms", {})
-        if not math.isfinite(reward):
-            at_fault = ", ".join(name for name, value in terms.items() if not math.isfinite(value)) or "their sum"
-            raise DeepbotsError(f"the reward is no longer finite in step {self._length + 1} of an episode ({at_fault})")
-        self._return += reward
-        self._length += 1
-        sums = self._terms
-        for name, value in terms.items():
-            sums[name] = sums.get(name, 0.0) + value
-
-    def close(self, info: Mapping[str, Any]) -> Episode:
-        """The finished episode, given the info of its last step; the next one begins."""
-        success, ended_by = bool(info.get("is_success", False)), info.get("ended_by")
-        episode = Episode(self._return, self._length, success, ended_by, self._terms, self._seed, self._drawn)
-        self._return, self._length, self._terms, self._seed, self._drawn = 0.0, 0, {}, None, {}
-        return episode
-
-
-def zero_action(world: Any) -> Callable[[], Any]:
-    """A policy that takes the middle of every range, and the first option of every choice."""
-    drawn = world.action_space.sample()
-    action = {key: part * 0 for key, part in drawn.items()} if isinstance(drawn, dict) else drawn * 0
-    return lambda: action
 
 
 class EpisodeLog:

@@ -10,10 +10,9 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,21 +28,14 @@ from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.learning import algorithms, batch, models, video
 from deepbots_cli.learning.environments import VectorEnvironment, World, WorldFactory, compiled_scenario, default_factory, has_copies
-from deepbots_cli.learning.episodes import (
-    UNBOUNDED,
-    DrawnBin,
-    Episode,
-    EpisodeAccumulator,
-    Summary,
-    by_drawn_value,
-    statistics_of,
-    zero_action,
-)
+from deepbots_cli.learning.episodes import UNBOUNDED, DrawnBin, Summary, by_drawn_value, statistics_of
 from deepbots_cli.learning.failures import FailureRecorder
 from deepbots_cli.learning.run import ModelName, Run, in_parentheses, remark_on_episodes
 from deepbots_cli.learning.verdict import circumstances, solved_verdict
 from deepbots_cli.lint.rewards import possible_returns
 from deepbots_cli.program import Program, identity
+from deepbots_cli.rollout import Driver, Episode, EpisodeAccumulator, Start, Step, play, steps
+from deepbots_cli.rollout.drivers import RANDOM, ZERO, named_driver
 from deepbots_cli.runtime.batch import BatchSupervisor
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.scenario import Scenario
@@ -57,9 +49,6 @@ MAX_BATCH_WORLDS = 32
 OnEpisode = Callable[[int, int], None]
 """Is told after each episode how many are done, and of how many."""
 
-
-ActionFunction = Callable[[Any], Any]
-"""Returns the action for an observation."""
 
 StopCondition = Callable[[Sequence[Episode]], bool]
 """Whether the first episodes of an evaluation are enough."""
@@ -220,34 +209,19 @@ def evaluate_baselines(
     known = run if isinstance(run, Run) else Run.open(run)
     judged = None if scenario is None else compiled_scenario(scenario)
     program, count, root = _evaluation_settings(known, episodes, seed, judged, case, stage)
-    seeds = [derive_seed(root, "evaluation", k) for k in range(count)]
     results = []
     engine = engine or known.engine_for(program)
     with closing((build or default_factory(engine, allow_code=allow_code))(program)) as world:
-        random, none, scripted = world.action_space.sample, zero_action(world), world.get_wrapper_attr
-        policies: dict[str, ActionFunction] = {"random": lambda _: random(), "zero": lambda _: none()}
-        for script in program.policy.scripts:
-            policies[f"script {script.name}"] = partial(lambda name, _: scripted("script")(name), script.name)
-        for name, policy in policies.items():
+        scripts = {f"script {script.name}": script.name for script in program.policy.scripts}
+        for name, driver in {RANDOM: RANDOM, ZERO: ZERO, **scripts}.items():
             done = []
-            for episode_seed in seeds:
-                done.append(_episode(world, episode_seed, policy))
+            for number in range(count):
+                done.append(play(world, named_driver(world, driver), Start.of_evaluation(root, number)))
                 if on_episode is not None:
                     on_episode(len(done), count)
             where: dict[str, Any] = {"case": case, "stage": stage, "seed": root, "planned": count, "deterministic": True, "video": None}
             results.append(_result(known, judged, program, name, done, engine=None if build else engine, **where))
     return tuple(results)
-
-
-def _episode(world: World, seed: int, act: ActionFunction) -> Episode:
-    observation, info = world.reset(seed=seed)
-    accumulator = EpisodeAccumulator()
-    accumulator.begin(seed, info)
-    while True:
-        observation, reward, terminated, truncated, info = world.step(act(observation))
-        accumulator.add(float(reward), info)
-        if terminated or truncated:
-            return accumulator.close(info)
 
 
 def evaluate_cases(
@@ -393,18 +367,19 @@ def rollout(
     until = until or (lambda episodes: False)
     episodes: list[Episode] = []
     if has_copies(worlds[0]):
+        driver = PolicyDriver(model, worlds[0], deterministic=deterministic)
         for seed in seeds:
-            episodes.append(repeat_episode(model, worlds[0], seed, 0, deterministic=deterministic))
+            episodes.append(play(worlds[0], driver, Start(seed)))
             on_episode(len(episodes), len(seeds))
             if until(episodes):
                 break
         return episodes
     together = min(len(worlds), ROWS_PER_PASS) if deterministic else 1
-    forward = _ForwardPass(worlds[0].observation_space, _choices(worlds[0]) if algorithms.takes_masks(model) else None)
+    forward = ForwardPass(worlds[0].observation_space, _choices(worlds[0]) if algorithms.takes_masks(model) else None)
     finished: dict[int, Episode] = {}
     for first in range(0, min(ROWS_PER_PASS, len(seeds)), together):
         rows = range(first, min(first + together, ROWS_PER_PASS, len(seeds)))
-        lanes = [_WorldInRow(world, row, range(row, len(seeds), ROWS_PER_PASS), seeds) for world, row in zip(worlds, rows, strict=False)]
+        lanes = [EvaluationLane(world, row, range(row, len(seeds), ROWS_PER_PASS), seeds) for world, row in zip(worlds, rows, strict=False)]
         running = [lane for lane in lanes if lane.begin(forward)]
         while running:
             actions = forward.predict(model, deterministic=deterministic)
@@ -439,7 +414,7 @@ def batch_rollout(
     on_episode = on_episode or (lambda done, of: None)
     until = until or (lambda episodes: False)
     count = worlds.count
-    passes = [_ForwardPass(worlds.observation_space, None) for _ in range(0, count, ROWS_PER_PASS)]
+    passes = [ForwardPass(worlds.observation_space, None) for _ in range(0, count, ROWS_PER_PASS)]
     waiting = [deque(range(count + (row - count) % ROWS_PER_PASS, len(seeds), ROWS_PER_PASS)) for row in range(ROWS_PER_PASS)]
     numbers, resting = list(range(count)), np.zeros(count, bool)
     sums = batch.BatchEpisodeAccumulator(worlds)
@@ -485,47 +460,46 @@ def batch_rollout(
     return episodes
 
 
-def repeat_episode(model: BaseAlgorithm, world: World, seed: int, number: int, *, deterministic: bool) -> Episode:
-    """One episode of an evaluation once more, to the bit: the one of this number, whose reset has this seed.
+class PolicyDriver(Driver):
+    """The policy of a model.
 
-    Of all copies of a robot, it has the mean of their rewards.
+    In an episode with a number, the actions are to the bit those of the episode of this number in an evaluation. For copies of a robot
+    they always are: each forward pass has a row for each copy.
+
+    Args:
+        rows: The number of worlds of a batch like `world`, whose episodes go on together.
     """
-    torch.manual_seed(derive_seed(seed, "policy"))
-    return _episode(world, seed, action_function(model, world, deterministic=deterministic, number=number))
 
+    def __init__(self, model: BaseAlgorithm, world: World, *, deterministic: bool = True, rows: int = 0) -> None:
+        self._model, self._world, self._deterministic = model, world, deterministic
+        self._size = rows or (len(world.get_wrapper_attr("agents")) if has_copies(world) else 0)
+        self._takes_masks = algorithms.takes_masks(model) and not rows and world.has_wrapper_attr("action_masks")
+        self._forward: ForwardPass | None = None
+        self._row, self._starts = 0, np.ones(self._size or 1, bool)
+        self._memory: Any = None
 
-def action_function(
-    model: BaseAlgorithm, world: World, *, deterministic: bool = True, number: int | None = None, rows: int = 0
-) -> ActionFunction:
-    """A function that returns the action of a policy for each observation of one episode.
+    def begin(self, start: Start) -> None:
+        if start.seed is not None:  # only a policy that samples draws from it
+            torch.manual_seed(derive_seed(start.seed, "policy"))
+        self._memory, self._starts[:], self._forward = None, True, None
+        if start.number is not None and not self._size:
+            self._row = start.number % ROWS_PER_PASS
+            self._forward = ForwardPass(self._world.observation_space, _choices(self._world) if self._takes_masks else None)
 
-    With `number`, the actions are to the bit those of the episode of this number in an evaluation. For copies of a robot they always are:
-    each forward pass has a row for each copy. `rows` is the number of worlds of a batch like `world`, whose episodes go on together.
-    """
-    size = rows or (len(world.get_wrapper_attr("agents")) if has_copies(world) else 0)
-    takes_masks = algorithms.takes_masks(model) and not rows and world.has_wrapper_attr("action_masks")
-    if number is not None and not size:
-        forward, row = _ForwardPass(world.observation_space, _choices(world) if takes_masks else None), number % ROWS_PER_PASS
-
-        def act_in_row(observation: Any) -> Any:
-            forward.put(row, observation, world)
-            return forward.predict(model, deterministic=deterministic)[row]
-
-        return act_in_row
-    memory, starts = None, np.ones(size or 1, dtype=bool)
-
-    def act(observation: Any) -> Any:
-        nonlocal memory, starts
-        allowed = world.get_wrapper_attr("action_masks")() if takes_masks else None
-        masks = {} if allowed is None else {"action_masks": allowed.reshape(size, -1) if size else allowed}
-        action, memory = model.predict(observation, state=memory, episode_start=starts, deterministic=deterministic, **masks)
-        starts = np.zeros_like(starts)
+    def act(self, observation: Any) -> Any:
+        if self._forward is not None:
+            self._forward.put(self._row, observation, self._world)
+            return self._forward.predict(self._model, deterministic=self._deterministic)[self._row]
+        allowed = self._world.get_wrapper_attr("action_masks")() if self._takes_masks else None
+        masks = {} if allowed is None else {"action_masks": allowed.reshape(self._size, -1) if self._size else allowed}
+        action, self._memory = self._model.predict(
+            observation, state=self._memory, episode_start=self._starts, deterministic=self._deterministic, **masks
+        )
+        self._starts = np.zeros_like(self._starts)
         return action
 
-    return act
 
-
-class _ForwardPass:
+class ForwardPass:
     """The observations of one forward pass; rows of worlds that do not run keep what they last held.
 
     If the policy takes action masks, `masks` holds which of the `choices` of each row are allowed. A recurrent policy
@@ -579,8 +553,8 @@ def _zeros(space: gym.Space[Any]) -> np.ndarray[Any, np.dtype[Any]]:
     return np.zeros((ROWS_PER_PASS, *(space.shape or ())), dtype=space.dtype)
 
 
-class _WorldInRow:
-    """One world that goes through its episodes `todo`, in one row of a forward pass."""
+class EvaluationLane:
+    """One world that goes through its episodes `numbers`, in one row of a forward pass."""
 
     def __init__(self, world: World, row: int, numbers: Iterable[int], seeds: Sequence[int]) -> None:
         self.row = row
@@ -589,28 +563,31 @@ class _WorldInRow:
         self._episode_numbers = iter(numbers)
         self._seeds = seeds
         self._accumulator = EpisodeAccumulator()
+        self._action: Any = None
+        self._steps: Iterator[Step] = iter(())
 
-    def begin(self, forward: _ForwardPass) -> bool:
+    def begin(self, forward: ForwardPass) -> bool:
         """Start the next episode; whether there was one."""
         number = next(self._episode_numbers, None)
         if number is None:
             return False
         self.number = number
-        # Only a policy that samples draws from this.
         seed = self._seeds[number]
-        torch.manual_seed(derive_seed(seed, "policy"))
+        torch.manual_seed(derive_seed(seed, "policy"))  # only a policy that samples draws from it
         forward.starts[self.row] = True
-        observation, info = self._world.reset(seed=seed)
-        self._accumulator.begin(seed, info)
-        forward.put(self.row, observation, self._world)
+        self._steps = steps(self._world, Driver(lambda _: self._action), Start(seed))
+        first = next(self._steps)
+        self._accumulator.begin(seed, first.info)
+        forward.put(self.row, first.observation, self._world)
         return True
 
-    def step(self, action: Any, forward: _ForwardPass) -> Episode | None:
+    def step(self, action: Any, forward: ForwardPass) -> Episode | None:
         """The episode, if this step was its last."""
-        observation, reward, terminated, truncated, info = self._world.step(action)
-        self._accumulator.add(float(reward), info)
-        forward.put(self.row, observation, self._world)
-        return self._accumulator.close(info) if terminated or truncated else None
+        self._action = action
+        step = next(self._steps)
+        self._accumulator.add(step.reward, step.info)
+        forward.put(self.row, step.observation, self._world)
+        return self._accumulator.close(step.info) if step.is_last else None
 
 
 def critic_values(model: Any, observations: Sequence[Any]) -> NDArray[np.float64] | None:

@@ -12,6 +12,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
+from itertools import islice
 from pathlib import Path
 from shlex import quote
 from typing import Any, NoReturn
@@ -27,6 +28,9 @@ from deepbots_cli.learning.episodes import Statistics
 from deepbots_cli.learning.report import Reporter
 from deepbots_cli.learning.run import Run, read_json, write_numbered
 from deepbots_cli.program import Program
+from deepbots_cli.rollout import Start, steps
+from deepbots_cli.rollout.drivers import sequence_driver
+from deepbots_cli.rollout.episode import random_state, set_random_state
 from deepbots_cli.runtime.batch import EpisodeHistory, LostWorld
 
 FAILURES_FOLDER = "failures"
@@ -177,11 +181,8 @@ class BatchFailureRecorder:
         """
         with closing(self._guarded(stage)) as world:
             for history in histories:
-                if isinstance(history.start, dict):
-                    set_random_state(world, history.start)
-                world.reset(seed=history.start if isinstance(history.start, int) else None)
-                for action in history.actions:
-                    world.step(action)
+                for _ in islice(steps(world, sequence_driver(history.actions), _start(history.start)), len(history.actions) + 1):
+                    pass
 
 
 def _failure_text(
@@ -228,24 +229,20 @@ def read_failure(path: Path) -> tuple[Failure, Run, Program]:
 
 
 def repeat_steps(failure: Failure, program: Program, world: gym.Env[Any, Any], path: Path) -> Iterator[int]:
-    """Repeat the episode in a world of the program: yields how many actions are done, until they are or the episode ends.
+    """Repeat the episode in a world of the program: yields how many actions are done, from 0, until they are or the episode ends.
 
     Raises:
         RunError: The file `path` of the failure is damaged.
         DeepbotsError: The episode fails again.
     """
-    if isinstance(failure.start, dict):
-        with _damaged(path):
-            set_random_state(world, failure.start)
+    with _damaged(path):
+        actions = [_action(world.action_space, kept) for kept in failure.actions]
+        start = _start(failure.start)
+        if start.state is not None:
+            set_random_state(world, start.state)
     guarded = FailureRecorder(world, program=program, episode=lambda: failure.episode)
-    guarded.reset(seed=failure.start if isinstance(failure.start, int) else None)
-    for done, kept in enumerate(failure.actions, start=1):
-        with _damaged(path):
-            action = _action(world.action_space, kept)
-        _, _, terminated, truncated, _ = guarded.step(action)
-        yield done
-        if terminated or truncated:  # a file may hold any number of further actions
-            return
+    for step in islice(steps(guarded, sequence_driver(actions), start._replace(state=None)), len(actions) + 1):
+        yield step.number
 
 
 def reproduce(path: Path, *, allow_code: bool = False) -> tuple[Failure, str | None]:
@@ -269,28 +266,16 @@ def reproduce(path: Path, *, allow_code: bool = False) -> tuple[Failure, str | N
     return failure.model_copy(update={"actions": failure.actions[:done]}), None
 
 
+def _start(kept: int | dict[str, Any]) -> Start:
+    return Start(state=kept) if isinstance(kept, dict) else Start(kept)
+
+
 @contextmanager
 def _damaged(path: Path) -> Iterator[None]:
     try:
         yield
     except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
         raise RunError(f"{path} is damaged, or of another scenario ({type(error).__name__})") from error
-
-
-def random_state(world: gym.Env[Any, Any]) -> dict[str, Any]:
-    """The states of all random generators of a world, as JSON can hold them."""
-    if world.has_wrapper_attr("random_state"):
-        state: dict[str, Any] = world.get_wrapper_attr("random_state")()
-        return state
-    return dict(world.unwrapped.np_random.bit_generator.state)
-
-
-def set_random_state(world: gym.Env[Any, Any], state: dict[str, Any]) -> None:
-    """Take up what `random_state` gave; the next reset without a seed begins from it."""
-    if world.has_wrapper_attr("set_random_state"):
-        world.get_wrapper_attr("set_random_state")(state)
-    else:
-        world.unwrapped.np_random.bit_generator.state = state
 
 
 def _plain(action: Any) -> Any:

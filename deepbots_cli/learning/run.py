@@ -39,8 +39,9 @@ from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME, write_cop
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.files import atomic_write, unwritable_message
 from deepbots_cli.learning.curriculum import CompletedStage
-from deepbots_cli.learning.episodes import Episode, SolvedAt
+from deepbots_cli.learning.episodes import SolvedAt
 from deepbots_cli.program import Program, identity
+from deepbots_cli.rollout import Episode
 
 FORMAT = 3
 """Of the run directory as a whole; raised when an older deepbots could no longer read it."""

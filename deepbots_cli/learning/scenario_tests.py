@@ -9,17 +9,17 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
-from itertools import groupby
+from itertools import groupby, islice
 from statistics import fmean
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from deepbots_cli import api
 from deepbots_cli.errors import DeepbotsError
-from deepbots_cli.learning.episodes import Episode, EpisodeAccumulator, zero_action
 from deepbots_cli.lint.ranges import with_unit
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ExpectedResult, ScenarioTest
-from deepbots_cli.runtime.streams import derive_seed
+from deepbots_cli.rollout import Driver, Episode, Start, Step, result_of, steps
+from deepbots_cli.rollout.drivers import named_driver, sequence_driver
 
 if TYPE_CHECKING:
     from deepbots_cli.runtime import Supervisor
@@ -114,17 +114,16 @@ def _first_of_each(misses: Sequence[UnmetExpectation], test: ScenarioTest, perio
 
 def _episode(environment: Supervisor, test: ScenarioTest, number: int, misses: list[UnmetExpectation]) -> Episode:
     """One episode, whose `ended_by` is None if the test stops it; what it misses is added to `misses`."""
-    seed, accumulator = derive_seed(test.seed, "evaluation", number), EpisodeAccumulator()
-    accumulator.begin(seed, environment.reset(seed=seed)[1])
-    policy, watches = _policy(environment, test), [_ExpectationMonitor(agent, test, number) for agent in environment.agents.values()]
-    for step in range(1, test.steps + 1):
-        _, reward, terminated, truncated, info = environment.step(policy(step))
-        accumulator.add(reward, info)
-        for watch in watches:
-            watch.look(step)
-        if terminated or truncated:
-            break
-    episode = accumulator.close(info)
+    start = Start.of_evaluation(test.seed, number)
+    watches = [_ExpectationMonitor(agent, test, number) for agent in environment.agents.values()]
+
+    def watched() -> Iterator[Step]:
+        for step in islice(steps(environment, _driver(environment, test), start), test.steps + 1):
+            for watch in watches if step.number else ():
+                watch.look(step.number)
+            yield step
+
+    episode = result_of(watched(), start.seed)
     after = f"after {episode.length:,} steps ({episode.length * environment.scenario.period:.4g} s)"
     for expected in test.expected:
         if expected.endings and episode.ended_by not in expected.endings:
@@ -135,16 +134,10 @@ def _episode(environment: Supervisor, test: ScenarioTest, number: int, misses: l
     return episode
 
 
-def _policy(environment: Supervisor, test: ScenarioTest) -> Callable[[int], Any]:
-    """Returns the action of a step, which counts from 1."""
-    if not isinstance(test.policy, str):
-        actions = [environment.make_action(action.choices, action.ranges) for action in test.policy]
-        return lambda step: actions[step - 1]
-    if any(script.name == test.policy for script in environment.scenario.policy.scripts):
-        name = test.policy
-        return lambda _: environment.script(name)
-    acting = zero_action(environment) if test.policy == "zero" else environment.action_space.sample  # the reset seeds it
-    return lambda _: acting()
+def _driver(environment: Supervisor, test: ScenarioTest) -> Driver:
+    if isinstance(test.policy, str):
+        return named_driver(environment, test.policy)
+    return sequence_driver(environment.make_action(action.choices, action.ranges) for action in test.policy)
 
 
 def _miss(expected: ExpectedResult, measured: str, episode: int, step: int | None = None) -> UnmetExpectation:

@@ -33,7 +33,7 @@ from deepbots_cli.learning.checkpoints import Checkpoints, ResumableAlgorithm
 from deepbots_cli.learning.curriculum import Curriculum
 from deepbots_cli.learning.defaults import longest_episode
 from deepbots_cli.learning.environments import VectorEnvironment, World, WorldFactory, compiled_scenario, default_factory
-from deepbots_cli.learning.episodes import MAX_STEPS, Episode, EpisodeLog, Statistics
+from deepbots_cli.learning.episodes import MAX_STEPS, EpisodeLog, Statistics
 from deepbots_cli.learning.failures import BatchFailureRecorder, FailureRecorder
 from deepbots_cli.learning.report import Reporter, reporter
 from deepbots_cli.learning.run import (
@@ -51,6 +51,7 @@ from deepbots_cli.learning.run import (
 )
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Training
+from deepbots_cli.rollout import Episode
 from deepbots_cli.runtime.batch import BatchSupervisor
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.scenario import Scenario

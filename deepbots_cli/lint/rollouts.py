@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import asdict, replace
 from functools import partial
-from itertools import count
+from itertools import count, islice
 from math import atan2, dist, hypot, inf, radians
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -46,6 +46,7 @@ from deepbots_cli.program.robots import Sensor
 from deepbots_cli.program.task import Choices, policy_inputs
 from deepbots_cli.program.world import ObjectBody
 from deepbots_cli.robots.model import RobotModel
+from deepbots_cli.rollout import Driver, Start, Step, steps
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.actuation import Cartesian
 
@@ -143,13 +144,9 @@ class Simulator:
         for seed in range(_FIRST_EPISODES):
             arms.is_watching = True
             self._write({"at": [by, seed]})
-            actions = _actions(environment, Rollout(by, seed, _FIRST_STEPS))
             try:
-                environment.reset(seed=seed)
-                for number in range(1, _FIRST_STEPS + 1):
-                    self._begin_step(number)
-                    _, _, terminated, truncated, _ = environment.step(next(actions))
-                    if arms.commands or terminated or truncated:
+                for _ in self._steps(environment, Rollout(by, seed, _FIRST_STEPS)):
+                    if arms.commands:
                         break
             except DeepbotsError:  # reported by the episodes that follow
                 pass
@@ -186,32 +183,40 @@ class Simulator:
         return sum(self._counters[by].steps for by in (RANDOM, HELD_RANDOM) if by in self._counters)
 
     def _episode(self, environment: Supervisor, rollout: Rollout, counter: Counter, *, report: bool) -> None:
-        environment.reset(seed=rollout.seed)
-        actions, speeds, check_rays = _actions(environment, rollout), SpeedWatch(environment), self._rays.watch(environment.engine)
+        taken = self._steps(environment, rollout)
+        next(taken)
+        speeds, check_rays = SpeedWatch(environment), self._rays.watch(environment.engine)
         rewards: list[float] = []
-        for number in range(1, rollout.steps + 1):
-            self._begin_step(number)
-            observation, reward, terminated, truncated, info = environment.step(next(actions))
-            rewards.append(reward)
-            counter.add(observation, info["reward_terms"])
+        for step in taken:
+            rewards.append(step.reward)
+            counter.add(step.observation, step.info["reward_terms"])
             check_rays()
-            violation = speeds.check(number * environment.scenario.period)
+            violation = speeds.check(step.number * environment.scenario.period)
             if speeds.new_maximum:
                 self._write({"fast": speeds.new_maximum})
             if violation:
                 self._write({"stop": {"kind": "speed", **violation}})
                 raise StoppedError
-            if not environment.observation_space.contains(observation):
-                self._write({"stop": {"kind": "space", "entries": _outside(environment, observation)}})
+            if not environment.observation_space.contains(step.observation):
+                self._write({"stop": {"kind": "space", "entries": _outside(environment, step.observation)}})
                 raise StoppedError
-            if terminated or truncated:
-                break
         if report:
             worth = float(np.dot(rewards, self._program.policy.discount ** np.arange(len(rewards))))
             end = "success" if environment.is_success else "failure" if environment.terminated else None
             end = end or ("limit" if environment.truncated else "left")
             episode = {"policy": rollout.policy, "seed": rollout.seed, "steps": len(rewards), "discounted_return": worth, "end": end}
             self._write({"episode": episode})
+
+    def _steps(self, environment: Supervisor, rollout: Rollout) -> Iterator[Step]:
+        """The steps of an episode; the number of each is written before it begins."""
+        actions = _actions(environment, rollout)
+        numbers = count(1)
+
+        def act(_: Any) -> Any:
+            self._begin_step(next(numbers))
+            return next(actions)
+
+        return islice(steps(environment, Driver(act), Start(rollout.seed)), rollout.steps + 1)
 
     # What has been constant so far
 

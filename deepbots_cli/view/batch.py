@@ -12,10 +12,12 @@ import numpy as np
 from deepbots_cli import api
 from deepbots_cli.errors import UsageError
 from deepbots_cli.program import Program
+from deepbots_cli.rollout import Driver, Start
+from deepbots_cli.rollout.drivers import HAND, POLICY, RANDOM, ZERO, action_from_values
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.batch import BatchChannel, columns_array
 from deepbots_cli.runtime.streams import derive_seed
-from deepbots_cli.view.episodes import HAND, POLICY, RANDOM, ZERO, Driver, Player, PolicyDriver, action_from_values
+from deepbots_cli.view.episodes import Player, RunDriver
 from deepbots_cli.view.frames import FrameReader, ReceivedMessage, WorldFrame, value_of_row
 
 
@@ -44,10 +46,10 @@ class BatchPlayer(Player):
             UsageError: It is a script, which reads what only a single world computes.
         """
         if name == POLICY and self.opened.run is not None:
-            self.driver = PolicyDriver(self.opened.run, self.env, rows=self.worlds)
+            self.driver = RunDriver(self.opened.run, self.env, rows=self.worlds)
         elif name in (HAND, RANDOM, ZERO):
-            each = [self._action_function(single, name) for single in self.batch.singles]
-            self.driver = Driver(lambda: _joined([act() for act in each]))
+            each = [self._make_driver(single, name) for single in self.batch.singles]
+            self.driver = Driver(lambda _: _joined([driver.act(None) for driver in each]))
         else:
             raise UsageError(f"'{name}' cannot act in a batch of worlds; use {', '.join(self.opened.drivers)}, or leave out --worlds")
         self.driver_name = name
@@ -68,7 +70,7 @@ class BatchPlayer(Player):
         self._rewards, self._returns = np.zeros(self.worlds), np.zeros(self.worlds)
         self._terms = np.zeros((len(self.batch.TERMS), self.worlds))
         self.action = None
-        self.driver.begin(None)
+        self.driver.begin(Start())
         self._turn_to(self.world)  # before the reset, whose messages its reader keeps
         self.observation = self.batch.reset(self._seeds, dict(self.opened.source.start))
         return self._read()

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,18 +18,16 @@ from deepbots_cli.errors import EngineError, MissingExtraError, RunError, Scenar
 from deepbots_cli.learning.episodes import read_log
 from deepbots_cli.port import View
 from deepbots_cli.program import Program, identity
-from deepbots_cli.program.task import Choices
+from deepbots_cli.rollout import Driver, Start, Step, steps
+from deepbots_cli.rollout.drivers import HAND, POLICY, RANDOM, RECORDED, ZERO, action_from_values, named_driver
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.paths import Ways
-from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.view.frames import FrameReader, WorldFrame
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.run import ModelName, Run
 
 _TAIL_BYTES = 20_000  # of a log, which hold its last episode
-RANDOM, ZERO, HAND, POLICY, RECORDED = "random", "zero", "you", "policy", "recording"
-"""Drivers besides the scripts of a scenario. `zero` is the middle of each range and the first option of each choice."""
 
 
 @dataclass(frozen=True)
@@ -151,34 +148,7 @@ class SourceState:
         return ReplayPlayer(self)
 
 
-class Driver:
-    """Takes the actions of an episode from a function. `note` is what a person should know, in words."""
-
-    note = ""
-
-    def __init__(self, act: Callable[[], Any]) -> None:
-        self._act = act
-
-    def begin(self, number: int | None) -> None:
-        """Called before the reset of an episode; `number` is that in an evaluation, None outside of one."""
-
-    def act(self, observation: Any) -> Any:
-        """The next action, in the action space."""
-        return self._act()
-
-
-def action_from_values(env: Supervisor, values: Mapping[str, float]) -> Any:
-    """The action with these values by the names of action fields: the index of an option, or a number from -1 to 1; others are 0."""
-    choices, ranges = [], []
-    for part in env.scenario.policy.action:
-        if isinstance(part, Choices):
-            choices.append(int(values.get(part.name, 0)))
-        else:
-            ranges += [float(values.get(name, 0.0)) for name in part.names]
-    return env.make_action(choices, ranges)
-
-
-class PolicyDriver(Driver):
+class RunDriver(Driver):
     """The best policy of a run, which acts as in an evaluation; while the run is trained, the newest one of each episode."""
 
     def __init__(self, run: Any, env: Supervisor, rows: int = 0) -> None:
@@ -190,30 +160,27 @@ class PolicyDriver(Driver):
             raise MissingExtraError("train", "showing the policy of a run") from error
         if differences := identity.differences(run.program, env.scenario):
             raise RunError(f"the policy of {run.path} does not fit the changed scenario:\n  " + "\n  ".join(differences))
-        self._load, self._action_function, self._steps_of, self._record = (
-            evaluation.load_model,
-            evaluation.action_function,
-            models.steps_of,
-            RunRecord.read,
-        )
+        self._load, self._driver = evaluation.load_model, evaluation.PolicyDriver
+        self._steps_of, self._record = models.steps_of, RunRecord.read
         self._run, self._env, self._rows = run, env, rows
-        self._model: Any = None
+        self._policy: Driver | None = None
         self._stamp: tuple[int, int] | None = None
-        self.begin(None)
+        self.begin(Start())
 
-    def begin(self, number: int | None) -> None:
+    def begin(self, start: Start) -> None:
         running = self._record(self._run.path).status == "running"
         names: tuple[ModelName, ...] = ("best", "last")
         found = {name: stamp for name in names if (stamp := file_stamps([path := self._run.model(name)])[path]) is not None}
         name = next(iter(found if not running else sorted(found, key=found.__getitem__, reverse=True)), None)
         if name is not None and found[name] != self._stamp:
-            self._model, self._stamp = self._load(self._run, name, self._env), found[name]
+            model = self._load(self._run, name, self._env)
+            self._policy, self._stamp = self._driver(model, self._env, rows=self._rows), found[name]
             self.note = f"policy after {self._steps_of(self._run.model(name)):,} steps{self._stage()}" if running else ""
-        if self._model is not None:
-            self._policy = self._action_function(self._model, self._env, number=number, rows=self._rows)
+        if self._policy is not None:
+            self._policy.begin(start)
         elif running:
-            space = batch_space(self._env.action_space, self._rows) if self._rows else self._env.action_space
-            self._policy, self.note = lambda observation: space.sample(), "the training has saved no policy yet: random actions"
+            self._space = batch_space(self._env.action_space, self._rows) if self._rows else self._env.action_space
+            self.note = "the training has saved no policy yet: random actions"
         else:
             raise RunError(f"{self._run.path} holds no model yet; train it, or show its scenario")
 
@@ -223,7 +190,7 @@ class PolicyDriver(Driver):
         return f", the training is in stage {rows[-1]['stage']}" if rows and rows[-1].get("stage") else ""
 
     def act(self, observation: Any) -> Any:
-        return self._policy(observation)
+        return self._space.sample() if self._policy is None else self._policy.act(observation)
 
 
 class Player:
@@ -248,12 +215,14 @@ class Player:
         self.program = self.env.scenario
         self.manual_values: Mapping[str, float] = {}
         """What a person commands, as `action_from_values` takes it."""
-        self.driver = Driver(lambda: action_from_values(self.env, self.manual_values))
+        self.driver = self._make_driver(self.env, HAND)
         self.observation: Any = None
         self.action: Any = None
-        """What the last step of the environment gave and took."""
+        """What the last step of the environment returned and took."""
         self.actions: list[Any] = []
         """Those of the episode."""
+        self._steps: Iterator[Step] = iter(())
+        self._by_hand = False
         try:
             self.reader = self._reader()
             self.set_driver(driver or opened.drivers[0])
@@ -276,28 +245,31 @@ class Player:
         """
         if name == POLICY and self.opened.run is None:
             raise UsageError("only a run has a policy")
-        self.driver = PolicyDriver(self.opened.run, self.env) if name == POLICY else Driver(self._action_function(self.env, name))
+        self.driver = RunDriver(self.opened.run, self.env) if name == POLICY else self._make_driver(self.env, name)
         self.driver_name = name
 
-    def _action_function(self, env: Supervisor, name: str) -> Callable[[], Any]:
-        """The actions of a driver other than the policy."""
-        if name == RANDOM:
-            return env.action_space.sample  # seeded by the reset
-        if name in (HAND, ZERO):
-            return lambda: action_from_values(env, self.manual_values if name == HAND else {})
-        env.scenario.script(name)
-        return partial(env.script, name)
+    def _make_driver(self, env: Supervisor, name: str) -> Driver:
+        """A driver other than the policy."""
+        return Driver(lambda _: action_from_values(env, self.manual_values)) if name == HAND else named_driver(env, name)
 
     def begin(self, seed: int, episode: int) -> WorldFrame:
         """Reset to an episode; its first frame."""
-        return self.start(derive_seed(seed, "evaluation", episode), episode)
+        return self.start(Start.of_evaluation(seed, episode, self.opened.source.start))
 
-    def start(self, seed: int, number: int | None = None) -> WorldFrame:
-        """Reset to the episode of a seed; its first frame."""
-        self.seed, self.action, self.actions = seed, None, []
-        self.driver.begin(number)
-        self.observation, _ = self.env.reset(seed=seed, options=dict(self.opened.source.start))
-        self.frame = self.reader.read(self.observation)
+    def start(self, start: Start) -> WorldFrame:
+        """Reset to an episode; its first frame."""
+        self.seed, self.actions = start.seed or 0, []
+        self.driver.begin(start)
+        self._steps = steps(self.env, Driver(self._act), start)
+        return self._next_frame()
+
+    def _act(self, observation: Any) -> Any:
+        return action_from_values(self.env, self.manual_values) if self._by_hand else self.driver.act(observation)
+
+    def _next_frame(self) -> WorldFrame:
+        step = next(self._steps)
+        self.observation, self.action = step.observation, step.action
+        self.frame = self.reader.read(step.observation, step.action)
         return self.frame
 
     def next_episode(self, episode: int) -> int:
@@ -306,11 +278,10 @@ class Player:
 
     def step(self, *, by_hand: bool = False) -> WorldFrame:
         """The frame after the next step of an episode that has not ended; `by_hand` lets a person act instead of the driver."""
-        self.action = action_from_values(self.env, self.manual_values) if by_hand else self.driver.act(self.observation)
+        self._by_hand = by_hand
+        frame = self._next_frame()
         self.actions.append(self.action)
-        self.observation, *_ = self.env.step(self.action)
-        self.frame = self.reader.read(self.observation, self.action)
-        return self.frame
+        return frame
 
     @property
     def note(self) -> str:

@@ -25,10 +25,11 @@ from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.frames import Triple, add, roll_pitch_yaw, scaled
 from deepbots_cli.learning.run import Run, RunRecord
 from deepbots_cli.port import ZERO_VECTOR
+from deepbots_cli.rollout.drivers import HAND, RANDOM, ZERO, sequence_driver
 from deepbots_cli.runtime.overview import extent, follows_robot, shift_beside, view_around
 from deepbots_cli.view import panel, plots, server
 from deepbots_cli.view.batch import BatchPlayer
-from deepbots_cli.view.episodes import HAND, RANDOM, ZERO, Driver, Player, Source, SourceState, file_stamps
+from deepbots_cli.view.episodes import Player, Source, SourceState, file_stamps
 from deepbots_cli.view.frames import COLOURS, AgentFrame, Image, PlottedField, WorldFrame
 from deepbots_cli.view.manual_input import ManualInput
 from deepbots_cli.view.recordings import SUFFIX, record
@@ -551,7 +552,7 @@ class Page:
             return
         self._recorded += 1
         with closing(self.player.opened.player(ZERO)) as again:
-            again.driver, again.driver_name = Driver(iter(self.player.actions).__next__), HAND
+            again.driver, again.driver_name = sequence_driver(self.player.actions), HAND
             name = f"{Path(self._source.reference).stem}-{self.seed}-{self.episode}-played"
             numbered = (Path(f"{name}{number or ''}{SUFFIX}") for number in count())
             path = next(path for path in numbered if not path.exists())

@@ -12,7 +12,9 @@ from gymnasium import spaces
 
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.port import View
-from deepbots_cli.view.episodes import RECORDED, Driver, Player, SourceState
+from deepbots_cli.rollout import Start
+from deepbots_cli.rollout.drivers import RECORDED, sequence_driver
+from deepbots_cli.view.episodes import Player, SourceState
 from deepbots_cli.view.frames import WorldFrame
 from deepbots_cli.view.recordings import (
     NS_PER_S,
@@ -153,13 +155,13 @@ def verify(
     """
     describer, time = TopicEncoder(player), 0
     for done, recorded in enumerate(recording.episodes, start=1):
-        player.driver = Driver(actions(recording, recorded, player.env.action_space).__next__)
+        player.driver = sequence_driver(actions(recording, recorded, player.env.action_space))
         begun = time
         for place, old in enumerate(recorded.steps):
             if place and player.frame.ended_by is not None:
                 return Divergence(recorded.number, place, "ending", "none", player.frame.ending)
             try:
-                frame = player.step() if place else player.start(recorded.seed)
+                frame = player.step() if place else player.start(Start(recorded.seed))
             except RecordingError:
                 raise
             except DeepbotsError as error:

@@ -26,10 +26,10 @@ from deepbots_cli.insight.statements import statements_about
 from deepbots_cli.insight.trace import TraceRecorder, trace_episodes
 from deepbots_cli.insight.training import TrainingEvidence, read_training, run_probes
 from deepbots_cli.learning import train
-from deepbots_cli.learning.episodes import Episode
 from deepbots_cli.learning.group import GroupRecord
 from deepbots_cli.learning.run import Run, run_lock
 from deepbots_cli.learning.verdict import RunVerdict, quoted_episodes
+from deepbots_cli.rollout import Episode
 from tests.insight.broken import BROKEN, all_causes
 
 DOCS = Path(__file__).parents[2] / "docs" / "diagnose.md"

@@ -19,11 +19,11 @@ from deepbots_cli.cli.results import evaluation_text, training_text
 from deepbots_cli.errors import EngineError, RunError, UsageError
 from deepbots_cli.learning import TrainingResult, evaluate, resume, train
 from deepbots_cli.learning.curriculum import Curriculum, CurriculumState
-from deepbots_cli.learning.episodes import Episode
 from deepbots_cli.learning.report import TrainingProgress, to_json
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Criterion, Hyperparameter, Solved, Training
+from deepbots_cli.rollout import Episode
 
 PPO = Training("PPO", 1_500, 3, tuple(Hyperparameter(*pair) for pair in (("n_steps", 32), ("batch_size", 32), ("n_epochs", 1))))
 SHORT, LONG = Criterion("mean_return", 4.5, 6), Criterion("steps", 300.0)

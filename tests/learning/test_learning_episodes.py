@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli.errors import DeepbotsError
-from deepbots_cli.learning.episodes import Episode, EpisodeAccumulator, EpisodeLog, Statistics
+from deepbots_cli.learning.episodes import EpisodeLog, Statistics
 from deepbots_cli.program.task import Solved
+from deepbots_cli.rollout import Episode, EpisodeAccumulator
 
 
 def test_solved_is_noted_the_first_time_that_enough_consecutive_episodes_reach_it() -> None:

@@ -17,10 +17,11 @@ from deepbots_cli.cli.results import case_rows, evaluation_text, summary_text
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.expressions.dimensions import LENGTH
 from deepbots_cli.learning import TrainingResult, evaluate, evaluate_baselines, evaluate_cases, train, video
-from deepbots_cli.learning.episodes import Episode, Summary, by_drawn_value
+from deepbots_cli.learning.episodes import Summary, by_drawn_value
 from deepbots_cli.learning.report import to_json
 from deepbots_cli.learning.verdict import solved_verdict
 from deepbots_cli.program.task import Solved
+from deepbots_cli.rollout import Episode
 
 
 def figures(trained: TrainingResult, **settings: object) -> dict[str, object]:

@@ -13,9 +13,9 @@ import stand_in
 
 from deepbots_cli.learning import evaluate, resume, train
 from deepbots_cli.learning.environments import VectorEnvironment
-from deepbots_cli.learning.episodes import Episode
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Hyperparameter, Network, Training
+from deepbots_cli.rollout import Episode
 from tests.few import few
 
 SIZE = 3

@@ -10,7 +10,8 @@ import pytest
 
 import deepbots_cli
 from deepbots_cli.errors import UsageError
-from deepbots_cli.view.episodes import HAND, RANDOM, ZERO, Player, Source
+from deepbots_cli.rollout.drivers import HAND, RANDOM, ZERO
+from deepbots_cli.view.episodes import Player, Source
 from deepbots_cli.view.frames import FrameReader, action_fields, observation_fields
 
 SCENARIOS = ("cartpole", "find_ball_random", "quadruped", "multi_cartpole", "see_ball", "panda_push", "line_follower")

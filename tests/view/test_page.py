@@ -21,7 +21,8 @@ import deepbots_cli.codegen
 from deepbots_cli.cli import main
 from deepbots_cli.errors import UsageError
 from deepbots_cli.frames import roll_pitch_yaw
-from deepbots_cli.view.episodes import HAND, Source
+from deepbots_cli.rollout.drivers import HAND
+from deepbots_cli.view.episodes import Source
 from deepbots_cli.view.frames import PlottedField
 from deepbots_cli.view.manual_input import ManualInput
 from deepbots_cli.view.page import Page

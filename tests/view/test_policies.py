@@ -14,7 +14,8 @@ import deepbots_cli
 from deepbots_cli import learning
 from deepbots_cli.errors import RunError
 from deepbots_cli.learning.run import Run
-from deepbots_cli.view.episodes import POLICY, Source
+from deepbots_cli.rollout.drivers import POLICY
+from deepbots_cli.view.episodes import Source
 
 SMALL = ["train.environments=1", "train.n_steps=64", "train.batch_size=64", "train.n_epochs=1"]
 
@@ -54,14 +55,14 @@ def test_a_training_is_followed_to_its_newest_policy(tmp_path):
         for name, time in (("last", 1_000), ("best", 2_000)):
             shutil.copyfile(kept, run.model(name))
             os.utime(run.model(name), (time, time))
-            before = player.driver._model
+            before = player.driver._policy
             player.begin(0, 0)
-            assert player.driver._model is not before
+            assert player.driver._policy is not before
             assert player.driver.note == "policy after 64 steps"
             assert np.isfinite(player.step().agents["agent"].reward)
-        before = player.driver._model
+        before = player.driver._policy
         player.begin(0, 1)
-        assert player.driver._model is before
+        assert player.driver._policy is before
 
 
 def test_the_page_of_a_training_marks_the_stages_of_its_curriculum(tmp_path):

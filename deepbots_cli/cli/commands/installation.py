@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import closing
 from importlib.metadata import PackageNotFoundError, requires, version
+from itertools import islice
 from typing import Literal, NamedTuple
 
 import typer
@@ -21,6 +22,8 @@ from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.document import ScalarNode, load, shipped
 from deepbots_cli.errors import DeepbotsError, install_hint
+from deepbots_cli.rollout import Start, steps
+from deepbots_cli.rollout.drivers import random_driver
 
 
 def list_(as_json: Json = False) -> None:
@@ -150,8 +153,8 @@ def _linting() -> Check:
 def _stepping(engine: str) -> Check:
     try:
         with closing(api.make("cartpole", engine=engine)) as environment:
-            environment.reset(seed=0)
-            environment.step(environment.action_space.sample())
+            for _ in islice(steps(environment, random_driver(environment), Start(0)), 2):
+                pass
     except (DeepbotsError, ImportError, OSError) as error:
         return Check(f"engine {engine}", "broken", str(error))
     return Check(f"engine {engine}", "ok", "one step of cartpole")

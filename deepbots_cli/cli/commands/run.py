@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing
+from dataclasses import replace
 from enum import StrEnum
-from functools import partial
-from itertools import cycle
+from itertools import cycle, islice
 from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deepbots_cli import api
+from deepbots_cli import api, rollout
 from deepbots_cli.cli import results, terminal
 from deepbots_cli.cli.command import (
     AllowCode,
@@ -33,9 +33,11 @@ from deepbots_cli.cli.command import (
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError
-from deepbots_cli.learning.episodes import Episode, EpisodeAccumulator, Summary, zero_action
+from deepbots_cli.learning.episodes import Summary
 from deepbots_cli.lint.rewards import possible_returns
 from deepbots_cli.program.task import ActionRange, Choices
+from deepbots_cli.rollout import Driver, Episode
+from deepbots_cli.rollout.drivers import named_driver, sequence_driver
 
 if TYPE_CHECKING:
     from deepbots_cli.runtime import Supervisor
@@ -124,13 +126,11 @@ def command(
         program.script(script)
     with closing(api.make(program, allow_code=allow_code)) as environment:
         name = environment.engine.name
-        if script is not None:
-            acting: ActionSource = partial(environment.script, script)
-        elif actions is not None:
-            acting = repeated_actions(environment, actions)
+        if actions is not None:
+            driver = repeated_actions(environment, actions)
         else:
-            acting = zero_action(environment) if policy is Policy.zero else environment.action_space.sample  # the reset seeds it
-        running = run_episodes(environment, acting, count=episodes, seed=seed, max_steps=steps, options=options)
+            driver = named_driver(environment, script or (policy or Policy.random).value)
+        running = run_episodes(environment, driver, count=episodes, seed=seed, max_steps=steps, options=options)
         done: list[Episode] = []
         with terminal.progress() as show:
             for episode in running:
@@ -195,13 +195,10 @@ def _term(done: list[Episode], name: str) -> Row:
     return {"term": name, "per_episode": fmean(sums), "min_episode": min(sums), "max_episode": max(sums), "per_step": sum(sums) / steps}
 
 
-# Policies
-
-ActionSource = Callable[[], Any]
-"""Returns the next action."""
+# Drivers
 
 
-def repeated_actions(environment: Supervisor, text: str) -> ActionSource:
+def repeated_actions(environment: Supervisor, text: str) -> Driver:
     """The actions in `text`, repeated without end. Commas separate actions, colons the parts of one action.
 
     A part is the name or the index of an option, or a number from -1 to 1 for a range. All copies of a robot get the same action.
@@ -209,12 +206,11 @@ def repeated_actions(environment: Supervisor, text: str) -> ActionSource:
     Raises:
         UsageError: The scenario has no such action.
     """
-    actions = cycle([_action(environment, word.strip()) for word in text.split(",")])
-    return lambda: next(actions)
+    return sequence_driver(cycle([_action(environment, word.strip()) for word in text.split(",")]))
 
 
 def run_episodes(
-    environment: Supervisor, policy: ActionSource, *, count: int, seed: int, max_steps: int | None, options: dict[str, Any] | None = None
+    environment: Supervisor, driver: Driver, *, count: int, seed: int, max_steps: int | None, options: dict[str, Any] | None = None
 ) -> Iterator[Episode]:
     """Up to `count` episodes with the `options` of `reset`, the first with `seed`.
 
@@ -222,18 +218,11 @@ def run_episodes(
     """
     left = max_steps
     for number in range(count):
-        root = seed if number == 0 else None
-        _, info = environment.reset(seed=root, options=options)
-        accumulator, ended = EpisodeAccumulator(), False
-        accumulator.begin(root, info)
-        while not ended:
-            _, reward, terminated, truncated, info = environment.step(policy())
-            accumulator.add(reward, info)
-            left = None if left is None else left - 1
-            ended = terminated or truncated or left == 0
-            if left == 0 and not (terminated or truncated):
-                info = info | {"ended_by": "--steps"}
-        yield accumulator.close(info)
+        start = rollout.Start(seed if number == 0 else None, options)
+        running = rollout.steps(environment, driver, start)
+        episode = rollout.result_of(islice(running, None if left is None else left + 1), start.seed)
+        yield episode if episode.ended_by else replace(episode, ended_by="--steps")
+        left = None if left is None else left - episode.length
         if left == 0:
             return
 

@@ -1,0 +1,9 @@
+"""Episodes as a stream of steps: what begins them, who acts, and what they come to.
+
+episode.py   `steps`, the one place that steps an environment outside of training and benchmarks; the result of an episode
+drivers.py   who acts: a script, random or zero actions, a list of actions, a person
+"""
+
+from deepbots_cli.rollout.episode import Driver, Episode, EpisodeAccumulator, Start, Step, play, result_of, steps
+
+__all__ = ["Driver", "Episode", "EpisodeAccumulator", "Start", "Step", "play", "result_of", "steps"]

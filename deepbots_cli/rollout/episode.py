@@ -1,0 +1,194 @@
+"""One episode: `steps` yields a `Step` for the reset and for each step of the environment, `result_of` adds them up.
+
+for step in steps(environment, random_driver(environment), Start(seed=3)):
+    print(step.number, step.reward)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from pydantic import NonNegativeInt
+
+from deepbots_cli.errors import DeepbotsError
+
+if TYPE_CHECKING:
+    import gymnasium as gym
+
+
+class Start(NamedTuple):
+    """How an episode begins.
+
+    Attributes:
+        seed: The seed of the reset; None continues the random generators.
+        options: The values that the reset takes instead of drawing them.
+        number: The number of the episode in an evaluation, from 0.
+        state: The states of the random generators before the reset, as `random_state` returns them.
+    """
+
+    seed: int | None = None
+    options: Mapping[str, Any] | None = None
+    number: int | None = None
+    state: dict[str, Any] | None = None
+
+    @classmethod
+    def of_evaluation(cls, root: int, number: int, options: Mapping[str, Any] | None = None) -> Start:
+        """The start of episode `number`, from 0, of an evaluation with the seed `root`."""
+        from deepbots_cli.runtime.streams import derive_seed  # here, since commands that only read runs work without gymnasium
+
+        return cls(derive_seed(root, "evaluation", number), options, number)
+
+
+class Driver:
+    """Who acts in an episode: returns an action for each observation.
+
+    `note` says in words what a person should know about it.
+    """
+
+    note = ""
+
+    def __init__(self, act: Callable[[Any], Any]) -> None:
+        self._act = act
+
+    def begin(self, start: Start) -> None:
+        """Called before the reset of an episode."""
+
+    def act(self, observation: Any) -> Any:
+        """The next action, in the action space."""
+        return self._act(observation)
+
+
+class Step(NamedTuple):
+    """The reset (`number` 0, without action and reward), or a step of the environment; names as in Gymnasium."""
+
+    number: int
+    action: Any
+    observation: Any
+    reward: float
+    terminated: bool
+    truncated: bool
+    info: dict[str, Any]
+
+    @property
+    def is_last(self) -> bool:
+        return self.terminated or self.truncated
+
+
+def steps(world: gym.Env[Any, Any], driver: Driver, start: Start = Start()) -> Iterator[Step]:  # noqa: B008  # it is immutable
+    """Run an episode; the caller may stop at any step.
+
+    Raises:
+        DeepbotsError: As the environment.
+    """
+    if start.state is not None:
+        set_random_state(world, start.state)
+    driver.begin(start)
+    observation, info = world.reset(seed=start.seed, options=None if start.options is None else dict(start.options))
+    step = Step(0, None, observation, 0.0, False, False, info)
+    yield step
+    while not (step.terminated or step.truncated):
+        action = driver.act(step.observation)
+        observation, reward, terminated, truncated, info = world.step(action)
+        step = Step(step.number + 1, action, observation, float(reward), terminated, truncated, info)
+        yield step
+
+
+def play(world: gym.Env[Any, Any], driver: Driver, start: Start = Start()) -> Episode:  # noqa: B008
+    """Run an episode to its end.
+
+    Raises:
+        DeepbotsError: As `result_of`.
+    """
+    return result_of(steps(world, driver, start), start.seed)
+
+
+def random_state(world: gym.Env[Any, Any]) -> dict[str, Any]:
+    """The states of all random generators of a world, as JSON can hold them."""
+    if world.has_wrapper_attr("random_state"):
+        state: dict[str, Any] = world.get_wrapper_attr("random_state")()
+        return state
+    return dict(world.unwrapped.np_random.bit_generator.state)
+
+
+def set_random_state(world: gym.Env[Any, Any], state: dict[str, Any]) -> None:
+    """Restore what `random_state` returned; the next reset without a seed begins from it."""
+    if world.has_wrapper_attr("set_random_state"):
+        world.get_wrapper_attr("set_random_state")(state)
+    else:
+        world.unwrapped.np_random.bit_generator.state = state
+
+
+# Results
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One finished episode; `terms` are the reward terms, summed over it.
+
+    Of an evaluation, `seed` is the seed of the reset that it began with, and `drawn` holds what this reset drew, by the place in the
+    scenario, such as `parameters.mark` (SI units; see `Supervisor.reset`).
+    """
+
+    total_return: float
+    length: NonNegativeInt
+    is_success: bool
+    ended_by: str | None
+    terms: Mapping[str, float] = field(default_factory=dict)
+    seed: int | None = None
+    drawn: Mapping[str, float | str] = field(default_factory=dict)
+
+
+class EpisodeAccumulator:
+    """Adds up the running episode."""
+
+    def __init__(self) -> None:
+        self._return = 0.0
+        self._length = 0
+        self._terms: dict[str, float] = {}
+        self._seed: int | None = None
+        self._drawn: Mapping[str, float | str] = {}
+
+    def begin(self, seed: int | None, info: Mapping[str, Any]) -> None:
+        """Note how the episode begins: the seed of the reset, and the info that it returned."""
+        self._seed, self._drawn = seed, info.get("drawn", {})
+
+    def add(self, reward: float, info: Mapping[str, Any]) -> None:
+        """Count one step.
+
+        Raises:
+            DeepbotsError: The reward is not finite; names the terms at fault.
+        """
+        terms = info.get("reward_terms", {})
+        if not math.isfinite(reward):
+            at_fault = ", ".join(name for name, value in terms.items() if not math.isfinite(value)) or "their sum"
+            raise DeepbotsError(f"the reward is no longer finite in step {self._length + 1} of an episode ({at_fault})")
+        self._return += reward
+        self._length += 1
+        sums = self._terms
+        for name, value in terms.items():
+            sums[name] = sums.get(name, 0.0) + value
+
+    def close(self, info: Mapping[str, Any]) -> Episode:
+        """The finished episode, given the info of its last step; the next one begins."""
+        success, ended_by = bool(info.get("is_success", False)), info.get("ended_by")
+        episode = Episode(self._return, self._length, success, ended_by, self._terms, self._seed, self._drawn)
+        self._return, self._length, self._terms, self._seed, self._drawn = 0.0, 0, {}, None, {}
+        return episode
+
+
+def result_of(steps: Iterable[Step], seed: int | None = None) -> Episode:
+    """Add up the steps of an episode, from its reset on; `ended_by` is None if they stop before its end.
+
+    Raises:
+        DeepbotsError: A reward is not finite, or as the environment.
+    """
+    accumulator = EpisodeAccumulator()
+    for step in steps:
+        if step.number:
+            accumulator.add(step.reward, step.info)
+        else:
+            accumulator.begin(seed, step.info)
+    return accumulator.close(step.info)

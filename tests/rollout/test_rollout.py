@@ -1,0 +1,88 @@
+"""Episodes as a stream of steps."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from contextlib import closing
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import deepbots_cli
+from deepbots_cli.errors import UsageError
+from deepbots_cli.rollout import Driver, Episode, Start, play, result_of, steps
+from deepbots_cli.rollout.drivers import named_driver, random_driver, sequence_driver
+from deepbots_cli.rollout.episode import random_state
+
+PACKAGE = Path(deepbots_cli.__file__).parent
+STEPPING = {
+    "rollout/episode.py",
+    *("learning/environments.py", "learning/batch.py"),  # the collector
+    *("cli/throughput.py", "cli/commands/bench.py"),  # benchmarks
+    *("learning/evaluation.py", "view/batch.py"),  # batches of worlds
+}
+
+
+def _stepping(path: Path) -> Iterator[int]:
+    """Lines that step an environment: calls of `step` with an action, or of `advance`, which a wrapper does not pass on."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
+            wrapped = ast.unparse(node.func.value) in ("self.env", "super()")
+            if (node.func.attr == "step" and len(node.args) == 1 and not wrapped) or node.func.attr == "advance":
+                yield node.lineno
+
+
+def test_an_environment_is_stepped_in_few_places() -> None:
+    """A place that steps an environment itself decides anew what begins an episode, who acts and when it ends."""
+    packages = [folder for folder in PACKAGE.iterdir() if folder.is_dir() and folder.name not in ("runtime", "engines", "codegen")]
+    found = {path.relative_to(PACKAGE).as_posix() for package in packages for path in package.rglob("*.py") if any(_stepping(path))}
+    assert found == STEPPING
+
+
+def test_steps_are_those_of_gymnasium() -> None:
+    with closing(deepbots_cli.make("cartpole")) as one, closing(deepbots_cli.make("cartpole")) as other:
+        observation, _ = one.reset(seed=3)
+        returned = 0.0
+        for step in steps(other, random_driver(other), Start(3)):
+            if step.number:
+                observation, reward, terminated, truncated, _ = one.step(one.action_space.sample())
+                returned += float(reward)
+                assert (step.reward, step.is_last) == (reward, terminated or truncated)
+            assert np.array_equal(step.observation, observation)
+        episode = play(other, random_driver(other), Start(3))
+        assert (episode.length, episode.total_return, episode.seed) == (step.number, returned, 3)
+
+
+def test_an_episode_may_be_cut_and_begin_from_the_state_of_its_generators() -> None:
+    with closing(deepbots_cli.make("cartpole")) as world:
+        world.reset(seed=1)
+        state = random_state(world)
+
+        def cut() -> Episode:
+            return result_of(islice(steps(world, named_driver(world, "zero"), Start(state=state)), 4))
+
+        first = cut()
+        assert (first.length, first.ended_by, first.seed) == (3, None, None)
+        assert cut() == first
+
+
+def test_a_driver_is_told_which_episode_begins() -> None:
+    begun = []
+
+    class Noting(Driver):
+        def begin(self, start: Start) -> None:
+            begun.append(start)
+
+    with closing(deepbots_cli.make("cartpole")) as world:
+        start = Start.of_evaluation(5, 2)
+        play(world, Noting(lambda _: 0), start)
+    assert begun == [start]
+    assert start.number == 2
+
+
+def test_an_episode_that_goes_on_after_the_last_action_is_an_error() -> None:
+    with closing(deepbots_cli.make("cartpole")) as world, pytest.raises(UsageError, match="goes on after the last action"):
+        play(world, sequence_driver([0, 1]), Start(0))
