@@ -16,7 +16,6 @@ from deepbots_cli.compiler.robots import (
     joint_dimension,
     joint_interval,
     joint_moves_link,
-    report_missing_joint,
     report_unmatched,
     warn_beyond_limits,
 )
@@ -36,6 +35,9 @@ from deepbots_cli.scenario import actuators as specs
 from deepbots_cli.scenario.base import kind_parameters
 
 Limits = tuple[float | None, ...]
+
+_BEGIN_AT_ZERO = frozenset({"integral", "duration"})
+"""Functions that begin at 0, whatever the first message holds."""
 
 
 class ResolvedActuator(NamedTuple):
@@ -255,7 +257,7 @@ def _pose(name: str, scene: ResolvedRobot, namespace: Namespace) -> Symbol:
     for pattern in scene.spec.poses[name]:
         joints, missing = expand_patterns(moving, pattern, scene.groups)
         if missing:
-            report_missing_joint(values, values.key_span((*scene.spec.path, "poses", name, pattern)), pattern, scene.model)
+            scene.report_missing_joint(values, values.key_span((*scene.spec.path, "poses", name, pattern)), pattern, moving)
         dimension = joint_dimension(scene.model.joint(joints[0])) if joints else None
         position = namespace.fixed(scene.spec, "poses", name, pattern, dimension=dimension) if joints else None
         sound = sound and position is not None
@@ -386,7 +388,9 @@ class RobotBuilder:
         """A finding for each memory whose start is received, where zeros replace a first message that is lost."""
         for command in robot.commands:
             for node in walk(command.target.typed):
-                if isinstance(node, Invocation) and (command.target.owner, f"{node.occurrence}") in robot.begun_by_message:
+                if not isinstance(node, Invocation) or node.function in _BEGIN_AT_ZERO:
+                    continue
+                if (command.target.owner, f"{node.occurrence}") in robot.begun_by_message:
                     report = self.values.report(self.values.text((*self.path, "apply", command.name), command.target.text))
                     headline = (
                         f"`{node.function}` begins with a value of the first message, and zeros replace it where that message is lost"

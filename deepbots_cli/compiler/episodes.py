@@ -8,7 +8,7 @@ from functools import partial
 
 from deepbots_cli.compiler.namespace import Namespace, Origin, ParameterScope, SupervisorScope
 from deepbots_cli.compiler.places import Layouts, PlacementChecker, Places
-from deepbots_cli.compiler.robots import joint_dimension, report_follower, report_missing_joint, warn_beyond_limits
+from deepbots_cli.compiler.robots import joint_dimension, report_follower, warn_beyond_limits
 from deepbots_cli.compiler.values import SourceText, ValueReader
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.diagnostics.nearest import Replacement
@@ -16,7 +16,7 @@ from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions import unification
 from deepbots_cli.expressions.dimensions import NUMBER, TIME, Dimension
 from deepbots_cli.expressions.functions import contains_draw
-from deepbots_cli.expressions.intervals import EVERYTHING, TRUTH, Interval
+from deepbots_cli.expressions.intervals import EVERYTHING, TRUTH, Interval, hull
 from deepbots_cli.expressions.lower import constant_values
 from deepbots_cli.expressions.types import (
     Components,
@@ -220,14 +220,17 @@ def _joint_start(key: str, spec: ResetSpec, namespace: Namespace, poses: Mapping
         return None
     subject = robot.subject(part, _JOINTS)
     if subject is None or subject.kind not in _JOINTS:
-        report_missing_joint(namespace.values, text.part(len(robot_name + dot), len(key)), part, robot.model)
+        robot.report_missing_joint(namespace.values, text.part(len(robot_name + dot), len(key)), part, robot.drivable_joints)
         return None
     drivable = {f"{robot_name}.{joint}" for joint in robot.drivable_joints}
     if f"{robot_name}.{part}" not in drivable and drivable.isdisjoint(subject.members):  # nothing but followers
         follower = (subject.members or (key,))[0].partition(".")[2]
         report_follower(namespace.values, text.part(len(robot_name + dot), len(key)), follower, robot.model)
         return None
-    subject = subject._replace(members=tuple(member for member in subject.members if member in drivable))
+    if subject.members:
+        kept = [(member, limits) for member, limits in zip(subject.members, subject.intervals, strict=True) if member in drivable]
+        members, intervals = zip(*kept, strict=True)
+        subject = subject._replace(members=members, intervals=intervals, interval=hull(intervals))
     joints = tuple(member.partition(".")[2] for member in subject.members) or (part,)
     scope, given = namespace.scope(Context.RESET, poses.get(robot_name)), spec.set[key]
     angle, read = joint_dimension(robot.model.joint(joints[0])), namespace.values.field
@@ -247,10 +250,13 @@ def _start_value(
     typed = namespace.typed(text, "the start of a joint", dimension=dimension, components=subject.components, scope=scope)
     if typed is None:
         return None
-    reach, limits = typed.type.interval, subject.interval
-    if dimension == subject.dimension and reach.is_finite and not reach.is_within(limits):
-        help = "set a position within the limits: an engine pushes the joint back at once"
-        warn_beyond_limits(values, text, dimension, limits, "a start at", reach, help)
+    allowed = subject.intervals or (subject.interval,)
+    reached = typed.type.intervals or (typed.type.interval,) * len(allowed)
+    for reach, limits in zip(reached, allowed, strict=True):
+        if dimension == subject.dimension and reach.is_finite and not reach.is_within(limits):
+            help = "set a position within the limits: an engine pushes the joint back at once"
+            warn_beyond_limits(values, text, dimension, limits, "a start at", reach, help)
+            break
     return text.expression(typed, key, per_component=joints if len(joints) > 1 else None)
 
 

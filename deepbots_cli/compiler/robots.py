@@ -116,15 +116,15 @@ def report_unmatched(values: ValueReader, span: Span, pattern: str, what: str, n
         values.findings.add("DB206", span, f"`{pattern}` matches no {what}", help=choices_help(pattern, names))
 
 
-def report_missing_joint(values: ValueReader, span: Span, pattern: str, model: RobotModel) -> None:
-    """A joint where one is needed that moves: it does not exist, it cannot move, or it follows another one."""
+def report_missing_joint(values: ValueReader, span: Span, pattern: str, model: RobotModel, known: Sequence[str]) -> None:
+    """A joint where one of the `known` is needed: it does not exist, it cannot move, or it follows another one."""
     matched = matching_names((joint.name for joint in model.joints), pattern)
     if matched and matched[0] in model.followers:
         report_follower(values, span, matched[0], model)
     elif matched:
-        report_motionless_joint(values, span, model.joint(matched[0]), model)
+        report_motionless_joint(values, span, model.joint(matched[0]), known)
     else:
-        report_unmatched(values, span, pattern, "joint", [joint.name for joint in model.moving_joints])
+        report_unmatched(values, span, pattern, "joint", known)
 
 
 def report_follower(values: ValueReader, span: Span, joint: str, model: RobotModel) -> None:
@@ -134,8 +134,8 @@ def report_follower(values: ValueReader, span: Span, joint: str, model: RobotMod
     values.findings.add("DB303", span, f"the joint `{joint}` follows `{leader}`, and is not moved on its own", help=help)
 
 
-def report_motionless_joint(values: ValueReader, span: Span, joint: Joint, model: RobotModel) -> None:
-    names = ", ".join(f"`{moving.name}`" for moving in model.moving_joints)
+def report_motionless_joint(values: ValueReader, span: Span, joint: Joint, known: Sequence[str]) -> None:
+    names = ", ".join(f"`{name}`" for name in known)
     help = f"joints that move are {names}" if names else "no joint of this robot can move"
     values.findings.add("DB303", span, f"the joint `{joint.name}` cannot move: it is {joint.type}", help=help)
 
@@ -236,6 +236,7 @@ class Overrides:
     def apply(self, model: RobotModel, spec: RobotSpec) -> RobotModel:
         """The model with all changes made that can be made; findings about the others."""
         links, joints = [link.name for link in model.links], [joint.name for joint in model.joints]
+        moving = [joint.name for joint in model.moving_joints]
         for pattern, change in spec.links.items():
             for name in self._members(links, pattern, change, "link"):
                 model = self._change_link(model, model.link(name), change)
@@ -245,7 +246,7 @@ class Overrides:
                 if joint.moves:
                     model = self._change_joint(model, joint, joint_change)
                 elif name == pattern:
-                    report_motionless_joint(self.values, self.values.key_span(joint_change.path), joint, model)
+                    report_motionless_joint(self.values, self.values.key_span(joint_change.path), joint, moving)
         return model
 
     def _members(self, names: list[str], pattern: str, change: LinkOverride | JointOverride, what: str) -> tuple[str, ...]:
@@ -404,8 +405,13 @@ class ResolvedRobot:
                 if key == "links":
                     report_unmatched(values, span, pattern, "link", known)
                 else:
-                    report_missing_joint(values, span, pattern, self.model)
+                    self.report_missing_joint(values, span, pattern, known)
         return () if missing else names
+
+    def report_missing_joint(self, values: ValueReader, span: Span, pattern: str, known: Sequence[str]) -> None:
+        """A joint where one of the `known` is needed; of a group that names none of them, its first joint is reported."""
+        kind, members = self.groups.get(pattern, (None, ()))
+        report_missing_joint(values, span, members[0] if kind is Kind.JOINTS else pattern, self.model, known)
 
     @property
     def parts(self) -> list[str]:
@@ -489,7 +495,7 @@ def _groups(model: RobotModel, spec: RobotSpec, values: ValueReader) -> dict[str
         elif odd := [pattern for pattern in not_joints if pattern in not_links]:
             span = values.span((*place, patterns.index(odd[0])))
             if matching_names((joint.name for joint in model.joints), odd[0]):
-                report_missing_joint(values, span, odd[0], model)
+                report_missing_joint(values, span, odd[0], model, joints)
             else:
                 report_unmatched(values, span, odd[0], "joint or link", list(dict.fromkeys([*joints, *links])))
         else:

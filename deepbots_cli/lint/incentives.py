@@ -72,7 +72,7 @@ def rewards_early_death(context: RuleContext) -> Iterator[Finding]:
     if failure is None:
         return
     cost, ending = failure
-    steps = _steps_that_count(reward, ending)
+    steps = _steps_that_count(reward, ending) * program.action_repeat
     living = _total_sum(ordinary, running, steps) + at_limit
     prizes = [(total_range(final, reward.ranges_at(ending)).high, ending) for ending in program.endings if ending.outcome == "success"]
     prize, success = max(prizes, key=lambda entry: entry[0], default=(0.0, None))
@@ -121,9 +121,8 @@ def horizon(reward: RewardTerms) -> float:
 
 
 def _steps_that_count(reward: RewardTerms, ending: Ending) -> float:
-    """The timesteps after the first one in which an ending may hold, no more than the discount factor lets count."""
-    steps = min(reward.analysis.last_step - 1.0 - _first_step(reward.analysis, ending), horizon(reward))
-    return max(0.0, steps) * reward.program.action_repeat
+    """The steps of the agent after the first one in which an ending may hold, no more than the discount factor lets count."""
+    return max(0.0, min(reward.analysis.last_step - 1.0 - _first_step(reward.analysis, ending), horizon(reward)))
 
 
 def _cheapest_failure(reward: RewardTerms, final: Terms) -> tuple[float, Ending] | None:
@@ -317,11 +316,6 @@ def _just_before(ranges: Ranges, threshold: Threshold | None) -> Ranges:
     return StillRanges(ranges.analysis, ranges.given, ranges.steps, kept)
 
 
-def discounted_ticks(reward: RewardTerms) -> float:
-    """The timesteps that count: half an episode, or the horizon of the discount factor if it is shorter."""
-    return min(reward.analysis.last_step / 2, horizon(reward)) * reward.program.action_repeat
-
-
 def other_policy_pays_more(simulation: Simulation) -> Iterator[Finding]:
     """DB708: another behaviour pays more over a whole episode than success."""
     successes = [ending for ending in simulation.program.endings if ending.outcome == "success"]
@@ -373,7 +367,7 @@ def _place_pays(simulation: Simulation, success: Ending) -> list[Finding]:
     if best is None:
         return []
     pay = highest[best.name] + sum(min(0.0, highest[term.name]) for term in staying if term is not best)
-    steps = max(0.0, analysis.last_step - ceil(_first_step(analysis, success))) * simulation.program.action_repeat
+    steps = max(0.0, analysis.last_step - ceil(_first_step(analysis, success)))
     if pay <= 0.0 or pay * steps <= prize or pay * min(steps, horizon(reward)) <= _MIN_WORTH * prize:
         return []
     headline = f"`{best.name}` pays up to {pay:.3g} in a step, {pay * steps:.4g} in an episode that stays there"
@@ -405,11 +399,11 @@ def _idle_pays(simulation: Simulation, success: Ending) -> list[Finding]:
         return []
     pay = sum(term.total for term in row.terms) / row.steps
     prize = total_range(reward.terms, reward.ranges_at(success)).high
-    ticks = discounted_ticks(reward)
-    if pay > 0.0 and pay * ticks > prize:
+    steps = min(reward.analysis.last_step / 2, horizon(reward))
+    if pay > 0.0 and pay * steps > prize:
         headline = f"doing nothing pays {pay:.3g} per step, and `{success.value.name}` pays {prize:.3g} once"
         notes = (
-            f"measured in {row.steps} steps; about {ticks:.0f} steps count, given the discount factor of the training and the time limit",
+            f"measured in {row.steps} steps; about {steps:.0f} steps count, given the discount factor of the training and the time limit",
         )
         also = (Label(success.value.span, "ends these payments"),)
         return [Finding("DB708", _most_paid(simulation, IDLE).span, headline, help=_PROGRESS_HELP, notes=notes, labels=also)]

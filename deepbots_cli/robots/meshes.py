@@ -27,6 +27,9 @@ from deepbots_cli.robots.model import Mesh, Vector
 
 MAX_BYTES = 32 * 2**20
 MAX_TOTAL_BYTES = 256 * 2**20
+MAX_CACHED_PROBLEMS = 256
+_PROBLEMS: dict[tuple[str, str], str | None] = {}
+"""The first problem of each mesh that was checked, by suffix and sha256 digest."""
 MESH_SUFFIXES = (".stl", ".obj", ".dae")
 _VERTEX = re.compile(rb"^[ \t]*v[ \t]", re.MULTILINE)
 _NOT_FINITE = re.compile(rb"^[ \t]*v[ \t][^\n]*(?:nan|inf)", re.MULTILINE | re.IGNORECASE)
@@ -196,8 +199,13 @@ class MeshReader:
             return UnusableMesh(f"the meshes of this robot are larger than {MAX_TOTAL_BYTES >> 20} MiB together", "simplify them")
         if data.startswith(_ARCHIVES):
             return UnusableMesh("the mesh is an archive", "unpack it")
-        wrong = mesh_problem(path.suffix.lower(), data)
-        return UnusableMesh(wrong, "export the mesh again") if wrong else hashlib.sha256(data).hexdigest()
+        suffix, digest = path.suffix.lower(), hashlib.sha256(data).hexdigest()
+        if (suffix, digest) not in _PROBLEMS:
+            if len(_PROBLEMS) >= MAX_CACHED_PROBLEMS:
+                _PROBLEMS.clear()
+            _PROBLEMS[suffix, digest] = mesh_problem(suffix, data)
+        wrong = _PROBLEMS[suffix, digest]
+        return UnusableMesh(wrong, "export the mesh again") if wrong else digest
 
 
 def read_verified(mesh: Mesh) -> bytes:

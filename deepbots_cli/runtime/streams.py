@@ -137,7 +137,7 @@ def chosen_values(
     if not isinstance(options, Mapping):
         raise UsageError(f"options of reset must be a mapping from names to values, not {type(options).__name__}")
     found: dict[str, dict[str, Any]] = {name: {} for name in copies or ("",)}
-    of_one: list[tuple[str, str, Any]] = []
+    of_one: dict[tuple[str, str], Any] = {}
     for given, value in options.items():
         copy, name = _split(str(given), copies)
         for full, part in _numbers(name, value, scenario, fixed):
@@ -146,14 +146,14 @@ def chosen_values(
                 continue
             if copy and not entry.is_of_copy:
                 raise UsageError(f"reset cannot set {given!r}: all copies share this draw; write {name!r}")
-            if copy:
-                of_one.append((copy, entry.key, part))
-                continue
-            if any(entry.key in values for values in found.values()):
+            if (copy, entry.key) in of_one or (not copy and any(entry.key in values for values in found.values())):
                 raise UsageError(f"reset cannot set {full!r} twice: by {given!r} and by another name")
+            if copy:
+                of_one[copy, entry.key] = part
+                continue
             for values in found.values():
                 values[entry.key] = part
-    for copy, key, part in of_one:
+    for (copy, key), part in of_one.items():
         found[copy][key] = part
     return found
 

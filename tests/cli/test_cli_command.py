@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from importlib.machinery import PathFinder
 from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 
@@ -44,6 +45,13 @@ def test_a_process_of_ours_does_not_import_from_the_working_directory(hostile, m
     done = subprocess.run(command, cwd=hostile, env=python_environment(), capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (0, f"deepbots {deepbots_cli.__version__}\n"), done.stderr
     assert not list(hostile.glob("*.ran"))
+
+
+def test_a_process_of_ours_imports_this_deepbots_before_one_on_the_path(hostile, monkeypatch):
+    (hostile / "deepbots_cli.py").write_text("open(__file__ + '.ran', 'w').close()\n")
+    monkeypatch.setenv("PYTHONPATH", str(hostile))
+    path = python_environment()["PYTHONPATH"].split(os.pathsep)
+    assert PathFinder.find_spec("deepbots_cli", path).origin == deepbots_cli.__file__
 
 
 @pytest.mark.slow  # two interpreters start

@@ -45,6 +45,19 @@ def test_a_mesh_is_kept_by_its_real_path_and_digest(tmp_path: Path):
     assert robot.meshes == {path: digest}
 
 
+def test_a_mesh_is_checked_once_until_its_content_changes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    checked, check = [], meshes.mesh_problem
+    monkeypatch.setattr(meshes, "mesh_problem", lambda suffix, data: checked.append(data) or check(suffix, data))
+    sound, broken = TETRAHEDRON + b"# read twice\n", b"v 0 0 0\nv 1 0 0\nf 1 2 3\n"
+    said = []
+    for content in (sound, sound, broken, broken):
+        (tmp_path / "m.obj").write_bytes(content)
+        said.append(robot_with(tmp_path, "m.obj")[1])
+    assert checked == [sound, broken]
+    assert said[:2] == [[], []]
+    assert said[2] == said[3] != []
+
+
 def test_the_normalised_robot_finds_its_meshes_from_anywhere(tmp_path: Path):
     (tmp_path / "m.obj").write_bytes(TETRAHEDRON)
     robot, _ = robot_with(tmp_path, "m.obj")
