@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 from deepbots_cli import engine_kinds
 from deepbots_cli.compiler import CheckedScenario, check
+from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document import load as read
@@ -132,6 +133,19 @@ def load(
     if overrides and not tests and root is not None:
         root = replace(root, entries={key: entry for key, entry in root.entries.items() if key != TESTS})
     return check(replace(document, root=root, allow_code=allow_code))
+
+
+def load_kept(
+    folder: Path, *, overrides: Sequence[str] = (), allow_paths: Iterable[str | Path] = (), allow_code: bool = True
+) -> CheckedScenario:
+    """The scenario that a run, a group or a recording keeps in its folder, which reads only files of this folder.
+
+    By default it may name functions of installed packages: building a world asks again whether they may run.
+
+    Raises:
+        UsageError: The folder keeps no scenario.
+    """
+    return load(folder / RESOLVED_NAME, overrides=overrides, allow_paths=allow_paths, allow_code=allow_code, project=folder)
 
 
 def lint(

@@ -77,7 +77,7 @@ def open_source(
         if overrides:
             raise UsageError(f"--set changes a scenario, and {source} is {kind}, which stays as it was trained")
         if is_group(path):
-            return _compiled(api.load(path / RESOLVED_NAME, allow_code=True, project=path))
+            return _compiled(api.load_kept(path))
         run, resolved = Run.open(path), path / RESOLVED_NAME
         return OpenedSource(run.program, parse(Source(str(resolved), resolved.read_text(encoding="utf-8-sig")), Findings()), run)
     return _compiled(api.load(source, overrides=with_engine(overrides, engine), allow_paths=allow_paths, allow_code=allow_code))

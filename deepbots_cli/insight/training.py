@@ -246,7 +246,7 @@ def lint_findings(run: Run) -> tuple[str, list[Finding]]:
             return join([str(own), "--allow-path", str(folder), *(f"--set={text}" for text in overrides)]), all_findings(checked)
     except DeepbotsError:
         pass
-    return quote(str(resolved)), all_findings(api.load(resolved, allow_code=True, project=run.path))
+    return quote(str(resolved)), all_findings(api.load_kept(run.path))
 
 
 def read_training(run: Run) -> TrainingEvidence:

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
-from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.environments import WorldFactory, compiled_scenario
 from deepbots_cli.learning.episodes import Interval
@@ -185,7 +184,7 @@ def compare(
     if own:
         judged = None
     elif scenario is None:
-        judged = api.compile(api.load(base / RESOLVED_NAME, allow_code=True, project=base))
+        judged = api.compile(api.load_kept(base))
     else:
         judged = compiled_scenario(scenario)
     count = 0

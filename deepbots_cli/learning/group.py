@@ -237,7 +237,7 @@ def resume_group(
             plugins.check(followers.get("callbacks", ()), followers.get("loggers", ()))
             known = Group(known.path, known.record.model_copy(update=followers))
             known.write()
-        compiled = api.compile(api.load(known.path / RESOLVED_NAME, allow_code=True, project=known.path))
+        compiled = api.compile(api.load_kept(known.path))
         compiled = replace(compiled, source=Path(known.record.source), allow_code=allow_code)
         changes = followers | {name: value for name, value in given.items() if value is not None}
         return _train_seeds(known, compiled, changes, on_seed, progress=progress, build=build)

@@ -313,7 +313,7 @@ class Run:
             raise RunError(f"{path / RESOLVED_NAME} is missing")
         try:
             # The functions of Python that it names are not called before a world is built, which asks again whether they may.
-            compiled = api.compile(api.load(path / RESOLVED_NAME, allow_code=True, project=path))
+            compiled = api.compile(api.load_kept(path))
         except DeepbotsError as error:
             raise RunError(f"{path} cannot be used, since its scenario does not compile: {' '.join(str(error).split())[:500]}") from error
         differences = identity.compare_interfaces(record.interface, identity.interface(compiled.program), words=("trained", "now"))

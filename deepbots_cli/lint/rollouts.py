@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli import api, footprint, frames
-from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.errors import DeepbotsError, EngineError, EvaluationError
 from deepbots_cli.frames import Triple
 from deepbots_cli.lint.simulation import (
@@ -65,7 +64,7 @@ class StoppedError(Exception):
 
 def compiled(folder: Path, *, allow_code: bool) -> Program:
     """Compile the scenario whose files were copied into a folder."""
-    return api.compile(api.load(folder / RESOLVED_NAME, allow_code=allow_code, project=folder)).program
+    return api.compile(api.load_kept(folder, allow_code=allow_code)).program
 
 
 class Simulator:

@@ -59,7 +59,7 @@ class Source:
             from deepbots_cli.learning.run import Run
 
             run = Run.open(self.reference)
-            checked, files = self._stored_scenario(Path(self.reference)), frozenset[Path]()
+            checked, files = self._kept_scenario(Path(self.reference)), frozenset[Path]()
         else:
             overrides = with_engine(self.overrides, self.engine)
             checked = api.load(self.reference, overrides=overrides, allow_paths=self.allow_paths, allow_code=self.allow_code)
@@ -72,10 +72,8 @@ class Source:
         parameters = {name: str(value) for name, value in checked.spec.parameters.items()} if checked.spec else {}
         return SourceState(self._chosen(compiled.program), compiled.findings, files, self, run, compiled=compiled, parameters=parameters)
 
-    def _stored_scenario(self, folder: Path) -> CheckedScenario:
-        """The scenario of a run or a recording, which reads only files of its folder."""
-        # The functions of Python that it names are not called before a world is built, which asks again whether they may.
-        return api.load(folder / "resolved.yaml", project=folder, overrides=self.overrides, allow_paths=self.allow_paths, allow_code=True)
+    def _kept_scenario(self, folder: Path) -> CheckedScenario:
+        return api.load_kept(folder, overrides=self.overrides, allow_paths=self.allow_paths)
 
     def _open_recording(self) -> SourceState:
         from deepbots_cli.view.recordings import Recording
@@ -86,7 +84,7 @@ class Source:
                 "leave out --set, --case, --stage, --engine, --worlds and --start"
             )
         recording = Recording.read(Path(self.reference))
-        compiled = api.compile(self._stored_scenario(Path(recording.folder.name)))
+        compiled = api.compile(self._kept_scenario(Path(recording.folder.name)))
         known = recording.metadata
         source = replace(self, engine=known.get("engine") or None, case=known.get("case") or None, stage=known.get("stage") or None)
         return SourceState(source._chosen(compiled.program), (), frozenset(), source, recording=recording, compiled=compiled)
