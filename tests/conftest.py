@@ -5,6 +5,7 @@ pybullet_data are skipped.
 """
 
 import gc
+import json
 import os
 import sys
 import tempfile
@@ -61,6 +62,31 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, object, object]:
         if WITHOUT and any(text in str(error) for text in (WITHOUT, *_NEEDS)):
             pytest.skip(WITHOUT)
         raise
+
+
+@pytest.fixture
+def simulated_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lint simulates in this process: one of its own costs 1 s of CPU, and `lint/test_simulation_process.py` has it."""
+    from deepbots_cli.compiler.inputs import Inputs
+    from deepbots_cli.lint.rollouts import Simulator, compiled
+    from deepbots_cli.lint.simulation import Limits, SimulationReport
+
+    def measure(inputs: Inputs, limits: Limits, *, allow_code: bool = False) -> SimulationReport:
+        report = SimulationReport()
+
+        def write(entry: dict[str, object]) -> None:
+            report.add_line(json.loads(json.dumps(entry)))
+
+        def begin_step(number: int) -> None:
+            report.where = report.where._replace(step=number)
+
+        with tempfile.TemporaryDirectory() as folder:
+            inputs.write(Path(folder))
+            Simulator(compiled(Path(folder), allow_code=allow_code), write, begin_step, allow_code=allow_code).run()
+        report.add_line({"done": True})
+        return report
+
+    monkeypatch.setattr("deepbots_cli.lint.measure", measure)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -13,6 +13,8 @@ from deepbots_cli import api
 from deepbots_cli.cli.starters.build import Build
 from tests.few import few
 
+pytestmark = pytest.mark.usefixtures("simulated_here")
+
 FREE = 'lower="-1" upper="1" effort="40" velocity="6"'
 
 

@@ -18,6 +18,8 @@ from deepbots_cli.lint.analysis import StaticRule
 from deepbots_cli.robots.reader import read
 from tests.few import few
 
+pytestmark = pytest.mark.usefixtures("simulated_here")
+
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 SHAPE = re.compile(r"(DB\d{3}): .*?\n\nExample::\n\n(.*?)\n\nInstead::\n\n(.*)", re.DOTALL)
 

@@ -25,8 +25,8 @@ from deepbots_cli.scenario.training import ALGORITHMS, Training
 ROOT = FilePath(__file__).parents[2]
 FOLDERS = ("tests/data/hosts", "tests/data/scenarios", "tests/channel", "tests/placement", "scenarios")
 HOSTS = [path for folder in FOLDERS for path in sorted((ROOT / folder).glob("*.yaml"))]
-COSTLY = ("arm", "panda_push", "panda_reach")
-"""Hosts with a robot arm, which take 0.3 s of CPU to lint; the others take 0.02 s."""
+COSTLY = ("arm", "find_and_avoid", "panda_push", "panda_reach")
+"""Hosts with a robot arm or many objects, which take 0.3 s of CPU to lint; the others take 0.02 s."""
 LEARNERS = ("choices.yaml", "ranges.yaml", "goals.yaml", "../../../scenarios/cartpole.yaml")
 FOREIGN = frozenset({"python"})  # refused unless foreign code is allowed
 

@@ -38,8 +38,8 @@ def folder(project: Project) -> Path:
 
 @pytest.fixture(scope="module")
 def offers(folder: Path) -> dict[Path, list[Finding]]:
-    """What lint says, in preview too, of every other scenario with a fix."""
-    linted = {path: api.lint(path, preview=True) for path in sorted(folder.glob("err/*.yaml"))[::2]}
+    """What lint says, in preview too, of every third scenario with a fix."""
+    linted = {path: api.lint(path, preview=True) for path in sorted(folder.glob("err/*.yaml"))[1::3]}
     return {path: found for path, found in linted.items() if any(finding.fix for finding in found)}
 
 

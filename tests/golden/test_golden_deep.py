@@ -17,6 +17,8 @@ from deepbots_cli.lint import all_findings, simulate
 from tests.few import every, few
 from tests.golden.cases import HERE, Case, cases
 
+pytestmark = pytest.mark.usefixtures("simulated_here")
+
 BAD = cases("deep")
 ONE_OF_EACH = [str(case) for case in {case.page: case for case in BAD}.values()]
 """The last case of each page."""

@@ -9,9 +9,9 @@ from tests.hostile.cases import Hostile
 from tests.hostile.trial import Outcome, outcomes
 
 
-@pytest.fixture(scope="module")
-def tried() -> list[tuple[Hostile, Outcome]]:
-    return list(outcomes())
+@pytest.fixture(scope="module", params=[pytest.param(False, id="most"), pytest.param(True, id="all", marks=pytest.mark.slow)])
+def tried(request: pytest.FixtureRequest) -> list[tuple[Hostile, Outcome]]:
+    return list(outcomes(slow=request.param))
 
 
 def test_each_hostile_file_ends_in_a_finding_that_is_for_it(tried: list[tuple[Hostile, Outcome]]) -> None:

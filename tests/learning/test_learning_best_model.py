@@ -95,6 +95,7 @@ def test_a_training_ends_at_the_first_evaluation_that_solves_the_task(tmp_path: 
     assert result.best_return >= 5.0
 
 
+@pytest.mark.slow
 def test_the_best_model_is_that_of_the_best_evaluation_and_evaluations_take_at_most_their_share_of_the_steps(tmp_path: Path) -> None:
     build = Builder(lambda number: 0.1 if number == 1 else 0.0)
     result = learned(tmp_path, build, total=3_000)
@@ -126,6 +127,7 @@ def test_an_off_policy_algorithm_ends_after_a_longer_evaluation(tmp_path: Path) 
     assert sum(seed == CONFIRMATION_SEED for world in build.worlds for seed in world.seeds) == 1
 
 
+@pytest.mark.slow
 def test_a_network_that_confirmed_the_solved_task_goes_before_one_that_shone_earlier(tmp_path: Path) -> None:
     class Late(Paying):
         """Its episodes in training are successes from the 100th on."""

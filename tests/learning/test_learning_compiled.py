@@ -9,6 +9,7 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.document import shipped
 from deepbots_cli.learning import evaluate, evaluate_cases, resume, train
+from tests.few import few
 
 KINDS = {
     "goal": """
@@ -61,7 +62,7 @@ train: {total_timesteps: 400, environments: 2, n_steps: 32, batch_size: 32, n_ep
 }
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", few(KINDS, ["goal", "stages", "masks"]))
 def test_it_is_trained_evaluated_and_gone_on_with(tmp_path: Path, kind: str) -> None:
     base = shipped.scenario_path("cartpole")
     assert base is not None

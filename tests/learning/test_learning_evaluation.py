@@ -248,7 +248,8 @@ def test_single_copies_of_a_group_are_left_out_of_the_drawn_values() -> None:
 
 
 def test_baselines_and_the_policy_have_the_same_starts(tmp_path: Path) -> None:
-    run = train("pit_escape", run=tmp_path / "run", total_timesteps=1).run
+    task = compile("pit_escape", overrides=["train.environments=1", "train.n_steps=32", "train.batch_size=32"])
+    run = train(task, run=tmp_path / "run", total_timesteps=1).run
     results = evaluate_baselines(run, episodes=2, seed=5, scenario=compile("pit_escape", overrides=["truncation.max_steps=20"]))
     assert [result.model for result in results] == ["random", "zero", "script forward_only", "script rocking"]
     policy = evaluate(run, episodes=2, seed=5, scenario=compile("pit_escape", overrides=["truncation.max_steps=20"]))

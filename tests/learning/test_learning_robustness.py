@@ -13,7 +13,8 @@ from deepbots_cli.cli.results import robustness_text
 from deepbots_cli.document import load, shipped
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import TrainingResult, evaluate_robustness
-from deepbots_cli.learning.robustness import Change, changed_scenario, plans
+from deepbots_cli.learning.robustness import Change, _bar, changed_scenario, plans
+from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program, identity
 
 
@@ -146,4 +147,4 @@ def test_a_policy_is_measured_against_a_bar_at_every_level(trained: TrainingResu
     assert "below, uncertain" in robustness_text(strict).splitlines()[4]  # the row without any change
     assert "without any change; set another bar with --min-return" in robustness_text(strict)
     assert "set another bar" not in robustness_text(found)
-    assert evaluate_robustness(trained.run, **brief).bar == 195.0
+    assert _bar(Run.open(trained.run).program, found.nominal, None, None)[1] == 195.0

@@ -269,20 +269,22 @@ def test_a_reward_that_is_no_number_ends_the_training_with_its_term(tmp_path: Pa
     assert json.loads((run / "run.json").read_text())["status"] == "failed"
 
 
-@pytest.mark.parametrize(
-    ("algorithm", "continuous", "figures"),
-    [
-        ("A2C", False, {}),
-        ("A2C", True, {"learning_rate": Schedule(1e-3, 0.0)}),
-        ("PPO", True, {"n_steps": 32, "n_epochs": 1, "clip_range": Schedule(0.3, 0.1)}),
-        ("DQN", False, {"learning_starts": 20}),
-        ("SAC", True, {"learning_starts": 20, "train_freq": 8}),
-        ("TD3", True, {"learning_starts": 20, "train_freq": 8}),
-        ("DDPG", True, {"learning_starts": 20, "train_freq": 8}),
-    ],
-)
-def test_every_algorithm_trains_resumes_and_is_evaluated(tmp_path: Path, algorithm: str, continuous: bool, figures: dict[str, Any]) -> None:
-    training = Training(algorithm, 100, environments=2, hyperparameters=hyper(**figures), network=Network((8,), "relu"))
+LEARNERS: list[tuple[str, bool, dict[str, Any]]] = [
+    ("A2C", False, {}),
+    ("A2C", True, {"learning_rate": Schedule(1e-3, 0.0)}),
+    ("PPO", True, {"n_steps": 32, "n_epochs": 1, "clip_range": Schedule(0.3, 0.1)}),
+    ("DQN", False, {"learning_starts": 20}),
+    ("SAC", True, {"learning_starts": 20, "train_freq": 8}),
+    ("TD3", True, {"learning_starts": 20, "train_freq": 8}),
+    ("DDPG", True, {"learning_starts": 20, "train_freq": 8}),
+]
+"""Algorithms, each with whether its actions are continuous, and hyperparameters."""
+
+
+@pytest.mark.parametrize("learner", few(LEARNERS, ["A2C-False", "SAC-True"], lambda learner: f"{learner[0]}-{learner[1]}"))
+def test_every_algorithm_trains_resumes_and_is_evaluated(tmp_path: Path, learner: tuple[str, bool, dict[str, Any]]) -> None:
+    algorithm, continuous, settings = learner
+    training = Training(algorithm, 100, environments=2, hyperparameters=hyper(**settings), network=Network((8,), "relu"))
     compiled = stand_in.compiled(training=training, continuous=continuous)
     result = train(compiled, runs=tmp_path, build=stand_in.build)
     again = resume(result.run, total_timesteps=result.steps + 60, build=stand_in.build)

@@ -11,6 +11,8 @@ from deepbots_cli.cli.commands.new import Template, from_template
 from deepbots_cli.document import shipped
 from deepbots_cli.lint import all_findings, simulate
 
+pytestmark = pytest.mark.usefixtures("simulated_here")
+
 CHEAP = ("balancer", "quadrotor")
 """Wheels and thrusters; the others are marked as slow (1 to 7 s of CPU each)."""
 

@@ -90,6 +90,7 @@ def test_a_copied_scenario_runs_from_the_folder_it_was_copied_to(installed: Path
     json.loads(ran.stdout)
 
 
+@pytest.mark.slow
 def test_the_wheel_installs_the_command(wheel: Path, tmp_path: Path) -> None:
     """Pip itself puts the wheel into an environment without anything; the dependencies are lent to it by path."""
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(tmp_path / "venv")], check=True)

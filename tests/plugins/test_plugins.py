@@ -235,6 +235,7 @@ def test_an_actuator_of_a_plugin_drives_with_strength_and_delay(driven, strength
     assert 0.5 < share < 0.8 if strength == "1" else 0.25 < share < 0.5
 
 
+@pytest.mark.slow
 def test_the_algorithm_of_a_plugin_trains_with_its_default_and_one_without_tensors_is_refused(site):
     script = """
 from deepbots_cli import api

@@ -122,10 +122,15 @@ class Asked(NamedTuple):
 
 def asked_training(scenario: str, training: Training, seed: int | str) -> Asked:
     """Knows nothing of the evaluation, so that a new case does not ask for a new training."""
-    program = _with(compiled(scenario, training.sets), {"scripts": ()})
+    command = shlex.join(["deepbots", "train", scenario, "--seed", str(seed), *training.options])
+    return Asked(_training_digest(scenario, training.sets), command)
+
+
+@cache
+def _training_digest(scenario: str, sets: tuple[str, ...]) -> str:
+    program = _with(compiled(scenario, sets), {"scripts": ()})
     # To evaluate in cases that came after a training is to name the scenario, which takes no settings.
-    program = program if training.sets else _with(program, {}, cases=(), evaluation=EvaluationSettings())
-    return Asked(digest(program), shlex.join(["deepbots", "train", scenario, "--seed", str(seed), *training.options]))
+    return digest(program if sets else _with(program, {}, cases=(), evaluation=EvaluationSettings()))
 
 
 def asked_evaluation(scenario: str, training: Training, wanted: Evaluation) -> Asked:

@@ -7,6 +7,7 @@ import textwrap
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from statistics import fmean, median
 from typing import Any, Literal
@@ -167,8 +168,12 @@ class Standing:
     def verdicts(self) -> list[Verdict]:
         return [judge(self.experiment, bar, self.record) for bar in self.experiment.bars]
 
-    def outdated(self) -> Iterator[str]:
+    @cached_property
+    def outdated(self) -> tuple[str, ...]:
         """What was measured of an earlier version of the scenario, or by another command than is asked for now."""
+        return tuple(self._outdated())
+
+    def _outdated(self) -> Iterator[str]:
         scenario = self.experiment.scenario
         for training in self.experiment.trainings:
             for seed, entry in self.seeds(training).items():
@@ -218,7 +223,7 @@ def _headline(standings: Sequence[Standing], tables: Mapping[str, Entry]) -> str
     words += ["met" if met else "**missed**" for part in PARTS for met in _met(tables[part.name])]
     counted = ", ".join(f"{words.count(word)} {word.strip('*')}" for word in ("met", "**missed**", "not measured"))
     reached, measured = words.count("reached"), words.count("reached") + words.count("not reached")
-    old = sum(verdict.status != "not measured" for standing in standings if any(standing.outdated()) for verdict in standing.verdicts())
+    old = sum(verdict.status != "not measured" for standing in standings if standing.outdated for verdict in standing.verdicts())
     text = f"Of what is asked: {counted}. Of what would be more than that (stretch), {reached} of {measured} measured reached."
     return f"{text} {old} of these verdicts {'is' if old == 1 else 'are'} of an earlier version of a scenario." if old else text
 
@@ -231,7 +236,7 @@ def _met(tables: Entry) -> list[bool]:
 def _summary(standings: Sequence[Standing], tables: Mapping[str, Entry]) -> list[str]:
     rows = []
     for standing in standings:
-        note = ", earlier version" if any(standing.outdated()) else ""
+        note = ", earlier version" if standing.outdated else ""
         for index, verdict in enumerate(standing.verdicts()):
             link = "" if index else _link(standing.experiment.title)
             rows.append((link, verdict.what, verdict.asked, verdict.measured, verdict.word + (note if verdict.measured else "")))
@@ -256,8 +261,8 @@ def _section(standing: Standing) -> list[str]:
     measured = list(standing.entries())
     if not measured:
         return [*lines, "Not measured yet.", ""]
-    if outdated := list(standing.outdated()):
-        lines += [*wrapped(f"**Measured on an earlier version of the scenario or of the experiment:** {', '.join(outdated)}."), ""]
+    if standing.outdated:
+        lines += [*wrapped(f"**Measured on an earlier version of the scenario or of the experiment:** {', '.join(standing.outdated)}."), ""]
     if any(standing.record["trainings"].values()):
         lines += [f"![Learning curves of {experiment.title}](images/results/{experiment.name}.svg)", ""]
     rows = [(verdict.what, verdict.asked, verdict.measured, verdict.word) for verdict in standing.verdicts()]
