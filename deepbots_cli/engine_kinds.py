@@ -41,7 +41,7 @@ class EngineKind(NamedTuple):
 
     @property
     def moves_followers(self) -> bool:
-        """Whether it moves joints with `<mimic>`; an engine of another package says so among its capabilities, for which it is imported."""
+        """Whether it simulates `<mimic>`. For an engine of another package this imports it, and reads its `capabilities`."""
         if self.library is not None:
             return True
         try:

@@ -392,9 +392,7 @@ class RobotBuilder:
                     continue
                 if (command.target.owner, f"{node.occurrence}") in robot.begun_by_message:
                     report = self.values.report(self.values.text((*self.path, "apply", command.name), command.target.text))
-                    headline = (
-                        f"`{node.function}` begins with a value of the first message, and zeros replace it where that message is lost"
-                    )
+                    headline = f"`{node.function}` starts with a received value, which would be 0 if the first message is lost"
                     report("DB407", node.start, node.end, headline, "write `on_loss: hold` or `on_loss: skip` under `messages.to_robot`")
 
     def _command(self, name: str, given: object, place: NodePath, driven: ResolvedActuator | None, scope: RobotScope) -> Command | None:

@@ -398,7 +398,10 @@ _FOREIGN_SIGNS = {
 }  # fmt: skip
 _CONDITIONAL = _Hint("write `where(condition, a, b)`, or `a when condition`")
 _NO_TEXT = _Hint("expressions contain numbers and names, but no text")
-COPIES_HELP = "single copies have no names: that of a robot means the copy itself, that of a group all copies: `min(distance(cart, crate))`"
+COPIES_HELP = (
+    "a single copy has no name: the name of a robot means the copy itself, "
+    "and the name of a group means all copies, as in `min(distance(cart, crate))`"
+)
 _HINTS = {sign: _Hint(f"write `{text.strip()}`", text) for sign, text in _FOREIGN_SIGNS.items()} | {
     "**": _Hint("a power is `a ^ b`", "^"),
     "−": _Hint("write the plain minus `-`", "-"),
@@ -423,7 +426,7 @@ _HINTS = {sign: _Hint(f"write `{text.strip()}`", text) for sign, text in _FOREIG
     ",": _Hint("a comma separates the arguments of a function; decimals have a point"),
     "+-": _Hint("`normal(mean +- std)` is a draw; elsewhere put a space between the signs"),
     "|": _Hint("write `abs(x)` for the absolute value, `choice(a | b)` for a draw, and `or` between conditions"),
-    "#": _Hint(f"{COPIES_HELP}; a comment needs a blank before its `#`"),
+    "#": _Hint(f"{COPIES_HELP}; a comment needs a space before its `#`"),
     "->": _Hint("a schedule belongs in the settings of `train`"),
 }
 

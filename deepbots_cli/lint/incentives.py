@@ -23,7 +23,7 @@ _CLOCKS = frozenset({"time", "step"})
 _MIN_BREAK_EVEN = 0.5
 """A scenario whose success pays is reported if more of the episodes than this share would have to succeed."""
 _MIN_WORTH = 0.25
-"""Payments that are, discounted, a smaller share of what the success pays do not keep an agent from it."""
+"""Payments worth less than this share of the success, after discounting, are not reported."""
 
 
 # Failing early
@@ -32,13 +32,12 @@ _MIN_WORTH = 0.25
 def rewards_early_death(context: RuleContext) -> Iterator[Finding]:
     """DB705: failing early costs less than an episode that goes on to its time limit.
 
-    The agent learns first to fail at once. If a success pays, going on pays only once the policy succeeds often enough. The finding gives
-    this share of episodes, and is reported if it is larger than a half. Make a failure cost more than all steps together, or pay for
-    each good step.
+    The agent first learns to fail at once. If a success pays, continuing pays only when enough episodes succeed; the finding gives this
+    share, and is reported above one half. Make a failure cost more than all steps together, or pay for each good step.
 
     The rule takes the smallest cost of a step after which the episode goes on, and adds it up over the steps that count given the
-    discount factor. What `delta` pays is bounded by the whole change from the start of the episode, as far as the scenario gives it. In
-    a task with a goal, the rule considers the steps in which the goal is not reached: if each of them costs, as with
+    discount factor. What `delta` pays is bounded by the whole change from the start of the episode, where the scenario gives its
+    range. In a task with a goal, the rule considers the steps in which the goal is not reached: if each of them costs, as with
     `-1 when not goal_reached`, a failure that ends the episode ends these costs.
 
     Example::
@@ -104,8 +103,8 @@ def _price(cost: float) -> str:
 
 
 def _share_notes(reward: RewardTerms, share: float, success: Ending) -> tuple[str, ...]:
-    less = horizon(reward) < reward.analysis.last_step - 1
-    known = f"; about {horizon(reward):.0f} steps count, given the discount factor of the training" if less else ""
+    less = _horizon(reward) < reward.analysis.last_step - 1
+    known = f"; about {_horizon(reward):.0f} steps count, given the discount factor of the training" if less else ""
     return (f"failing at once pays more unless `{success.value.name}` ends more than {100.0 * share:.0f} % of the episodes{known}",)
 
 
@@ -114,7 +113,7 @@ def break_even(living: float, failing: float, success: float) -> float:
     return (failing - living) / (success - living)
 
 
-def horizon(reward: RewardTerms) -> float:
+def _horizon(reward: RewardTerms) -> float:
     """The steps of the agent that count: those of an episode, or the horizon of the discount factor if it is shorter."""
     gamma = reward.program.policy.discount
     return min(float(reward.analysis.last_step), INF if gamma >= 1.0 else 1.0 / (1.0 - gamma))
@@ -122,7 +121,7 @@ def horizon(reward: RewardTerms) -> float:
 
 def _steps_that_count(reward: RewardTerms, ending: Ending) -> float:
     """The steps of the agent after the first one in which an ending may hold, no more than the discount factor lets count."""
-    return max(0.0, min(reward.analysis.last_step - 1.0 - _first_step(reward.analysis, ending), horizon(reward)))
+    return max(0.0, min(reward.analysis.last_step - 1.0 - _first_step(reward.analysis, ending), _horizon(reward)))
 
 
 def _cheapest_failure(reward: RewardTerms, final: Terms) -> tuple[float, Ending] | None:
@@ -178,7 +177,7 @@ def measured_early_death(simulation: Simulation) -> Iterator[Finding]:
     rows = {by: simulation.measured[by] for by in (RANDOM, HELD_RANDOM, IDLE) if by in simulation.measured}
     if not (simulation.is_complete and reward.is_complete and simulation.program.policy.goal is None and failure and successes and rows):
         return
-    if _total_sum(ordinary, _short_of_the_goal(reward), horizon(reward)) < 0.0:
+    if _total_sum(ordinary, _short_of_the_goal(reward), _horizon(reward)) < 0.0:
         return  # the static rule knows the costs
     if any(not _CLOCKS.isdisjoint(simulation.analysis.dependencies(node)) for _, node in ordinary):
         return  # later steps cost something else
@@ -203,7 +202,7 @@ def measured_early_death(simulation: Simulation) -> Iterator[Finding]:
 # Staying short of the success
 
 
-class StillRanges(Ranges):
+class _StillRanges(Ranges):
     """Ranges while nothing moves: speeds are 0, and values that are compared with the step before do not change."""
 
     def _world(self, node: World) -> Interval:
@@ -233,7 +232,7 @@ def hovering_pays(context: RuleContext) -> Iterator[Finding]:
     Pay for progress (`-10 * delta(distance) / m`), or pay more for the success than the rest of an episode can pay.
 
     The rule adds up the largest reward of a step in which nothing moves, and in which one of the conditions of the success
-    barely does not hold. Rewards that the discount factor makes small beside the success are not reported.
+    just fails to hold. Rewards that the discount factor makes small beside the success are not reported.
 
     Example::
 
@@ -269,7 +268,7 @@ def hovering_pays(context: RuleContext) -> Iterator[Finding]:
         if not 0.0 < pay < INF:
             continue
         prize = total_range(reward.terms, _just_before(reward.ranges_at(success), threshold)).high
-        if pay * steps + fine > prize and pay * min(steps, horizon(reward) * context.program.action_repeat) > _MIN_WORTH * prize:
+        if pay * steps + fine > prize and pay * min(steps, _horizon(reward) * context.program.action_repeat) > _MIN_WORTH * prize:
             headline = f"an episode that avoids `{success.value.name}` can collect up to {pay:.3g} per step, {pay * steps:.4g} in all"
             headline += f", and `{success.value.name}` pays {prize:.3g} once"
             best = max(ordinary, key=lambda term: waiting.of(term[1]).high)[0]
@@ -313,7 +312,7 @@ def _just_before(ranges: Ranges, threshold: Threshold | None) -> Ranges:
         low, high = threshold.bound
         side = Interval(low - 0.2 * abs(low), low) if threshold.above else Interval(high, high + 0.2 * abs(high))
         kept = (ranges.analysis.identity(threshold.quantity), side)
-    return StillRanges(ranges.analysis, ranges.given, ranges.steps, kept)
+    return _StillRanges(ranges.analysis, ranges.given, ranges.steps, kept)
 
 
 def other_policy_pays_more(simulation: Simulation) -> Iterator[Finding]:
@@ -368,7 +367,7 @@ def _place_pays(simulation: Simulation, success: Ending) -> list[Finding]:
         return []
     pay = highest[best.name] + sum(min(0.0, highest[term.name]) for term in staying if term is not best)
     steps = max(0.0, analysis.last_step - ceil(_first_step(analysis, success)))
-    if pay <= 0.0 or pay * steps <= prize or pay * min(steps, horizon(reward)) <= _MIN_WORTH * prize:
+    if pay <= 0.0 or pay * steps <= prize or pay * min(steps, _horizon(reward)) <= _MIN_WORTH * prize:
         return []
     headline = f"`{best.name}` pays up to {pay:.3g} in a step, {pay * steps:.4g} in an episode that stays there"
     headline += f", and `{success.value.name}` pays {prize:.3g} once"
@@ -399,7 +398,7 @@ def _idle_pays(simulation: Simulation, success: Ending) -> list[Finding]:
         return []
     pay = sum(term.total for term in row.terms) / row.steps
     prize = total_range(reward.terms, reward.ranges_at(success)).high
-    steps = min(reward.analysis.last_step / 2, horizon(reward))
+    steps = min(reward.analysis.last_step / 2, _horizon(reward))
     if pay > 0.0 and pay * steps > prize:
         headline = f"doing nothing pays {pay:.3g} per step, and `{success.value.name}` pays {prize:.3g} once"
         notes = (

@@ -215,7 +215,10 @@ class StartRanges(Ranges):
                 return None
 
     def joint(self, joint: str, what: str = "position") -> Interval | None:
-        """The initial position (rad or m) or velocity of a joint; None where the reset does not set it, nor what the joint follows."""
+        """The initial position (rad or m) or velocity of a joint; None where the reset does not set it.
+
+        A follower has the value that follows from its leader, which is at 0 where it is not set.
+        """
         robot, _, name = joint.partition(".")
         model = next((body.model for body in self.analysis.program.world.robots if body.name == robot), None)
         mimic = model.followers.get(name) if model is not None else None

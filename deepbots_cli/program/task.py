@@ -531,9 +531,9 @@ class Evaluation:
 
 @dataclass(frozen=True)
 class Criterion:
-    """When a stage of the curriculum is done: a mean reaches `threshold`, or so many steps are taken.
+    """When a stage of the curriculum ends: a mean reaches `threshold`, or `threshold` steps are taken.
 
-    The mean is that of the last `episodes` episodes of the training in this stage, or with None that of one evaluation.
+    The mean is over the last `episodes` training episodes of the stage; with None, over one evaluation.
     """
 
     metric: Literal["success_rate", "mean_return", "steps"]

@@ -155,7 +155,7 @@ class Mimic:
     offset: float = 0.0
 
     def position(self, leader: float) -> float:
-        """That of the follower."""
+        """The position (rad or m) of the follower for a position of the leader."""
         return self.multiplier * leader + self.offset
 
 

@@ -532,11 +532,11 @@ def _check_mimic(joint: Joint, mimic: Mimic, joints: Mapping[str, Joint], elemen
 
 
 def _check_reach(joint: Joint, mimic: Mimic, leader: Joint, element: Element) -> None:
-    """A warning where the limits of a follower end before those of the joint at the end of its chain do."""
+    """DB301 where the multipliers or offsets of a chain exceed MAX_MAGNITUDE; a warning where the follower reaches its limits before its
+    leader does."""
     if not max(abs(mimic.multiplier), abs(mimic.offset)) <= MAX_MAGNITUDE:
-        element.error(
-            f"multiplied along its chain, joint {quoted(joint.name)} follows {quoted(leader.name)} by more than {MAX_MAGNITUDE:g}"
-        )
+        both = f"from joint {quoted(joint.name)} to {quoted(leader.name)}"
+        element.error(f"the multipliers or offsets {both} together exceed {MAX_MAGNITUDE:g}")
     own, (lower, upper) = joint.limit, (leader.limit.lower, leader.limit.upper)
     if own.lower is None or own.upper is None or lower is None or upper is None:
         return
@@ -544,8 +544,8 @@ def _check_reach(joint: Joint, mimic: Mimic, leader: Joint, element: Element) ->
     slack = _LIMIT_TOLERANCE * (high - low)
     if low < own.lower - slack or high > own.upper + slack:
         unit = "m" if joint.type == "prismatic" else "rad"
-        headline = f"joint {quoted(joint.name)} ends before {quoted(leader.name)} does, and stops it"
-        element.warn(headline, help=f"with limits of {low:.6g} and {high:.6g} {unit}, it follows all the way")
+        headline = f"joint {quoted(joint.name)} reaches its limit before {quoted(leader.name)} does, and stops it"
+        element.warn(headline, help=f"limits of {low:.6g} and {high:.6g} {unit} let it follow over the whole range")
 
 
 def _root_link(joints: Mapping[str, Joint], links: Mapping[str, Element], elements: Mapping[str, Element]) -> str | None:

@@ -134,9 +134,9 @@ class EngineOfCopy:
 class CopiesSupervisor(Supervisor):
     """The environment of all copies: observations and actions have a row for each, in the order of `agents`.
 
-    Each agent has rewards, endings and channels of its own. What is drawn of its robot is its own too. Parameters, and what is drawn of the
-    world and of other bodies, have one value for all, which the first copy draws. The episode ends for all when it ends for one. The
-    reward is the mean over the copies. `info["each"]` holds the reward of each copy, whether it terminated, and whether it succeeded.
+    Each agent has rewards, endings and channels of its own. Each copy draws for its own robot. Parameters, and draws for the world and for
+    other bodies, have one value for all copies; the first copy draws it. The episode ends for all when it ends for one. The reward is the
+    mean over the copies. `info["each"]` holds the reward of each copy, whether it terminated, and whether it succeeded.
     """
 
     def __init__(
