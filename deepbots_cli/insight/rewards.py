@@ -112,7 +112,7 @@ def loitering(t: TrainingEvidence) -> Numbers | None:
     late = t.episodes_between(0.5, 1.0)
     at_limit, won = np.isin(late.endings, _LIMITS) & (late.successes == 0), t.episodes.successes > 0
     staying = [trace for trace in t.policy if trace.outcome in ("time limit", "not ended") and trace.steps >= 2 * MIN_EPISODES]
-    if len(late) < MIN_EPISODES or at_limit.mean() < 0.3 or not staying or not all(map(_stays_near, staying)):
+    if len(late) < MIN_EPISODES or at_limit.mean() < 0.3 or 2 * sum(map(_stays_near, staying)) <= len(staying):
         return None
     halves = {
         term.name: np.concatenate([trace.terms[term.name][trace.steps // 2 :] for trace in staying]) for term in t.program.policy.reward
