@@ -56,6 +56,18 @@ def whole_number(minimum: int = 1, maximum: int | None = None) -> Callable[[str 
     return parse
 
 
+def option(usage: str, help: str, **settings: Any) -> Any:
+    """An option for `Annotated`, from its usage such as `--out -o FILE`: its names, and the word for its value; a flag has none."""
+    words = usage.split()
+    metavar = None if words[-1].startswith("-") else words.pop()
+    return typer.Option(*words, metavar=metavar, help=help, **settings)
+
+
+def integer(usage: str, help: str, minimum: int = 1, maximum: int | None = None) -> Any:
+    """An option that takes a whole number."""
+    return option(usage, help, parser=whole_number(minimum, maximum))
+
+
 def start_values(given: Sequence[str] | None) -> dict[str, Any]:
     """The `options` of `reset` that `--start` gives: a number, a word, or several numbers with commas between them.
 
@@ -156,37 +168,31 @@ def fraction(text: str) -> float:
 
 Scenario = Annotated[str, typer.Argument(metavar="SCENARIO", help="A scenario file, or the name of a scenario that comes with deepbots.")]
 Overrides = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="PATH=VALUE", help="Override a value of the scenario, such as fall_angle=10deg; may be repeated."),
+    list[str] | None, option("--set PATH=VALUE", "Override a value of the scenario, such as fall_angle=10deg; may be repeated.")
 ]
 AllowPaths = Annotated[
-    list[Path] | None,
-    typer.Option("--allow-path", metavar="DIR", help="Allow reading files from this folder outside the project; may be repeated."),
+    list[Path] | None, option("--allow-path DIR", "Allow reading files from this folder outside the project; may be repeated.")
 ]
 AllowCode = Annotated[
-    bool,
-    typer.Option("--allow-code", help="Allow reward terms and endings that are Python functions; use it only for packages that you trust."),
+    bool, option("--allow-code", "Allow reward terms and endings that are Python functions; use it only for packages that you trust.")
 ]
-Case = Annotated[str | None, typer.Option("--case", metavar="NAME", help="Apply the settings of this case of `evaluation.cases`.")]
-Stage = Annotated[str | None, typer.Option("--stage", metavar="NAME", help="Apply the settings of this stage of the curriculum.")]
-Force = Annotated[bool, typer.Option("--force", help="Overwrite files that exist.")]
-Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
-Seed = Annotated[int, typer.Option("--seed", metavar="N", parser=whole_number(0, MAX_SEED), help="Root seed of all random numbers.")]
+Case = Annotated[str | None, option("--case NAME", "Apply the settings of this case of `evaluation.cases`.")]
+Stage = Annotated[str | None, option("--stage NAME", "Apply the settings of this stage of the curriculum.")]
+Force = Annotated[bool, option("--force", "Overwrite files that exist.")]
+Json = Annotated[bool, option("--json", "Print the result as JSON.")]
+Seed = Annotated[int, integer("--seed N", "Root seed of all random numbers.", 0, MAX_SEED)]
 Start = Annotated[
     list[str] | None,
-    typer.Option(
-        "--start",
-        metavar="NAME=VALUE",
-        help="Set a value that resets draw, by its name in `drawn` and in SI units, such as mark.x=0.5; may be repeated.",
+    option(
+        "--start NAME=VALUE", "Set a value that resets draw, by its name in `drawn` and in SI units, such as mark.x=0.5; may be repeated."
     ),
 ]
 Engine = Annotated[
     str | None,
-    typer.Option(
-        "--engine",
-        metavar="NAME",
+    option(
+        "--engine NAME",
+        "Physics engine: pybullet, mujoco, or one of an installed package; by default `world.engine` of the scenario, else pybullet.",
         callback=known_engine,
-        help="Physics engine: pybullet, mujoco, or one of an installed package; by default `world.engine` of the scenario, else pybullet.",
     ),
 ]
 
@@ -248,7 +254,7 @@ def _version(wanted: bool) -> None:
 
 
 def _deepbots(
-    version: Annotated[bool, typer.Option("--version", help="Show the version and exit.", callback=_version, is_eager=True)] = False,
+    version: Annotated[bool, option("--version", "Show the version and exit.", callback=_version, is_eager=True)] = False,
 ) -> None:
     """Train robot policies from one YAML scenario and one URDF robot.
 

@@ -17,11 +17,9 @@ from itertools import repeat
 from statistics import median
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from deepbots_cli import api
 from deepbots_cli.cli import terminal, throughput
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Overrides, Scenario, Seed, known_engine, whole_number
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Overrides, Scenario, Seed, integer, known_engine, option
 from deepbots_cli.cli.tables import row_as_lines as aligned
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError
@@ -40,42 +38,23 @@ def command(
     scenario: Scenario,
     overrides: Overrides = None,
     steps: Annotated[
-        int | None,
-        typer.Option(
-            "--steps",
-            metavar="N",
-            parser=whole_number(100),
-            help="Steps per measurement; by default as many as fit into 20 s, at most 2,000.",
-        ),
+        int | None, integer("--steps N", "Steps per measurement; by default as many as fit into 20 s, at most 2,000.", 100)
     ] = None,
     pairs: Annotated[
-        int | None,
-        typer.Option(
-            "--pairs",
-            metavar="N",
-            parser=whole_number(),
-            help="Number of pairs of measurements, one with and one without the environment; 5 by default.",
-        ),
+        int | None, integer("--pairs N", "Number of pairs of measurements, one with and one without the environment; 5 by default.")
     ] = None,
     quick: Annotated[
-        bool,
-        typer.Option(
-            "--quick",
-            help="Measure 3 pairs of 600 steps. With several engines or batch, measure each once instead of three times.",
-        ),
+        bool, option("--quick", "Measure 3 pairs of 600 steps. With several engines or batch, measure each once instead of three times.")
     ] = False,
     seed: Seed = 0,
     engine: Annotated[
         str | None,
-        typer.Option(
-            "--engine",
-            metavar="NAME[,NAME]",
-            help="Physics engine, by default that of the scenario, or several to compare; batch is many worlds in MuJoCo.",
+        option(
+            "--engine NAME[,NAME]",
+            "Physics engine, by default that of the scenario, or several to compare; batch is many worlds in MuJoCo.",
         ),
     ] = None,
-    worlds: Annotated[
-        str | None, typer.Option("--worlds", metavar="N,N", help="With batch, how many worlds; 1,16,64,256 by default.")
-    ] = None,
+    worlds: Annotated[str | None, option("--worlds N,N", "With batch, how many worlds; 1,16,64,256 by default.")] = None,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,

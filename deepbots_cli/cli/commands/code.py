@@ -11,7 +11,7 @@ import typer
 import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Force, Json, Overrides, Scenario
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Force, Json, Overrides, Scenario, option
 from deepbots_cli.cli.commands.new import Files, modeline, write_new
 from deepbots_cli.codegen import generate_module
 from deepbots_cli.codegen.text import class_name
@@ -28,15 +28,10 @@ from deepbots_cli.scenario.json_schema import schema_text
 def compile_(
     scenario: Scenario,
     overrides: Overrides = None,
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", metavar="FILE", help="Write to this file; by default, print."),
-    ] = None,
+    output: Annotated[Path | None, option("--output -o FILE", "Write to this file; by default, print.")] = None,
     force: Force = False,
-    program: Annotated[bool, typer.Option("--program", help="Print the compiled scenario as canonical JSON instead of Python.")] = False,
-    target: Annotated[
-        str, typer.Option("--target", metavar="TARGET", help="scalar: one world; batch: many worlds, where each number is an array.")
-    ] = "scalar",
+    program: Annotated[bool, option("--program", "Print the compiled scenario as canonical JSON instead of Python.")] = False,
+    target: Annotated[str, option("--target TARGET", "scalar: one world; batch: many worlds, where each number is an array.")] = "scalar",
     as_json: Json = False,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
@@ -133,16 +128,10 @@ def _requirements() -> str:
 
 def schema(
     scenario: Annotated[
-        str | None, typer.Option("--for", metavar="SCENARIO", help="Also list the joints, links, sensors and other names of this scenario.")
+        str | None, option("--for SCENARIO", "Also list the joints, links, sensors and other names of this scenario.")
     ] = None,
     output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="Write to this file. By default, or with - as FILE, print to standard output.",
-        ),
+        Path | None, option("--output -o FILE", "Write to this file. By default, or with - as FILE, print to standard output.")
     ] = None,
     force: Force = False,
     allow_paths: AllowPaths = None,

@@ -11,7 +11,7 @@ import typer
 
 from deepbots_cli import api, learning
 from deepbots_cli.cli import results, terminal
-from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Json, whole_number
+from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Json, integer, option
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.learning.run import RunRecord, changed_settings, short_settings
 
@@ -23,22 +23,14 @@ def command(
     runs: Annotated[
         list[Path], typer.Argument(metavar="RUN", help="Groups, run directories, or folders of run directories; at least two runs.")
     ],
-    episodes: Annotated[
-        int | None,
-        typer.Option("--episodes", metavar="N", parser=whole_number(), help="Episodes of each run; by default those of the scenario."),
-    ] = None,
-    seed: Annotated[
-        int, typer.Option("--seed", metavar="N", parser=whole_number(0, MAX_SEED), help="Root seed of the starts, the same for all runs.")
-    ] = 0,
-    last: Annotated[bool, typer.Option("--last", help="Compare the last models instead of the best ones.")] = False,
+    episodes: Annotated[int | None, integer("--episodes N", "Episodes of each run; by default those of the scenario.")] = None,
+    seed: Annotated[int, integer("--seed N", "Root seed of the starts, the same for all runs.", 0, MAX_SEED)] = 0,
+    last: Annotated[bool, option("--last", "Compare the last models instead of the best ones.")] = False,
     scenario: Annotated[
-        str | None,
-        typer.Option("--scenario", metavar="SCENARIO", help="Evaluate in this scenario; by default in the scenario of the first run."),
+        str | None, option("--scenario SCENARIO", "Evaluate in this scenario; by default in the scenario of the first run.")
     ] = None,
-    case: Annotated[str | None, typer.Option("--case", metavar="NAME", help="Evaluate in this case of the scenario.")] = None,
-    own: Annotated[
-        bool, typer.Option("--own", help="Evaluate each run in its own scenario, for runs with different observations.")
-    ] = False,
+    case: Annotated[str | None, option("--case NAME", "Evaluate in this case of the scenario.")] = None,
+    own: Annotated[bool, option("--own", "Evaluate each run in its own scenario, for runs with different observations.")] = False,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,

@@ -21,7 +21,9 @@ from deepbots_cli.cli.command import (
     Json,
     Overrides,
     fraction,
+    integer,
     known_engine,
+    option,
     whole_number,
     with_case_or_stage,
 )
@@ -70,81 +72,58 @@ def command(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A run directory of `deepbots train`, or the folder of a group.")],
     episodes: Annotated[
         Any,
-        typer.Option(
-            "--episodes",
-            metavar="N|failed",
+        option(
+            "--episodes N|failed",
+            "Number of episodes, by default `evaluation.episodes` of the scenario; `failed` repeats those that failed.",
             parser=_episodes,
-            help="Number of episodes, by default `evaluation.episodes` of the scenario; `failed` repeats those that failed.",
         ),
     ] = None,
     seed: Annotated[
-        int | None,
-        typer.Option(
-            "--seed",
-            metavar="N",
-            parser=whole_number(0, MAX_SEED),
-            help="Root seed of the starts; by default the seed of the training, and 0 for a group.",
-        ),
+        int | None, integer("--seed N", "Root seed of the starts; by default the seed of the training, and 0 for a group.", 0, MAX_SEED)
     ] = None,
-    last: Annotated[bool, typer.Option("--last", help="Evaluate the last model instead of the best one.")] = False,
-    video: Annotated[Path | None, typer.Option("--video", metavar="MP4", help="Record a video of the first episode.")] = None,
+    last: Annotated[bool, option("--last", "Evaluate the last model instead of the best one.")] = False,
+    video: Annotated[Path | None, option("--video MP4", "Record a video of the first episode.")] = None,
     scenario: Annotated[
-        str | None, typer.Option("--scenario", metavar="SCENARIO", help="Evaluate in this scenario; by default in the scenario of the run.")
+        str | None, option("--scenario SCENARIO", "Evaluate in this scenario; by default in the scenario of the run.")
     ] = None,
     overrides: Overrides = None,
     case: Annotated[
-        str | None,
-        typer.Option("--case", metavar="NAME", help="Evaluate in this case only; by default in the scenario and in all its cases."),
+        str | None, option("--case NAME", "Evaluate in this case only; by default in the scenario and in all its cases.")
     ] = None,
-    stage: Annotated[str | None, typer.Option("--stage", metavar="NAME", help="Evaluate in this stage of the curriculum only.")] = None,
+    stage: Annotated[str | None, option("--stage NAME", "Evaluate in this stage of the curriculum only.")] = None,
     stochastic: Annotated[
-        bool, typer.Option("--stochastic", help="Sample the actions of the policy; by default it takes its likeliest action.")
+        bool, option("--stochastic", "Sample the actions of the policy; by default it takes its likeliest action.")
     ] = False,
     baselines: Annotated[
-        bool, typer.Option("--baselines", help="Evaluate random actions, zero actions and the scripts of the scenario on the same starts.")
+        bool, option("--baselines", "Evaluate random actions, zero actions and the scripts of the scenario on the same starts.")
     ] = False,
     robustness: Annotated[
-        bool,
-        typer.Option("--robustness", help="Evaluate with latency, message loss, noise, another mass and friction, and weaker motors."),
+        bool, option("--robustness", "Evaluate with latency, message loss, noise, another mass and friction, and weaker motors.")
     ] = False,
     mass_of: Annotated[
         str | None,
-        typer.Option(
-            "--mass-of",
-            metavar="NAME",
-            help="Object or ROBOT.LINK whose mass --robustness changes; by default the heaviest link that can move.",
-        ),
+        option("--mass-of NAME", "Object or ROBOT.LINK whose mass --robustness changes; by default the heaviest link that can move."),
     ] = None,
     details: Annotated[
         bool,
-        typer.Option(
-            "--details",
-            help="Also show the result for each part of the range of every random value, and in each stage of the curriculum.",
-        ),
+        option("--details", "Also show the result for each part of the range of every random value, and in each stage of the curriculum."),
     ] = False,
     engine: Annotated[
         list[str] | None,
-        typer.Option(
-            "--engine",
-            metavar="NAME[,NAME]",
+        option(
+            "--engine NAME[,NAME]",
+            "Physics engine, by default that of the training; several, with commas between, are compared on the same starts.",
             callback=_engines,
-            help="Physics engine, by default that of the training; several, with commas between, are compared on the same starts.",
         ),
     ] = None,
-    require_solved: Annotated[bool, typer.Option("--require-solved", help="Exit with 1 unless the task is solved.")] = False,
+    require_solved: Annotated[bool, option("--require-solved", "Exit with 1 unless the task is solved.")] = False,
     min_success: Annotated[
         float | None,
-        typer.Option(
-            "--min-success", metavar="RATE", parser=fraction, help="Exit with 1 if the success rate is lower than RATE, such as 0.8 or 80%."
-        ),
+        option("--min-success RATE", "Exit with 1 if the success rate is lower than RATE, such as 0.8 or 80%.", parser=fraction),
     ] = None,
-    min_return: Annotated[
-        float | None, typer.Option("--min-return", metavar="VALUE", help="Exit with 1 if the mean return is lower than VALUE.")
-    ] = None,
-    csv: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write a CSV file with a line for each episode.")] = None,
-    junit: Annotated[
-        Path | None, typer.Option("--junit", metavar="FILE", help="Write the requirements as JUnit XML, a test case for each.")
-    ] = None,
+    min_return: Annotated[float | None, option("--min-return VALUE", "Exit with 1 if the mean return is lower than VALUE.")] = None,
+    csv: Annotated[Path | None, option("--csv FILE", "Write a CSV file with a line for each episode.")] = None,
+    junit: Annotated[Path | None, option("--junit FILE", "Write the requirements as JUnit XML, a test case for each.")] = None,
     force: Force = False,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
@@ -307,9 +286,9 @@ class _EngineEvaluations:
 
 def _refuse(reason: str, **options: object) -> None:
     """Raises: UsageError: One of the options is given."""
-    for option, given in options.items():
+    for name, given in options.items():
         if given:
-            raise UsageError(f"--{option} {reason}")
+            raise UsageError(f"--{name} {reason}")
 
 
 def _show_engines(run: Run, found: Sequence[_EngineEvaluations], *, as_json: bool) -> None:

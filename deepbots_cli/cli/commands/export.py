@@ -11,7 +11,7 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import AllowPaths, Force, Json, Overrides
+from deepbots_cli.cli.command import AllowPaths, Force, Json, Overrides, option
 from deepbots_cli.cli.commands.new import write_new
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.errors import RunError, UsageError
@@ -27,13 +27,11 @@ class Target(StrEnum):
 
 def command(
     source: Annotated[Path, typer.Argument(metavar="RUN|BUNDLE", help="A run directory, or with --check a folder that `export` wrote.")],
-    to: Annotated[Target, typer.Option("--to", help="Format of the policy.")] = Target.onnx,
-    out: Annotated[Path | None, typer.Option("--out", "-o", metavar="FOLDER", help="Folder to write; by default RUN-onnx.")] = None,
+    to: Annotated[Target, option("--to", "Format of the policy.")] = Target.onnx,
+    out: Annotated[Path | None, option("--out -o FOLDER", "Folder to write; by default RUN-onnx.")] = None,
     force: Force = False,
-    last: Annotated[bool, typer.Option("--last", help="Export the last model instead of the best one.")] = False,
-    check: Annotated[
-        str | None, typer.Option("--check", metavar="SCENARIO", help="Compare a bundle with a scenario, item by item; write nothing.")
-    ] = None,
+    last: Annotated[bool, option("--last", "Export the last model instead of the best one.")] = False,
+    check: Annotated[str | None, option("--check SCENARIO", "Compare a bundle with a scenario, item by item; write nothing.")] = None,
     overrides: Overrides = None,
     as_json: Json = False,
     allow_paths: AllowPaths = None,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import MAX_SEED, AllowCode, Json, whole_number
+from deepbots_cli.cli.command import MAX_SEED, AllowCode, Json, integer, option
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.verdict import last_episodes
@@ -22,28 +22,18 @@ if TYPE_CHECKING:
 
 def explain_episode(
     shown: Annotated[
-        str,
-        typer.Argument(metavar="RUN|RECORDING|FAILURE", help="A run directory, a recording (.mcap), or a file in `failures` of a run."),
+        str, typer.Argument(metavar="RUN|RECORDING|FAILURE", help="A run directory, a recording (.mcap), or a file in `failures` of a run.")
     ],
     episode: Annotated[
         int | None,
-        typer.Option(
-            "--episode",
-            metavar="K",
-            parser=whole_number(0),
-            help="Episode of the evaluation or of the recording; by default the first failed one of the last evaluation, or 0.",
+        integer(
+            "--episode K", "Episode of the evaluation or of the recording; by default the first failed one of the last evaluation, or 0.", 0
         ),
     ] = None,
     seed: Annotated[
-        int | None,
-        typer.Option(
-            "--seed",
-            metavar="N",
-            parser=whole_number(0, MAX_SEED),
-            help="Root seed of the starts of a run; by default that of its evaluation.",
-        ),
+        int | None, integer("--seed N", "Root seed of the starts of a run; by default that of its evaluation.", 0, MAX_SEED)
     ] = None,
-    last: Annotated[bool, typer.Option("--last", help="Let the last model of a run act instead of the best one.")] = False,
+    last: Annotated[bool, option("--last", "Let the last model of a run act instead of the best one.")] = False,
     as_json: Json = False,
     allow_code: AllowCode = False,
 ) -> None:
@@ -164,7 +154,7 @@ def repeat_failed(run: Run, video: Path | None, *, force: bool, as_json: bool, a
 
 def diagnose(
     run: Annotated[Path, typer.Argument(metavar="RUN|GROUP", help="A run directory of `deepbots train`, or the folder of a group.")],
-    only_logs: Annotated[bool, typer.Option("--only-logs", help="Read the logs only, and run no short episodes.")] = False,
+    only_logs: Annotated[bool, option("--only-logs", "Read the logs only, and run no short episodes.")] = False,
     as_json: Json = False,
     allow_code: AllowCode = False,
 ) -> None:

@@ -11,7 +11,7 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import inspection, terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Engine, Force, Json, Overrides, Stage, with_case_or_stage
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Engine, Force, Json, Overrides, Stage, option, with_case_or_stage
 from deepbots_cli.cli.sources import is_robot, open_robot, open_source
 from deepbots_cli.cli.tables import row_as_lines, table
 from deepbots_cli.diagnostics import Source, Span
@@ -50,10 +50,7 @@ def command(
     overrides: Overrides = None,
     case: Case = None,
     stage: Stage = None,
-    picture: Annotated[
-        Path | None,
-        typer.Option("--picture", metavar="PNG", help="Also write a picture of the start of an episode to this file."),
-    ] = None,
+    picture: Annotated[Path | None, option("--picture PNG", "Also write a picture of the start of an episode to this file.")] = None,
     force: Force = False,
     engine: Engine = None,
     as_json: Json = False,

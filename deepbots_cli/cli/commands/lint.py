@@ -15,7 +15,7 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Overrides, whole_number
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Overrides, integer, option
 from deepbots_cli.cli.commands import rewriting
 from deepbots_cli.cli.exits import FAILED, INTERNAL_ERROR
 from deepbots_cli.compiler import CheckedScenario
@@ -57,40 +57,30 @@ def lint(
         ),
     ] = None,
     overrides: Overrides = None,
-    format: Annotated[Format | None, typer.Option("--format", help="Output format; full by default, with the source lines.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Same as --format json.")] = False,
+    format: Annotated[Format | None, option("--format", "Output format; full by default, with the source lines.")] = None,
+    as_json: Annotated[bool, option("--json", "Same as --format json.")] = False,
     select: Annotated[
-        Codes,
-        typer.Option(
-            "--select", metavar="CODES", help="Report only these findings: codes, prefixes of codes, or names, separated by commas."
-        ),
+        Codes, option("--select CODES", "Report only these findings: codes, prefixes of codes, or names, separated by commas.")
     ] = None,
     ignore: Annotated[
         Codes,
-        typer.Option(
-            "--ignore",
-            metavar="CODES",
-            help="Do not report these findings. If --select also matches a finding, the longer of the two prefixes decides.",
+        option(
+            "--ignore CODES", "Do not report these findings. If --select also matches a finding, the longer of the two prefixes decides."
         ),
     ] = None,
-    fail_on: Annotated[
-        FailOn | None, typer.Option("--fail-on", help="Lowest severity for which the exit code is 1; error by default.")
-    ] = None,
-    exit_zero: Annotated[bool, typer.Option("--exit-zero", help="Same as --fail-on never.")] = False,
+    fail_on: Annotated[FailOn | None, option("--fail-on", "Lowest severity for which the exit code is 1; error by default.")] = None,
+    exit_zero: Annotated[bool, option("--exit-zero", "Same as --fail-on never.")] = False,
     preview: Annotated[
-        bool | None,
-        typer.Option("--preview/--no-preview", help="Also run the rules in preview, which can report false findings; off by default."),
+        bool | None, option("--preview/--no-preview", "Also run the rules in preview, which can report false findings; off by default.")
     ] = None,
-    deep: Annotated[bool, typer.Option("--deep", help="Also simulate each scenario that has no errors for a short time.")] = False,
-    fix: Annotated[bool, typer.Option("--fix", help="Apply the safe fixes to the files.")] = False,
+    deep: Annotated[bool, option("--deep", "Also simulate each scenario that has no errors for a short time.")] = False,
+    fix: Annotated[bool, option("--fix", "Apply the safe fixes to the files.")] = False,
     unsafe_fixes: Annotated[
-        bool, typer.Option("--unsafe-fixes", help="Also apply the unsafe fixes, which are guesses; with --fix or --diff.")
+        bool, option("--unsafe-fixes", "Also apply the unsafe fixes, which are guesses; with --fix or --diff.")
     ] = False,
-    diff: Annotated[bool, typer.Option("--diff", help="Show the changes of --fix, and write nothing.")] = False,
-    stdin_name: Annotated[str | None, typer.Option("--stdin-filename", metavar="FILE", help="File name for standard input.")] = None,
-    jobs: Annotated[
-        int, typer.Option("--jobs", "-j", metavar="N", parser=whole_number(), help="Number of processes; useful for tens of files or more.")
-    ] = 1,
+    diff: Annotated[bool, option("--diff", "Show the changes of --fix, and write nothing.")] = False,
+    stdin_name: Annotated[str | None, option("--stdin-filename FILE", "File name for standard input.")] = None,
+    jobs: Annotated[int, integer("--jobs -j N", "Number of processes; useful for tens of files or more.")] = 1,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,
 ) -> None:
@@ -380,8 +370,7 @@ def _page(code: str) -> tuple[str, str]:
 
 def lsp(
     port: Annotated[
-        int | None,
-        typer.Option("--tcp", metavar="PORT", min=1, max=65535, help="Listen on this port; by default, use standard input and output."),
+        int | None, option("--tcp PORT", "Listen on this port; by default, use standard input and output.", min=1, max=65535)
     ] = None,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,

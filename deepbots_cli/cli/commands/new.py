@@ -18,7 +18,7 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import starters, terminal
-from deepbots_cli.cli.command import Force, Json
+from deepbots_cli.cli.command import Force, Json, option
 from deepbots_cli.cli.sources import open_robot
 from deepbots_cli.compiler.inventory import scenario_names
 from deepbots_cli.diagnostics import Findings, Source
@@ -45,12 +45,11 @@ class Template(StrEnum):
 def new(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the scenario; the file is NAME.yaml.")],
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the files.")] = Path("."),
-    template: Annotated[Template | None, typer.Option("--template", help="Template to begin with.")] = None,
+    template: Annotated[Template | None, option("--template", "Template to begin with.")] = None,
     urdf: Annotated[
-        str | None,
-        typer.Option("--urdf", metavar="ROBOT", help="Robot file to begin with: a path, package://..., or the name of a shipped robot."),
+        str | None, option("--urdf ROBOT", "Robot file to begin with: a path, package://..., or the name of a shipped robot.")
     ] = None,
-    schema: Annotated[bool, typer.Option("--schema", help="Also write NAME.schema.json for completion in an editor.")] = False,
+    schema: Annotated[bool, option("--schema", "Also write NAME.schema.json for completion in an editor.")] = False,
     force: Force = False,
     as_json: Json = False,
 ) -> None:

@@ -8,21 +8,16 @@ from typing import Annotated
 import typer
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import Force, whole_number
+from deepbots_cli.cli.command import Force, integer, option
 from deepbots_cli.files import atomic_write
 
 
 def command(
     runs: Annotated[list[Path], typer.Argument(metavar="RUN", help="Run directories, folders of runs, or folders of TensorBoard files.")],
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="File to write, .png or .svg.")] = Path("plot.png"),
-    window: Annotated[
-        int,
-        typer.Option(
-            "--window", metavar="N", parser=whole_number(1, 100_000), help="Average returns and successes over this number of episodes."
-        ),
-    ] = 100,
+    out: Annotated[Path, option("--out -o FILE", "File to write, .png or .svg.")] = Path("plot.png"),
+    window: Annotated[int, integer("--window N", "Average returns and successes over this number of episodes.", 1, 100_000)] = 100,
     force: Force = False,
-    dark: Annotated[bool, typer.Option("--dark", help="Light lines on a dark ground.")] = False,
+    dark: Annotated[bool, option("--dark", "Light lines on a dark ground.")] = False,
 ) -> None:
     """Plot the training of runs over the timesteps.
 

@@ -5,30 +5,21 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Force, Json, Overrides, Seed, Stage, whole_number
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Force, Json, Overrides, Seed, Stage, integer, option
 from deepbots_cli.cli.commands.view import Driver, EngineOrRun, Episode, ScenarioOrRun
 from deepbots_cli.errors import UsageError
 
 
 def command(
     shown: ScenarioOrRun,
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="FILE", help="File to write; by default NAME-SEED-EPISODE.mcap.")
-    ] = None,
+    out: Annotated[Path | None, option("--out -o FILE", "File to write; by default NAME-SEED-EPISODE.mcap.")] = None,
     force: Force = False,
     driver: Driver = None,
     seed: Seed = 0,
     episode: Episode = 0,
-    episodes: Annotated[
-        int, typer.Option("--episodes", metavar="N", parser=whole_number(1, 10_000), help="Number of episodes, from --episode on.")
-    ] = 1,
-    steps: Annotated[
-        int | None,
-        typer.Option("--steps", metavar="N", parser=whole_number(1), help="Record at most N steps of each episode; by default all."),
-    ] = None,
+    episodes: Annotated[int, integer("--episodes N", "Number of episodes, from --episode on.", 1, 10_000)] = 1,
+    steps: Annotated[int | None, integer("--steps N", "Record at most N steps of each episode; by default all.", 1)] = None,
     overrides: Overrides = None,
     case: Case = None,
     stage: Stage = None,

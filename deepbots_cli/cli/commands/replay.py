@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deepbots_cli.cli import sources, terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Overrides
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Overrides, option
 from deepbots_cli.cli.commands.diff import Change, Group
 from deepbots_cli.cli.commands.diff import scenario_changes as changes_of_meaning
 from deepbots_cli.cli.exits import FAILED
@@ -25,16 +25,11 @@ if TYPE_CHECKING:
 
 def command(
     recording: Annotated[str, typer.Argument(metavar="RECORDING", help="A file that `deepbots record` wrote.")],
-    to_verify: Annotated[bool, typer.Option("--verify", help="Run the episodes again, and compare every step bit for bit.")] = False,
+    to_verify: Annotated[bool, option("--verify", "Run the episodes again, and compare every step bit for bit.")] = False,
     tolerance: Annotated[
-        float,
-        typer.Option(
-            "--tolerance", metavar="X", min=0.0, max=1.0, help="With --verify, allow differences up to X (relative for numbers above 1)."
-        ),
+        float, option("--tolerance X", "With --verify, allow differences up to X (relative for numbers above 1).", min=0.0, max=1.0)
     ] = 0.0,
-    scenario: Annotated[
-        str | None, typer.Option("--scenario", metavar="SCENARIO", help="With --verify, run the episodes in this scenario instead.")
-    ] = None,
+    scenario: Annotated[str | None, option("--scenario SCENARIO", "With --verify, run the episodes in this scenario instead.")] = None,
     overrides: Overrides = None,
     as_json: Json = False,
     allow_paths: AllowPaths = None,

@@ -9,22 +9,17 @@ from typing import Annotated
 import typer
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import AllowCode, Force, Json, whole_number
+from deepbots_cli.cli.command import AllowCode, Force, Json, integer, option
 from deepbots_cli.errors import MissingExtraError, UsageError
 
 
 def command(
     run: Annotated[Path, typer.Argument(metavar="RUN|GROUP", help="A run directory of `deepbots train`, or the folder of a group.")],
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="FILE", help="File to write; by default RUN.html in the current folder.")
-    ] = None,
+    out: Annotated[Path | None, option("--out -o FILE", "File to write; by default RUN.html in the current folder.")] = None,
     force: Force = False,
-    figures: Annotated[Path | None, typer.Option("--figures", metavar="FOLDER", help="Also write every figure as PNG.")] = None,
-    episodes: Annotated[
-        int,
-        typer.Option("--episodes", metavar="N", parser=whole_number(3, 1000), help="Evaluation episodes to run again for trajectories."),
-    ] = 12,
-    clips: Annotated[bool, typer.Option("--clips/--no-clips", help="Film the best, the median and the worst episode.")] = True,
+    figures: Annotated[Path | None, option("--figures FOLDER", "Also write every figure as PNG.")] = None,
+    episodes: Annotated[int, integer("--episodes N", "Evaluation episodes to run again for trajectories.", 3, 1000)] = 12,
+    clips: Annotated[bool, option("--clips/--no-clips", "Film the best, the median and the worst episode.")] = True,
     as_json: Json = False,
     allow_code: AllowCode = False,
 ) -> None:

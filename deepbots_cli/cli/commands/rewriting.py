@@ -21,6 +21,7 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
+from deepbots_cli.cli.command import option
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.document import MappingNode as Tree
@@ -36,8 +37,8 @@ from deepbots_cli.scenario.scenario import VERSION
 
 def fmt(
     paths: Annotated[list[Path], typer.Argument(metavar="FILE", help="Scenario files, or folders of them.")],
-    check: Annotated[bool, typer.Option("--check", help="Write nothing, and exit with 1 if a file would change.")] = False,
-    diff: Annotated[bool, typer.Option("--diff", help="Like --check, and show the changes.")] = False,
+    check: Annotated[bool, option("--check", "Write nothing, and exit with 1 if a file would change.")] = False,
+    diff: Annotated[bool, option("--diff", "Like --check, and show the changes.")] = False,
 ) -> None:
     """Format scenario files in the canonical layout.
 
@@ -101,7 +102,7 @@ _BOM = "\ufeff"
 
 def upgrade(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A scenario file.")],
-    diff: Annotated[bool, typer.Option("--diff", help="Show the changes and write nothing; exit with 1 if the file would change.")] = False,
+    diff: Annotated[bool, option("--diff", "Show the changes and write nothing; exit with 1 if the file would change.")] = False,
 ) -> None:
     """Upgrade a scenario file to the present language.
 

@@ -11,8 +11,6 @@ from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from deepbots_cli import api, rollout
 from deepbots_cli.cli import results, terminal
 from deepbots_cli.cli.command import (
@@ -26,8 +24,9 @@ from deepbots_cli.cli.command import (
     Seed,
     Stage,
     Start,
+    integer,
+    option,
     start_values,
-    whole_number,
     with_case_or_stage,
 )
 from deepbots_cli.cli.tables import Row, table
@@ -60,24 +59,15 @@ def command(
     stage: Stage = None,
     policy: Annotated[
         Policy | None,
-        typer.Option(
-            "--policy",
-            help="`random` (default) samples actions; `zero` takes the middle of each range and the first option of each choice.",
+        option(
+            "--policy", "`random` (default) samples actions; `zero` takes the middle of each range and the first option of each choice."
         ),
     ] = None,
-    actions: Annotated[
-        str | None, typer.Option("--actions", metavar="A,B,...", help="Repeat these actions: names of options, or numbers.")
-    ] = None,
-    script: Annotated[str | None, typer.Option("--script", metavar="NAME", help="Use this script of the scenario as the policy.")] = None,
-    episodes: Annotated[int, typer.Option("--episodes", metavar="N", parser=whole_number(), help="Number of episodes.")] = EPISODES,
+    actions: Annotated[str | None, option("--actions A,B,...", "Repeat these actions: names of options, or numbers.")] = None,
+    script: Annotated[str | None, option("--script NAME", "Use this script of the scenario as the policy.")] = None,
+    episodes: Annotated[int, integer("--episodes N", "Number of episodes.")] = EPISODES,
     steps: Annotated[
-        int | None,
-        typer.Option(
-            "--steps",
-            metavar="N",
-            parser=whole_number(),
-            help="Stop after this total number of steps; by default at the end of the last episode.",
-        ),
+        int | None, integer("--steps N", "Stop after this total number of steps; by default at the end of the last episode.")
     ] = None,
     seed: Seed = 0,
     start: Start = None,

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from deepbots_cli.cli import results, terminal
-from deepbots_cli.cli.command import Json
+from deepbots_cli.cli.command import Json, option
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.group import is_group
@@ -31,16 +31,11 @@ def command(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A folder of runs, a group, or a run; by default `runs`.")] = Path(
         "runs"
     ),
-    scenario: Annotated[
-        str | None, typer.Option("--scenario", metavar="NAME", help="Only runs of this scenario, or of one whose name contains NAME.")
-    ] = None,
-    solved: Annotated[bool, typer.Option("--solved", help="Only runs that solve their task.")] = False,
-    live: Annotated[bool, typer.Option("--live", help="Only runs that are training now.")] = False,
+    scenario: Annotated[str | None, option("--scenario NAME", "Only runs of this scenario, or of one whose name contains NAME.")] = None,
+    solved: Annotated[bool, option("--solved", "Only runs that solve their task.")] = False,
+    live: Annotated[bool, option("--live", "Only runs that are training now.")] = False,
     sort: Annotated[
-        Sort,
-        typer.Option(
-            "--sort", help="Sort order: `date` and `name` ascend; `steps`, `cpu`, `return` and `success` begin with the largest value."
-        ),
+        Sort, option("--sort", "Sort order: `date` and `name` ascend; `steps`, `cpu`, `return` and `success` begin with the largest value.")
     ] = Sort.date,
     as_json: Json = False,
 ) -> None:

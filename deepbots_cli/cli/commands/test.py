@@ -13,7 +13,7 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import results, terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Engine, Force, Json, Overrides
+from deepbots_cli.cli.command import AllowCode, AllowPaths, Engine, Force, Json, Overrides, option
 from deepbots_cli.cli.commands.lint import scenario_names
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import Row, table
@@ -43,10 +43,10 @@ def command(
     scenarios: Annotated[
         list[str], typer.Argument(metavar="SCENARIO", help="Scenario files, folders, or names of scenarios that come with deepbots.")
     ],
-    only: Annotated[str | None, typer.Option("-k", metavar="NAME", help="Run only the tests whose names contain this text.")] = None,
+    only: Annotated[str | None, option("-k NAME", "Run only the tests whose names contain this text.")] = None,
     overrides: Overrides = None,
     engine: Engine = None,
-    junit: Annotated[Path | None, typer.Option("--junit", metavar="FILE", help="Write the results as JUnit XML.")] = None,
+    junit: Annotated[Path | None, option("--junit FILE", "Write the results as JUnit XML.")] = None,
     force: Force = False,
     as_json: Json = False,
     allow_paths: AllowPaths = None,

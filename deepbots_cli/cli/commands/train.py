@@ -17,7 +17,7 @@ import typer
 
 from deepbots_cli import api, learning
 from deepbots_cli.cli import results, terminal
-from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Engine, Json, Overrides, seed_list, whole_number
+from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Engine, Json, Overrides, integer, option, seed_list
 from deepbots_cli.cli.commands.eval import show, with_cases
 from deepbots_cli.cli.exits import FAILED, INTERRUPTED
 from deepbots_cli.engine_kinds import with_engine
@@ -42,58 +42,37 @@ def command(
         str | None, typer.Argument(metavar="SCENARIO", help="A scenario file, or the name of a scenario that comes with deepbots.")
     ] = None,
     overrides: Overrides = None,
-    seed: Annotated[
-        int | None,
-        typer.Option("--seed", metavar="N", parser=whole_number(0, MAX_SEED), help="Root seed of all random numbers; 0 by default."),
-    ] = None,
-    seeds: Annotated[
-        str | None, typer.Option("--seeds", metavar="LIST", help="Train a group: a run for each of several seeds, such as 0..4 or 0,3,7.")
-    ] = None,
+    seed: Annotated[int | None, integer("--seed N", "Root seed of all random numbers; 0 by default.", 0, MAX_SEED)] = None,
+    seeds: Annotated[str | None, option("--seeds LIST", "Train a group: a run for each of several seeds, such as 0..4 or 0,3,7.")] = None,
     timesteps: Annotated[
-        int | None,
-        typer.Option(
-            "--timesteps",
-            metavar="N",
-            parser=whole_number(),
-            help="Total number of timesteps, such as 200000, 200k or 2e5; by default `train.total_timesteps`.",
-        ),
+        int | None, integer("--timesteps N", "Total number of timesteps, such as 200000, 200k or 2e5; by default `train.total_timesteps`.")
     ] = None,
-    run: Annotated[
-        Path | None, typer.Option("--run", metavar="DIR", help="Directory to create for the run or group; by default a new one in ./runs.")
-    ] = None,
-    resume: Annotated[Path | None, typer.Option("--resume", metavar="RUN", help="Continue the training of this run or group.")] = None,
-    full: Annotated[bool, typer.Option("--full", "--no-stop", help="Train for all timesteps, even if the task is solved earlier.")] = False,
-    stage: Annotated[
-        str | None, typer.Option("--stage", metavar="NAME", help="Begin with this stage of the curriculum; by default with the first.")
-    ] = None,
+    run: Annotated[Path | None, option("--run DIR", "Directory to create for the run or group; by default a new one in ./runs.")] = None,
+    resume: Annotated[Path | None, option("--resume RUN", "Continue the training of this run or group.")] = None,
+    full: Annotated[bool, option("--full --no-stop", "Train for all timesteps, even if the task is solved earlier.")] = False,
+    stage: Annotated[str | None, option("--stage NAME", "Begin with this stage of the curriculum; by default with the first.")] = None,
     keep_checkpoints: Annotated[
-        int | None,
-        typer.Option(
-            "--keep-checkpoints", metavar="N", parser=whole_number(0, 10_000), help="Keep N models, saved at equal intervals; 0 by default."
-        ),
+        int | None, integer("--keep-checkpoints N", "Keep N models, saved at equal intervals; 0 by default.", 0, 10_000)
     ] = None,
     initialize_from: Annotated[
-        Path | None, typer.Option("--initialize-from", metavar="RUN", help="Begin with the weights of the best policy of this run.")
+        Path | None, option("--initialize-from RUN", "Begin with the weights of the best policy of this run.")
     ] = None,
     callbacks: Annotated[
         list[str] | None,
-        typer.Option(
-            "--callback",
-            metavar="NAME",
-            help="Call this callback of an installed package during the training; may be repeated. With --resume, `none` drops all.",
+        option(
+            "--callback NAME",
+            "Call this callback of an installed package during the training; may be repeated. With --resume, `none` drops all.",
         ),
     ] = None,
     loggers: Annotated[
         list[str] | None,
-        typer.Option(
-            "--logger", metavar="NAME", help="Write the scalars with this logger too: csv, or one of an installed package; may be repeated."
-        ),
+        option("--logger NAME", "Write the scalars with this logger too: csv, or one of an installed package; may be repeated."),
     ] = None,
     engine: Engine = None,
     to_view: Annotated[
-        bool, typer.Option("--view", help="Show the newest policy in the browser while it is trained, as `deepbots view RUN` does.")
+        bool, option("--view", "Show the newest policy in the browser while it is trained, as `deepbots view RUN` does.")
     ] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress.")] = False,
+    quiet: Annotated[bool, option("--quiet -q", "Print no progress.")] = False,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
     allow_code: AllowCode = False,

@@ -20,9 +20,10 @@ from deepbots_cli.cli.command import (
     Seed,
     Stage,
     Start,
+    integer,
     known_engine,
+    option,
     start_values,
-    whole_number,
 )
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import atomic_write
@@ -62,71 +63,41 @@ ScenarioOrRun = Annotated[
     str, typer.Argument(metavar="SCENARIO|RUN", help="A scenario file, the name of a shipped scenario, or a run directory.")
 ]
 EngineOrRun = Annotated[
-    str | None,
-    typer.Option(
-        "--engine", metavar="NAME", callback=known_engine, help="Physics engine; by default that of the run or the scenario, else pybullet."
-    ),
+    str | None, option("--engine NAME", "Physics engine; by default that of the run or the scenario, else pybullet.", callback=known_engine)
 ]
 Host = Annotated[
     str,
-    typer.Option(
-        "--host",
-        metavar="ADDRESS",
-        help="Address to serve on. If other machines can reach it (0.0.0.0), the printed address of the page contains a token.",
+    option(
+        "--host ADDRESS", "Address to serve on. If other machines can reach it (0.0.0.0), the printed address of the page contains a token."
     ),
 ]
-Port = Annotated[
-    int | None,
-    typer.Option("--port", metavar="N", parser=whole_number(0, 65535), help="Port of the page; by default the first free port from 8787."),
-]
-Open = Annotated[bool, typer.Option("--open", help="Open the page in the browser.")]
-Episode = Annotated[
-    int,
-    typer.Option("--episode", metavar="K", parser=whole_number(0), help="Begin with the start of held-out episode K of `deepbots eval`."),
-]
+Port = Annotated[int | None, integer("--port N", "Port of the page; by default the first free port from 8787.", 0, 65535)]
+Open = Annotated[bool, option("--open", "Open the page in the browser.")]
+Episode = Annotated[int, integer("--episode K", "Begin with the start of held-out episode K of `deepbots eval`.", 0)]
 # Any: typer would parse each part of a tuple alone.
-Size = Annotated[Any, typer.Option("--size", metavar="WxH", parser=size, help="Width and height in pixels.")]
-From = Annotated[
-    Any, typer.Option("--from", metavar="X,Y,Z", parser=point, help="Position of the camera in m; by default it sees the whole scene.")
-]
-At = Annotated[Any, typer.Option("--at", metavar="X,Y,Z", parser=point, help="Point in m that the camera looks at.")]
-Driver = Annotated[
-    str | None,
-    typer.Option("--script", metavar="NAME", help="Source of the actions: a script of the scenario, `random`, `zero` or `policy`."),
-]
+Size = Annotated[Any, option("--size WxH", "Width and height in pixels.", parser=size)]
+From = Annotated[Any, option("--from X,Y,Z", "Position of the camera in m; by default it sees the whole scene.", parser=point)]
+At = Annotated[Any, option("--at X,Y,Z", "Point in m that the camera looks at.", parser=point)]
+Driver = Annotated[str | None, option("--script NAME", "Source of the actions: a script of the scenario, `random`, `zero` or `policy`.")]
 
 
 def view(
     shown: Shown,
     driver: Annotated[
         str | None,
-        typer.Option(
-            "--driver",
-            "--script",
-            metavar="NAME",
-            help="Source of the actions: a script of the scenario, `random`, `zero`, `policy` or `you` (keys and sliders of the page).",
+        option(
+            "--driver --script NAME",
+            "Source of the actions: a script of the scenario, `random`, `zero`, `policy` or `you` (keys and sliders of the page).",
         ),
     ] = None,
     seed: Seed = 0,
     episode: Episode = 0,
     start: Start = None,
-    watch: Annotated[bool, typer.Option("--watch", help="Restart with the new files when a file is saved.")] = False,
-    compare: Annotated[
-        str | None, typer.Option("--compare", metavar="OTHER", help="Show another run or scenario beside it, from the same seeds.")
-    ] = None,
-    worlds: Annotated[
-        int | None,
-        typer.Option(
-            "--worlds", metavar="N", parser=whole_number(1, 4096), help="Step a batch of N worlds in MuJoCo, and show one of them."
-        ),
-    ] = None,
-    world: Annotated[int, typer.Option("--world", metavar="K", parser=whole_number(0), help="The world to show first, with --worlds.")] = 0,
-    frame_rate: Annotated[
-        int,
-        typer.Option(
-            "--fps", metavar="N", parser=whole_number(1, 60), help="Pictures per second. A browser without a graphics card needs fewer."
-        ),
-    ] = 30,
+    watch: Annotated[bool, option("--watch", "Restart with the new files when a file is saved.")] = False,
+    compare: Annotated[str | None, option("--compare OTHER", "Show another run or scenario beside it, from the same seeds.")] = None,
+    worlds: Annotated[int | None, integer("--worlds N", "Step a batch of N worlds in MuJoCo, and show one of them.", 1, 4096)] = None,
+    world: Annotated[int, integer("--world K", "The world to show first, with --worlds.", 0)] = 0,
+    frame_rate: Annotated[int, integer("--fps N", "Pictures per second. A browser without a graphics card needs fewer.", 1, 60)] = 30,
     overrides: Overrides = None,
     case: Case = None,
     stage: Stage = None,
@@ -233,15 +204,15 @@ def _serve(source: Source, open_: bool, **options: Any) -> None:
 
 def picture(
     shown: Shown,
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="PNG", help="File to write.")] = Path("picture.png"),
+    out: Annotated[Path, option("--out -o PNG", "File to write.")] = Path("picture.png"),
     force: Force = False,
     size: Size = "640x480",
     eye: From = None,
     target: At = None,
-    labels: Annotated[bool, typer.Option("--labels", help="Name the links and joints of the first robot.")] = False,
-    rays: Annotated[bool, typer.Option("--rays", help="Draw the rays of sensors.")] = False,
-    path: Annotated[bool, typer.Option("--path", help="Run the episode, and draw the paths of what moves in it.")] = False,
-    steps: Annotated[int, typer.Option("--steps", metavar="N", parser=whole_number(0), help="Run this number of steps first.")] = 0,
+    labels: Annotated[bool, option("--labels", "Name the links and joints of the first robot.")] = False,
+    rays: Annotated[bool, option("--rays", "Draw the rays of sensors.")] = False,
+    path: Annotated[bool, option("--path", "Run the episode, and draw the paths of what moves in it.")] = False,
+    steps: Annotated[int, integer("--steps N", "Run this number of steps first.", 0)] = 0,
     driver: Driver = None,
     seed: Seed = 0,
     episode: Episode = 0,
@@ -286,19 +257,12 @@ def picture(
 def clip(
     shown: Shown,
     out: Annotated[
-        Path,
-        typer.Option(
-            "--out", "-o", metavar="FILE", help="File to write: .mp4, .gif, or .html for an interactive page that needs no server."
-        ),
+        Path, option("--out -o FILE", "File to write: .mp4, .gif, or .html for an interactive page that needs no server.")
     ] = Path("clip.mp4"),
     force: Force = False,
     driver: Driver = None,
-    seconds: Annotated[
-        float | None, typer.Option("--seconds", metavar="S", min=0.01, max=3600, help="Simulated seconds; by default the whole episode.")
-    ] = None,
-    speed: Annotated[
-        float, typer.Option("--speed", metavar="X", min=0.01, max=100, help="Playback speed: simulated seconds per second of video.")
-    ] = 1.0,
+    seconds: Annotated[float | None, option("--seconds S", "Simulated seconds; by default the whole episode.", min=0.01, max=3600)] = None,
+    speed: Annotated[float, option("--speed X", "Playback speed: simulated seconds per second of video.", min=0.01, max=100)] = 1.0,
     size: Size = "480x320",
     eye: From = None,
     target: At = None,
