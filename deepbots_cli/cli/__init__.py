@@ -7,7 +7,7 @@ exits.py       exceptions to exit codes
 terminal.py    output, colour, progress
 tables.py      tables as text
 inspection.py  the tables of `inspect`
-results.py     results of trainings and evaluations as text, JSON and CSV
+records.py     results of trainings and evaluations as text, JSON, CSV and JUnit
 throughput.py  the measurements of `bench` for several engines and batches
 starters/      the scenarios that `new` writes
 glossary.yaml  the glossary: what `explain` prints and docs/reference/glossary.md holds

@@ -9,10 +9,13 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import is_dataclass
 from pathlib import Path
 from shlex import quote
 from shutil import get_terminal_size
 from typing import TYPE_CHECKING, TextIO
+
+from pydantic import BaseModel
 
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.render import escape_log_commands, render, summary
@@ -111,7 +114,7 @@ def printable(text: str) -> str:
 
 
 def json_compatible(data: object) -> object:
-    """`data` as lists, dictionaries, text and finite numbers."""
+    """`data` as lists, dictionaries, text and finite numbers; records as dictionaries of their fields."""
     match data:
         case float() if not math.isfinite(data):
             return None
@@ -121,6 +124,10 @@ def json_compatible(data: object) -> object:
             return [json_compatible(item) for item in data]
         case Path():
             return str(data)
+        case BaseModel():
+            return data.model_dump(mode="json")
+        case _ if is_dataclass(data) and not isinstance(data, type):
+            return json_compatible(vars(data))
         case _:
             return data
 

@@ -214,15 +214,6 @@ class EngineDifference:
     mean_return: Difference
     success_rate: Difference | None
 
-    def row(self, *, with_case: bool) -> dict[str, object]:
-        """A row of a table: the differences, each with its interval."""
-        row: dict[str, object] = {"difference": f"{self.engine} - {self.first}"}
-        row |= {"case": self.case or "(the scenario itself)"} if with_case else {}
-        for what, found in (("return", self.mean_return), ("success", self.success_rate)):
-            if found is not None:
-                row |= {what: found.mean, f"{what}_95 %": "" if found.interval is None else "{:.4g} .. {:.4g}".format(*found.interval)}
-        return row
-
 
 def compare_engines(one: EvaluationResult | GroupResult, other: EvaluationResult | GroupResult) -> EngineDifference:
     """Compare the evaluations of a policy in two engines episode by episode, or those of a group run by run.

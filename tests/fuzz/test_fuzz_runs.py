@@ -11,8 +11,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "learning"))
 
 import stand_in
 
-from deepbots_cli.cli.commands.eval import with_cases
-from deepbots_cli.cli.results import write_evaluation
+from deepbots_cli.cli.records import evaluation_json, write_evaluation
 from deepbots_cli.learning import evaluate, train
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program.task import Hyperparameter, Network, Solved, Training
@@ -23,7 +22,7 @@ def trained(folder: Path, training: Training) -> Path:
     """A run with all its steps and an evaluation."""
     task = stand_in.compiled(training=training, solved=Solved(10, mean_return=1e6))
     run = train(task, run=folder / training.algorithm.lower(), build=stand_in.build).run
-    write_evaluation(Run.open(run), with_cases(evaluate(run, episodes=4, build=stand_in.build), ()))
+    write_evaluation(Run.open(run), evaluation_json(evaluate(run, episodes=4, build=stand_in.build), ()))
     return run
 
 

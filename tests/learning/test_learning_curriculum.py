@@ -15,7 +15,7 @@ import stand_in
 from pydantic import ValidationError
 
 from deepbots_cli.api import Compiled
-from deepbots_cli.cli.results import evaluation_text, training_text
+from deepbots_cli.cli.records import evaluation_text, training_text
 from deepbots_cli.errors import EngineError, RunError, UsageError
 from deepbots_cli.learning import TrainingResult, evaluate, resume, train
 from deepbots_cli.learning.curriculum import Curriculum, CurriculumState

@@ -13,7 +13,7 @@ import stand_in
 
 from deepbots_cli import files
 from deepbots_cli.api import Compiled, compile, make
-from deepbots_cli.cli.results import case_rows, evaluation_text, summary_text
+from deepbots_cli.cli.records import case_rows, evaluation_text, summary_text
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.expressions.dimensions import LENGTH
 from deepbots_cli.learning import TrainingResult, evaluate, evaluate_baselines, evaluate_cases, train, video
@@ -176,13 +176,13 @@ def test_an_evaluation_under_another_timing_says_so(trained: TrainingResult) -> 
     assert evaluate(trained.run, episodes=3, build=stand_in.build).notes == ()
 
 
-def with_cases() -> Compiled:
+def evaluation_json() -> Compiled:
     """The stand-in with a case `short`, of three episodes of seven steps, and one that changes nothing of it."""
     return stand_in.compiled(cases="short: {set: {truncation.max_steps: 7}, episodes: 3}, same: {set: {world.substeps: 4}}")
 
 
 def test_every_case_is_evaluated_from_the_same_starts(tmp_path: Path) -> None:
-    run = train(with_cases(), run=tmp_path / "run", total_timesteps=500, build=stand_in.build).run
+    run = train(evaluation_json(), run=tmp_path / "run", total_timesteps=500, build=stand_in.build).run
     base = evaluate(run, build=stand_in.build)
     short, same = evaluate_cases(run, build=stand_in.build)
     assert (short.case, short.episodes, short.greatest_return) == ("short", 3, 7.0)
@@ -196,7 +196,7 @@ def test_every_case_is_evaluated_from_the_same_starts(tmp_path: Path) -> None:
 
 
 def test_a_run_with_a_case_for_another_policy_is_refused(tmp_path: Path) -> None:
-    run = train(with_cases(), run=tmp_path / "run", total_timesteps=500, build=stand_in.build).run
+    run = train(evaluation_json(), run=tmp_path / "run", total_timesteps=500, build=stand_in.build).run
     resolved, text = run / "resolved.yaml", (run / "resolved.yaml").read_text()
     for forged in ("observation.speed: -2 .. 2 m/s", "evaluation.episodes: 3"):
         resolved.write_text(text.replace("truncation.max_steps: 7", forged))
@@ -206,7 +206,9 @@ def test_a_run_with_a_case_for_another_policy_is_refused(tmp_path: Path) -> None
 
 def test_small_returns_are_shown_with_four_decimals() -> None:
     done = [Episode(value, 10, False, "max_time") for value in (0.1423, 0.1431)]
-    assert "mean return         0.1427; standard deviation 0.0006" in summary_text(Summary.of_episodes(done), success_defined=False)
+    assert "mean return         0.1427 (95 %: 0.1376 .. 0.1478)\n  standard deviation  0.0006" in summary_text(
+        Summary.of_episodes(done), success_defined=False
+    )
     assert "mean return       14.27" in summary_text(Summary.of_episodes([Episode(14.27, 10, False, None)]), success_defined=False)
 
 

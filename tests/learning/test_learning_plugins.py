@@ -15,7 +15,7 @@ import pytest
 import stand_in
 from stable_baselines3 import PPO
 
-from deepbots_cli.cli.results import training_text
+from deepbots_cli.cli.records import training_text
 from deepbots_cli.errors import PluginError, UsageError
 from deepbots_cli.learning import TrainingResult, models, resume, resume_group, train, train_group
 from deepbots_cli.learning.group import Group

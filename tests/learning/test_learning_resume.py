@@ -25,7 +25,7 @@ import yaml
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from deepbots_cli import api
-from deepbots_cli.cli.results import training_text
+from deepbots_cli.cli.records import training_text
 from deepbots_cli.document import shipped
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import checkpoints, evaluate, resume, train

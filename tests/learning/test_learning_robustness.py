@@ -9,7 +9,7 @@ import pytest
 import stand_in
 
 from deepbots_cli import api
-from deepbots_cli.cli.results import robustness_text
+from deepbots_cli.cli.records import robustness_text
 from deepbots_cli.document import load, shipped
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import TrainingResult, evaluate_robustness

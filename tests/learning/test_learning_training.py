@@ -20,7 +20,7 @@ import pytest
 import stand_in
 from stable_baselines3.common.env_checker import check_env
 
-from deepbots_cli.cli.results import training_text
+from deepbots_cli.cli.records import training_text
 from deepbots_cli.errors import DeepbotsError, EngineError, RunError, UsageError, install_hint
 from deepbots_cli.learning import TrainingResult, algorithms, checkpoints, evaluate, resume, train
 from deepbots_cli.learning.report import ProgressReporter, Reporter, TrainingProgress, longer_goal, to_json

@@ -10,7 +10,7 @@ import pytest
 import stand_in
 
 from deepbots_cli.cli import main
-from deepbots_cli.cli.results import evaluation_text, interval_text, return_interval_text
+from deepbots_cli.cli.records import evaluation_text, interval_text, scores
 from deepbots_cli.learning import evaluate
 from deepbots_cli.learning.listing import read_listed
 from deepbots_cli.learning.report import to_json
@@ -83,8 +83,8 @@ def test_equal_returns_are_not_shown_as_an_interval_around_them(run_copy: Path, 
     found = evaluate(run, episodes=3, build=stand_in.build)
     equal = replace(found, mean_return=0.0, std_return=0.0, least_return=0.0, greatest_return=0.0, return_interval=(-155.8, 155.8))
     text = evaluation_text(equal)
-    assert "mean return         0.00 in all 3 episodes (95 % confidence interval, from the possible returns: -155.80 .. 155.80)" in text
-    assert return_interval_text(equal) == "all equal"
+    assert "mean return         0.00 (95 %, from the possible returns: -155.80 .. 155.80)" in text
+    assert scores(equal)["return_95 %"] == "all equal"
     run.write_evaluation(to_json(equal))
     assert main(["runs", str(run_copy)]) == 0
     assert "155.8" not in capsys.readouterr().out

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepbots_cli import api, learning
-from deepbots_cli.cli import results, terminal
+from deepbots_cli.cli import records, terminal
 from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Json, integer, option
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.learning.run import RunRecord, changed_settings, short_settings
 
 if TYPE_CHECKING:
-    from deepbots_cli.learning.comparison import Comparison
+    from deepbots_cli.learning.comparison import Comparison, GroupResult
 
 
 def command(
@@ -77,50 +76,37 @@ def command(
 
 
 def _show(found: Comparison) -> None:
-    has_success = all(group.success_defined for group in found.groups)
     where = f"{found.scenario}: " if found.scenario else "each run in its own scenario: "
     terminal.print_result(f"{where}{found.episodes:,} held-out episodes of each run, from seed {found.seed}")
-    rows: list[Row] = []
-    settings = {group.name: short_settings(changed_settings(RunRecord.read(group.evaluations[0].run).command)) for group in found.groups}
-    for group in found.groups:
-        row: dict[str, object] = {
-            "group": group.name,
-            "set": settings[group.name],
-            "runs": len(group.evaluations),
-            "mean_return": group.mean_return,
-        }
-        row |= {
-            "return_95 %": results.interval_text(group.return_interval),
-            "iqm": group.interquartile_mean if group.return_interval else None,
-        }
-        if has_success:
-            row |= {"success": f"{group.success_rate:.1%}", "success_95 %": results.interval_text(group.success_interval, percent=True)}
-        solved = [steps for steps in group.solved_after if steps is not None]
-        if solved:
-            count = f" ({len(solved)} of {len(group.solved_after)})" if len(group.solved_after) > 1 else ""
-            row["solved_after_steps"] = f"{fmean(solved):,.0f}{count}"
-        rows.append(row)
-    terminal.print_result(table(rows))
+    has_success = all(group.success_defined for group in found.groups)
+    terminal.print_result(table([_row(group, success_defined=has_success) for group in found.groups]))
     terminal.print_result(f"\nagainst {found.groups[0].name}")
-    rows = []
+    rows: list[Row] = []
     for entry in found.differences:
-        row = {"group": entry.group, "return": entry.mean_return.mean, "return_95 %": results.interval_text(entry.mean_return.interval)}
-        if entry.success_rate is not None:
-            success = entry.success_rate
-            row |= {"success": f"{success.mean:+.1%}", "success_95 %": results.interval_text(success.interval, percent=True)}
-        if entry.solved_after is not None:
-            row["solved_after_steps"] = f"{entry.solved_after.mean:+,.0f}"
-        rows.append(row | {"probability_of_improvement" if entry.between_seeds else "episodes_better": entry.mean_return.improvement})
+        steps = None if entry.solved_after is None else f"{entry.solved_after.mean:+,.0f}"
+        share = "probability_of_improvement" if entry.between_seeds else "episodes_better"
+        row = {"group": entry.group, **records.differences(entry), "solved_after_steps": steps}
+        rows.append(row | {share: entry.mean_return.improvement})
     terminal.print_result(table(rows))
     if not all(entry.between_seeds for entry in found.differences):
         terminal.print_result("episodes_better: share of the episodes with a higher return than in the first run; equal returns count half")
-    for entry in found.differences:
-        terminal.print_result(entry.verdict)
-    for note in found.notes:
-        terminal.print_result(f"note: {note}")
+    for line in (*(entry.verdict for entry in found.differences), *(f"note: {note}" for note in found.notes)):
+        terminal.print_result(line)
+
+
+def _row(group: GroupResult, *, success_defined: bool) -> Row:
+    solved = [steps for steps in group.solved_after if steps is not None]
+    count = f" ({len(solved)} of {len(group.solved_after)})" if len(group.solved_after) > 1 else ""
+    return {
+        "group": group.name,
+        "set": short_settings(changed_settings(RunRecord.read(group.evaluations[0].run).command)),
+        "runs": len(group.evaluations),
+        **records.scores(group, success_defined=success_defined),
+        "interquartile_mean": group.interquartile_mean if group.return_interval else None,
+        "solved_after_steps": f"{fmean(solved):,.0f}{count}" if solved else None,
+    }
 
 
 def _data(found: Comparison) -> dict[str, Any]:
-    differences = [{**asdict(entry), "verdict": entry.verdict} for entry in found.differences]
-    known = {name: getattr(found, name) for name in ("scenario", "episodes", "seed", "notes")}
-    return {**known, "groups": [results.group_json(group) for group in found.groups], "differences": differences}
+    differences = [{**vars(entry), "verdict": entry.verdict} for entry in found.differences]
+    return {**vars(found), "groups": [records.group_json(group) for group in found.groups], "differences": differences}

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Container, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from shlex import quote
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepbots_cli import api, learning
-from deepbots_cli.cli import results, terminal
+from deepbots_cli.cli import records, terminal
 from deepbots_cli.cli.command import (
     MAX_SEED,
     AllowCode,
@@ -170,68 +170,43 @@ def command(
     Next: `deepbots compare RUN RUN` compares policies on the same starts, `deepbots runs RUN` lists its evaluations, and
     `deepbots train --resume RUN --timesteps N` continues the training.
     """
+    given = {name.replace("_", "-"): value for name, value in locals().items() if value is not None and value is not False}
+    single = ("video", "robustness", "baselines", "details")
     if episodes == FAILED_EPISODES:
-        refused: dict[str, Any] = {
-            "scenario": scenario,
-            "set": overrides,
-            "case": case,
-            "stage": stage,
-            "stochastic": stochastic,
-            "engine": engine,
-            "last": last,
-        }
-        refused |= {
-            "baselines": baselines,
-            "robustness": robustness,
-            "mass-of": mass_of is not None,
-            "details": details,
-            "csv": csv,
-            "junit": junit,
-            "seed": seed is not None,
-        }
-        refused |= {"require-solved": require_solved, "min-success": min_success is not None, "min-return": min_return is not None}
-        _refuse("does not go with --episodes failed, which repeats the last evaluation as it was", **refused)
+        others = [name for name in given if name not in ("run", "episodes", "video", "force", "as-json", "allow-paths", "allow-code")]
+        _refuse("does not go with --episodes failed, which repeats the last evaluation as it was", given, others)
         repeat_failed(Run.open(run), video, force=force, as_json=as_json, allow_code=allow_code)
         return
     gates = Gates(min_success, min_return, require_solved)
     if mass_of is not None and not robustness:
         raise UsageError("--mass-of belongs to --robustness; add it")
     _check_files(csv, junit, video, gates, force=force)
-    chosen: dict[str, Any] = {
-        "episodes": episodes,
-        "model": "last" if last else "best",
-        "allow_code": allow_code,
-        "deterministic": not stochastic,
-    }
+    chosen: dict[str, Any] = {"episodes": episodes, "model": "last" if last else "best"}
+    chosen |= {"allow_code": allow_code, "deterministic": not stochastic}
     several: Sequence[str | None] = engine or [None]
     if len(several) > 1:
-        _refuse("evaluates in one engine; name one with --engine", video=video, robustness=robustness, baselines=baselines, details=details)
+        _refuse("evaluates in one engine; name one with --engine", given, single)
     if is_group(run):
         group = Group.open(run)
         one = f"evaluates a single run, and {run} is a group; name one of its runs, such as {group.runs[0] if group.runs else run}"
-        _refuse(one, video=video, robustness=robustness, baselines=baselines, details=details)
-        judged = [_judged(run, group.record.engine, scenario, overrides, name, allow_paths, allow_code) for name in several]
+        _refuse(one, given, single)
+        scenarios = [evaluation_scenario(run, group.record.engine, scenario, overrides, name, allow_paths, allow_code) for name in several]
         chosen |= {"seed": seed or 0, "case": case, "stage": stage}
-        _evaluate_group(run, judged, gates, csv=csv, junit=junit, as_json=as_json, **chosen)
+        _evaluate_group(run, scenarios, gates, csv=csv, junit=junit, as_json=as_json, **chosen)
         return
     known = Run.open(run)
     if robustness:
-        dropped = {"video": video, "csv": csv, "junit": junit, "baselines": baselines, "details": details, "require-solved": require_solved}
-        _refuse("does not go with --robustness", **dropped)
+        _refuse("does not go with --robustness", given, ("video", "csv", "junit", "baselines", "details", "require-solved"))
         changed = with_engine(overrides, several[0])
         _robustness(known, gates, changed, allow_paths or (), scenario, case, stage, as_json=as_json, seed=seed, mass_of=mass_of, **chosen)
         return
     chosen |= {"seed": seed}
     with terminal.transient_line("loading the policy ..."):
-        evaluate, evaluate_cases, evaluate_baselines = (
-            learning.evaluate,
-            learning.evaluate_cases,
-            learning.evaluate_baselines,
-        )  # imports torch
+        evaluate = learning.evaluate  # which imports torch
     found: list[_EngineEvaluations] = []
     requirements: list[Requirement] = []
     for name in several:
-        compiled = _judged(run, known.record.engine, scenario, overrides, name, allow_paths, allow_code)
+        compiled = evaluation_scenario(run, known.record.engine, scenario, overrides, name, allow_paths, allow_code)
         program = known.program if compiled is None else compiled.program
         gates.check(program)
         usual = program.evaluation.episodes if case is None else program.case(case).episodes
@@ -242,17 +217,17 @@ def command(
             options = chosen | {"scenario": compiled, "engine": name, "on_episode": show_episode}
             result = evaluate(known, case=case, stage=stage, video_to=video, force=force, until=until, **options)
             alone = case is not None or stage is not None
-            cases = () if alone else evaluate_cases(known, stages=details, **options)
-            others: Sequence[EvaluationResult] = ()
+            cases = () if alone else learning.evaluate_cases(known, stages=details, **options)
+            scripted: Sequence[EvaluationResult] = ()
             if baselines:
                 options = {key: value for key, value in options.items() if key not in ("model", "deterministic")}
-                others = evaluate_baselines(known, case=case, stage=stage, **options | {"episodes": result.episodes})
-        found.append(_EngineEvaluations(result, cases, others, _scenario_row(known, scenario, overrides or (), compiled)))
-        results.write_evaluation(known, found[-1].as_json())
+                scripted = learning.evaluate_baselines(known, case=case, stage=stage, **options | {"episodes": result.episodes})
+        found.append(_EngineEvaluations(result, cases, scripted, scenario_label(known, scenario, overrides or (), compiled)))
+        records.write_evaluation(known, found[-1].as_json())
         of = f"{result.engine}: " if len(several) > 1 else ""
         requirements += [(f"{of}{words}", met, reason) for words, met, reason in gates.requirements(result, episodes or usual)]
     if csv is not None:
-        results.write_csv(csv, [each for one in found for each in (one.result, *one.cases, *one.baselines)])
+        records.write_csv(csv, [each for one in found for each in (one.result, *one.cases, *one.baselines)])
     if len(found) > 1:
         _show_engines(known, found, as_json=as_json)
     elif as_json:
@@ -272,64 +247,47 @@ class _EngineEvaluations:
     scenario: str | None
 
     def as_json(self) -> dict[str, Any]:
-        return {**with_cases(self.result, self.cases), "baselines": [report.to_json(other) for other in self.baselines]}
+        return {**records.evaluation_json(self.result, self.cases), "baselines": list(map(report.to_json, self.baselines))}
 
     def show(self, *, details: bool) -> None:
-        show(self.result, self.cases, scenario=self.scenario)
+        terminal.print_result(records.evaluation_text(self.result, self.cases, scenario=self.scenario))
         if self.baselines:
-            names = ["the trained policy", *(other.model for other in self.baselines)]
-            rows = results.rows_of("policy", [self.result, *self.baselines], names)
-            terminal.print_result("\nbaselines, on the same starts\n" + table(rows))
+            policies = [("the trained policy", self.result), *((other.model, other) for other in self.baselines)]
+            terminal.print_result("\nbaselines, on the same starts\n" + table(records.evaluation_rows("policy", policies)))
         if details:
-            terminal.print_result("\n" + results.drawn_text(self.result))
+            terminal.print_result("\n" + records.drawn_text(self.result))
 
 
-def _refuse(reason: str, **options: object) -> None:
+def _refuse(reason: str, given: Container[str], options: Iterable[str]) -> None:
     """Raises: UsageError: One of the options is given."""
-    for name, given in options.items():
-        if given:
-            raise UsageError(f"--{name} {reason}")
+    for name in options:
+        if name in given:
+            raise UsageError(f"--{'set' if name == 'overrides' else name} {reason}")
 
 
 def _show_engines(run: Run, found: Sequence[_EngineEvaluations], *, as_json: bool) -> None:
     """The evaluations in several engines side by side, and the difference of each from the first, from the same starts."""
     from deepbots_cli.learning.comparison import compare_engines
 
-    pairs = [
-        compare_engines(one, other)
-        for column in zip(*((each.result, *each.cases) for each in found), strict=True)
-        for one, other in ((column[0], other) for other in column[1:])
-    ]
+    columns = zip(*((each.result, *each.cases) for each in found), strict=True)
+    pairs = [compare_engines(column[0], other) for column in columns for other in column[1:]]
     if as_json:
-        differences = [asdict(pair) for pair in pairs]
-        terminal.show_json({"evaluations": [each.as_json() for each in found], "differences": differences})
+        terminal.show_json({"evaluations": [each.as_json() for each in found], "differences": pairs})
         return
     first, scenario = found[0].result, found[0].scenario
-    trained = f"trained in {run.record.engine}"
-    terminal.print_result(
-        f"evaluation of {first.scenario} in {len(found)} engines, {trained}" + (f"; scenario {scenario}" if scenario else "")
-    )
+    words = f"evaluation of {first.scenario} in {len(found)} engines, trained in {run.record.engine}"
+    terminal.print_result(words + (f"; scenario {scenario}" if scenario else ""))
     terminal.print_result(f"  {first.episodes:,} held-out starts from seed {first.seed}, the same in every engine")
     every = [result for each in found for result in (each.result, *each.cases)]
-    has_cases = any(result.case for result in every)
-    rows = results.case_rows(every)
-    terminal.print_result(
-        table(
-            [
-                {"engine": result.engine, **{key: value for key, value in row.items() if key != "case" or has_cases}}
-                for result, row in zip(every, rows, strict=True)
-            ]
-        )
-    )
-    terminal.print_result("\ndifferences on the same starts, with 95 % intervals")
-    terminal.print_result(table([pair.row(with_case=has_cases) for pair in pairs]))
+    rows = [{"engine": result.engine, **row} for result, row in zip(every, records.case_rows(every), strict=True)]
+    terminal.print_result(table(rows) + "\n\ndifferences on the same starts, with 95 % intervals\n" + records.engines_table(pairs))
     for each in found:
         terminal.print_result(f"{each.result.engine}: {each.result.verdict}")
     for note in dict.fromkeys(note for each in found for note in each.result.notes):
         terminal.print_result(f"note: {note}")
 
 
-def _judged(
+def evaluation_scenario(
     folder: Path,
     trained_in: str,
     scenario: str | None,
@@ -462,21 +420,21 @@ def _evaluate_group(
         with terminal.progress("runs", always=False) as show_run:
             found = evaluate_group(folder, scenario=compiled, on_run=show_run, until=until, **chosen)
         for result in found.evaluations:
-            results.write_evaluation(Run.open(result.run), with_cases(result, ()))
+            records.write_evaluation(Run.open(result.run), records.evaluation_json(result))
         of = f"{found.evaluations[0].engine}: " if len(judged) > 1 else ""
         requirements += [(f"{of}{words}", met, reason) for words, met, reason in gates.requirements_of_group(found, planned)]
         groups.append(found)
         if not as_json:
-            terminal.print_result((f"in {found.evaluations[0].engine}: " if of else "") + results.group_text(found) + ("\n" if of else ""))
+            terminal.print_result((f"in {found.evaluations[0].engine}: " if of else "") + records.group_text(found) + ("\n" if of else ""))
     if csv is not None:
-        results.write_csv(csv, [result for found in groups for result in found.evaluations])
+        records.write_csv(csv, [result for found in groups for result in found.evaluations])
     pairs = [compare_engines(groups[0], other) for other in groups[1:]]
     if as_json:
-        rows = [results.group_json(found) for found in groups]
-        terminal.show_json({"groups": rows, "differences": [asdict(pair) for pair in pairs]} if pairs else rows[0])
+        rows = [records.group_json(found) for found in groups]
+        terminal.show_json({"groups": rows, "differences": pairs} if pairs else rows[0])
     elif pairs:
         terminal.print_result("differences of each run on the same starts, with 95 % intervals over the seeds")
-        terminal.print_result(table([pair.row(with_case=False) for pair in pairs]))
+        terminal.print_result(records.engines_table(pairs))
     _require(requirements, [result for found in groups for result in found.evaluations], junit)
 
 
@@ -509,12 +467,12 @@ def _robustness(
             **chosen,
         )
     if as_json:
-        terminal.show_json(results.robustness_json(found))
+        terminal.show_json(records.robustness_json(found))
     else:
-        terminal.print_result(results.robustness_text(found))
+        terminal.print_result(records.robustness_text(found))
 
 
-def _scenario_row(run: Run, scenario: str | None, overrides: Sequence[str], compiled: Compiled | None) -> str | None:
+def scenario_label(run: Run, scenario: str | None, overrides: Sequence[str], compiled: Compiled | None) -> str | None:
     """A scenario in words that replaces the scenario of the run; None where none of --scenario and --set is given."""
     if compiled is None or not (scenario or overrides):
         return None
@@ -523,27 +481,15 @@ def _scenario_row(run: Run, scenario: str | None, overrides: Sequence[str], comp
     return f"{scenario or 'of the run'}{changed}, {'with the same episodes as the training' if same else 'different from the training'}"
 
 
-def show(result: EvaluationResult, cases: Sequence[EvaluationResult], *, scenario: str | None = None) -> None:
-    """An evaluation, and the cases beside it; `scenario` is a scenario in words that replaces the scenario of the run."""
-    terminal.print_result(results.evaluation_text(result, scenario))
-    if cases:
-        terminal.print_result("\ncases\n" + table(results.case_rows([result, *cases])))
-
-
-def with_cases(result: EvaluationResult, cases: Sequence[EvaluationResult]) -> dict[str, Any]:
-    """An evaluation and its cases as a dictionary."""
-    return {**report.to_json(result), "cases": [report.to_json(other) for other in cases]}
-
-
 def _require(requirements: Sequence[Requirement], judged: Sequence[EvaluationResult], junit: Path | None) -> None:
     """Report each requirement on the `judged` evaluations, and exit with 1 if one is not met."""
     if junit is not None:
         first = judged[0]
         properties = {"run": ", ".join(dict.fromkeys(str(each.run) for each in judged)), "model": first.model, "seed": str(first.seed)}
-        properties |= {"episodes": str(sum(each.episodes for each in judged))} | results.evaluated_in(first)
+        properties |= {"episodes": str(sum(each.episodes for each in judged))} | records.evaluated_in(first)
         properties["engine"] = ", ".join(dict.fromkeys(each.engine or "" for each in judged))
-        suites = {first.scenario: [results.JUnitCase(*requirement) for requirement in requirements]}
-        results.write_junit(junit, "eval", suites, properties)
+        suites = {first.scenario: [records.JUnitCase(*requirement) for requirement in requirements]}
+        records.write_junit(junit, "eval", suites, properties)
     for words, met, reason in requirements:
         if met:
             terminal.note(f"met: {words} ({reason})")

@@ -12,7 +12,7 @@ from statistics import fmean
 from typing import TYPE_CHECKING, Annotated, Any
 
 from deepbots_cli import api, rollout
-from deepbots_cli.cli import results, terminal
+from deepbots_cli.cli import records, terminal
 from deepbots_cli.cli.command import (
     AllowCode,
     AllowPaths,
@@ -144,7 +144,7 @@ def command(
         return
     _show(done)
     if len(done) > 1:
-        terminal.print_result("\n" + results.summary_text(summary, success_defined=program.defines_success))
+        terminal.print_result("\n" + records.summary_text(summary, success_defined=program.defines_success))
 
 
 def _reproduce(path: Path, *, allow_code: bool, as_json: bool) -> None:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from deepbots_cli.cli import results, terminal
+from deepbots_cli.cli import records, terminal
 from deepbots_cli.cli.command import Json, option
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.errors import UsageError
@@ -39,7 +38,7 @@ def command(
     ] = Sort.date,
     as_json: Json = False,
 ) -> None:
-    """List your runs and groups, with their results.
+    """List your runs and groups, with their records.
 
     The list is read from the files of the runs, also while they train. A group is one row, with the means over its seeds;
     `deepbots runs GROUP` lists its runs, and `deepbots runs RUN` the evaluations that a run keeps.
@@ -88,7 +87,7 @@ def command(
 
 
 def _data(run: ListedRun) -> dict[str, Any]:
-    return {**asdict(run), "path": str(run.path), "name": run.path.name, "runs": [_data(inner) for inner in run.runs]}
+    return {**vars(run), "name": run.path.name, "runs": [_data(inner) for inner in run.runs]}
 
 
 def _row(run: ListedRun, *, with_file: bool = False) -> Row:
@@ -105,10 +104,9 @@ def _row(run: ListedRun, *, with_file: bool = False) -> Row:
         "seed": _seeds(run.seeds),
         "state": state,
         "steps": run.steps,
-        "return": run.mean_return,
-        "success": "" if run.success_rate is None else f"{run.success_rate:.0%}",
+        **records.scores(run, intervals=False),
         "score": f"{run.score} ({run.evaluated_episodes})" if run.evaluated_episodes else run.score,
-        "solved": "" if run.solved is None else "yes" if run.solved else "no",
+        "solved": run.solved,
         "cpu_s": None if run.cpu_seconds is None else round(run.cpu_seconds, 1),
         "set": short_settings(run.settings),
         "digest": run.digest[:8],
@@ -148,12 +146,9 @@ def _evaluation(number: int, kept: EvaluationRecord) -> Row:
         "number": number,
         "evaluated": kept.evaluated[:16].replace("T", " "),
         "model": kept.model,
-        "remarks": "; ".join(kept.remarks) or kept.elsewhere or kept.case or (f"stage {kept.stage}" if kept.stage else ""),
+        "remarks": "; ".join(kept.remarks) or kept.elsewhere or records.case_label(kept),
         "episodes": kept.episodes,
         "seed": kept.seed,
-        "return": kept.mean_return,
-        "return_95 %": results.return_interval_text(kept),
-        "success": f"{kept.success_rate:.1%}" if kept.success_defined else "",
-        "success_95 %": results.interval_text(kept.success_interval, percent=True) if kept.success_defined else "",
-        "solved": "" if kept.solved is None else "yes" if kept.solved else "no",
+        **records.scores(kept),
+        "solved": kept.solved,
     }

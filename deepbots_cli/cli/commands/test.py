@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from deepbots_cli import api
-from deepbots_cli.cli import results, terminal
+from deepbots_cli.cli import records, terminal
 from deepbots_cli.cli.command import AllowCode, AllowPaths, Engine, Force, Json, Overrides, option
 from deepbots_cli.cli.commands.lint import scenario_names
 from deepbots_cli.cli.exits import FAILED
@@ -90,7 +90,7 @@ def command(
     else:
         _sum_up(done, time.perf_counter() - began)
     if junit is not None:
-        results.write_junit(junit, "test", {found.scenario: _junit(found) for found in done if found.results or found.findings})
+        records.write_junit(junit, "test", {found.scenario: _junit(found) for found in done if found.results or found.findings})
     if not all(found.passed for found in done):
         raise typer.Exit(FAILED)
 
@@ -151,11 +151,11 @@ def _sum_up(done: Sequence[_ScenarioResults], seconds: float) -> None:
     terminal.print_result(f"{', '.join(words)} in {seconds:.1f} s")
 
 
-def _junit(found: _ScenarioResults) -> list[results.JUnitCase]:
-    cases = [results.JUnitCase("the scenario has no errors", False, finding.headline) for finding in found.findings[:1]]
+def _junit(found: _ScenarioResults) -> list[records.JUnitCase]:
+    cases = [records.JUnitCase("the scenario has no errors", False, finding.headline) for finding in found.findings[:1]]
     for result in found.results:
         reason = "; ".join(f"{miss.expected} ({miss.where}): {miss.measured}" for miss in result.misses)
-        cases.append(results.JUnitCase(result.test.name, result.passed, reason, result.seconds))
+        cases.append(records.JUnitCase(result.test.name, result.passed, reason, result.seconds))
     return cases
 
 

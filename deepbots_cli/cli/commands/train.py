@@ -16,9 +16,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepbots_cli import api, learning
-from deepbots_cli.cli import results, terminal
+from deepbots_cli.cli import records, terminal
 from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Engine, Json, Overrides, integer, option, seed_list
-from deepbots_cli.cli.commands.eval import show, with_cases
 from deepbots_cli.cli.exits import FAILED, INTERRUPTED
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import MissingExtraError, UsageError
@@ -230,10 +229,10 @@ def _announce_seed(seed: int, number: int, count: int) -> None:
 def _finish_group(group: GroupTraining, *, quiet: bool, as_json: bool, allow_code: bool) -> None:
     """Show the trainings of a group; unless it was interrupted, evaluate all of its runs and name the next commands."""
     if not as_json:
-        terminal.print_result(results.group_training_text(group))
+        terminal.print_result(records.group_training_text(group))
     if group.interrupted:
         if as_json:
-            terminal.show_json({"training": results.group_training_json(group), "evaluation": None})
+            terminal.show_json({"training": vars(group), "evaluation": None})
         raise typer.Exit(INTERRUPTED)
     if not quiet:
         terminal.note("evaluating on held-out episodes, without the exploration of the training, so returns differ ...")
@@ -244,11 +243,11 @@ def _finish_group(group: GroupTraining, *, quiet: bool, as_json: bool, allow_cod
         terminal.note(f"interrupted; the trainings are finished, evaluate their policies with: deepbots eval {quote(str(group.group))}")
         raise typer.Exit(INTERRUPTED) from None
     for found in evaluation.evaluations:
-        results.write_evaluation(Run.open(found.run), with_cases(found, ()))
+        records.write_evaluation(Run.open(found.run), records.evaluation_json(found))
     if as_json:
-        terminal.show_json({"training": results.group_training_json(group), "evaluation": results.group_json(evaluation)})
+        terminal.show_json({"training": vars(group), "evaluation": records.group_json(evaluation)})
     else:
-        terminal.print_result("\n" + results.group_text(evaluation))
+        terminal.print_result("\n" + records.group_text(evaluation))
         path = quote(str(group.group))
         terminal.note(
             f"\nnext:\n"
@@ -263,11 +262,11 @@ def _finish_group(group: GroupTraining, *, quiet: bool, as_json: bool, allow_cod
 def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, allow_code: bool) -> None:
     """Show the result of the training; unless it was interrupted, evaluate the policy and name the next commands."""
     if not as_json:
-        terminal.print_result(results.training_text(result))
+        terminal.print_result(records.training_text(result))
     sys.stdout.flush()  # after SIGTERM, the process may be killed at any moment
     if result.stop_requested:
         if as_json:
-            terminal.show_json({"training": report.to_json(result), "evaluation": None})
+            terminal.show_json({"training": result, "evaluation": None})
         raise typer.Exit(INTERRUPTED)
     if not quiet:
         terminal.note("evaluating on held-out episodes, without the exploration of the training, so returns differ ...")
@@ -279,13 +278,13 @@ def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, allow_code: b
     except KeyboardInterrupt:
         terminal.note(f"interrupted; the training is finished, evaluate its policy with: deepbots eval {quote(str(result.run))}")
         raise typer.Exit(INTERRUPTED) from None
-    results.write_evaluation(trained, with_cases(evaluation, cases))
+    found = records.evaluation_json(evaluation, cases)
+    records.write_evaluation(trained, found)
     solved = run_verdict(trained.path, trained.record).solved
     if as_json:
-        terminal.show_json({"training": report.to_json(result), "evaluation": with_cases(evaluation, cases), "solved": solved})
+        terminal.show_json({"training": result, "evaluation": found, "solved": solved})
         return
-    terminal.print_result("")
-    show(evaluation, cases)
+    terminal.print_result("\n" + records.evaluation_text(evaluation, cases))
     run, film, logs = (quote(str(path)) for path in (result.run, f"{result.run.name}.mp4", result.run / "tensorboard"))
     if solved:
         terminal.note(f"\nnext:\n  deepbots view {run}\n  deepbots report {run}\n  deepbots export {run}")

@@ -1,9 +1,13 @@
-"""Results of trainings and evaluations as text, as JSON, as CSV, and as JUnit XML."""
+"""Records as text, JSON, CSV and JUnit XML.
+
+A record is what has statistics of episodes: an evaluation, also one that a run keeps, a group, a listed run, a level of robustness, a part
+of the range of a drawn value. `scores` is its columns in every table, `with_interval` a statistic in a list of lines.
+"""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -18,13 +22,82 @@ from deepbots_cli.learning.report import to_json
 from deepbots_cli.learning.run import POLICY_NAME, EvaluationRecord, Run, TrainingResult, in_parentheses
 
 if TYPE_CHECKING:
-    from deepbots_cli.learning.comparison import GroupResult
+    from deepbots_cli.learning.comparison import EngineDifference, GroupDifference, GroupResult
     from deepbots_cli.learning.evaluation import EvaluationResult
     from deepbots_cli.learning.group import GroupTraining
     from deepbots_cli.learning.robustness import Robustness
 
 MAX_DRAWN = 8
 """Drawn values that `--details` shows, those with the largest effect; `--json` has all of them."""
+
+
+# Statistics
+
+
+def scores(record: Any, *, success_defined: bool = True, intervals: bool = True) -> Row:
+    """The columns of a record, of which a table leaves out those that are empty in every row: return and success, with 95 % intervals.
+
+    A success that the scenario does not define (`success_defined`, here or of the record) is empty. The interval of equal returns is not
+    shown, since it follows from the possible returns alone.
+    """
+    is_defined = success_defined and getattr(record, "success_defined", True) and record.success_rate is not None
+    row: dict[str, object] = {"return": record.mean_return}
+    if intervals:
+        row["return_95 %"] = "all equal" if getattr(record, "std_return", None) == 0 else interval_text(record.return_interval)
+    row["success"] = percent(record.success_rate) if is_defined else ""
+    if intervals:
+        row["success_95 %"] = interval_text(record.success_interval, percent) if is_defined else ""
+    return row
+
+
+def differences(entry: GroupDifference | EngineDifference) -> Row:
+    """The columns of a difference between two records."""
+    row: dict[str, object] = {"return": entry.mean_return.mean, "return_95 %": interval_text(entry.mean_return.interval)}
+    if entry.success_rate is not None:
+        row["success"] = f"{entry.success_rate.mean:+.1%}"
+        row["success_95 %"] = interval_text(entry.success_rate.interval, percent)
+    return row
+
+
+def engines_table(pairs: Sequence[EngineDifference]) -> str:
+    """A row for each engine and case, against the first engine."""
+    itself = "(the scenario itself)" if any(pair.case for pair in pairs) else ""
+    return table([{"difference": f"{pair.engine} - {pair.first}", "case": pair.case or itself, **differences(pair)} for pair in pairs])
+
+
+def number(value: float) -> str:
+    """Two decimals; four where returns are small."""
+    return f"{value:.4f}" if 0 < abs(value) < 1 else f"{value:.2f}"
+
+
+def percent(share: float) -> str:
+    return f"{share:.1%}"
+
+
+def interval_text(interval: tuple[Any, Any] | None, form: Callable[[Any], str] = "{:.4g}".format) -> str:
+    """An interval as the text of a cell."""
+    return "" if interval is None else " .. ".join(dict.fromkeys(map(form, interval)))
+
+
+def with_interval(value: float, interval: Interval | None, form: Callable[[float], str] = number, of: str = "") -> str:
+    """A statistic and its interval, `of` says what the interval follows from."""
+    return form(value) + ("" if interval is None else f" (95 %{of}: {form(interval[0])} .. {form(interval[1])})")
+
+
+def _statistics(result: Summary, *, success_defined: bool) -> Row:
+    of = ", from the possible returns" if result.std_return == 0 else ""
+    return {
+        "mean return": with_interval(result.mean_return, result.return_interval, of=of),
+        "standard deviation": None if result.std_return is None else number(result.std_return),
+        "interquartile mean": number(result.interquartile_mean) if result.episodes > 1 else "",
+        "minimum, maximum": f"{number(result.least_return)}, {number(result.greatest_return)}",
+        "mean length": f"{result.mean_length:.1f} steps",
+        "ended by": ", ".join(f"{name} {count}" for name, count in result.endings.items()),
+        "success rate": with_interval(result.success_rate, result.success_interval, percent) if success_defined else "",
+    }
+
+
+# Trainings
 
 
 def training_text(result: TrainingResult) -> str:
@@ -82,14 +155,11 @@ def group_training_text(result: GroupTraining) -> str:
     return "\n".join(lines)
 
 
-def group_training_json(result: GroupTraining) -> dict[str, Any]:
-    """The same as a dictionary."""
-    known = {"skipped": result.skipped, "failed": result.failed, "waiting": result.waiting}
-    return {"group": str(result.group), "trained": [to_json(found) for found in result.trained], **known}
+# Evaluations
 
 
-def evaluation_text(result: EvaluationResult, scenario: str | None = None) -> str:
-    """Statistics with their intervals, how the episodes ended, and the verdict as last line.
+def evaluation_text(result: EvaluationResult, cases: Sequence[EvaluationResult] = (), *, scenario: str | None = None) -> str:
+    """Statistics with their intervals, how the episodes ended, the verdict, and the cases in a table.
 
     `scenario` is the scenario, in words, where it is not the one of the training.
     """
@@ -103,8 +173,13 @@ def evaluation_text(result: EvaluationResult, scenario: str | None = None) -> st
         "video": result.video,
     }
     where = f", case {result.case}" if result.case else f", stage {result.stage}" if result.stage else ""
-    notes = (f"note: {note}" for note in result.notes)
-    return "\n".join([f"evaluation of {result.scenario}{where}", row_as_lines(rows), *notes, result.verdict])
+    text = "\n".join([f"evaluation of {result.scenario}{where}", row_as_lines(rows), *_notes(result.notes), result.verdict])
+    return f"{text}\n\ncases\n{table(case_rows([result, *cases]))}" if cases else text
+
+
+def evaluation_json(result: EvaluationResult, cases: Sequence[EvaluationResult] = ()) -> dict[str, Any]:
+    """An evaluation and its cases as a dictionary."""
+    return {**to_json(result), "cases": list(map(to_json, cases))}
 
 
 def summary_text(summary: Summary, *, success_defined: bool) -> str:
@@ -112,67 +187,24 @@ def summary_text(summary: Summary, *, success_defined: bool) -> str:
     return f"summary of {summary.episodes:,} episodes\n" + row_as_lines(_statistics(summary, success_defined=success_defined))
 
 
-def _statistics(result: Summary, *, success_defined: bool) -> dict[str, object]:
-    spread = ""
-    if result.std_return == 0 and result.return_interval is not None:  # whose interval follows from the bounds of the return alone
-        low, high = map(number, result.return_interval)
-        spread = f" in all {result.episodes:,} episodes (95 % confidence interval, from the possible returns: {low} .. {high})"
-    elif result.std_return is not None and result.return_interval is not None:
-        low, high = map(number, result.return_interval)
-        spread = f"; standard deviation {number(result.std_return)} (95 % confidence interval of the mean: {low} .. {high})"
-    low_rate, high_rate = result.success_interval
-    rate = f"{result.success_rate:.1%} (95 %: {low_rate:.1%} .. {high_rate:.1%})"
-    return {
-        "mean return": number(result.mean_return) + spread,
-        "interquartile mean": number(result.interquartile_mean) if result.episodes > 1 else "",
-        "minimum, maximum": f"{number(result.least_return)}, {number(result.greatest_return)}",
-        "mean length": f"{result.mean_length:.1f} steps",
-        "ended by": ", ".join(f"{name} {count}" for name, count in result.endings.items()),
-        "success rate": rate if success_defined else "",
-    }
+def _notes(notes: Iterable[str]) -> list[str]:
+    return [f"note: {note}" for note in dict.fromkeys(notes)]
 
 
-def number(value: float) -> str:
-    """Two decimals; four where returns are small."""
-    return f"{value:.4f}" if 0 < abs(value) < 1 else f"{value:.2f}"
-
-
-def interval_text(interval: Interval | None, *, percent: bool = False) -> str:
-    """An interval as the text of a cell."""
-    if interval is None:
-        return ""
-    return " .. ".join(dict.fromkeys(f"{end:.1%}" if percent else f"{end:.4g}" for end in interval))
-
-
-def return_interval_text(result: EvaluationResult | EvaluationRecord) -> str:
-    """The interval of the mean return as the text of a cell; that of equal returns follows from the possible returns alone."""
-    return "all equal" if result.std_return == 0 else interval_text(result.return_interval)
-
-
-def rows_of(what: str, results: Sequence[EvaluationResult], names: Sequence[str]) -> list[Row]:
-    """A row for each evaluation, under its name in the column `what`; ranges are intervals of 95 %. An undefined success is left empty."""
-    undefined = dict.fromkeys(_success(results[0]), "") if any(result.success_defined for result in results) else {}
-    return [
-        {
-            what: name,
-            "episodes": result.episodes,
-            "mean_return": result.mean_return,
-            "return_95 %": return_interval_text(result),
-            **(_success(result) if result.success_defined else undefined),
-            "mean_length": result.mean_length,
-        }
-        for name, result in zip(names, results, strict=True)
-    ]
-
-
-def _success(result: Summary | DrawnBin) -> dict[str, object]:
-    return {"success": f"{result.success_rate:.1%}", "success_95 %": interval_text(result.success_interval, percent=True)}
+def evaluation_rows(what: str, results: Iterable[tuple[str | None, EvaluationResult]]) -> list[Row]:
+    """A row for each evaluation, under its name in the column `what`."""
+    return [{what: name, "episodes": result.episodes, **scores(result), "mean_length": result.mean_length} for name, result in results]
 
 
 def case_rows(results: Sequence[EvaluationResult]) -> list[Row]:
     """A row for each evaluation of one policy: in the scenario, in its cases, in the stages of its curriculum."""
-    names = [result.case or (f"stage {result.stage}" if result.stage else "(the scenario itself)") for result in results]
-    return rows_of("case", results, names)
+    itself = "(the scenario itself)" if any(map(case_label, results)) else ""
+    return evaluation_rows("case", ((case_label(result) or itself, result) for result in results))
+
+
+def case_label(result: EvaluationResult | EvaluationRecord) -> str | None:
+    """The case or stage that an evaluation is in."""
+    return f"stage {result.stage}" if result.stage else result.case
 
 
 def drawn_text(result: EvaluationResult) -> str:
@@ -181,56 +213,45 @@ def drawn_text(result: EvaluationResult) -> str:
     if not found:
         return "by drawn value\n  episodes of this scenario draw nothing that varies"
 
-    def effect(bins: Sequence[DrawnBin]) -> float:
-        scores = [part.success_rate if result.success_defined else part.mean_return for part in bins]
-        return max(scores) - min(scores)
+    def effect(name: str) -> float:
+        values = [part.success_rate if result.success_defined else part.mean_return for part in found[name]]
+        return max(values) - min(values)
 
-    names = sorted(found, key=lambda name: -effect(found[name]))
-    rows: list[Row] = []
-    for name in names[:MAX_DRAWN]:
-        for part in found[name]:
-            span = (
-                str(part.low)
-                if isinstance(part.low, str)
-                else f"{part.low:.4g}" + (f" .. {part.high:.4g}" if part.high != part.low else "")
-            )
-            scores = {"mean_return": part.mean_return, "return_95 %": interval_text(part.return_interval)}
-            rows.append(
-                {"name": name, "range": span, "episodes": part.episodes, **(_success(part) if result.success_defined else {}), **scores}
-            )
-    left = len(names) - MAX_DRAWN
+    rows = [
+        {"name": name, "range": _range(part), "episodes": part.episodes, **scores(part, success_defined=result.success_defined)}
+        for name in sorted(found, key=effect, reverse=True)[:MAX_DRAWN]
+        for part in found[name]
+    ]
+    left = len(found) - MAX_DRAWN
     more = f"\n  and {left} more; --json has all of them" if left > 0 else ""
     return f"by drawn value, in SI units\n{table(rows)}{more}"
+
+
+def _range(part: DrawnBin) -> str:
+    return interval_text((part.low, part.high), lambda end: end if isinstance(end, str) else f"{end:.4g}")
 
 
 def group_text(group: GroupResult) -> str:
     """A row for each seed, and the statistics over the seeds."""
     first, count = group.evaluations[0], len(group.evaluations)
-    rows: dict[str, object] = {
-        "mean return": f"{number(group.mean_return)}{_over(interval_text(group.return_interval), count)}",
-        "interquartile mean": number(group.interquartile_mean),
-    }
-    if group.success_defined:
-        rows["success rate"] = f"{group.success_rate:.1%}{_over(interval_text(group.success_interval, percent=True), count)}"
     solved = [result.solved for result in group.evaluations]
-    if None not in solved:
-        rows["solved"] = f"{sum(map(bool, solved))} of {count} seeds"
-    notes = [f"note: no model yet of seed {', '.join(map(str, group.waiting))}"] if group.waiting else []
-    notes += dict.fromkeys(f"note: {note}" for result in group.evaluations for note in result.notes)
+    rows = {
+        "mean return": with_interval(group.mean_return, group.return_interval),
+        "interquartile mean": number(group.interquartile_mean),
+        "success rate": with_interval(group.success_rate, group.success_interval, percent) if group.success_defined else "",
+        "solved": "" if None in solved else f"{sum(map(bool, solved))} of {count} seeds",
+    }
+    notes = [f"no model yet of seed {', '.join(map(str, group.waiting))}"] if group.waiting else []
+    notes += [note for attribute in ("notes", "remarks") for result in group.evaluations for note in getattr(result, attribute)]
     return "\n".join(
         [
             f"evaluation of {first.scenario}, group {group.name}: {first.episodes:,} held-out starts of each run, from seed {first.seed}",
-            table(rows_of("run", group.evaluations, [result.run.name for result in group.evaluations])),
+            table(evaluation_rows("run", ((result.run.name, result) for result in group.evaluations))),
             f"over {count} seed{'' if count == 1 else 's'}",
             row_as_lines(rows),
-            *notes,
-            *(f"note: {words}" for words in dict.fromkeys(words for each in group.evaluations for words in each.remarks)),
+            *_notes(notes),
         ]
     )
-
-
-def _over(interval: str, count: int) -> str:
-    return f" (95 % over {count} seeds: {interval})" if interval else ""
 
 
 def group_json(group: GroupResult) -> dict[str, Any]:
@@ -243,64 +264,46 @@ def group_json(group: GroupResult) -> dict[str, Any]:
 def robustness_text(found: Robustness) -> str:
     """A row for each level of each condition, and for each condition where the result falls below the bar."""
     is_rate = found.metric == "success_rate"
-    bar = f"{found.bar:.1%}" if is_rate else number(found.bar)
-    unchanged = {"condition": "(no change)", "level": "", **_level(found.nominal, is_rate=is_rate)}
-    rows: list[Row] = [unchanged | {"bar": _against_bar(holds=found.nominal_holds, certain=found.nominal_certain)}]
-    for condition in found.conditions:
-        for entry in condition.levels:
-            row = {"condition": condition.name, "level": entry.level, **_level(entry.evaluation, is_rate=is_rate)}
-            rows.append(row | {"bar": _against_bar(holds=entry.holds, certain=entry.certain)})
-    without = _episodes(found.nominal)
-    same = [
-        condition.name
-        for condition in found.conditions
-        if condition.levels and all(_episodes(entry.evaluation) == without for entry in condition.levels)
+    levels = [("(no change)", "", found.nominal, found.nominal_holds, found.nominal_certain)]
+    levels += [(each.name, part.level, part.evaluation, part.holds, part.certain) for each in found.conditions for part in each.levels]
+    rows = [
+        {"condition": name, "level": level, **scores(result), "bar": ("holds" if holds else "below") + ("" if certain else ", uncertain")}
+        for name, level, result, holds, certain in levels
     ]
-    option = "--min-success" if is_rate else "--min-return"
-    limits = {condition.name: condition.threshold for condition in found.conditions}
+    changed = {name for name, _, result, _, _ in levels if _episodes(result) != _episodes(found.nominal)}
+    same = [condition.name for condition in found.conditions if condition.levels and condition.name not in changed]
+    notes = [f"no effect on any episode (the lengths and returns are unchanged): {', '.join(same)}"] if same else []
+    if not found.nominal_holds:
+        option = "--min-success" if is_rate else "--min-return"
+        notes.append(f"the policy is below the bar without any change; set another bar with {option}")
     return "\n".join(
         [
             f"robustness of {found.run} in {found.scenario}: {found.nominal.episodes} held-out episodes of each level,"
             f" from seed {found.nominal.seed}{in_parentheses(found.nominal.circumstances)}",
-            f"bar: {'success rate' if is_rate else 'mean return'} of {bar} ({found.bar_source})",
+            f"bar: {'success rate' if is_rate else 'mean return'} of {(percent if is_rate else number)(found.bar)} ({found.bar_source})",
             table(rows),
             "",
-            row_as_lines(limits),
-            *([f"note: no effect on any episode (the lengths and returns are unchanged): {', '.join(same)}"] if same else []),
-            *([] if found.nominal_holds else [f"note: the policy is below the bar without any change; set another bar with {option}"]),
+            row_as_lines({condition.name: condition.threshold for condition in found.conditions}),
+            *_notes(notes),
         ]
     )
-
-
-def _against_bar(*, holds: bool, certain: bool) -> str:
-    return ("holds" if holds else "below") + ("" if certain else ", uncertain")
 
 
 def _episodes(result: EvaluationResult) -> list[tuple[float, int]]:
     return [(episode.total_return, episode.length) for episode in result.outcomes]
 
 
-def _level(result: EvaluationResult, *, is_rate: bool) -> dict[str, object]:
-    returns = {"mean_return": result.mean_return, "return_95 %": return_interval_text(result)}
-    return _success(result) | {"mean_return": result.mean_return} if is_rate else returns
-
-
 def robustness_json(found: Robustness) -> dict[str, Any]:
     """The same as a dictionary, with every evaluation."""
     conditions = [
         {
-            "name": condition.name,
-            "skipped": condition.skipped,
-            "threshold": condition.threshold,
-            "levels": [
-                {"level": entry.level, "holds": entry.holds, "certain": entry.certain, "evaluation": to_json(entry.evaluation)}
-                for entry in condition.levels
-            ],
+            **{name: getattr(condition, name) for name in ("name", "skipped", "threshold")},
+            "levels": [{**vars(entry), "evaluation": to_json(entry.evaluation)} for entry in condition.levels],
         }
         for condition in found.conditions
     ]
-    known = {name: getattr(found, name) for name in ("scenario", "metric", "bar", "bar_source", "nominal_holds", "nominal_certain")}
-    return {"run": str(found.run), **known, "nominal": to_json(found.nominal), "conditions": conditions}
+    known = {name: getattr(found, name) for name in ("run", "scenario", "metric", "bar", "bar_source", "nominal_holds", "nominal_certain")}
+    return {**known, "nominal": to_json(found.nominal), "conditions": conditions}
 
 
 # Files
