@@ -13,12 +13,12 @@ from collections.abc import Mapping as Dictionary
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deepbots_cli.cli.sources import text_at
+from deepbots_cli.cli.sources import node_at, text_at
 from deepbots_cli.cli.tables import Row, formula_text
 from deepbots_cli.compiler.robots import joint_moves_link
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.render import render
-from deepbots_cli.document import MappingNode, Node, descend
+from deepbots_cli.document import MappingNode, Node
 from deepbots_cli.expressions.scalar import Const, Name, Scalar, State, children, names_in
 from deepbots_cli.footprint import resting_height, robot_bounds
 from deepbots_cli.frames import roll_pitch_yaw
@@ -198,28 +198,17 @@ def _law(joint: Joint) -> str:
 
 def _run(run: Run) -> Row:
     """What a run is, and how far its training has come; steps count over all copies of the environment."""
-    record, result = run.record, run.record.result
-    best = run.model("best")
+    record, result, best = run.record, run.record.result, run.model("best")
+    verdict = {True: "yes", False: "no", None: "unknown"}[run_verdict(run.path, record).solved]
+    known = ("status", "source", "seed", "engine", "deepbots", "started", "updated", "total_timesteps")
     return {
         "run": str(run.path),
-        "status": record.status,
-        "source": record.source,
         "command": " ".join(record.command),
-        "seed": record.seed,
-        "engine": record.engine,
-        "deepbots": record.deepbots,
-        "started": record.started,
-        "updated": record.updated,
-        "steps": result and result.steps,
-        "total_timesteps": record.total_timesteps,
-        "episodes": result and result.episodes,
-        "mean_return": result and result.mean_return,
+        **{name: getattr(record, name) for name in known},
+        **{name: result and getattr(result, name) for name in ("steps", "episodes", "mean_return", "best_return")},
         "success_rate": result.success_rate if result and run.program.defines_success else None,
         "best_model": str(best) if best.is_file() else None,
-        "best_return": result and result.best_return,
-        "solved": {True: "yes", False: "no", None: "unknown"}[run_verdict(run.path, run.record).solved]
-        if run.program.solved
-        else "the scenario does not say what counts as solved",
+        "solved": verdict if run.program.solved else "the scenario does not say what counts as solved",
         "notes": run.notes(),
     }
 
@@ -285,15 +274,13 @@ def _draws(entry: RandomizedParameter) -> str:
 
 
 def _parameters(scenario: Program, root: Node) -> list[Row]:
-    node = descend(root, ("parameters",))[0]
     often: dict[str, str] = {}
     for entry in scenario.parameters:
-        changing = any(
-            often.get(leaf.name, "in every episode") != "in every episode" for value in entry.scalars for leaf in names_in(value)
-        )
-        period = entry.period
-        often[entry.name] = "repeatedly" if period else "in every step" if entry.redraw or changing else "in every episode"
-    names = list(node.entries) if isinstance(node, MappingNode) and node is not root else []
+        reads = {often.get(leaf.name, "in every episode") for value in entry.scalars for leaf in names_in(value)}
+        is_new = entry.redraw or reads - {"in every episode"}
+        often[entry.name] = "repeatedly" if entry.period else "in every step" if is_new else "in every episode"
+    node = node_at(root, "parameters")
+    names = list(node.entries) if isinstance(node, MappingNode) else []
     return [{"parameter": name, "value": text_at(root, "parameters", name), "drawn": often.get(name, "never")} for name in names]
 
 
@@ -314,19 +301,18 @@ def _sensors(scenario: Program, root: Node) -> list[Row]:
 
 def _driven_parts(robot: str, actuator: Actuator) -> list[Row]:
     """One row for each part that an actuator drives; all have the same columns."""
+    parts: Iterable[tuple[str, float | None, float | None]]
+    if isinstance(actuator, Thrust):
+        kind, parts, thrust = "thrust", ((link, None, None) for link in actuator.links), [actuator.low, actuator.high]
+    else:
+        kind, thrust = "cartesian" if isinstance(actuator, Cartesian) else actuator.kind, None
+        parts = zip(actuator.joints, actuator.max_torque, actuator.max_velocity, strict=True)
     response = actuator.response
     strength = response.strength if response.strength != 1.0 else None
     answers: Row = {"strength": strength, "delay_s": response.delay or None, "time_constant_s": response.time_constant or None}
-    if isinstance(actuator, Thrust):
-        known: Row = {"robot": robot, "actuator": actuator.name, "type": "thrust"}
-        limits: Row = {"max_torque": None, "max_velocity": None, "thrust": [actuator.low, actuator.high]}
-        return [{**known, "part": link, **limits, **answers} for link in actuator.links]
-    kind = "cartesian" if isinstance(actuator, Cartesian) else actuator.kind
-    known = {"robot": robot, "actuator": actuator.name, "type": kind}
-    rows = zip(actuator.joints, actuator.max_torque, actuator.max_velocity, strict=True)
+    known: Row = {"robot": robot, "actuator": actuator.name, "type": kind}
     return [
-        {**known, "part": joint, "max_torque": torque, "max_velocity": velocity, "thrust": None, **answers}
-        for joint, torque, velocity in rows
+        {**known, "part": part, "max_torque": torque, "max_velocity": speed, "thrust": thrust, **answers} for part, torque, speed in parts
     ]
 
 
@@ -437,52 +423,33 @@ def _action(part: Choices | ActionRange) -> Row:
 def _signals(scenario: Program, root: Node) -> list[Row]:
     observed = {entry.full_name.partition(".")[0] for entry in scenario.policy.numbers}
     has_noise = any(entry.noise for entry in scenario.signals)
-    return [
-        {
-            "signal": entry.name,
-            "components": list(entry.components),
-            "is": text,
-            **({"noise": text_at(root, "augment", entry.name, "noise")} if has_noise else {}),
-            "policy_may_see_it": bool(augmented) or entry.name in observed,
-        }
-        for entry in scenario.signals
-        for augmented in (text_at(root, "augment", entry.name, "value") or text_at(root, "augment", entry.name),)
-        for text in (augmented or text_at(root, "signals", entry.name),)
-    ]
+    rows: list[Row] = []
+    for entry in scenario.signals:
+        augmented = text_at(root, "augment", entry.name, "value") or text_at(root, "augment", entry.name)
+        row: Row = {"signal": entry.name, "components": list(entry.components), "is": augmented or text_at(root, "signals", entry.name)}
+        noise = {"noise": text_at(root, "augment", entry.name, "noise")} if has_noise else {}
+        rows.append({**row, **noise, "policy_may_see_it": bool(augmented) or entry.name in observed})
+    return rows
 
 
 def _observation(scenario: Program) -> list[Row]:
     """A row per number that the policy sees; with histories, how many steps before the last one it was so."""
     seen = [(scenario.policy.numbers[index], ago) for index, ago in policy_inputs(scenario.policy.numbers, scenario.policy.frame_stack)]
     remembers = any(ago for _, ago in seen)
-    rows: list[Row] = [
-        {
-            "index": index,
-            "name": entry.full_name,
-            **({"steps_ago": ago} if remembers else {}),
-            "low": entry.low,
-            "high": entry.high,
-            "unit": entry.unit,
-            "seen_as": "0 or 1" if entry.is_truth else "-1 .. 1" if entry.clip else "-1 .. 1, not clipped",
-        }
-        for index, (entry, ago) in enumerate(seen)
-    ]
-    pictures: list[Row] = [
-        {"index": None, "name": entry.key, "seen_as": f"{_image_size_text(entry, scenario)} of 0 .. 255"}
-        for entry in scenario.policy.images
-    ]
-    return rows + pictures
+    rows: list[Row] = []
+    for index, (entry, ago) in enumerate(seen):
+        row: dict[str, object] = {"index": index, "name": entry.full_name, **({"steps_ago": ago} if remembers else {})}
+        row |= {"low": entry.low, "high": entry.high, "unit": entry.unit}
+        rows.append(row | {"seen_as": "0 or 1" if entry.is_truth else "-1 .. 1" if entry.clip else "-1 .. 1, not clipped"})
+    images = [(entry.key, _image_size_text(entry, scenario)) for entry in scenario.policy.images]
+    return rows + [{"index": None, "name": key, "seen_as": f"{size} of 0 .. 255"} for key, size in images]
 
 
 def _reset(scenario: Program, root: Node) -> list[Row]:
-    rows: list[Row] = []
-    for section in ("place", "set"):
-        node, _, reached = descend(root, ("reset", section))
-        if reached == 2 and isinstance(node, MappingNode):
-            rows += [{"reset": section, "of": name, "to": text_at(root, "reset", section, name)} for name in node.entries]
-    if scenario.reset.settle:
-        rows.append({"reset": "settle", "of": "everything", "to": f"{scenario.reset.settle:g} s"})
-    return rows
+    settle: list[Row] = [{"reset": "settle", "of": "everything", "to": f"{scenario.reset.settle:g} s"}] if scenario.reset.settle else []
+    sections = {section: node_at(root, "reset", section) for section in ("place", "set")}
+    entries = [(section, name) for section, node in sections.items() if isinstance(node, MappingNode) for name in node.entries]
+    return [{"reset": section, "of": name, "to": text_at(root, "reset", section, name)} for section, name in entries] + settle
 
 
 def _training(scenario: Program, root: Node, run: Run | None) -> Tables:
@@ -491,24 +458,15 @@ def _training(scenario: Program, root: Node, run: Run | None) -> Tables:
     if training is None:
         return {}
     total = run.record.total_timesteps if run else training.total_timesteps
-    common = {
-        "environments": training.environments,
-        "policy.hidden": training.network.hidden,
-        "policy.activation": training.network.activation,
-    }
+    network = {"policy.hidden": training.network.hidden, "policy.activation": training.network.activation}
     rows = [
         EffectiveHyperparameter(name, value, "scenario" if text_at(root, "train", *name.split(".")) else "deepbots")
-        for name, value in common.items()
+        for name, value in {"environments": training.environments, **network}.items()
     ]
     rows += effective_hyperparameters(scenario, total)
-    return {
-        "training": {
-            "algorithm": training.algorithm,
-            "total_timesteps": total,
-            "evaluation_episodes": scenario.evaluation.episodes,
-        },
-        "hyperparameters": [{"hyperparameter": row.name, "value": _setting(row.value), "from": row.source} for row in rows],
-    }
+    about = {"algorithm": training.algorithm, "total_timesteps": total, "evaluation_episodes": scenario.evaluation.episodes}
+    listed: list[Row] = [{"hyperparameter": row.name, "value": _setting(row.value), "from": row.source} for row in rows]
+    return {"training": about, "hyperparameters": listed}
 
 
 def _setting(value: object) -> object:

@@ -91,6 +91,17 @@ def show_json(data: object) -> None:
     print(json_text(data), end="")
 
 
+def show(data: object, *lines: str, as_json: bool, next_commands: Sequence[str] = ()) -> None:
+    """A result on stdout, as JSON or as lines; after the lines the commands to go on with, on stderr."""
+    if as_json:
+        show_json(data)
+        return
+    for line in lines:
+        print_result(line)
+    if next_commands:
+        note("\n".join(["\nnext:", *(f"  {command}" for command in next_commands)]))
+
+
 def json_text(data: object) -> str:
     """Data as JSON with a final line feed; infinite numbers are null, since JSON has none."""
     return json.dumps(json_compatible(data), indent=2, allow_nan=False) + "\n"

@@ -12,7 +12,7 @@ import math
 import time
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import repeat
 from statistics import median
 from typing import TYPE_CHECKING, Annotated, Any
@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from deepbots_cli import api
 from deepbots_cli.cli import terminal, throughput
 from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Overrides, Scenario, Seed, integer, known_engine, option
-from deepbots_cli.cli.tables import row_as_lines as aligned
+from deepbots_cli.cli.tables import row_as_lines
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError
 from deepbots_cli.scenario.fields import counted_noun
@@ -90,10 +90,7 @@ def command(
         numbers = throughput.counts(worlds or "1,16,64,256")
         end = math.inf if steps or pairs else time.perf_counter() + LIMIT_S
         rows, rounds = throughput.measure(compiled, names, numbers, steps=steps or 2000, rounds=rounds, seed=seed, end=end)
-        if as_json:
-            terminal.show_json([asdict(row) for row in rows])
-        else:
-            terminal.print_result(throughput.text(compiled.program.name, rows, rounds))
+        terminal.show(rows, throughput.text(compiled.program.name, rows, rounds), as_json=as_json)
         return
     began, cpu_began = time.perf_counter(), time.process_time()
     with closing(api.make(compiled)) as environment, closing(api.make(compiled)) as bare:
@@ -109,22 +106,19 @@ def command(
         end = began + LIMIT_S if open_ended else math.inf
         with terminal.progress("measurements") as show:
             result = measure(environment, bare, steps=steps, pairs=pairs, seed=seed, on_measured=show, end=end)
-    if as_json:
-        terminal.show_json(asdict(result) | {"faster_engine": None if faster is None else asdict(faster)})
-        return
     measured = counted_noun(result.pairs, "pair")
-    terminal.print_result(
-        f"{result.scenario} on {result.engine}, {result.format} messages; medians of {measured} of {result.steps:,} steps\n"
-        + aligned(
-            {
-                "environment step": f"{result.step_us:.2f} us, {result.steps_per_second:,.0f} per second",
-                "physics alone": f"{result.bare_us:.2f} us",
-                "ratio": f"{result.ratio:.3f} (median of the ratios of the pairs; min {result.min_ratio:.3f}, max {result.max_ratio:.3f})",
-            }
-        )
+    text = {
+        "environment step": f"{result.step_us:.2f} us, {result.steps_per_second:,.0f} per second",
+        "physics alone": f"{result.bare_us:.2f} us",
+        "ratio": f"{result.ratio:.3f} (median of the ratios of the pairs; min {result.min_ratio:.3f}, max {result.max_ratio:.3f})",
+    }
+    terminal.show(
+        {**vars(result), "faster_engine": faster},
+        f"{result.scenario} on {result.engine}, {result.format} messages; medians of {measured} of {result.steps:,} steps",
+        row_as_lines(text),
+        *([] if faster is None else [faster.text]),
+        as_json=as_json,
     )
-    if faster is not None:
-        terminal.print_result(faster.text)
 
 
 def _affordable_steps(per_second: float, pairs: int) -> int:

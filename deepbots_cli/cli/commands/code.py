@@ -87,12 +87,8 @@ def eject(
     compiled = api.compile(scenario, overrides=overrides or (), allow_paths=allow_paths or (), allow_code=allow_code)
     terminal.note_warnings(compiled.findings, scenario)
     written = write_new(project_files(compiled), folder, force=force)
-    if as_json:
-        terminal.show_json({"project": folder, "files": written})
-        return
-    for path in written:
-        terminal.print_result(str(path))
-    terminal.note(f"\nnext: cd {quote(str(folder))} && python run.py")
+    further = [f"cd {quote(str(folder))} && python run.py"]
+    terminal.show({"project": folder, "files": written}, *map(str, written), as_json=as_json, next_commands=further)
 
 
 def project_files(compiled: api.Compiled) -> Files:

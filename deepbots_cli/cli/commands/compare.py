@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING, Annotated, Any
@@ -69,29 +70,26 @@ def command(
             allow_code=allow_code,
             on_run=show,
         )
-    if as_json:
-        terminal.show_json(_data(found))
-        return
-    _show(found)
+    terminal.show(_data(found), *_lines(found), as_json=as_json)
 
 
-def _show(found: Comparison) -> None:
+def _lines(found: Comparison) -> Iterator[str]:
     where = f"{found.scenario}: " if found.scenario else "each run in its own scenario: "
-    terminal.print_result(f"{where}{found.episodes:,} held-out episodes of each run, from seed {found.seed}")
+    yield f"{where}{found.episodes:,} held-out episodes of each run, from seed {found.seed}"
     has_success = all(group.success_defined for group in found.groups)
-    terminal.print_result(table([_row(group, success_defined=has_success) for group in found.groups]))
-    terminal.print_result(f"\nagainst {found.groups[0].name}")
+    yield table([_row(group, success_defined=has_success) for group in found.groups])
+    yield f"\nagainst {found.groups[0].name}"
     rows: list[Row] = []
     for entry in found.differences:
         steps = None if entry.solved_after is None else f"{entry.solved_after.mean:+,.0f}"
         share = "probability_of_improvement" if entry.between_seeds else "episodes_better"
         row = {"group": entry.group, **records.differences(entry), "solved_after_steps": steps}
         rows.append(row | {share: entry.mean_return.improvement})
-    terminal.print_result(table(rows))
+    yield table(rows)
     if not all(entry.between_seeds for entry in found.differences):
-        terminal.print_result("episodes_better: share of the episodes with a higher return than in the first run; equal returns count half")
-    for line in (*(entry.verdict for entry in found.differences), *(f"note: {note}" for note in found.notes)):
-        terminal.print_result(line)
+        yield ("episodes_better: share of the episodes with a higher return than in the first run; equal returns count half")
+    yield from (entry.verdict for entry in found.differences)
+    yield from (f"note: {note}" for note in found.notes)
 
 
 def _row(group: GroupResult, *, success_defined: bool) -> Row:

@@ -89,46 +89,28 @@ def command(
         terminal.show_findings(error.findings)
         raise typer.Exit(WRONG_USAGE) from None
     found = scenario_changes(*sides)
-    if as_json:
-        terminal.show_json(_data(one, other, found))
-    else:
-        _show(found, one, other)
-    if any(change.group is not Group.cosmetic for change in found):
-        raise typer.Exit(FAILED)
-
-
-def _data(one: str, other: str, found: Sequence[Change]) -> dict[str, object]:
-    return {
+    data = {
         "one": one,
         "other": other,
         "same_meaning": all(change.group is Group.cosmetic for change in found),
         "policy_fits": all(change.group is not Group.policy for change in found),
-        "differences": [{**vars(change), "group": change.group.value} for change in found],
+        "differences": found,
     }
+    terminal.show(data, *_lines(found, one, other), as_json=as_json)
+    if any(change.group is not Group.cosmetic for change in found):
+        raise typer.Exit(FAILED)
 
 
-def _show(found: Sequence[Change], one: str, other: str) -> None:
+def _lines(found: Sequence[Change], one: str, other: str) -> Iterator[str]:
     if not found:
-        terminal.print_result(f"{one} and {other} have the same meaning")
+        yield f"{one} and {other} have the same meaning"
     for group, heading in _HEADINGS.items():
         here = [change for change in found if change.group is group]
         if here:
-            terminal.print_result(f"{group.value}: {heading}")
+            yield f"{group.value}: {heading}"
             for change in here:
-                _show_change(change)
-            terminal.print_result()
-
-
-def _show_change(change: Change) -> None:
-    terminal.print_result(f"  {change.path}")
-    if change.through:
-        terminal.print_result(f"      {change.one}\n      {change.by}")
-        return
-    if change.kind == "changed" and not (change.one or change.other):
-        return
-    for mark, text, absent in (("-", change.one, "added"), ("+", change.other, "removed")):
-        if change.kind != absent:
-            terminal.print_result(f"    {mark} {text or '(not written)'}")
+                yield from (f"  {change.path}", *change.lines)
+            yield ""
 
 
 @dataclass(frozen=True)
@@ -144,6 +126,16 @@ class Change:
     one: str
     other: str
     through: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+
+    @property
+    def lines(self) -> list[str]:
+        """The texts of both sides, or the text of both and what changes its meaning."""
+        if self.through:
+            return [f"      {self.one}", f"      {self.by}"]
+        if self.kind == "changed" and not (self.one or self.other):
+            return []
+        sides = (("-", self.one, "added"), ("+", self.other, "removed"))
+        return [f"    {mark} {text or '(not written)'}" for mark, text, absent in sides if self.kind != absent]
 
     @property
     def by(self) -> str:

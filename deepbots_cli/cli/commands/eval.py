@@ -230,10 +230,8 @@ def command(
         records.write_csv(csv, [each for one in found for each in (one.result, *one.cases, *one.baselines)])
     if len(found) > 1:
         _show_engines(known, found, as_json=as_json)
-    elif as_json:
-        terminal.show_json(found[0].as_json())
     else:
-        found[0].show(details=details)
+        terminal.show(found[0].as_json(), *found[0].lines(details=details), as_json=as_json)
     _require(requirements, [each.result for each in found], junit)
 
 
@@ -249,13 +247,13 @@ class _EngineEvaluations:
     def as_json(self) -> dict[str, Any]:
         return {**records.evaluation_json(self.result, self.cases), "baselines": list(map(report.to_json, self.baselines))}
 
-    def show(self, *, details: bool) -> None:
-        terminal.print_result(records.evaluation_text(self.result, self.cases, scenario=self.scenario))
+    def lines(self, *, details: bool) -> Iterator[str]:
+        yield records.evaluation_text(self.result, self.cases, scenario=self.scenario)
         if self.baselines:
             policies = [("the trained policy", self.result), *((other.model, other) for other in self.baselines)]
-            terminal.print_result("\nbaselines, on the same starts\n" + table(records.evaluation_rows("policy", policies)))
+            yield "\nbaselines, on the same starts\n" + table(records.evaluation_rows("policy", policies))
         if details:
-            terminal.print_result("\n" + records.drawn_text(self.result))
+            yield "\n" + records.drawn_text(self.result)
 
 
 def _refuse(reason: str, given: Container[str], options: Iterable[str]) -> None:
@@ -271,20 +269,19 @@ def _show_engines(run: Run, found: Sequence[_EngineEvaluations], *, as_json: boo
 
     columns = zip(*((each.result, *each.cases) for each in found), strict=True)
     pairs = [compare_engines(column[0], other) for column in columns for other in column[1:]]
-    if as_json:
-        terminal.show_json({"evaluations": [each.as_json() for each in found], "differences": pairs})
-        return
-    first, scenario = found[0].result, found[0].scenario
-    words = f"evaluation of {first.scenario} in {len(found)} engines, trained in {run.record.engine}"
-    terminal.print_result(words + (f"; scenario {scenario}" if scenario else ""))
-    terminal.print_result(f"  {first.episodes:,} held-out starts from seed {first.seed}, the same in every engine")
+    first, scenario = found[0].result, f"; scenario {found[0].scenario}" if found[0].scenario else ""
     every = [result for each in found for result in (each.result, *each.cases)]
     rows = [{"engine": result.engine, **row} for result, row in zip(every, records.case_rows(every), strict=True)]
-    terminal.print_result(table(rows) + "\n\ndifferences on the same starts, with 95 % intervals\n" + records.engines_table(pairs))
-    for each in found:
-        terminal.print_result(f"{each.result.engine}: {each.result.verdict}")
-    for note in dict.fromkeys(note for each in found for note in each.result.notes):
-        terminal.print_result(f"note: {note}")
+    terminal.show(
+        {"evaluations": [each.as_json() for each in found], "differences": pairs},
+        f"evaluation of {first.scenario} in {len(found)} engines, trained in {run.record.engine}{scenario}",
+        f"  {first.episodes:,} held-out starts from seed {first.seed}, the same in every engine",
+        table(rows),
+        "\ndifferences on the same starts, with 95 % intervals\n" + records.engines_table(pairs),
+        *(f"{each.result.engine}: {each.result.verdict}" for each in found),
+        *dict.fromkeys(f"note: {note}" for each in found for note in each.result.notes),
+        as_json=as_json,
+    )
 
 
 def evaluation_scenario(
@@ -466,10 +463,7 @@ def _robustness(
             stage=stage,
             **chosen,
         )
-    if as_json:
-        terminal.show_json(records.robustness_json(found))
-    else:
-        terminal.print_result(records.robustness_text(found))
+    terminal.show(records.robustness_json(found), records.robustness_text(found), as_json=as_json)
 
 
 def scenario_label(run: Run, scenario: str | None, overrides: Sequence[str], compiled: Compiled | None) -> str | None:

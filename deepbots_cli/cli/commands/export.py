@@ -69,15 +69,12 @@ def command(
         files = card.bundle_files(run, "last" if last else "best")
     write_new(files, folder, force=force)
     known = card.read_card(folder)
-    if as_json:
-        terminal.show_json({"bundle": folder, **known.model_dump(mode="json")})
-        return
     sizes = [f"{name} ({len(content) / 1000:,.0f} kB)" for name, content in files.items() if len(name.parts) == 1]
-    terminal.print_result(f"{folder}: {', '.join(sizes)}, and the robot files of the scenario")
-    terminal.print_result(f"  {known.scenario}, {known.algorithm}: {known.result_text}")
-    if known.result is None and not last:
+    text = f"{folder}: {', '.join(sizes)}, and the robot files of the scenario\n  {known.scenario}, {known.algorithm}: {known.result_text}"
+    if known.result is None and not last and not as_json:
         terminal.note(f"evaluate the run first for a result in the card: deepbots eval {quote(str(source))}")
-    terminal.note(f"\nnext:\n  deepbots export --check SCENARIO {quote(str(folder))}")
+    next_commands = [f"deepbots export --check SCENARIO {quote(str(folder))}"]
+    terminal.show({"bundle": folder, **known.model_dump(mode="json")}, text, as_json=as_json, next_commands=next_commands)
 
 
 def _check(
@@ -93,12 +90,9 @@ def _check(
     differ = identity.compare_interfaces(known.interface, identity.interface(compiled.program), words=words)
     given = "".join(f" --set {quote(text)}" for text in overrides)
     remarks = card.remarks(known, compiled.program, f"deepbots diff {quote(str(folder / 'scenario.yaml'))} {quote(scenario)}{given}")
-    if as_json:
-        terminal.show_json({"bundle": folder, "scenario": scenario, "fits": not differ, "differences": differ, "remarks": remarks})
-    elif differ:
-        terminal.print_result(f"the policy in {folder} does not fit {scenario}:\n  " + "\n  ".join(differ))
-    else:
-        terminal.print_result(f"the policy in {folder} fits {scenario}")
+    verdict = f"the policy in {folder} does not fit {scenario}:" if differ else f"the policy in {folder} fits {scenario}"
+    data = {"bundle": folder, "scenario": scenario, "fits": not differ, "differences": differ, "remarks": remarks}
+    terminal.show(data, verdict, *(f"  {line}" for line in differ), as_json=as_json)
     for remark in () if as_json else remarks:
         terminal.note(f"note: {remark}")
     if differ:

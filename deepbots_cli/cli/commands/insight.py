@@ -57,13 +57,9 @@ def explain_episode(
 
         trace = _trace(shown, episode, seed, last=last, allow_code=allow_code)
         statements = explain(trace)
-    if as_json:
-        terminal.show_json(explanation_json(trace, statements))
-        return
-    for note in trace.notes:
+    for note in () if as_json else trace.notes:
         terminal.note(f"note: {note}")
-    for statement in statements:
-        terminal.print_result(statement.text)
+    terminal.show(explanation_json(trace, statements), *(statement.text for statement in statements), as_json=as_json)
 
 
 def _trace(shown: str, episode: int | None, seed: int | None, *, last: bool, allow_code: bool) -> Trace:
@@ -140,16 +136,12 @@ def repeat_failed(run: Run, video: Path | None, *, force: bool, as_json: bool, a
                 terminal.print_result(f"episode {number}: '{traced.ended_by}' at {traced.time:.2f} s{filmed}")
                 if ends := [statement.text for statement in statements if statement.cause in _ENDS]:
                     terminal.print_result(f"  {' '.join(ends)}")
-    if as_json:
-        terminal.show_json({"run": run.path, "evaluation": path, "episodes": len(kept.outcomes), "failed": found})
-        return
-    if len(failed) > len(first):
-        terminal.print_result(f"and {len(failed) - len(first)} more; --json shows all")
-    terminal.print_result(f"{len(failed)} of {len(kept.outcomes)} episodes of {path} failed")
-    for ending, count in Counter(each["ended_by"] for each in found).most_common():
-        terminal.print_result(f"  '{ending}' ended {count}")
-    if failed:
-        terminal.note(f"\nnext:\n  deepbots explain-episode {quote(str(run.path))} --episode {failed[0]}")
+    lines = [f"and {len(failed) - len(first)} more; --json shows all"] if len(failed) > len(first) else []
+    lines.append(f"{len(failed)} of {len(kept.outcomes)} episodes of {path} failed")
+    lines += [f"  '{ending}' ended {count}" for ending, count in Counter(each["ended_by"] for each in found).most_common()]
+    further = [f"deepbots explain-episode {quote(str(run.path))} --episode {failed[0]}"] if failed else []
+    data = {"run": run.path, "evaluation": path, "episodes": len(kept.outcomes), "failed": found}
+    terminal.show(data, *lines, as_json=as_json, next_commands=further)
 
 
 def diagnose(

@@ -42,10 +42,7 @@ def list_(as_json: Json = False) -> None:
         root = load(path).root if path else None
         summary = root.get("summary") if root else None
         rows.append({"name": name, "summary": summary.text if isinstance(summary, ScalarNode) else ""})
-    if as_json:
-        terminal.show_json({"scenarios": rows})
-    else:
-        terminal.print_result(table(rows))
+    terminal.show({"scenarios": rows}, table(rows), as_json=as_json)
 
 
 State = Literal["ok", "missing", "broken"]

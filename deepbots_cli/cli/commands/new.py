@@ -81,14 +81,10 @@ def new(
     written = write_with_schema(made, folder, force=force) if schema else write_new(made, folder, force=force)
     if urdf:
         terminal.note_warnings(api.lint(written[0]), str(written[0]))
-    if as_json:
-        terminal.show_json({"scenario": written[0], "files": written})
-        return
-    _list(written, kept)
-    _name_faster_engine(written[0])
-    terminal.note(_next(quote(str(written[0]))))
-    if not schema:
-        terminal.note(f"  deepbots schema --for {_named(written[0])}")
+    if not as_json:
+        _name_faster_engine(written[0])
+    further = ("run", "inspect", "lint", "train", *(() if schema else ("schema --for",)))
+    _show(written, kept, further, as_json=as_json)
 
 
 def _name_faster_engine(scenario: Path) -> None:
@@ -100,14 +96,6 @@ def _name_faster_engine(scenario: Path) -> None:
     program = api.load(scenario).program
     if program is not None:
         throughput.note_faster_engine(program)
-
-
-def _named(scenario: Path) -> str:
-    return f"{quote(str(scenario))} -o {quote(str(scenario.with_suffix('.schema.json')))}"
-
-
-def _next(scenario: str) -> str:
-    return f"\nnext:\n  deepbots run {scenario}\n  deepbots inspect {scenario}\n  deepbots lint {scenario}\n  deepbots train {scenario}"
 
 
 _TEMPLATES = Path(starters.__file__).parent
@@ -194,12 +182,7 @@ def copy(
     found = shipped_files(name)
     kept = _present(found, folder)
     written = write_new(found, folder, force=force)
-    if as_json:
-        terminal.show_json({"scenario": written[0], "files": written})
-        return
-    _list(written, kept)
-    scenario = quote(str(written[0]))
-    terminal.note(f"\nnext:\n  deepbots lint {scenario}\n  deepbots train {scenario}")
+    _show(written, kept, ("lint", "train"), as_json=as_json)
 
 
 def shipped_files(name: str) -> Files:
@@ -278,10 +261,12 @@ def _present(files: Files, folder: Path) -> set[Path]:
     }
 
 
-def _list(written: Sequence[Path], kept: set[Path]) -> None:
-    """Print the paths, with a mark at files that were there before with the same content."""
-    for path in written:
-        terminal.print_result(f"{path} (unchanged)" if path in kept else str(path))
+def _show(written: Sequence[Path], kept: set[Path], commands: Sequence[str], *, as_json: bool) -> None:
+    """Print the paths, with a mark at files that were there before with the same content, and the commands to go on with."""
+    scenario, schema = quote(str(written[0])), quote(str(written[0].with_suffix(".schema.json")))
+    lines = [f"{path} (unchanged)" if path in kept else str(path) for path in written]
+    further = [f"deepbots {command} {scenario}" + (f" -o {schema}" if "schema" in command else "") for command in commands]
+    terminal.show({"scenario": written[0], "files": written}, *lines, as_json=as_json, next_commands=further)
 
 
 def write_new(files: Files, folder: Path, *, force: bool = False) -> list[Path]:

@@ -14,6 +14,7 @@ from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Overrides, opt
 from deepbots_cli.cli.commands.diff import Change, Group
 from deepbots_cli.cli.commands.diff import scenario_changes as changes_of_meaning
 from deepbots_cli.cli.exits import FAILED
+from deepbots_cli.cli.tables import table
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import ScenarioError, UsageError
@@ -71,16 +72,10 @@ def command(
             {"episode": number, "steps": last.step, "ending": last.ending, "return": next(iter(last.agents.values())).episode_return}
             for number, _, last in ends
         ]
-        if as_json:
-            terminal.show_json({"recording": found.path, **found.metadata, "episodes": rows})
-            return
-        scenario, source, seed, driver, engine = (
-            found.metadata.get(name, "?") for name in ("scenario", "source", "seed", "driver", "engine")
-        )
-        terminal.print_result(f"{scenario} ({source}), seed {seed}, driven by {driver}, engine {engine}")
-        for row in rows:
-            terminal.print_result(f"episode {row['episode']}: {row['ending']} after {row['steps']} steps, return {row['return']:.2f}")
-        terminal.note(f"\nnext:\n  deepbots replay --verify {recording}")
+        known = {name: found.metadata.get(name, "?") for name in ("scenario", "source", "seed", "driver", "engine")}
+        about = "{scenario} ({source}), seed {seed}, driven by {driver}, engine {engine}".format(**known)
+        data = {"recording": found.path, **found.metadata, "episodes": rows}
+        terminal.show(data, about, table(rows, indent=""), as_json=as_json, next_commands=[f"deepbots replay --verify {recording}"])
         return
     shown = opened
     if scenario is not None:
@@ -93,17 +88,14 @@ def command(
     with closing(Player(shown, "zero")) as player, terminal.progress(always=False) as show:
         count = len(found.episodes)
         difference = verify(found, player, lambda done: show(done, count) if show else None, tolerance=tolerance)
-    if as_json:
-        terminal.show_json(
-            {"recording": found.path, "same": difference is None, "first": difference and difference._asdict(), "notes": notes}
-        )
-    elif difference is None:
-        steps = sum(len(each.steps) - 1 for each in found.episodes)
-        how = f"within {tolerance:g}" if tolerance else "to the bit"
-        terminal.print_result(f"{found.path}: {count} episode{'s' * (count > 1)} and {steps} steps are the same {how}")
-    else:
-        terminal.print_result(f"{found.path}: episode {difference.episode}, step {difference.step}: {difference.quantity} differs")
-        terminal.print_result(f"  recorded {difference.recorded or 'nothing'}\n  now      {difference.now or 'nothing'}")
+    steps = sum(len(each.steps) - 1 for each in found.episodes)
+    how = f"within {tolerance:g}" if tolerance else "to the bit"
+    text = f"{found.path}: {count} episode{'s' * (count > 1)} and {steps} steps are the same {how}"
+    if difference is not None:
+        text = f"{found.path}: episode {difference.episode}, step {difference.step}: {difference.quantity} differs\n"
+        text += f"  recorded {difference.recorded or 'nothing'}\n  now      {difference.now or 'nothing'}"
+    data = {"recording": found.path, "same": difference is None, "first": difference and difference._asdict(), "notes": notes}
+    terminal.show(data, text, as_json=as_json)
     if difference is not None:
         raise typer.Exit(FAILED)
 

@@ -65,10 +65,6 @@ def command(
         written = report.write_figures(figures) if figures is not None else []
     for note in report.notes:
         terminal.note(f"note: {note}")
-    if as_json:
-        terminal.show_json({"report": target, "result": report.result, "figures": written, "notes": report.notes})
-        return
-    terminal.print_result(report.result)
-    terminal.print_result(
-        f"{target} ({target.stat().st_size / 1000:,.0f} kB)" + (f", {len(written)} figures in {quote(str(figures))}" if written else "")
-    )
+    drawn = f", {len(written)} figures in {quote(str(figures))}" if written else ""
+    data = {"report": target, "result": report.result, "figures": written, "notes": report.notes}
+    terminal.show(data, report.result, f"{target} ({target.stat().st_size / 1000:,.0f} kB){drawn}", as_json=as_json)

@@ -128,34 +128,19 @@ def command(
                 if show and episodes > MAX_SHOWN:
                     show(len(done), episodes)
     summary = Summary.of_episodes(done, possible_returns(program))
-    if as_json:
-        totals = {"success_defined": program.defines_success, **vars(summary)}
-        known = {
-            "scenario": program.name,
-            "digest": compiled.digest,
-            "engine": name,
-            "seed": seed,
-            "start": options,
-            "case": case,
-            "stage": stage,
-            "script": script,
-        }
-        terminal.show_json({**known, "episodes": list(map(_row, done)), "summary": totals})
-        return
-    _show(done)
-    if len(done) > 1:
-        terminal.print_result("\n" + records.summary_text(summary, success_defined=program.defines_success))
+    data = {"scenario": program.name, "digest": compiled.digest, "engine": name, "seed": seed, "start": options}
+    data |= {"case": case, "stage": stage, "script": script, "episodes": list(map(_row, done))}
+    totals = "\n" + records.summary_text(summary, success_defined=program.defines_success)
+    data["summary"] = {"success_defined": program.defines_success, **vars(summary)}
+    terminal.show(data, *_lines(done), *([totals] if len(done) > 1 else []), as_json=as_json)
 
 
 def _reproduce(path: Path, *, allow_code: bool, as_json: bool) -> None:
     from deepbots_cli.learning import failures  # which imports gymnasium
 
     failure, error = failures.reproduce(path, allow_code=allow_code)
-    if as_json:
-        terminal.show_json({**failure.model_dump(), "reproduced": error})
-        return
-    terminal.print_result(f"{path}: {failure.error}")
-    terminal.print_result(f"repeated {len(failure.actions):,} actions: {'the episode does not fail' if error is None else error}")
+    repeated = f"repeated {len(failure.actions):,} actions: {'the episode does not fail' if error is None else error}"
+    terminal.show({**failure.model_dump(), "reproduced": error}, f"{path}: {failure.error}", repeated, as_json=as_json)
 
 
 def _row(episode: Episode) -> Row:
@@ -169,14 +154,14 @@ def _row(episode: Episode) -> Row:
     }
 
 
-def _show(done: list[Episode]) -> None:
+def _lines(done: list[Episode]) -> Iterator[str]:
     shown = done if len(done) <= MAX_SHOWN else done[:FIRST_EPISODES]
     rows = [{"episode": number, **_row(episode)} for number, episode in enumerate(shown)]
     listed = [{name: value for name, value in row.items() if name not in ("reward_terms", "drawn")} for row in rows]
-    terminal.print_result("episodes\n" + table(listed))
+    yield "episodes\n" + table(listed)
     if len(shown) < len(done):
-        terminal.print_result(f"  and {len(done) - len(shown):,} more")
-    terminal.print_result("\nreward terms\n" + table([_term(done, name) for name in done[0].terms]))
+        yield f"  and {len(done) - len(shown):,} more"
+    yield "\nreward terms\n" + table([_term(done, name) for name in done[0].terms])
 
 
 def _term(done: list[Episode], name: str) -> Row:

@@ -38,7 +38,7 @@ def command(
     ] = Sort.date,
     as_json: Json = False,
 ) -> None:
-    """List your runs and groups, with their records.
+    """List your runs and groups, with their results.
 
     The list is read from the files of the runs, also while they train. A group is one row, with the means over its seeds;
     `deepbots runs GROUP` lists its runs, and `deepbots runs RUN` the evaluations that a run keeps.
@@ -124,21 +124,15 @@ def _seeds(seeds: tuple[int, ...]) -> str:
 def _show_run(folder: Path, *, as_json: bool) -> None:
     """A run, and the evaluations that it keeps."""
     run, kept = read_listed(folder), evaluations(folder)
-    if as_json:
-        rows = [{"number": number, **({"problem": one} if isinstance(one, str) else one.model_dump())} for number, one in kept]
-        terminal.show_json({**_data(run), "evaluations": rows})
-        return
-    terminal.print_result(f"run {folder}\n" + table([_row(run)]))
-    if run.problem is not None:
-        terminal.note(run.problem)
-    readable = [(number, one) for number, one in kept if not isinstance(one, str)]
-    if readable:
-        terminal.print_result("\nevaluations\n" + table([_evaluation(number, one) for number, one in readable]))
-    else:
-        terminal.note(f"there is no evaluation yet; next: deepbots eval {folder}")
-    for number, one in kept:
-        if isinstance(one, str):
-            terminal.note(f"evaluation {number}: {one}")
+    data = [{"number": number, **({"problem": one} if isinstance(one, str) else one.model_dump())} for number, one in kept]
+    rows = [_evaluation(number, one) for number, one in kept if not isinstance(one, str)]
+    tables = [f"run {folder}\n{table([_row(run)])}", *([f"\nevaluations\n{table(rows)}"] if rows else [])]
+    terminal.show({**_data(run), "evaluations": data}, *tables, as_json=as_json)
+    notes = [run.problem] if run.problem is not None else []
+    notes += [] if rows else [f"there is no evaluation yet; next: deepbots eval {folder}"]
+    notes += [f"evaluation {number}: {one}" for number, one in kept if isinstance(one, str)]
+    for note in () if as_json else notes:
+        terminal.note(note)
 
 
 def _evaluation(number: int, kept: EvaluationRecord) -> Row:

@@ -244,17 +244,10 @@ def _finish_group(group: GroupTraining, *, quiet: bool, as_json: bool, allow_cod
         raise typer.Exit(INTERRUPTED) from None
     for found in evaluation.evaluations:
         records.write_evaluation(Run.open(found.run), records.evaluation_json(found))
-    if as_json:
-        terminal.show_json({"training": vars(group), "evaluation": records.group_json(evaluation)})
-    else:
-        terminal.print_result("\n" + records.group_text(evaluation))
-        path = quote(str(group.group))
-        terminal.note(
-            f"\nnext:\n"
-            f"  deepbots eval {path} --csv {quote(f'{group.group.name}.csv')}\n"
-            f"  deepbots compare {path} OTHER_GROUP\n"
-            f"  tensorboard --logdir {path}"
-        )
+    path, data = quote(str(group.group)), {"training": vars(group), "evaluation": records.group_json(evaluation)}
+    further = [f"deepbots eval {path} --csv {quote(f'{group.group.name}.csv')}", f"deepbots compare {path} OTHER_GROUP"]
+    further.append(f"tensorboard --logdir {path}")
+    terminal.show(data, "\n" + records.group_text(evaluation), as_json=as_json, next_commands=further)
     if group.failed:
         raise typer.Exit(FAILED)
 
@@ -281,16 +274,12 @@ def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, allow_code: b
     found = records.evaluation_json(evaluation, cases)
     records.write_evaluation(trained, found)
     solved = run_verdict(trained.path, trained.record).solved
-    if as_json:
-        terminal.show_json({"training": result, "evaluation": found, "solved": solved})
-        return
-    terminal.print_result("\n" + records.evaluation_text(evaluation, cases))
     run, film, logs = (quote(str(path)) for path in (result.run, f"{result.run.name}.mp4", result.run / "tensorboard"))
+    longer = f"--timesteps {report.longer_goal(max(result.steps, result.total_timesteps)):_}"
+    further = [f"deepbots eval {run} --video {film}", f"deepbots train --resume {run} {longer}", f"tensorboard --logdir {logs}"]
     if solved:
-        terminal.note(f"\nnext:\n  deepbots view {run}\n  deepbots report {run}\n  deepbots export {run}")
-        return
-    terminal.note(
-        "\nnext:\n" + (f"  deepbots diagnose {run}\n" if solved is False else "") + f"  deepbots eval {run} --video {film}\n"
-        f"  deepbots train --resume {run} --timesteps {report.longer_goal(max(result.steps, result.total_timesteps)):_}\n"
-        f"  tensorboard --logdir {logs}"
-    )
+        further = [f"deepbots {command} {run}" for command in ("view", "report", "export")]
+    elif solved is False:
+        further.insert(0, f"deepbots diagnose {run}")
+    data = {"training": result, "evaluation": found, "solved": solved}
+    terminal.show(data, "\n" + records.evaluation_text(evaluation, cases), as_json=as_json, next_commands=further)
