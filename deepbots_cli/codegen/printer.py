@@ -264,7 +264,7 @@ class Printer:
         owner = first.slot.partition("#")[0].rpartition(".")[2]
         name = self.names.identifier(f"memory {first.slot}", first.function, owner)
         kind = FUNCTIONS[first.function].memory
-        options = ", on_message=True" if states[0].call in self.scope.begun_by_message else ""
+        options = ", on_message=True" if first.call in self.scope.begun_by_message else ""
         kinds = f"self.memories({kind}, {len(states)}{options})" if len(states) > 1 else f"self.memory({kind}{options})"
         self.scope.memories[name] = kinds if self.on_floats else f"self.memory({quoted(name)})"
         return name

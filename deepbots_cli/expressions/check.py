@@ -583,8 +583,8 @@ class _Checker:
 
 def _columns(given: Sequence[Type | Subject]) -> list[tuple[Interval, ...]]:
     """The intervals of values for each component; for all at once, where those of single components are not known."""
-    count = max(len(value.intervals) for value in given) if given else 0
-    return [tuple(value.intervals[at] if value.intervals else value.interval for value in given) for at in range(count or 1)]
+    count = max((len(value.intervals) for value in given), default=0) or 1
+    return [tuple(value.intervals[at] if value.intervals else value.interval for value in given) for at in range(count)]
 
 
 def _ranged(result: Type, rule: Callable[..., Interval], given: Sequence[Type | Subject]) -> Type:

@@ -48,6 +48,11 @@ class Name(NamedTuple):
     name: str
     component: str | None = None
 
+    @property
+    def full_name(self) -> str:
+        """`mark.x` for a component of a vector."""
+        return self.name if self.component is None else f"{self.name}.{self.component}"
+
 
 class World(NamedTuple):
     """A fact read from the simulated world, such as component `x` of `position(cart.tip)`.

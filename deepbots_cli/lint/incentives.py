@@ -259,7 +259,7 @@ def hovering_pays(context: RuleContext) -> Iterator[Finding]:
     possible = TRUTH if success.foreign else analysis.ranges_in(0.0, float(analysis.last_step)).of(analysis.scalars(success.value)[0])
     if possible == NEVER or success in analysis.shadowed:
         return  # DB801, DB804
-    steps = max(0.0, analysis.last_step - ceil(_first_step(analysis, success))) * context.program.action_repeat
+    steps = _steps_from(analysis, success) * context.program.action_repeat
     fine = min(0.0, total_range(final, reward.ranges_at(None)).high)
     for threshold in _ways_to_avoid(analysis, success):
         waiting = _just_before(running, threshold)
@@ -280,8 +280,10 @@ def _ways_to_avoid(analysis: Analysis, success: Ending) -> list[Threshold | None
     """The thresholds of a success, at each of which it may barely not hold; None for one that compares nothing, such as a contact."""
     running = analysis.reward.ranges_while_running()
     compared = list(analysis.comparisons(success.value))
-    found = [threshold for entry in compared for threshold in thresholds(entry, running) if not is_clock(analysis, threshold.quantity)]
-    return [*found] if compared else [None]
+    found: list[Threshold | None] = [
+        each for entry in compared for each in thresholds(entry, running) if not is_clock(analysis, each.quantity)
+    ]
+    return found if compared else [None]
 
 
 def _first_step(analysis: Analysis, ending: Ending) -> float:
@@ -303,6 +305,11 @@ def _first_step(analysis: Analysis, ending: Ending) -> float:
                 if isinstance(clock, Name) and clock.name in _CLOCKS:
                     first = max(first, ranges.of(limit).low / (analysis.period if clock.name == "time" else 1.0))
     return min(first, float(analysis.last_step))
+
+
+def _steps_from(analysis: Analysis, ending: Ending) -> float:
+    """The steps of the agent after the first one in which an ending may hold."""
+    return max(0.0, analysis.last_step - ceil(_first_step(analysis, ending)))
 
 
 def _just_before(ranges: Ranges, threshold: Threshold | None) -> Ranges:
@@ -332,7 +339,8 @@ def other_policy_pays_more(simulation: Simulation) -> Iterator[Finding]:
         yield Finding("DB708", _most_paid(simulation, best.policy).span, headline, help=_PROGRESS_HELP, notes=notes, labels=also)
     elif len(successes) == 1:
         is_reached = any(episode.end == "success" for episode in simulation.report.episodes)
-        yield from ([] if is_reached else _idle_pays(simulation, successes[0])) or _place_pays(simulation, successes[0])
+        idle = [] if is_reached else _idle_pays(simulation, successes[0])
+        yield from idle or _place_pays(simulation, successes[0])
 
 
 _PROGRESS_HELP = (
@@ -366,7 +374,7 @@ def _place_pays(simulation: Simulation, success: Ending) -> list[Finding]:
     if best is None:
         return []
     pay = highest[best.name] + sum(min(0.0, highest[term.name]) for term in staying if term is not best)
-    steps = max(0.0, analysis.last_step - ceil(_first_step(analysis, success)))
+    steps = _steps_from(analysis, success)
     if pay <= 0.0 or pay * steps <= prize or pay * min(steps, _horizon(reward)) <= _MIN_WORTH * prize:
         return []
     headline = f"`{best.name}` pays up to {pay:.3g} in a step, {pay * steps:.4g} in an episode that stays there"
@@ -377,12 +385,10 @@ def _place_pays(simulation: Simulation, success: Ending) -> list[Finding]:
 
 def _is_progress(analysis: Analysis, node: Scalar) -> bool:
     """Whether a value depends on motion, or on what was before."""
-    for part in analysis.walk_definitions(node):
-        if (isinstance(part, State) and part.function in _PROGRESS_FUNCTIONS) or (
-            isinstance(part, World) and part.function in _RATE_FUNCTIONS
-        ):
-            return True
-    return False
+    return any(
+        (isinstance(part, State) and part.function in _PROGRESS_FUNCTIONS) or (isinstance(part, World) and part.function in _RATE_FUNCTIONS)
+        for part in analysis.walk_definitions(node)
+    )
 
 
 def _idle_pays(simulation: Simulation, success: Ending) -> list[Finding]:

@@ -393,14 +393,13 @@ def limits_in_degrees(context: RuleContext) -> Iterator[Finding]:
     program = context.program
     trees = [tree for value in program.computed_expressions for tree in value.scalars]
     read = {node.subjects[0] for tree in trees for node in walk(tree) if isinstance(node, World)}
-    models = {body.name: body.model for body in program.world.robots}
     for robot in program.robots:
         scene = context.namespace.robots[robot.name]
         if scene is None:
             continue
         used = {joint for actuator in robot.actuators for joint in getattr(actuator, "joints", ())}
         used |= {name for sensor in robot.sensors for name in sensor.subjects}
-        for joint in models[robot.name].moving_joints:
+        for joint in context.analysis.body(robot.name).model.moving_joints:
             is_used = joint.name in used or f"{robot.name}.{joint.name}" in read
             written = joint.limit == scene.file.model.joint(joint.name).limit and joint.name in scene.file.limit_spans
             low, high = joint.limit.lower, joint.limit.upper
@@ -449,13 +448,19 @@ def rays_meet_nothing(context: RuleContext) -> Iterator[Finding]:
 
 def measured_rays_meet_nothing(simulation: Simulation) -> Iterator[Finding]:
     """DB615: the same for robots whose height does not follow from the scenario."""
+    if not simulation.is_complete:
+        return
     heights = Heights(simulation.analysis)
-    for (robot, sensor), depth in simulation.report.depths.items() if simulation.is_complete else ():
+    for (robot, sensor), depth in simulation.report.depths.items():
         if heights.depth(robot, sensor) is None:
             yield _buried(simulation.values, robot, sensor, depth, notes=(simulation.summary,))
-    for (robot, sensor), clearance in simulation.report.clearances.items() if simulation.is_complete else ():
+    for (robot, sensor), clearance in simulation.report.clearances.items():
         if heights.needs_simulation(robot, sensor):
             yield _passing_over(simulation.values, robot, sensor, clearance, notes=(simulation.summary,))
+
+
+PlacedRays = tuple[float, list[list[tuple[float, float]]]]
+"""The reach (m) of a sensor; the height (m) at which each ray begins, and its rise per m, in each attitude."""
 
 
 class Heights:
@@ -465,6 +470,7 @@ class Heights:
         self._analysis = analysis
         self._program = analysis.program
         self._world = analysis.program.world
+        self._rays: dict[tuple[str, str], PlacedRays | None] = {}
 
     def clearance(self, robot: str, sensor: str) -> Clearance | None:
         """Where the rays of a sensor pass, if that is over everything; None if they meet the ground or a body, or that is unknown."""
@@ -487,7 +493,7 @@ class Heights:
         placed = self._placed_rays(robot, sensor) if self._world.ground is not None else None
         if placed is None:
             return None
-        highest = max(height for rays in placed for height, _ in rays)
+        highest = max(height for rays in placed[1] for height, _ in rays)
         return -highest if highest < -MAX_SINK else None
 
     def needs_simulation(self, robot: str, sensor: str) -> bool:
@@ -501,20 +507,24 @@ class Heights:
 
     def _lowest(self, robot: str, name: str) -> float | None:
         """The lowest point of any ray within its range, m above the ground; None where it is unknown or a ray meets the ground."""
-        tried = self._placed_rays(robot, name)
-        if tried is None:
+        placed = self._placed_rays(robot, name)
+        if placed is None:
             return None
+        reach, tried = placed
         for other in tried[1:]:
             for (height, slope), (known, known_slope) in zip(other, tried[0], strict=True):
                 if abs(height - known) > _SAME_HEIGHT_M or abs(slope - known_slope) > _SAME_HEIGHT_M:
                     return None
-        sensor = next(sensor for each in self._program.robots if each.name == robot for sensor in each.sensors if sensor.name == name)
-        reach = sensor.beams.reach if sensor.beams is not None else 0.0
         lowest = min(height + min(0.0, slope * reach) for height, slope in tried[0])
         return lowest if lowest > 0.0 else None
 
-    def _placed_rays(self, robot: str, name: str) -> list[list[tuple[float, float]]] | None:
-        """The height (m) at which each ray of a sensor begins, and its rise per m, in each attitude; None where that is unknown."""
+    def _placed_rays(self, robot: str, name: str) -> PlacedRays | None:
+        """The rays of a sensor in each attitude of its robot; None where that is unknown."""
+        if (robot, name) not in self._rays:
+            self._rays[robot, name] = self._place_rays(robot, name)
+        return self._rays[robot, name]
+
+    def _place_rays(self, robot: str, name: str) -> PlacedRays | None:
         sensors = next((each.sensors for each in self._program.robots if each.name == robot), ())
         sensor = next((sensor for sensor in sensors if sensor.name == name), None)
         body = self._analysis.body(robot)
@@ -528,7 +538,7 @@ class Heights:
             link = frames.compose(root, footprint.link_frames(body.model, positions)[sensor.subjects[0]])
             placed = [frames.compose(link, ray) for ray in rays]
             tried.append([(place[2], frames.rotate(turn, (1.0, 0.0, 0.0))[2]) for place, turn in placed])
-        return tried
+        return sensor.beams.reach, tried
 
     def _root(self, body: RobotBody) -> Frame | None:
         """The frame of a robot's root, without yaw: of a fixed base, or of a robot that stands level on the ground."""

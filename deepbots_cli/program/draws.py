@@ -107,8 +107,8 @@ class EpisodeDraws:
         for value in self.program.parameters:
             if value.redraw is not None or _reads(value, changing):
                 changing.add(value.name)
-            of_parameter = EpisodeDraw("", "", changes=value.name in changing)
-            yield from ((None, of_parameter._replace(name=full, key=full, tree=tree)) for full, tree in value.numbers if is_drawn(tree))
+            changes = value.name in changing
+            yield from ((None, EpisodeDraw(full, full, tree, changes=changes)) for full, tree in value.numbers if is_drawn(tree))
         for named in reset.drawn:
             body = None if named.name.startswith("reset.layouts.") else named.name.split(".")[2]
             yield from ((body, EpisodeDraw(full, full, tree)) for full, tree in named.numbers if is_drawn(tree))

@@ -29,17 +29,18 @@ class Observer:
         self._inputs, self._goal = policy.inputs, policy.goal
         self._refused = self._reason(program)
         self._achieved: dict[str, Scalar] = {}
+        sent = {f"{robot.name}.{field.name}" for robot in program.robots for field in robot.from_robot.fields}
         texts = {number: entry.value.text for entry in policy.observation for number, _ in entry.value.numbers}
         if self._goal is not None:
-            names = [_full(name) for name in self._goal.names("achieved")]
-            trees = [_from_messages(tree, program) for tree in self._goal.achieved.scalars]
+            names = [name.full_name for name in self._goal.names("achieved")]
+            signals = {full: value for entry in program.signals for full, value in entry.numbers if entry.noise is None}
+            trees = [_from_messages(tree, sent, signals) for tree in self._goal.achieved.scalars]
             computed = [tree for tree in trees if tree is not None]
-            self._achieved = dict(zip(names, computed if len(computed) == len(names) else map(_name, names), strict=True))
+            self._achieved = dict(zip(names, computed if len(computed) == len(names) else map(Name, names), strict=True))
             texts |= dict.fromkeys(names, self._goal.achieved.text)
         texts |= {full: signal.text for signal in program.signals for full, _ in signal.numbers}
-        read = (_full(leaf) for tree in self._achieved.values() for leaf in names_in(tree))
+        read = (leaf.full_name for tree in self._achieved.values() for leaf in names_in(tree))
         self.values = tuple(dict.fromkeys((*(value.name for value in self._inputs), *read)))
-        sent = {f"{robot.name}.{field.name}" for robot in program.robots for field in robot.from_robot.fields}
         self._computed = {name: texts[name] for name in self.values if name in texts and not _is_sent(name, sent)}
 
     def observe(self, values: Mapping[str, float], desired: Sequence[float] | None = None) -> Any:
@@ -66,7 +67,7 @@ class Observer:
         vector = np.array(numbers, np.float32)
         if self._goal is None:
             return vector
-        given = {_name(name): np.asarray(float(value)) for name, value in values.items()}
+        given = {Name(name): np.asarray(float(value)) for name, value in values.items()}
         achieved = [float(evaluate(tree, given)) for tree in self._achieved.values()]
         return {"observation": vector, "achieved_goal": self._mapped(achieved), "desired_goal": self._mapped(wanted)}
 
@@ -121,32 +122,21 @@ class Observer:
         return f"this policy sees older values of {older}; take observations from the environment" if older else ""
 
 
-def _full(name: Name) -> str:
-    return name.name if name.component is None else f"{name.name}.{name.component}"
-
-
-def _name(full: str) -> Name:
-    return Name(full)
-
-
 def _is_sent(name: str, sent: set[str]) -> bool:
     return name in sent or name.rpartition(".")[0] in sent
 
 
-def _from_messages(tree: Scalar, program: Program) -> Scalar | None:
-    """The tree over full names of fields of messages; None if it reads something else."""
-    sent = {f"{robot.name}.{field.name}" for robot in program.robots for field in robot.from_robot.fields}
-    signals = {full: value for entry in program.signals for full, value in entry.numbers if entry.noise is None}
+def _from_messages(tree: Scalar, sent: set[str], signals: Mapping[str, Scalar]) -> Scalar | None:
+    """The tree over full names of the fields that are `sent`, through `signals`; None if it reads something else."""
     match tree:
         case Const():
             return tree
         case Name():
-            full = _full(tree)
+            full = tree.full_name
             if tree.name in sent:
                 return Name(full)
-            return _from_messages(signals[full], program) if full in signals else None
+            return _from_messages(signals[full], sent, signals) if full in signals else None
         case Op(op=name, args=args):
-            found = [_from_messages(arg, program) for arg in args]
-            known = tuple(arg for arg in found if arg is not None)
-            return Op(name, known) if len(known) == len(args) else None
+            known = [found for arg in args if (found := _from_messages(arg, sent, signals)) is not None]
+            return Op(name, tuple(known)) if len(known) == len(args) else None
     return None

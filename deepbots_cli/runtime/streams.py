@@ -245,6 +245,5 @@ def _interval(node: Scalar, scenario: Program) -> Interval:
     """The interval of an expression over all draws."""
     if not isinstance(node, Name):
         return interval_of(node, lambda arg: _interval(arg, scenario))
-    full = node.name if node.component is None else f"{node.name}.{node.component}"
     numbers = (pair for entry in scenario.parameters if entry.name == node.name for pair in entry.numbers)
-    return next((_interval(value, scenario) for other, value in numbers if other == full), EVERYTHING)
+    return next((_interval(value, scenario) for full, value in numbers if full == node.full_name), EVERYTHING)
