@@ -133,6 +133,8 @@ def easy_stage_counted(t: TrainingEvidence) -> Numbers | None:
         return None
     if late.episodes < MIN_EPISODES or late.rate < 0.8 or _rate(t.episodes_between(0.75, 1.0)) < late.rate - 0.3:
         return None
+    if until.metric == "success_rate" and late.high < until.threshold:
+        return None  # the stage asks for more
     final, value = SuccessRate([each.is_success for each in t.final_episodes]), criterion_value(t)
     task = f", and in the scenario itself in {final}" if final.episodes else "; these evaluations are not those of the task"
     reached = f"the training made {t.stage_steps:,} steps there" if value is None or until.metric == "steps" else (
