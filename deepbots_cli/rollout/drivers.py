@@ -6,14 +6,13 @@ from collections.abc import Iterable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-import gymnasium as gym
-import numpy as np
-
 from deepbots_cli.errors import UsageError
 from deepbots_cli.program.task import Choices
 from deepbots_cli.rollout.episode import Driver
 
 if TYPE_CHECKING:
+    import gymnasium as gym
+
     from deepbots_cli.runtime import Supervisor
 
 RANDOM, ZERO, HAND, POLICY, RECORDED = "random", "zero", "you", "policy", "recording"
@@ -71,6 +70,9 @@ def sequence_driver(actions: Iterable[Any]) -> Driver:
 
 def zero_action(space: gym.Space[Any]) -> Any:
     """The middle of every range, and the first option of every choice."""
+    import gymnasium as gym  # here, since the module of a command is imported without a simulator too
+    import numpy as np
+
     if isinstance(space, gym.spaces.Dict):
         return {key: zero_action(part) for key, part in space.spaces.items()}
     return np.int64(0) if isinstance(space, gym.spaces.Discrete) else np.zeros(space.shape or (), space.dtype)
