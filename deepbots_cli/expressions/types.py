@@ -315,6 +315,11 @@ def walk(node: Typed) -> Iterator[Typed]:
             waiting += reversed(children(node))
 
 
+def referenced_names(tree: Typed) -> Iterator[str]:
+    """The names that an expression refers to."""
+    return (node.symbol.name for node in walk(tree) if isinstance(node, Reference))
+
+
 def is_bare_number(value: Typed) -> bool:
     """Whether this is made of numbers without units alone."""
     match value:

@@ -180,8 +180,8 @@ def lint_warns(t: TrainingEvidence) -> Numbers | None:
 
     Try: Run `deepbots lint {path}`: it shows the lines and what to write instead.
     """
-    path, found = lint_findings(t.run)
-    found.sort(key=lambda finding: finding.code not in _UNLEARNABLE)
+    path, findings = lint_findings(t.run)
+    found = sorted(findings, key=lambda finding: finding.code not in _UNLEARNABLE)
     if not found:
         return None
     shown = "; ".join([f"{finding.headline} ({finding.code})" for finding in found[:2]] + [f"{len(found) - 2} more"] * (len(found) > 2))

@@ -29,7 +29,6 @@ from deepbots_cli.learning.defaults import effective_hyperparameters
 from deepbots_cli.learning.episodes import meets_solved
 from deepbots_cli.learning.run import Run, changed_settings, is_training
 from deepbots_cli.learning.verdict import RunVerdict, quoted_episodes, run_verdict
-from deepbots_cli.lint import all_findings
 from deepbots_cli.program import CurriculumStage, Program
 from deepbots_cli.program.task import ActionRange, Choices, Schedule
 from deepbots_cli.rollout import Driver, Episode, Start, steps
@@ -231,7 +230,7 @@ def returns_rise(t: TrainingEvidence) -> tuple[float, float, float, float] | Non
     return float(early.mean()), float(late.mean()), gain, chance
 
 
-def lint_findings(run: Run) -> tuple[str, list[Finding]]:
+def lint_findings(run: Run) -> tuple[str, Sequence[Finding]]:
     """The scenario of a run as arguments of `deepbots lint`, and what lint finds.
 
     The files that the scenario was made from hold the comments that ignore findings, and show what is a part of an included robot only.
@@ -241,12 +240,12 @@ def lint_findings(run: Run) -> tuple[str, list[Finding]]:
     overrides, folder = changed_settings(record.command), run.path / INPUTS_FOLDER
     own = folder / next(iter(record.inputs), RESOLVED_NAME)
     try:
-        checked = api.load(own, overrides=with_engine(overrides, record.engine), allow_code=True, project=folder)
-        if api.compile(checked).digest == run.digest:
-            return join([str(own), "--allow-path", str(folder), *(f"--set={text}" for text in overrides)]), all_findings(checked)
+        compiled = api.compile(api.load(own, overrides=with_engine(overrides, record.engine), allow_code=True, project=folder))
+        if compiled.digest == run.digest:
+            return join([str(own), "--allow-path", str(folder), *(f"--set={text}" for text in overrides)]), compiled.findings
     except DeepbotsError:
         pass
-    return quote(str(resolved)), all_findings(api.load_kept(run.path))
+    return quote(str(resolved)), api.compile(api.load_kept(run.path)).findings
 
 
 def read_training(run: Run) -> TrainingEvidence:

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy
 
+from deepbots_cli.analysis import possible_returns
 from deepbots_cli.api import Compiled, build_batch
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
@@ -32,7 +33,6 @@ from deepbots_cli.learning.episodes import UNBOUNDED, DrawnBin, Summary, by_draw
 from deepbots_cli.learning.failures import FailureRecorder
 from deepbots_cli.learning.run import ModelName, Run, in_parentheses, remark_on_episodes
 from deepbots_cli.learning.verdict import circumstances, solved_verdict
-from deepbots_cli.lint.rewards import possible_returns
 from deepbots_cli.program import Program, identity
 from deepbots_cli.rollout import Driver, Episode, EpisodeAccumulator, Start, Step, play, steps
 from deepbots_cli.rollout.drivers import RANDOM, ZERO, named_driver

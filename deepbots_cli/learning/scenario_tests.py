@@ -14,8 +14,8 @@ from statistics import fmean
 from typing import TYPE_CHECKING
 
 from deepbots_cli import api
+from deepbots_cli.analysis.ranges import with_unit
 from deepbots_cli.errors import DeepbotsError
-from deepbots_cli.lint.ranges import with_unit
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ExpectedResult, ScenarioTest
 from deepbots_cli.rollout import Driver, Episode, Start, Step, result_of, steps

@@ -11,7 +11,7 @@ observations.py  what the policy sees; saturation.py values at the end of their 
 rewards.py       the size of the reward; shaping.py its direction; incentives.py what pays   DB7, DB810
 endings.py       when episodes end, goals that cannot be reached                             DB8
 
-analysis.py      what rules ask about a program: definitions, equal quantities, thresholds; ranges.py interval analysis
+context.py       what a rule is given: the scenario, its analysis, places in its text, the report of its simulation
 simulation.py    plan, process and report of a simulation; simulation_process.py and rollouts.py run in that process
 fixes.py         applies fixes; settings.py which files are linted, and how
 """
@@ -32,11 +32,10 @@ from deepbots_cli.diagnostics import MAX_FINDINGS, RULES, Finding, Findings, Sou
 from deepbots_cli.diagnostics.findings import internal_error_finding, suppress
 from deepbots_cli.document.nodes import to_data
 from deepbots_cli.document.parse import parse
+from deepbots_cli.expressions.types import referenced_names
 from deepbots_cli.lint import endings, incentives, names, observations, rewards, robots, saturation, shaping, world
-from deepbots_cli.lint.analysis import RuleContext, StaticRule, names_in
-from deepbots_cli.lint.simulation import Limits, Simulation, measure
-
-SimulatedRule = Callable[[Simulation], Iterator[Finding]]
+from deepbots_cli.lint.context import RuleContext, SimulatedRule, Simulation, StaticRule
+from deepbots_cli.lint.simulation import Limits, measure
 
 STATIC_RULES: tuple[StaticRule, ...] = (
     *names.STATIC_RULES,
@@ -192,7 +191,7 @@ def _depending_on(checked: CheckedScenario, doubtful: list[Span]) -> set[Span]:
     values = checked.namespace.values
     users: dict[str, set[Span]] = defaultdict(set)
     for reading in values.readings:
-        for name in {name for tree in reading.trees for name in names_in(tree)}:
+        for name in {name for tree in reading.trees for name in referenced_names(tree)}:
             users[name].add(reading.text.span)
     defined: dict[Span, list[str]] = defaultdict(list)
     for definition in checked.namespace.definitions.values():

@@ -7,14 +7,17 @@ from math import ceil, sqrt
 from typing import NamedTuple
 
 from deepbots_cli import footprint
+from deepbots_cli.analysis import Analysis
+from deepbots_cli.analysis.conditions import Comparison, Threshold, comparisons, has_choice, thresholds
+from deepbots_cli.analysis.ranges import Ranges, bounds_text, with_unit
+from deepbots_cli.analysis.returns import total_range
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import LENGTH, TIME
 from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, TRUTH, Interval, hull
 from deepbots_cli.expressions.scalar import Name, Op, Scalar, World
-from deepbots_cli.lint.analysis import Analysis, Comparison, RuleContext, Threshold, has_choice, names_in, thresholds, total_range
-from deepbots_cli.lint.ranges import Ranges, bounds_text, with_unit
-from deepbots_cli.lint.simulation import Simulation
+from deepbots_cli.expressions.types import referenced_names
+from deepbots_cli.lint.context import RuleContext, Simulation
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Thrust
 from deepbots_cli.program.task import Ending, ExpectedResult, ScenarioTest
@@ -68,7 +71,7 @@ def _reasons(analysis: Analysis, ending: Ending) -> Iterator[str]:
     ranges = analysis.ranges_in(0.0, INF)
     never = [
         entry
-        for entry in analysis.comparisons(ending.value)
+        for entry in comparisons(analysis, ending.value)
         if all(ranges.of(part) == NEVER for part in analysis.lowered(entry.node, entry.value.owner))
     ]
     for entry in never:
@@ -236,7 +239,7 @@ def ends_at_reset(context: RuleContext) -> Iterator[Finding]:
     for ending in context.program.endings:
         if ending.foreign is None and start.of(analysis.scalars(ending.value)[0]) == ALWAYS != _truth_over_episode(analysis, ending):
             headline = f"`{ending.value.name}` already holds when an episode begins"
-            sides = [side for entry in analysis.comparisons(ending.value) for side in _sides(entry, start)]
+            sides = [side for entry in comparisons(analysis, ending.value) for side in _sides(entry, start)]
             notes = tuple(f"`{text}` begins {words}" for text, known, words in sides if known.is_finite)
             help = "change the initial state under `reset`, widen the limit, or reverse the comparison"
             yield Finding("DB806", ending.value.span, headline, help=help, notes=notes)
@@ -364,7 +367,7 @@ def unreachable_goal(context: RuleContext) -> Iterator[Finding]:
     for ending in context.program.endings:
         if ending.outcome != "success" or ending.foreign is not None or has_choice(analysis, ending.value):
             continue
-        for entry in analysis.comparisons(ending.value):
+        for entry in comparisons(analysis, ending.value):
             asked = (asked for asked in thresholds(entry, analysis.ranges) if not asked.above)
             reason = next((reason for reason in (_unreachable(analysis, threshold) for threshold in asked) if reason is not None), None)
             if reason is not None:
@@ -506,7 +509,7 @@ def _only_outcome(analysis: Analysis, test: ScenarioTest, expected: ExpectedResu
         return True if every <= set(expected.endings) and test.steps >= analysis.last_step else None
     if expected.condition is None:
         return True if expected.key != "mean_return" and expected.low <= 0.0 and expected.high >= 1.0 else None
-    if not _OF_LAST_STEP.isdisjoint(names_in(expected.condition.typed)):
+    if not _OF_LAST_STEP.isdisjoint(referenced_names(expected.condition.typed)):
         return None  # their ranges are those of the step before
     known = analysis.ranges_in(1.0, float(test.steps)).of(analysis.scalars(expected.condition)[0])
     return known == ALWAYS if known.is_single else None

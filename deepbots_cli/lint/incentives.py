@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from math import ceil, nextafter
 
+from deepbots_cli.analysis import Analysis
+from deepbots_cli.analysis.conditions import Threshold, comparisons, has_choice, is_clock, thresholds
+from deepbots_cli.analysis.ranges import Ranges
+from deepbots_cli.analysis.returns import RewardTerms, Terms, total_range
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.intervals import INF, NEVER, TRUTH, Interval
 from deepbots_cli.expressions.scalar import Name, Op, Scalar, State, World, walk
-from deepbots_cli.lint.analysis import Analysis, RewardTerms, RuleContext, Terms, Threshold, has_choice, is_clock, thresholds, total_range
-from deepbots_cli.lint.ranges import Ranges
-from deepbots_cli.lint.simulation import HELD_RANDOM, IDLE, RANDOM, Episode, Simulation
+from deepbots_cli.lint.context import RuleContext, Simulation
+from deepbots_cli.lint.simulation import HELD_RANDOM, IDLE, RANDOM, Episode
 from deepbots_cli.program.task import Ending
 from deepbots_cli.program.values import Expression
 
@@ -279,7 +282,7 @@ def hovering_pays(context: RuleContext) -> Iterator[Finding]:
 def _ways_to_avoid(analysis: Analysis, success: Ending) -> list[Threshold | None]:
     """The thresholds of a success, at each of which it may barely not hold; None for one that compares nothing, such as a contact."""
     running = analysis.reward.ranges_while_running()
-    compared = list(analysis.comparisons(success.value))
+    compared = list(comparisons(analysis, success.value))
     found: list[Threshold | None] = [
         each for entry in compared for each in thresholds(entry, running) if not is_clock(analysis, each.quantity)
     ]

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from math import pi
 
+from deepbots_cli.analysis import Analysis
 from deepbots_cli.compiler.namespace import Origin
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.document.layout import removal_fix
 from deepbots_cli.expressions.dimensions import ANGLE
 from deepbots_cli.expressions.scalar import Op, Scalar, World
-from deepbots_cli.expressions.types import Constant, Invocation, Kind, Operation, Reference, Stage, Typed, children, walk
-from deepbots_cli.lint.analysis import Analysis, RuleContext, names_in
+from deepbots_cli.expressions.types import Constant, Invocation, Kind, Operation, Reference, Stage, Typed, children, referenced_names, walk
+from deepbots_cli.lint.context import RuleContext
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Robot
 from deepbots_cli.program.values import Expression
@@ -68,7 +69,7 @@ def _unused_parts(context: RuleContext) -> Iterator[Finding]:
         if subject.kind in (Kind.SENSOR, Kind.CAMERA)
     }
     for robot in context.program.robots:
-        used = {name for value in (*robot.emit, *(command.target for command in robot.commands)) for name in names_in(value.typed)}
+        used = {name for value in (*robot.emit, *(command.target for command in robot.commands)) for name in referenced_names(value.typed)}
         driven = {command.actuator.name for command in robot.commands}
         unused = [
             (("sensors", sensor.name), "a sensor that nothing reads", "send it under `emit`, or remove it")

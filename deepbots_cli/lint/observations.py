@@ -7,6 +7,8 @@ from functools import reduce
 from itertools import groupby
 from typing import NamedTuple
 
+from deepbots_cli.analysis import Analysis
+from deepbots_cli.analysis.ranges import bounds_text, range_text, with_unit
 from deepbots_cli.compiler.namespace import Origin
 from deepbots_cli.compiler.robots import joint_dimension, joint_interval
 from deepbots_cli.diagnostics import Edit, Finding, Fix, Label, Span
@@ -17,9 +19,7 @@ from deepbots_cli.expressions.intervals import Interval, hull
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 from deepbots_cli.expressions.scalar import children as parts_of
 from deepbots_cli.expressions.types import Invocation, Reference, Typed, walk
-from deepbots_cli.lint.analysis import Analysis, RuleContext
-from deepbots_cli.lint.ranges import bounds_text, range_text, with_unit
-from deepbots_cli.lint.simulation import MeasuredNumber, Simulation
+from deepbots_cli.lint.context import MeasuredNumber, RuleContext, Simulation
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Observation
 from deepbots_cli.program.values import Expression, Noise

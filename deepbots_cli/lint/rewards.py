@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import NamedTuple
 
+from deepbots_cli.analysis import Analysis
+from deepbots_cli.analysis.conditions import comparisons, thresholds
+from deepbots_cli.analysis.ranges import Ranges
+from deepbots_cli.analysis.returns import RewardTerms, return_range
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.intervals import INF, NEVER, TRUTH, Interval
 from deepbots_cli.expressions.scalar import Scalar, walk
 from deepbots_cli.expressions.types import Constant, Invocation, Operation, Reference, Typed, children
-from deepbots_cli.lint.analysis import Analysis, RewardTerms, RuleContext, thresholds, total_range
-from deepbots_cli.lint.ranges import Ranges
-from deepbots_cli.lint.simulation import Simulation
-from deepbots_cli.program import Program
+from deepbots_cli.lint.context import RuleContext, Simulation
 from deepbots_cli.program.values import Expression
 
 _DOMINANCE_RATIO = 100.0
@@ -77,7 +78,7 @@ class _PoleSearch:
         self._analysis = analysis
         self.ranges = analysis.ranges_in(1.0, float(analysis.last_step))
         self.met: set[str] = set()
-        compared = [entry for ending in analysis.program.endings for entry in analysis.comparisons(ending.value)]
+        compared = [entry for ending in analysis.program.endings for entry in comparisons(analysis, ending.value)]
         threshold = [threshold for entry in compared for threshold in thresholds(entry, self.ranges)]
         self._guarded = {
             analysis.identity(entry.quantity) for entry in threshold if (entry.bound.high < 0.0 if entry.above else entry.bound.low > 0.0)
@@ -358,26 +359,6 @@ def _wanted_returns(context: RuleContext) -> Iterator[tuple[Analysis, float, Nod
     for place, (stage, analysis) in enumerate(zip(program.curriculum, stages, strict=True)):
         if stage.until is not None and stage.until.metric == "mean_return":
             yield analysis, stage.until.threshold, ("curriculum", place, "until")
-
-
-def possible_returns(program: Program) -> tuple[float, float]:
-    """The least and the largest return of an episode that rewards and time limit allow; infinite where they imply none."""
-    known = return_range(Analysis(program))
-    return known.low, known.high
-
-
-def return_range(analysis: Analysis) -> Interval:
-    """The range of the return of an episode, from the ranges of what a step and an end pay."""
-    reward = analysis.reward
-    if not reward.is_complete:
-        return Interval(-INF, INF)
-    step = total_range(reward.terms, reward.ranges_while_running())
-    end = total_range(reward.terms, analysis.ranges_in(1.0, float(analysis.last_step)))  # whichever endings hold, also several at once
-    ticks = analysis.last_step * analysis.program.action_repeat - 1
-    fewest = 0 if analysis.program.endings else ticks
-    high = step.high * (ticks if step.high > 0.0 else fewest) + end.high if step.high < INF else INF
-    low = step.low * (ticks if step.low < 0.0 else fewest) + end.low if step.low > -INF else -INF
-    return Interval(low, high)
 
 
 STATIC_RULES = (

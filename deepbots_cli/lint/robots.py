@@ -7,6 +7,8 @@ from math import ceil, degrees, hypot, inf, pi, radians
 from typing import TypeGuard
 
 from deepbots_cli import footprint, frames
+from deepbots_cli.analysis import Analysis
+from deepbots_cli.analysis.ranges import is_level, range_text, with_unit
 from deepbots_cli.compiler.robots import joint_dimension, joint_moves_link
 from deepbots_cli.compiler.values import ValueReader
 from deepbots_cli.diagnostics import Finding, Label, Span
@@ -15,9 +17,8 @@ from deepbots_cli.expressions.intervals import NEVER, Interval, hull
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar, World, walk
 from deepbots_cli.footprint import link_frames
 from deepbots_cli.frames import Frame, Triple, quaternion
-from deepbots_cli.lint.analysis import Analysis, RuleContext
-from deepbots_cli.lint.ranges import is_level, range_text, with_unit
-from deepbots_cli.lint.simulation import ARENA, MAX_SINK, Clearance, Simulation, SimulationPosition, UnreachedPose, casts_rays
+from deepbots_cli.lint.context import RuleContext, Simulation
+from deepbots_cli.lint.simulation import ARENA, MAX_SINK, Clearance, SimulationPosition, UnreachedPose, casts_rays
 from deepbots_cli.program.robots import Actuator, Cartesian, CustomActuator, Motor, Robot, Thrust
 from deepbots_cli.program.world import ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots.meshes import mesh_bounds
@@ -70,7 +71,7 @@ def command_cut_off(context: RuleContext) -> Iterator[Finding]:
     analysis = context.analysis
     for robot in context.program.robots:
         for command in robot.commands:
-            trees = analysis.on_board(command.target, robot.name)
+            trees = analysis.value_on_robot(command.target, robot.name)
             limits = Interval(0.0, 1.0) if command.opening else _limits(command.actuator, analysis.body(robot.name).model)
             if limits is None or not all(_follows_action(analysis, tree, robot) for tree in trees):
                 continue

@@ -7,15 +7,17 @@ from math import isnan, nan
 from typing import NamedTuple
 
 from deepbots_cli import footprint, frames
+from deepbots_cli.analysis import Analysis
+from deepbots_cli.analysis.conditions import Comparison, Threshold, comparisons, thresholds
+from deepbots_cli.analysis.ranges import Ranges, bounds_text, range_text, with_unit
 from deepbots_cli.compiler.robots import rigid_root
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.expressions.dimensions import ACCELERATION
 from deepbots_cli.expressions.intervals import NEVER, SIGNED_UNIT, Interval
 from deepbots_cli.expressions.scalar import Draw, Name, Scalar, World, children
 from deepbots_cli.expressions.types import Typed, walk
-from deepbots_cli.lint.analysis import Analysis, Comparison, RuleContext, Threshold, thresholds
+from deepbots_cli.lint.context import RuleContext
 from deepbots_cli.lint.observations import RangedNumber, first_of_each_clipped, ranged_numbers, replace_range
-from deepbots_cli.lint.ranges import Ranges, bounds_text, range_text, with_unit
 from deepbots_cli.program.values import Expression
 
 _ROUNDING = 1e-6
@@ -51,7 +53,7 @@ def saturates_before_termination(context: RuleContext) -> Iterator[Finding]:
     for ending in context.program.endings:
         if ending.outcome != "failure" or ending in context.analysis.shadowed:
             continue
-        for comparison in analysis.comparisons(ending.value):
+        for comparison in comparisons(analysis, ending.value):
             asked = [threshold for threshold in thresholds(comparison, ranges) if _can_be_met(threshold, ranges)]
             for view in _blind(shown, asked, ranges):
                 if (id(view.number.entry), ending.value.name) not in met:

@@ -4,23 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from deepbots_cli.analysis import Analysis
+from deepbots_cli.analysis.conditions import ORDER_PRESERVING, Comparison, Threshold, comparisons, is_clock, is_one_comparison, thresholds
+from deepbots_cli.analysis.ranges import Ranges, with_unit
+from deepbots_cli.analysis.returns import RewardTerms, Terms
 from deepbots_cli.diagnostics import Finding, Fix, Label
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH
 from deepbots_cli.expressions.intervals import NEVER, Interval
 from deepbots_cli.expressions.scalar import Name, Op, Scalar, State, World, children
 from deepbots_cli.expressions.unification import negated_text
-from deepbots_cli.lint.analysis import (
-    ORDER_PRESERVING,
-    Analysis,
-    Comparison,
-    RewardTerms,
-    RuleContext,
-    Terms,
-    Threshold,
-    is_clock,
-    thresholds,
-)
-from deepbots_cli.lint.ranges import Ranges, with_unit
+from deepbots_cli.lint.context import RuleContext
 from deepbots_cli.program.task import Ending
 from deepbots_cli.program.values import Expression
 from deepbots_cli.scenario.sensors import SENSORS
@@ -87,8 +80,8 @@ def _wrong_sign(term: Expression, headline: str, also: tuple[Label, ...]) -> Fin
 def _away_from_success(reward: RewardTerms, ordinary: Terms, ending: Ending) -> Iterator[Finding]:
     """Terms that pay for the opposite of the one comparison of a success."""
     analysis, running = reward.analysis, reward.ranges_while_running()
-    compared = list(analysis.comparisons(ending.value))
-    if len(compared) != 1 or not analysis.is_one_comparison(ending.value):
+    compared = list(comparisons(analysis, ending.value))
+    if len(compared) != 1 or not is_one_comparison(analysis, ending.value):
         return
     for threshold in thresholds(compared[0], running):
         if is_clock(analysis, threshold.quantity):
@@ -244,8 +237,8 @@ def pays_towards_failure(context: RuleContext) -> Iterator[Finding]:
         return
     ordinary, _ = reward.split_by_end()
     for ending in context.program.endings:
-        compared = list(analysis.comparisons(ending.value)) if ending.outcome == "failure" else []
-        if len(compared) != 1 or not analysis.is_one_comparison(ending.value):
+        compared = list(comparisons(analysis, ending.value)) if ending.outcome == "failure" else []
+        if len(compared) != 1 or not is_one_comparison(analysis, ending.value):
             continue
         threshold = next(thresholds(compared[0], reward.ranges_while_running()), None)
         if threshold is None or not _counts_from_middle(reward, threshold):

@@ -9,29 +9,20 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import signal
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.compiler.inputs import Inputs
-from deepbots_cli.compiler.namespace import Namespace
-from deepbots_cli.diagnostics import Span
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.errors import MissingExtraError
-from deepbots_cli.expressions.scalar import Name, walk
-from deepbots_cli.lint.analysis import RuleContext
 from deepbots_cli.processes import python_command, python_environment
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Sensor
-from deepbots_cli.program.task import Choices, Observation
-from deepbots_cli.program.values import Expression
-from deepbots_cli.program.world import ARENA_WALLS, GROUND
+from deepbots_cli.program.task import Choices
 
 # What is simulated
 
@@ -387,179 +378,3 @@ def _halt(code: int, limits: Limits) -> Halt:
     if code == OUT_OF_MEMORY:
         return Halt("memory", f"{limits.memory} MiB")
     return Halt("crash" if name in _CRASHES else "killed", name or f"exit code {code}")
-
-
-# For the rules
-
-
-@dataclass(frozen=True, eq=False)
-class MeasuredNumber:
-    """One number of the observation: its entry, its component, and its place among all numbers."""
-
-    entry: Observation
-    component: int
-    place: int
-
-    @property
-    def name(self) -> str:
-        """`pole.x`."""
-        parts = self.entry.value.components
-        return f"{self.entry.value.name}.{parts[self.component]}" if parts else self.entry.value.name
-
-    @property
-    def low(self) -> float:
-        return self.entry.low[self.component]
-
-    @property
-    def high(self) -> float:
-        return self.entry.high[self.component]
-
-
-Section = Literal["observation", "reward", "other"]
-
-
-class FailedExpression(NamedTuple):
-    """The definition that had no value when an episode stopped, and the section that needs it."""
-
-    name: str
-    span: Span
-    section: Section
-    notes: tuple[str, ...]
-
-
-class Simulation(RuleContext):
-    """A scenario and the report of its simulation."""
-
-    def __init__(self, checked: CheckedScenario, program: Program, namespace: Namespace, report: SimulationReport) -> None:
-        super().__init__(checked, program, namespace)
-        self.plan = simulation_plan(program)
-        self.report = report
-        self.measured = {by: found for by, found in report.measured.items() if found.steps}
-        """By policy; only policies that made a step."""
-        self.steps = sum(found.steps for found in self.measured.values())
-        self.is_complete = report.done and report.stop is None
-        """Whether nothing stopped the simulation, so that absence of an event means something."""
-        self.robot_names = tuple(robot.name for robot in program.robots)
-        self.walls = {piece: name for name, pieces in namespace.walls.items() if pieces != ARENA_WALLS for piece in pieces}
-        """The name of the wall that each piece, such as `bay 1`, belongs to."""
-
-    @cached_property
-    def numbers(self) -> tuple[MeasuredNumber, ...]:
-        """In the order of the report."""
-        entries = [entry for entry in self.program.policy.observation if not entry.value.typed.type.picture]
-        parts = [(entry, part) for entry in entries for part in range(len(entry.value.components) or 1)]
-        return tuple(MeasuredNumber(entry, part, place) for place, (entry, part) in enumerate(parts))
-
-    def terms(self) -> Iterator[tuple[Expression, dict[str, TermStatistics]]]:
-        """Every term of the reward, with its statistics by policy."""
-        for place, term in enumerate(self.program.policy.reward):
-            yield term, {by: found.terms[place] for by, found in self.measured.items()}
-
-    # Places in the scenario
-
-    def body_span(self, name: str | None) -> Span:
-        """The definition of a body; the whole world for an unknown one."""
-        base = (name or "").partition("#")[0]
-        spec = self.checked.spec
-        if base in self.robot_names:
-            path: tuple[str, ...] = ("robots", base)
-        elif spec is not None and base in spec.objects:
-            path = ("objects", base)
-        elif base in ARENA_WALLS:
-            path = ("world", "arena")
-        elif base == GROUND:
-            path = ("world", "terrain" if self.program.world.terrain else "ground")
-        elif wall := self.walls.get(base):
-            path = ("world", "walls", wall)
-        else:
-            path = ("world",) if name else ("robots", next(iter(self.robot_names), ""))
-        return self.values.key_span(path)
-
-    def placement(self, name: str) -> Span | None:
-        """The span at which the scenario places a body; None if it does not."""
-        base = name.partition("#")[0]
-        place = next((place for place in self.analysis.placements if place.body == base), None)
-        if place is None:
-            return None
-        return self.values.key_span(tuple((place.owner or f"reset.place.{place.body}").split(".")))
-
-    # Words
-
-    def called(self, body: str) -> str:
-        """The name of a body in a sentence; a wall of one piece has the name that the scenario gives it."""
-        wall = self.walls.get(body, body)
-        return wall if list(self.walls.values()).count(wall) == 1 else body
-
-    def when(self, where: SimulationPosition | None = None) -> str:
-        """The progress of the simulation, for a note."""
-        doing, seed, step = where or self.report.where
-        if doing == "build":
-            return "while the world was built"
-        if doing == "reset":
-            return f"in the reset with seed {seed}"
-        time = f" ({step * self.program.period:.4g} s)" if step else ""
-        return f"in step {step}{time} of the episode with seed {seed}, {doing}"
-
-    @property
-    def summary(self) -> str:
-        """How much was simulated, for a note."""
-        parts = [f"{found.steps} steps of {by}" for by, found in self.measured.items()]
-        return f"simulated: {' and '.join(filter(None, (', '.join(parts[:-1]), parts[-1])))}" if parts else "nothing was simulated"
-
-    # Expressions without a value
-
-    @cached_property
-    def failed(self) -> FailedExpression | None:
-        """The expression that stopped an episode; None where none did, or where it is unknown."""
-        stop = self.report.stop or {}
-        if stop.get("kind") != "value":
-            return None
-        text = str(stop.get("text", ""))
-        notes = (self.when(), text) if text else (self.when(),)
-        terms = {term.name: term for term in self.program.policy.reward}
-        for name in map(str, stop.get("terms", ())):
-            if name in terms:
-                return FailedExpression(name, terms[name].span, "reward", notes)
-        known = dict(self._identifiers())
-        for line in map(str, stop.get("lines", ())):  # an assignment names its target first, then what it reads
-            for word in re.findall(r"(?:self\.)?([A-Za-z_]\w*)", line):
-                if word in known:
-                    value, section = known[word]
-                    return FailedExpression(value.name, value.span, section, notes)
-        return None
-
-    def _identifiers(self) -> Iterator[tuple[str, tuple[Expression, Section]]]:
-        """The identifiers of values in generated code, in the order of `codegen.text`, which appends a number to a taken one."""
-        program = self.program
-        for entry in program.policy.observation:
-            for name in (_identifier("seen", entry.value.name), _identifier(entry.value.name)):
-                yield name, (entry.value, "observation")
-        for term in program.policy.reward:
-            yield _identifier("term", term.name), (term, "reward")
-            yield _identifier(term.name, "term"), (term, "reward")
-        seen, paid = (
-            _signals_in(program, (entry.value for entry in program.policy.observation)),
-            _signals_in(program, program.policy.reward),
-        )
-        for value in program.signals:
-            section: Section = "observation" if value.name in seen else "reward" if value.name in paid else "other"
-            yield _identifier(value.name), (value, section)
-        for ending in program.endings:
-            yield _identifier(ending.value.name), (ending.value, "other")
-
-
-def _identifier(*parts: str) -> str:
-    return re.sub(r"\W", "_", "_".join(part for part in parts if part))
-
-
-def _signals_in(program: Program, values: Iterable[Expression]) -> set[str]:
-    """The signals that values depend on."""
-    signals = {signal.name: signal.scalars for signal in program.signals}
-    found: set[str] = set()
-    waiting = [scalar for value in values for scalar in value.scalars]
-    while waiting:
-        for node in walk(waiting.pop()):
-            if isinstance(node, Name) and node.name in signals and node.name not in found:
-                found.add(node.name)
-                waiting += signals[node.name]
-    return found

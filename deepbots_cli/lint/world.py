@@ -8,6 +8,8 @@ from math import hypot
 from typing import Any
 
 from deepbots_cli import footprint
+from deepbots_cli.analysis import Analysis
+from deepbots_cli.analysis.ranges import StartRanges, is_level, with_unit
 from deepbots_cli.compiler.robots import joint_dimension
 from deepbots_cli.compiler.values import ValueReader
 from deepbots_cli.diagnostics import Finding, Label, Span
@@ -17,11 +19,10 @@ from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, MASS
 from deepbots_cli.expressions.functions import contains_draw
 from deepbots_cli.expressions.intervals import ALWAYS, single
 from deepbots_cli.expressions.scalar import World
-from deepbots_cli.expressions.types import Stage
-from deepbots_cli.lint.analysis import Analysis, RuleContext, names_in
+from deepbots_cli.expressions.types import Stage, referenced_names
+from deepbots_cli.lint.context import RuleContext, Simulation
 from deepbots_cli.lint.observations import may_be_noisy
-from deepbots_cli.lint.ranges import StartRanges, is_level, with_unit
-from deepbots_cli.lint.simulation import Overlap, Simulation
+from deepbots_cli.lint.simulation import Overlap
 from deepbots_cli.program import Program
 from deepbots_cli.program.resets import Placement
 from deepbots_cli.program.robots import Route, Sensor
@@ -371,7 +372,7 @@ def requirement_not_redrawn(context: RuleContext) -> Iterator[Finding]:
     facts = [fact for fact in analysis.walk_definitions(node) if isinstance(fact, World)]
     bodies = {subject.partition(".")[0].partition("#")[0] for fact in facts for subject in fact.subjects}
     places = [place for place in analysis.placements if place.body in bodies]
-    names = {name for place in places for coordinate in place.coordinates.values() for name in names_in(coordinate.typed)}
+    names = {name for place in places for coordinate in place.coordinates.values() for name in referenced_names(coordinate.typed)}
     sources = sorted((analysis.drawn_dependencies(node) | names) & drawn)
     bent = {subject.partition(".")[0] for fact in facts if not _is_of_root(program, fact) for subject in fact.subjects}
     if sources and not _is_drawn_again(program, places, bent) and analysis.start.of(node) != ALWAYS:

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from deepbots_cli.analysis import Analysis
 from deepbots_cli.expressions.scalar import Name, Scalar, World
-from deepbots_cli.lint.analysis import Analysis
 from deepbots_cli.program import Program
 from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import RobotBody, WorldModel

@@ -12,8 +12,7 @@ import pytest
 
 from deepbots_cli import api, lint
 from deepbots_cli.diagnostics import Finding, Source
-from deepbots_cli.lint.analysis import RuleContext
-from deepbots_cli.lint.simulation import Simulation
+from deepbots_cli.lint.context import RuleContext, Simulation
 from deepbots_cli.lsp.server import diagnostics
 from deepbots_cli.lsp.workspace import Document, analyse
 

@@ -14,7 +14,7 @@ from deepbots_cli.diagnostics import RULES, Findings
 from deepbots_cli.diagnostics.findings import Source, suppress
 from deepbots_cli.document import loads
 from deepbots_cli.lint import SIMULATED_RULES, STATIC_RULES, Page, code_of, every_page, simulate, static_findings
-from deepbots_cli.lint.analysis import StaticRule
+from deepbots_cli.lint.context import StaticRule
 from deepbots_cli.robots.reader import read
 from tests.few import few
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepbots_cli import api, learning
+from deepbots_cli.analysis import possible_returns
 from deepbots_cli.cli import records, terminal
 from deepbots_cli.cli.command import (
     MAX_SEED,
@@ -37,7 +38,6 @@ from deepbots_cli.files import check_output
 from deepbots_cli.learning import report
 from deepbots_cli.learning.group import Group, is_group
 from deepbots_cli.learning.run import Run, in_parentheses
-from deepbots_cli.lint.rewards import possible_returns
 from deepbots_cli.program.identity import task_digest
 
 if TYPE_CHECKING:

@@ -12,6 +12,7 @@ from statistics import fmean
 from typing import TYPE_CHECKING, Annotated, Any
 
 from deepbots_cli import api, rollout
+from deepbots_cli.analysis import possible_returns
 from deepbots_cli.cli import records, terminal
 from deepbots_cli.cli.command import (
     AllowCode,
@@ -33,7 +34,6 @@ from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.episodes import Summary
-from deepbots_cli.lint.rewards import possible_returns
 from deepbots_cli.program.task import ActionRange, Choices
 from deepbots_cli.rollout import Driver, Episode
 from deepbots_cli.rollout.drivers import named_driver, sequence_driver

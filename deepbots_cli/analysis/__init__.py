@@ -1,0 +1,332 @@
+"""From a program to what is known of its values without a simulation.
+
+`Analysis` follows names to their definitions as scalar trees, message fields to the sensors behind them, and sensors to the facts that
+they measure. It says which values are the same quantity, whatever their names, and what a value depends on.
+
+ranges.py      the interval of a value, in any step and right after a reset; intervals as text
+conditions.py  the comparisons in a condition, the thresholds that they set, endings that hide others
+returns.py     what the terms of the reward pay in a step and at an end, and the return of an episode
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from typing import cast
+from weakref import proxy
+
+from deepbots_cli.analysis.conditions import shadowed_endings
+from deepbots_cli.analysis.ranges import Ranges, StartRanges
+from deepbots_cli.analysis.returns import RewardTerms, return_range
+from deepbots_cli.expressions.lower import Lowering, Scalars
+from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar, State, World
+from deepbots_cli.expressions.scalar import children as parts
+from deepbots_cli.expressions.types import Constant, Invocation, Operation, Reference, Stage, Symbol, Type, Typed
+from deepbots_cli.program import Program
+from deepbots_cli.program.resets import Placement
+from deepbots_cli.program.robots import Sensor
+from deepbots_cli.program.task import Ending, Goal
+from deepbots_cli.program.values import Expression
+from deepbots_cli.program.world import RobotBody
+from deepbots_cli.robots.model import Pose
+
+_DURATION_FUNCTIONS = ("duration", "integral")
+_NO_NAMES: frozenset[str] = frozenset()
+_TIME_NAMES = frozenset({"time"})
+
+
+class _CachedLowering(Lowering):
+    """Returns the same objects for the same part of a tree, and notes the types of the names in `leaves`."""
+
+    def __init__(self, owner: str, leaves: dict[str, Type]) -> None:
+        super().__init__(owner)
+        self._leaves = leaves
+        self._lowered: dict[int, tuple[Typed, Scalars]] = {}
+
+    def scalars(self, value: Typed) -> Scalars:
+        known = self._lowered.get(id(value))
+        if known is None:
+            if isinstance(value, Reference):
+                self._leaves[value.symbol.name] = value.type
+            known = self._lowered[id(value)] = (value, super().scalars(value))  # a tree that is kept keeps its id
+        return known[1]
+
+
+class Analysis:
+    """One program, with everything that several rules ask worked out once.
+
+    A sensor stands for what it measures only where its readings are exact, and a value with noise is not followed. The `ideal`
+    analysis ignores faults and noise.
+    """
+
+    def __init__(self, program: Program, *, exact: Analysis | None = None) -> None:
+        """`exact` is the analysis of the same program of which this is the ideal one; they share lowered trees."""
+        self.program = program
+        self._self = cast("Analysis", proxy(self))
+        """For ranges and rewards, which the analysis holds: collecting the cycles took 7 % of the time of linting 200 files."""
+        self.leaves: dict[str, Type] = exact.leaves if exact else {}
+        """Types of names without definition, such as action variables and readings."""
+        self._is_ideal = exact is not None
+        self._robots = {robot.name: robot for robot in program.robots}
+        self.intangible = frozenset(thing.name for thing in program.world.objects if not thing.solid)
+        """Objects that nothing touches."""
+        self._roots = {f"{robot.name}.{robot.model.root}": robot.name for robot in program.world.robots}
+        self._defined: dict[str, tuple[Expression, str]] = {value.name: (value, "") for value in (*program.parameters, *program.signals)}
+        self._defined |= {ending.value.name: (ending.value, "") for ending in program.endings}
+        self._defined |= {f"{robot.name}.{value.name}": (value, robot.name) for robot in program.robots for value in robot.emit}
+        if program.policy.goal is not None:
+            self._defined |= {"achieved": (program.policy.goal.achieved, ""), "desired": (program.policy.goal.desired, "")}
+            self._defined["goal_reached"] = (_goal_reached(program.policy.goal), "")
+        self._components: dict[str, dict[str | None, Scalar]] = {}
+        self._lowerings: dict[str, _CachedLowering] = exact._lowerings if exact else {}
+        self._dependencies: dict[int, tuple[Scalar, frozenset[str]]] = {}
+        self._sources: dict[int, tuple[Scalar, frozenset[str]]] = {}
+        self._identities: dict[int, tuple[Scalar, int]] = {}
+        self._numbers: dict[tuple[object, ...], int] = {}
+        self._ranges: dict[tuple[float, float], Ranges] = {}
+        self.period = program.world.timestep * program.action_repeat
+        """Seconds between two actions."""
+        self.last_step = program.truncation.max_episode_steps(self.period)
+        """The step at which an episode is truncated at the latest."""
+
+    @cached_property
+    def ideal(self) -> Analysis:
+        return Analysis(self.program, exact=self)
+
+    @cached_property
+    def ranges(self) -> Ranges:
+        """Value ranges in any step of an episode."""
+        return Ranges(self._self)
+
+    @cached_property
+    def start(self) -> StartRanges:
+        """Value ranges right after a reset."""
+        return StartRanges(self._self)
+
+    @cached_property
+    def reward(self) -> RewardTerms:
+        return RewardTerms(self._self)
+
+    @cached_property
+    def shadowed(self) -> Mapping[Ending, Ending]:
+        """Endings that have no effect, each with the ending that always holds first."""
+        return shadowed_endings(self)
+
+    def ranges_in(self, first: float, last: float) -> Ranges:
+        """Value ranges in these steps."""
+        if (first, last) not in self._ranges:
+            self._ranges[first, last] = Ranges(self._self, {}, (first, last))
+        return self._ranges[first, last]
+
+    @property
+    def placements(self) -> list[Placement]:
+        """The placements of the reset and of all its layouts."""
+        reset = self.program.reset
+        return [*reset.placements, *(place for layout in reset.layouts for place in layout.placements)]
+
+    def body(self, robot: str) -> RobotBody:
+        return next(body for body in self.program.world.robots if body.name == robot)
+
+    # Definitions
+
+    def expression_named(self, name: str) -> Expression | None:
+        """The definition of a name, where it has one."""
+        found = self._defined.get(name)
+        return found[0] if found else None
+
+    def scalars(self, value: Expression) -> tuple[Scalar, ...]:
+        """A value of the supervisor, per component. Of a value in Python only the type is known."""
+        return self.lowered(value.typed, value.owner)
+
+    def lowered(self, typed: Typed, owner: str) -> tuple[Scalar, ...]:
+        """A tree of the supervisor, per component; the same objects each time."""
+        if owner not in self._lowerings:
+            self._lowerings[owner] = _CachedLowering(owner, self.leaves)
+        return self._lowerings[owner].scalars(typed)
+
+    def resolve_aliases(self, node: Scalar) -> Scalar:
+        """The definition of a name, through names that only rename; any other tree is returned as it is."""
+        for _ in range(len(self._defined) + 1):
+            found = self.definition(node) if isinstance(node, Name) else None
+            if found is None:
+                break
+            node = found
+        return node
+
+    def is_noisy(self, name: str) -> bool:
+        """Whether a name stands for a measurement with noise, which is not followed."""
+        return not self._is_ideal and name in self._defined and self._defined[name][0].noise is not None
+
+    def definition(self, node: Name) -> Scalar | None:
+        """The definition of a name, which may be another name; None for a leaf."""
+        return None if self.is_noisy(node.name) else self.definition_without_noise(node)
+
+    def definition_without_noise(self, node: Name) -> Scalar | None:
+        """The definition of a name regardless of noise: the exact value."""
+        if node.name not in self._defined or self._defined[node.name][0].foreign is not None:
+            return None
+        if node.name not in self._components:
+            value, robot = self._defined[node.name]
+            trees = self.value_on_robot(value, robot) if robot else self.scalars(value)
+            names = value.components if len(trees) > 1 else (None,)
+            self._components[node.name] = dict(zip(names, trees, strict=False))
+        known = self._components[node.name]
+        return known[node.component] if node.component in known else next(iter(known.values()))
+
+    def value_on_robot(self, value: Expression, robot: str) -> Scalars:
+        """A value of a robot controller, per component. Its leaves are called `robot:name`."""
+        met: dict[str, Type] = {}
+        trees = _CachedLowering(value.owner, met).scalars(value.typed)
+        self.leaves.update((f"{robot}:{name}", known) for name, known in met.items())
+        return tuple(self._on_robot(tree, robot) for tree in trees)
+
+    def _on_robot(self, node: Scalar, robot: str) -> Scalar:
+        match node:
+            case Name(name, component):
+                sensor = next((sensor for sensor in self._robots[robot].sensors if sensor.name == name), None)
+                if sensor is not None and (
+                    (self._is_ideal and sensor.world_function is not None and sensor.mount == Pose()) or sensor.is_direct
+                ):
+                    return sensor.world_value(robot, component)
+                return node if name in self._defined else Name(f"{robot}:{name}", component)
+            case Op(op, args):
+                return Op(op, tuple(self._on_robot(arg, robot) for arg in args))
+            case State(function, args, slot):
+                return State(function, tuple(self._on_robot(arg, robot) for arg in args), slot)
+            case _:
+                return node
+
+    def sensor(self, leaf: Scalar) -> tuple[str, Sensor] | None:
+        """The robot and the sensor of a reading."""
+        robot, _, name = leaf.name.partition(":") if isinstance(leaf, Name) else ("", "", "")
+        sensors = self._robots[robot].sensors if name and robot in self._robots else ()
+        return next(((robot, sensor) for sensor in sensors if sensor.name == name), None)
+
+    # Dependencies
+
+    def dependencies(self, node: Scalar) -> frozenset[str]:
+        """All names that a value depends on, its own included; `time` where it depends on how long something lasts."""
+        known = self._dependencies.get(id(node))
+        if known is None:
+            known = self._dependencies[id(node)] = (node, self._compute_dependencies(node))
+        return known[1]
+
+    def _compute_dependencies(self, node: Scalar) -> frozenset[str]:
+        match node:
+            case Name(name):
+                meant = self.definition(node)
+                return frozenset((name,)) if meant is None else self.dependencies(meant) | {name}
+            case Const() | World():
+                return _NO_NAMES
+            case State(function) if function in _DURATION_FUNCTIONS:
+                return _TIME_NAMES.union(*map(self.dependencies, node.args))
+            case _:
+                return _NO_NAMES.union(*map(self.dependencies, node.args))
+
+    def drawn_dependencies(self, node: Scalar) -> frozenset[str]:
+        """The drawn parameters and the bodies that a value depends on, among other names."""
+        known = self._sources.get(id(node))
+        if known is None:
+            known = self._sources[id(node)] = (node, frozenset(self._found_sources(node)))
+        return known[1]
+
+    def _found_sources(self, node: Scalar) -> Iterator[str]:
+        match node:
+            case Name(name):
+                yield name
+                meant = self.definition(node)  # name by name: a parameter may be behind another name
+                if meant is not None:
+                    yield from self.drawn_dependencies(meant)
+                sensor = self.sensor(self.resolve_aliases(node))
+                if sensor is not None:
+                    yield sensor[0]
+            case World(_, subjects):
+                yield from (subject.partition(".")[0].partition("#")[0] for subject in subjects)
+            case _:
+                for part in parts(node):
+                    yield from self.drawn_dependencies(part)
+
+    def walk_definitions(self, node: Scalar) -> Iterator[Scalar]:
+        """A value and everything that it is made of, through all names; each quantity once."""
+        met: set[int] = set()
+        waiting = [node]
+        while waiting:
+            node = self.resolve_aliases(waiting.pop())
+            if self.identity(node) not in met:
+                met.add(self.identity(node))
+                yield node
+                waiting += parts(node)
+
+    # Equal quantities
+
+    def own_contacts(self, node: Scalar) -> list[str]:
+        """The contacts between links of one robot, which are never true: links of one robot do not touch each other."""
+        found = [part for part in self.walk_definitions(node) if isinstance(part, World) and part.function == "contact"]
+        owners = [(part, {name.partition(".")[0] for name in part.subjects}) for part in found]
+        copies = self.program.policy.copies
+        robots = self._robots.keys() - {copies.robot if copies else ""}  # a copy may touch another one
+        return sorted({f"contact({', '.join(part.subjects)})" for part, of in owners if len(of) == 1 and of <= robots})
+
+    def identity(self, node: Scalar) -> int:
+        """A number that two trees share if they mean the same quantity."""
+        known = self._identities.get(id(node))
+        if known is None:
+            known = self._identities[id(node)] = (node, self._identity(node))
+        return known[1]
+
+    def _identity(self, node: Scalar) -> int:
+        match node:
+            case Name():
+                meaning = self.resolve_aliases(node)
+                return self._number("name", meaning.name, meaning.component) if isinstance(meaning, Name) else self.identity(meaning)
+            case Const(value):
+                return self._number("const", value)
+            case World(function, subjects, component):
+                return self._number("world", function, subjects, component)
+            case Op(op, args):
+                return self._number(op, *map(self.identity, args))
+            case State(function, args, _):
+                return self._number(function, *map(self.identity, args))
+            case Draw(_, _, stream):
+                return self._number("draw", stream)
+
+    def _number(self, *key: object) -> int:
+        return self._numbers.setdefault(key, len(self._numbers))
+
+    def distance_pair(self, node: Scalar) -> frozenset[str] | None:
+        """The two bodies whose distance this is, by any measure: between origins, between surfaces, or along a path."""
+        match self.resolve_aliases(node):
+            case World("clearance" | "path_distance", subjects):
+                return frozenset(self._roots.get(subject, subject) for subject in subjects)
+            case Op("hypot", args):
+                pairs = {self._offset(arg) for arg in args}
+                return pairs.pop() if len(pairs) == 1 else None
+            case _:
+                return None
+
+    def _offset(self, node: Scalar) -> frozenset[str] | None:
+        match node:
+            case Op("sub", (World("position", (a,), axis), World("position", (b,), other))) if axis == other:
+                return frozenset({self._roots.get(a, a), self._roots.get(b, b)})
+            case _:
+                return None
+
+
+def _goal_reached(goal: Goal) -> Expression:
+    """The definition of `goal_reached`, as if it had been written out. It has no place in the scenario: its owner is empty."""
+    distance_text, limit = "norm(achieved - desired)", f"{goal.tolerance:g} {goal.achieved.typed.type.dimension}".strip()
+    text, end = f"{distance_text} <= {limit}", len(distance_text)
+    size = Type(goal.achieved.typed.type.dimension, stage=Stage.STEP)
+    whole = size._replace(components=goal.achieved.typed.type.components)
+    sides = tuple(Reference(whole, 0, end, Symbol(name, whole)) for name in ("achieved", "desired"))
+    difference = Operation(whole, 0, end, "sub", sides)
+    distance = Invocation(size, 0, end, "norm" if whole.components else "abs", (), (difference,))
+    within = Constant(size, end + 4, len(text), (goal.tolerance,))
+    typed = Operation(Type(boolean=True, stage=Stage.STEP), 0, len(text), "less_equal", (distance, within))
+    return Expression("goal_reached", goal.achieved.span, text, typed, "")
+
+
+def possible_returns(program: Program) -> tuple[float, float]:
+    """The least and the largest return of an episode that rewards and time limit allow; infinite where they imply none."""
+    known = return_range(Analysis(program))
+    return known.low, known.high

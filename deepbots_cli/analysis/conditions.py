@@ -1,0 +1,204 @@
+"""Conditions: the comparisons in them, the thresholds that these set for quantities, and endings that hide others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, NamedTuple
+
+from deepbots_cli.analysis.ranges import Ranges
+from deepbots_cli.expressions import intervals as iv
+from deepbots_cli.expressions.dimensions import Dimension
+from deepbots_cli.expressions.intervals import ALWAYS, INF, Interval
+from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar, State, World
+from deepbots_cli.expressions.types import Invocation, Operation, Reference, Stage, Typed
+from deepbots_cli.program.task import Ending
+from deepbots_cli.program.values import Expression
+
+if TYPE_CHECKING:
+    from deepbots_cli.analysis import Analysis
+
+ORDER_PRESERVING = frozenset({"running_max", "running_min", "low_pass", "hold"})
+"""Functions with a memory that rise with their argument."""
+_COMPARISONS = ("less", "less_equal", "greater", "greater_equal")
+_CLOCK_NAMES = frozenset({"time", "step", "episode_return", "previous_reward"})
+_MIN_LEAD_SHARE = 0.02
+"""By this share of its limit another ending has to hold first: a value may pass both limits within a step."""
+_MAX_ENDINGS = 32
+"""With more endings, not all pairs are compared."""
+_CONTINUOUS_FUNCTIONS = frozenset({"position", "orientation", "joint_position", "clearance", "cross_track_error", "arc_length"})
+"""Facts that do not jump, unlike speeds and forces when bodies collide."""
+
+
+class Comparison(NamedTuple):
+    """A comparison in a condition, and the named value whose text holds it."""
+
+    value: Expression
+    node: Operation
+
+
+def comparisons(analysis: Analysis, condition: Expression) -> Iterator[Comparison]:
+    """Comparisons of which at least one must hold for the condition to hold; also those within `duration(...)`."""
+    yield from _compared(analysis, condition, condition.typed, set()) if condition.foreign is None else ()
+
+
+def _compared(analysis: Analysis, value: Expression, node: Typed, met: set[str]) -> Iterator[Comparison]:
+    match node:
+        case Operation(operator=operator) if operator in _COMPARISONS:
+            held = _held_for(node)
+            yield from _compared(analysis, value, held, met) if held else (Comparison(value, node),)
+        case Operation(operator="and" | "or", args=args):
+            for arg in args:
+                yield from _compared(analysis, value, arg, met)
+        case Reference(symbol=symbol) if (meant := analysis.expression_named(symbol.name)) is not None and meant.typed.type.boolean:
+            if symbol.name not in met and meant.foreign is None:
+                met.add(symbol.name)
+                yield from _compared(analysis, meant, meant.typed, met)
+
+
+def is_one_comparison(analysis: Analysis, condition: Expression) -> bool:
+    """Whether a condition is a comparison, and no conjunction or disjunction."""
+    meaning = analysis.resolve_aliases(analysis.scalars(condition)[0])
+    return isinstance(meaning, Op) and meaning.op in _COMPARISONS
+
+
+def _held_for(node: Operation) -> Typed | None:
+    """The condition of `duration(condition) > 1 s`."""
+    long, short = node.args if node.operator.startswith("greater") else node.args[::-1]
+    is_long = isinstance(long, Invocation) and long.function == "duration" and not isinstance(short, Invocation)
+    return long.args[0] if is_long and isinstance(long, Invocation) else None
+
+
+class Threshold(NamedTuple):
+    """A condition needs `quantity` above (or below) some value in `bound`; `dimension` is None where it is unknown.
+
+    `now` is false where the condition may hold without: `running_max(x) > 1 m` holds for ever after, and `abs(x) > 1 m` needs one of
+    two things.
+    """
+
+    quantity: Scalar
+    above: bool
+    bound: Interval
+    dimension: Dimension | None = None
+    now: bool = True
+
+    @property
+    def limit(self) -> float:
+        """The first value of the quantity at which the condition may hold."""
+        return self.bound.low if self.above else self.bound.high
+
+
+def is_clock(analysis: Analysis, quantity: Scalar) -> bool:
+    """Whether a quantity is the time or the return, which advance by themselves."""
+    meaning = analysis.resolve_aliases(quantity)
+    return isinstance(meaning, Name) and meaning.name in _CLOCK_NAMES
+
+
+def has_choice(analysis: Analysis, condition: Expression) -> bool:
+    """Whether one part of a condition may hold without the others."""
+    met: set[int] = set()
+    waiting = [analysis.scalars(condition)[0]]
+    while waiting:
+        node = analysis.resolve_aliases(waiting.pop())
+        if isinstance(node, Op) and node.op == "or":
+            return True
+        if isinstance(node, Op) and node.op == "and" and analysis.identity(node) not in met:
+            met.add(analysis.identity(node))
+            waiting += node.args
+    return False
+
+
+def thresholds(comparison: Comparison, ranges: Ranges) -> Iterator[Threshold]:
+    """The thresholds that a comparison sets for each quantity of its sides, for each component."""
+    analysis, node = ranges.analysis, comparison.node
+    left, right = (analysis.lowered(arg, comparison.value.owner) for arg in node.args)
+    count = max(len(left), len(right))
+    rising = node.operator.startswith("greater")
+    dimension = node.args[0].type.dimension
+    for a, b in zip(left * (count // len(left)), right * (count // len(right)), strict=True):
+        for side, other, typed, above in ((a, b, node.args[0], rising), (b, a, node.args[1], not rising)):
+            bound = ranges.of(other)
+            if bound.is_finite and typed.type.stage is Stage.STEP:
+                yield from _derived(Threshold(side, above, bound, dimension), ranges)
+
+
+def _derived(threshold: Threshold, ranges: Ranges) -> Iterator[Threshold]:
+    """A threshold, and those of the quantities that its quantity is made of."""
+    yield threshold
+    meaning = ranges.analysis.resolve_aliases(threshold.quantity)
+    match meaning:
+        case Op("abs", (inner,)) if threshold.above or ranges.of(inner).low >= 0.0:
+            now = threshold.now and ranges.of(inner).low >= 0.0
+            yield from _derived(threshold._replace(quantity=inner, now=now), ranges)
+            if threshold.above:
+                yield from _derived(Threshold(inner, False, iv.negate(threshold.bound), threshold.dimension, False), ranges)
+        case Op("neg", (inner,)):
+            yield from _derived(threshold._replace(quantity=inner, above=not threshold.above, bound=iv.negate(threshold.bound)), ranges)
+        case Op("add" | "sub" | "mul" | "div" as op, (a, b)):
+            yield from _solved(op, a, b, threshold, ranges)
+        case State(function, (inner, *_)) if function in ORDER_PRESERVING:
+            yield from _derived(threshold._replace(quantity=inner, now=False), ranges)
+        case Name() if meaning != threshold.quantity:
+            yield threshold._replace(quantity=meaning)
+
+
+def _solved(op: str, a: Scalar, b: Scalar, threshold: Threshold, ranges: Ranges) -> Iterator[Threshold]:
+    """`a + b > c` needs a > c - b, where b is known."""
+    known, unknown = (ranges.of(b), a) if ranges.of(b).is_finite else (ranges.of(a), b)
+    if not known.is_finite or ranges.of(unknown).is_single:
+        return
+    if op in ("mul", "div") and (known.low <= 0.0 <= known.high or (op == "div" and unknown is b)):
+        return
+    above = threshold.above
+    match op:
+        case "add":
+            bound = iv.subtract(threshold.bound, known)
+        case "sub" if unknown is a:
+            bound = iv.add(threshold.bound, known)
+        case "sub":
+            bound, above = iv.subtract(known, threshold.bound), not above
+        case _:
+            solve = iv.divide if op == "mul" else iv.multiply
+            bound, above = solve(threshold.bound, known), above == (known.low > 0.0)
+    dimension = threshold.dimension if op in ("add", "sub") else None
+    yield from _derived(Threshold(unknown, above, bound, dimension, threshold.now), ranges)
+
+
+def shadowed_endings(analysis: Analysis) -> Mapping[Ending, Ending]:
+    """Endings that have no effect, each with the ending that always holds first: `abs(x) > 45 cm` after `abs(x) > 39 cm`.
+
+    A failure has precedence over a success, so a failure behind a success still counts.
+    """
+    program, ranges = analysis.program, analysis.ranges_in(0.0, INF)
+    own = [ending for ending in program.endings if ending.foreign is None and not ranges.of(analysis.scalars(ending.value)[0]).is_single]
+    found: dict[Ending, Ending] = {}
+    for late in own if 1 < len(own) <= _MAX_ENDINGS else ():
+        others = [other for other in own if other is not late and late.outcome in (other.outcome, "success")]
+        if not others or has_choice(analysis, late.value):
+            continue
+        for comparison in comparisons(analysis, late.value):
+            for threshold in thresholds(comparison, ranges):
+                if not threshold.now or not _is_gradual(analysis, threshold.quantity):
+                    continue
+                ahead = threshold.limit - (1.0 if threshold.above else -1.0) * _MIN_LEAD_SHARE * abs(threshold.limit)
+                there = ranges.where(
+                    analysis.identity(threshold.quantity), Interval(ahead, INF) if threshold.above else Interval(-INF, ahead)
+                )
+                first = next((other for other in others if there.of(analysis.scalars(other.value)[0]) == ALWAYS), None)
+                if first is not None:
+                    found.setdefault(late, first)
+    return found
+
+
+def _is_gradual(analysis: Analysis, quantity: Scalar) -> bool:
+    parameters = {value.name for value in analysis.program.parameters}
+    for node in analysis.walk_definitions(quantity):
+        match node:
+            case World(function) if function in _CONTINUOUS_FUNCTIONS:
+                continue
+            case Name(name) if name in parameters or is_clock(analysis, node):
+                continue
+            case Const() | Op():
+                continue
+            case _:
+                return False
+    return True

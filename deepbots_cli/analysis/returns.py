@@ -1,0 +1,93 @@
+"""The value of each reward term in a step and at an end, and the return that an episode can have."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from deepbots_cli.analysis.ranges import Ranges
+from deepbots_cli.expressions import intervals as iv
+from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, Interval
+from deepbots_cli.expressions.scalar import Scalar
+from deepbots_cli.program.task import Ending
+from deepbots_cli.program.values import Expression
+
+if TYPE_CHECKING:
+    from deepbots_cli.analysis import Analysis
+
+Terms = list[tuple[Expression, Scalar]]
+
+
+class RewardTerms:
+    """The value of each reward term, in a step after which the episode goes on and in the step that ends it.
+
+    `terms` are those that are not written in Python; `is_complete` says whether these are all.
+    """
+
+    def __init__(self, analysis: Analysis) -> None:
+        self.analysis = analysis
+        self.program = analysis.program
+        self.terms = [(term, analysis.scalars(term)[0]) for term in self.program.policy.reward if term.foreign is None]
+        self.is_complete = len(self.terms) == len(self.program.policy.reward)
+        self._steps = (1.0, float(analysis.last_step))
+        self._running: dict[tuple[float, float], Ranges] = {}
+        self._at: dict[Ending | None, Ranges] = {}
+
+    def ranges_while_running(self, steps: tuple[float, float] | None = None) -> Ranges:
+        """Ranges in a step after which the episode goes on."""
+        steps = steps or self._steps
+        if steps not in self._running:
+            self._running[steps] = Ranges(self.analysis, self._end_flags_at(None, truncated=False), steps)
+        return self._running[steps]
+
+    def ranges_at(self, ending: Ending | None) -> Ranges:
+        """Ranges in the step in which this ending holds, and no other; None stands for the truncation."""
+        if ending not in self._at:
+            self._at[ending] = Ranges(self.analysis, self._end_flags_at(ending, truncated=ending is None), self._steps)
+        return self._at[ending]
+
+    @property
+    def endings_and_truncation(self) -> tuple[Ending | None, ...]:
+        """All endings, and None for the truncation."""
+        return (*self.program.endings, None)
+
+    def _end_flags_at(self, ending: Ending | None, *, truncated: bool) -> dict[str, Interval]:
+        holds = {entry.value.name: entry is ending for entry in self.program.endings}
+        holds |= {"terminated": ending is not None, "truncated": truncated, "ended": truncated or ending is not None}
+        return {name: ALWAYS if held else NEVER for name, held in holds.items()}
+
+    def split_by_end(self) -> tuple[Terms, Terms]:
+        """The terms that pay in ordinary steps, and the terms that pay only when an episode ends."""
+        ordinary: Terms = []
+        final: Terms = []
+        for term, node in self.terms:
+            is_final = self.ranges_while_running().of(node) == NEVER and any(
+                self.ranges_at(ending).of(node) != NEVER for ending in self.endings_and_truncation
+            )
+            (final if is_final else ordinary).append((term, node))
+        return ordinary, final
+
+    def largest_final(self, final: Terms) -> float:
+        """The largest amount that the terms in `final` pay or cost at an end; infinite where that is unknown."""
+        return max(iv.absolute(total_range(final, self.ranges_at(ending))).high for ending in self.endings_and_truncation)
+
+
+def total_range(terms: Terms, ranges: Ranges) -> Interval:
+    """The sum of terms in one step."""
+    found = NEVER
+    for _, node in terms:
+        found = iv.add(found, ranges.of(node))
+    return found
+
+
+def return_range(analysis: Analysis) -> Interval:
+    """The range of the return of an episode, from the ranges of what a step and an end pay."""
+    reward = analysis.reward
+    if not reward.is_complete:
+        return Interval(-INF, INF)
+    step = total_range(reward.terms, reward.ranges_while_running())
+    end = total_range(reward.terms, analysis.ranges_in(1.0, float(analysis.last_step)))  # whichever endings hold, also several at once
+    ticks = analysis.last_step * analysis.program.action_repeat - 1
+    fewest = 0 if analysis.program.endings else ticks
+    high = step.high * (ticks if step.high > 0.0 else fewest) + end.high if step.high < INF else INF
+    low = step.low * (ticks if step.low < 0.0 else fewest) + end.low if step.low > -INF else -INF
+    return Interval(low, high)
