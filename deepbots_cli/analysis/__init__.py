@@ -19,7 +19,7 @@ from deepbots_cli.analysis.conditions import shadowed_endings
 from deepbots_cli.analysis.ranges import Ranges, StartRanges
 from deepbots_cli.analysis.returns import RewardTerms, return_range
 from deepbots_cli.expressions.lower import Lowering, Scalars
-from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar, State, World
+from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State
 from deepbots_cli.expressions.scalar import children as parts
 from deepbots_cli.expressions.types import Constant, Invocation, Operation, Reference, Stage, Symbol, Type, Typed
 from deepbots_cli.program import Program
@@ -216,7 +216,7 @@ class Analysis:
             case Name(name):
                 meant = self.definition(node)
                 return frozenset((name,)) if meant is None else self.dependencies(meant) | {name}
-            case Const() | World():
+            case Const() | EngineRead():
                 return _NO_NAMES
             case State(function) if function in _DURATION_FUNCTIONS:
                 return _TIME_NAMES.union(*map(self.dependencies, node.args))
@@ -240,7 +240,7 @@ class Analysis:
                 sensor = self.sensor(self.resolve_aliases(node))
                 if sensor is not None:
                     yield sensor[0]
-            case World(_, subjects):
+            case EngineRead(_, subjects):
                 yield from (subject.partition(".")[0].partition("#")[0] for subject in subjects)
             case _:
                 for part in parts(node):
@@ -261,7 +261,7 @@ class Analysis:
 
     def own_contacts(self, node: Scalar) -> list[str]:
         """The contacts between links of one robot, which are never true: links of one robot do not touch each other."""
-        found = [part for part in self.walk_definitions(node) if isinstance(part, World) and part.function == "contact"]
+        found = [part for part in self.walk_definitions(node) if isinstance(part, EngineRead) and part.function == "contact"]
         owners = [(part, {name.partition(".")[0] for name in part.subjects}) for part in found]
         copies = self.program.policy.copies
         robots = self._robots.keys() - {copies.robot if copies else ""}  # a copy may touch another one
@@ -281,7 +281,7 @@ class Analysis:
                 return self._number("name", meaning.name, meaning.component) if isinstance(meaning, Name) else self.identity(meaning)
             case Const(value):
                 return self._number("const", value)
-            case World(function, subjects, component):
+            case EngineRead(function, subjects, component):
                 return self._number("world", function, subjects, component)
             case Op(op, args):
                 return self._number(op, *map(self.identity, args))
@@ -296,7 +296,7 @@ class Analysis:
     def distance_pair(self, node: Scalar) -> frozenset[str] | None:
         """The two bodies whose distance this is, by any measure: between origins, between surfaces, or along a path."""
         match self.resolve_aliases(node):
-            case World("clearance" | "path_distance", subjects):
+            case EngineRead("clearance" | "path_distance", subjects):
                 return frozenset(self._roots.get(subject, subject) for subject in subjects)
             case Op("hypot", args):
                 pairs = {self._offset(arg) for arg in args}
@@ -306,7 +306,7 @@ class Analysis:
 
     def _offset(self, node: Scalar) -> frozenset[str] | None:
         match node:
-            case Op("sub", (World("position", (a,), axis), World("position", (b,), other))) if axis == other:
+            case Op("sub", (EngineRead("position", (a,), axis), EngineRead("position", (b,), other))) if axis == other:
                 return frozenset({self._roots.get(a, a), self._roots.get(b, b)})
             case _:
                 return None

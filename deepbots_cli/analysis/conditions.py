@@ -9,7 +9,7 @@ from deepbots_cli.analysis.ranges import Ranges
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.dimensions import Dimension
 from deepbots_cli.expressions.intervals import ALWAYS, INF, Interval
-from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar, State, World
+from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Op, Scalar, State
 from deepbots_cli.expressions.types import Invocation, Operation, Reference, Stage, Typed
 from deepbots_cli.program.task import Ending
 from deepbots_cli.program.values import Expression
@@ -193,7 +193,7 @@ def _is_gradual(analysis: Analysis, quantity: Scalar) -> bool:
     parameters = {value.name for value in analysis.program.parameters}
     for node in analysis.walk_definitions(quantity):
         match node:
-            case World(function) if function in _CONTINUOUS_FUNCTIONS:
+            case EngineRead(function) if function in _CONTINUOUS_FUNCTIONS:
                 continue
             case Name(name) if name in parameters or is_clock(analysis, node):
                 continue

@@ -16,7 +16,7 @@ from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.dimensions import ANGLE, NUMBER, Dimension
 from deepbots_cli.expressions.functions import FUNCTIONS, function_named
 from deepbots_cli.expressions.intervals import EVERYTHING, INF, NEVER, TRUTH, Interval, hull, single
-from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar, State, World
+from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State
 from deepbots_cli.program.resets import Placement, Region, Top
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ class Ranges:
                 return self._op(op, args)
             case Name():
                 return self._name(node)
-            case World():
+            case EngineRead():
                 return self._world(node)
             case State():
                 return self._state(node)
@@ -104,7 +104,7 @@ class Ranges:
         known = foreign.typed.type if foreign is not None else self.analysis.leaves.get(node.name)
         return known.interval_of(node.component) if known else EVERYTHING
 
-    def _world(self, node: World) -> Interval:
+    def _world(self, node: EngineRead) -> Interval:
         if node.function == "joint_position":
             robot, _, name = node.subjects[0].partition(".")
             limit = self.analysis.body(robot).model.joint(name).limit
@@ -189,11 +189,11 @@ class StartRanges(Ranges):
         self._bodies = {f"{robot.name}.{robot.model.root}": robot.name for robot in program.world.robots}
         self._bodies |= {thing.name: thing.name for thing in program.world.objects}
 
-    def _world(self, node: World) -> Interval:
+    def _world(self, node: EngineRead) -> Interval:
         found = self.initial(node)
         return super()._world(node) if found is None else found
 
-    def initial(self, node: World) -> Interval | None:
+    def initial(self, node: EngineRead) -> Interval | None:
         """The initial range of a fact, no wider than what it is drawn from; None where the scenario does not say it."""
         if not self._is_placed:
             return None

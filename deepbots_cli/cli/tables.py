@@ -13,7 +13,7 @@ from rich.text import Text
 
 from deepbots_cli.cli import terminal
 from deepbots_cli.expressions.lower import to_python
-from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar, State, World
+from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State
 
 Row = Mapping[str, object]
 
@@ -72,7 +72,7 @@ def cell_text(value: object) -> str:
     match value:
         case None:
             return "-"
-        case Const() | Name() | World() | Op() | State() | Draw():
+        case Const() | Name() | EngineRead() | Op() | State() | Draw():
             return formula_text(value)
         case bool():
             return "yes" if value else "no"
@@ -107,11 +107,11 @@ def _rounded(scalar: Scalar, digits: int) -> Scalar:
 _DRAW_SIGNS = {"uniform": " .. ", "integer": " .. ", "normal": " +- ", "choice": " | "}
 
 
-def _read(leaf: Name | World | State | Draw) -> str:
+def _read(leaf: Name | EngineRead | State | Draw) -> str:
     match leaf:
         case Name(name, component):
             return f"{name}.{component}" if component else name
-        case World(function, subjects, component):
+        case EngineRead(function, subjects, component):
             return f"{function}({', '.join(subjects)})" + (f".{component}" if component else "")
         case State(name, args) | Draw(name, args):
             between = _DRAW_SIGNS.get(name, ", ") if isinstance(leaf, Draw) else ", "

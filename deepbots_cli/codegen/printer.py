@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 from deepbots_cli.codegen.text import LOOP_VARIABLES, Constants, Names, quoted, tuple_code, with_comment
 from deepbots_cli.expressions.functions import FUNCTIONS, Family, rotation
 from deepbots_cli.expressions.lower import SCALAR, Code, Target, number_code, operation_code
-from deepbots_cli.expressions.scalar import Const, Draw, Name, NamedFloat, Op, Scalar, State, World, is_drawn
+from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, NamedFloat, Op, Scalar, State, is_drawn
 
 if TYPE_CHECKING:
     from deepbots_cli.codegen.workspace import ReaderKeys, Readers
@@ -55,7 +55,7 @@ class Scope(Protocol):
     begun_by_message: Container[tuple[str, str]]
     """The calls of stateful functions whose memories begin with the first message, and not at the reset."""
 
-    def scalar(self, leaf: Name | World, needs: ReaderKeys) -> str:
+    def scalar(self, leaf: Name | EngineRead, needs: ReaderKeys) -> str:
         """The code of one number."""
 
     def vector(self, leaves: Sequence[Name]) -> str | None:
@@ -173,7 +173,7 @@ class Printer:
                 return Code(self.draw(tree.distribution, quoted(tree.stream), [self.value(argument) for argument in tree.args]))
             case Name(name=name) if name in self._renamed:
                 return Code(self._renamed[name])
-            case Name() | World():
+            case Name() | EngineRead():
                 return Code(self.scope.scalar(tree, self.needs))
 
     def draw(self, distribution: str, stream: str, args: Sequence[str]) -> str:
@@ -224,8 +224,8 @@ class Printer:
                 return Column(f"({self.value(trees[0])},) * {len(trees)}")
             code = self.scope.vector([tree for tree in trees if isinstance(tree, Name)])
             return None if code is None else Column(code)
-        if all(isinstance(tree, World) for tree in trees):
-            found = self.scope.readers.vector([tree for tree in trees if isinstance(tree, World)], self.needs)
+        if all(isinstance(tree, EngineRead) for tree in trees):
+            found = self.scope.readers.vector([tree for tree in trees if isinstance(tree, EngineRead)], self.needs)
             return None if found is None else Column(*found)
         seen = [found for found in map(_body_frame_component, trees) if found is not None]
         if [found.axis for found in seen] == [0, 1, 2] == list(range(len(trees))) and len({found[::2] for found in seen}) == 1:
@@ -320,7 +320,7 @@ class _Loop:
             return self._printer.code(first)
         if (column := self._printer._column(trees)) is not None:
             return Code(self.variable(column))
-        if all(isinstance(tree, Name | World) or (isinstance(tree, Op) and _of_poses(tree)) for tree in trees):
+        if all(isinstance(tree, Name | EngineRead) or (isinstance(tree, Op) and _of_poses(tree)) for tree in trees):
             return Code(self.variable(Column(self._printer.tuple(trees))))
         if all(isinstance(tree, Draw) and tree.distribution == first.distribution for tree in trees if isinstance(first, Draw)):
             draws = [tree for tree in trees if isinstance(tree, Draw)]
@@ -428,7 +428,7 @@ def _matches(pattern: Scalar, tree: Scalar, bodies: dict[str, str], others: dict
         case Name(name), _:
             others[name] = tree
             return True
-        case World(function, (key,), component), World(other, (body,), axis):
+        case EngineRead(function, (key,), component), EngineRead(other, (body,), axis):
             return (function, component) == (other, axis) and bodies.setdefault(key, body) == body
         case Op(name, args), Op(other, parts):
             return (

@@ -23,7 +23,7 @@ from deepbots_cli.codegen.text import (
 from deepbots_cli.codegen.workspace import ReaderKeys, Readers, root_links, whole_vector
 from deepbots_cli.compiler.robots import rigid_root
 from deepbots_cli.expressions.lower import SCALAR, Target
-from deepbots_cli.expressions.scalar import Draw, Name, Op, Scalar, State, World, names_in, walk
+from deepbots_cli.expressions.scalar import Draw, EngineRead, Name, Op, Scalar, State, names_in, walk
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Actuator, Cartesian, CustomActuator, Motor, Robot, Sensor, Thrust
 
@@ -150,8 +150,8 @@ class ControllerPrinter:
         printer.lines[printer.reads_at : printer.reads_at] = lines
         return printer.method_lines(doc) if printer.lines or printer.needs or not doc else [*doc]
 
-    def scalar(self, leaf: Name | World, needs: ReaderKeys) -> str:
-        if isinstance(leaf, World):
+    def scalar(self, leaf: Name | EngineRead, needs: ReaderKeys) -> str:
+        if isinstance(leaf, EngineRead):
             return f"self.sense_{leaf.subjects[0].partition('.')[2]}.age" if leaf.function == "age" else self.readers.code(leaf, needs)
         if leaf.name in self._received:
             components = self._received[leaf.name]
@@ -191,7 +191,7 @@ def sampled_sensors(scenario: Program, robot: Robot) -> dict[str, Sensor]:
     on_board = [value for entry in (*robot.emitted, *robot.commands) for value in entry.scalars]
     computed = [value for entry in scenario.computed_expressions for value in entry.scalars]
     read = {leaf.name for value in on_board for leaf in names_in(value)}
-    asked = {node.subjects[0] for value in (*on_board, *computed) for node in walk(value) if isinstance(node, World)}
+    asked = {node.subjects[0] for value in (*on_board, *computed) for node in walk(value) if isinstance(node, EngineRead)}
     used = [sensor for sensor in robot.sensors if sensor.name in read or f"{robot.name}.{sensor.name}" in asked]
     return {sensor.name: sensor for sensor in used if not sensor.is_direct}
 

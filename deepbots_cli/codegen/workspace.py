@@ -1,6 +1,6 @@
 """What the parts of a printed class share: its scenario, the names in its code, and what it reads from the engine.
 
-Every `World` leaf becomes an item of what one bound reader returned. A reader is bound when printed code first asks for it, and is
+Every `EngineRead` leaf becomes an item of what one bound reader returned. A reader is bound when printed code first asks for it, and is
 called once in each method that needs it, however many numbers are taken from it.
 """
 
@@ -12,7 +12,7 @@ from copy import copy
 from deepbots_cli.codegen.printer import Printer
 from deepbots_cli.codegen.text import LOOP_VARIABLES, Constants, Names, quoted
 from deepbots_cli.expressions.lower import SCALAR, Target
-from deepbots_cli.expressions.scalar import Name, Scalar, World, is_drawn, names_in, walk
+from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar, is_drawn, names_in, walk
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Direction, Robot
 from deepbots_cli.program.task import ActionRange, Choices, action_names
@@ -72,7 +72,7 @@ class Readers:
 
     # What printed code asks for
 
-    def code(self, leaf: World, needs: ReaderKeys) -> str:
+    def code(self, leaf: EngineRead, needs: ReaderKeys) -> str:
         """The code of one number."""
         what, item = leaf.function, _RESULT_INDEX.get(leaf.function)
         if what in _POSES:
@@ -89,7 +89,7 @@ class Readers:
         """The code of the position and the orientation of a body."""
         return self._need(("pose", subject), needs)
 
-    def vector(self, leaves: Sequence[World], needs: ReaderKeys) -> tuple[str, str] | None:
+    def vector(self, leaves: Sequence[EngineRead], needs: ReaderKeys) -> tuple[str, str] | None:
         """The code of a sequence and of what is taken from each item; None where the facts are read apart."""
         what, subjects = leaves[0].function, [leaf.subjects for leaf in leaves]
         if any(leaf.function != what for leaf in leaves):
@@ -112,7 +112,7 @@ class Readers:
                 return self._need(("contacts", _PART_SEPARATOR.join((robot, subjects[0][1], links))), needs), ""
         return None
 
-    def _joint(self, leaf: World, needs: ReaderKeys) -> tuple[str, int]:
+    def _joint(self, leaf: EngineRead, needs: ReaderKeys) -> tuple[str, int]:
         single, (robot, _, name) = _of_joints(leaf, ()), leaf.subjects[0].partition(".")
         vectors = (key for key, names in self._joints.items() if name in names and key[0] == single[0] and _robot(key) == robot)
         key = next(vectors, single)
@@ -186,7 +186,7 @@ class Readers:
                 return _SCALAR_READERS[kind].format(*map(_part, parts))
 
 
-def _of_joints(leaf: World, names: Sequence[str]) -> ReaderKey:
+def _of_joints(leaf: EngineRead, names: Sequence[str]) -> ReaderKey:
     """The reader of certain joints that are read as a vector, or of all that are read one by one."""
     kind = "torques" if leaf.function == "joint_torque" else "joints"
     return kind, _PART_SEPARATOR.join((leaf.subjects[0].partition(".")[0], *names))
@@ -333,7 +333,7 @@ class Workspace:
     def names_read(self, expressions: Iterable[Scalar]) -> set[str]:
         """The names that expressions read, with the fields that carry the ages of readings."""
         nodes = [node for value in expressions for node in walk(value)]
-        asked = {node.subjects[0] for node in nodes if isinstance(node, World) and node.function == "age"}
+        asked = {node.subjects[0] for node in nodes if isinstance(node, EngineRead) and node.function == "age"}
         return {node.name for node in nodes if isinstance(node, Name)} | {self._ages[subject] for subject in asked if subject in self._ages}
 
     def of_one_world(self) -> Workspace:
@@ -347,8 +347,8 @@ class Workspace:
 
     # What the names in expressions mean
 
-    def scalar(self, leaf: Name | World, needs: ReaderKeys) -> str:
-        if isinstance(leaf, World):
+    def scalar(self, leaf: Name | EngineRead, needs: ReaderKeys) -> str:
+        if isinstance(leaf, EngineRead):
             return self._fact(leaf, needs)
         match leaf.name:
             case "time":
@@ -370,17 +370,17 @@ class Workspace:
     def _whole(self, name: str) -> str:
         return self.parameter(name) if name in self._parameters else self.local(name)
 
-    def _fact(self, leaf: World, needs: ReaderKeys) -> str:
+    def _fact(self, leaf: EngineRead, needs: ReaderKeys) -> str:
         if leaf.function == "present":
             group, _, count = leaf.subjects[0].partition("#")
             return f"({self.present_count(group)} >= {count})"
         return self._channel_value(leaf) if leaf.function in CHANNEL_VALUES else self.readers.code(leaf, needs)
 
-    def _channel_value(self, leaf: World) -> str:
+    def _channel_value(self, leaf: EngineRead) -> str:
         """Values of the channel of a robot: the age of the message that the supervisor uses, and whether it arrived in this timestep."""
         name = leaf.subjects[0]
         if leaf.function == "age" and name in self._ages:
-            return f"({self._channel_value(World('age', (name.partition('.')[0],)))} + {self.local(self._ages[name])})"
+            return f"({self._channel_value(EngineRead('age', (name.partition('.')[0],)))} + {self.local(self._ages[name])})"
         robot = next(robot for robot in self.scenario.robots if robot.name == name.partition(".")[0])
         if self.scenario.format != "none" and not robot.from_route.perfect:
             return f"self.from_{robot.name}.{leaf.function}"

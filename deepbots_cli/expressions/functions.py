@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.dimensions import ANGLE, FORCE, LENGTH, NUMBER, TIME, TORQUE, UNITS, Dimension
 from deepbots_cli.expressions.intervals import EVERYTHING, INF, Interval
-from deepbots_cli.expressions.scalar import Const, Draw, Op, Scalar, State, World
+from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Op, Scalar, State
 from deepbots_cli.expressions.types import QUATERNION, SPACE, Components, Context, Invocation, Kind, Typed, walk
 from deepbots_cli.plugins import PluginTable
 
@@ -222,12 +222,12 @@ def _op(name: str, *args: Scalar) -> Op:
     return Op(name, args)
 
 
-def _position(body: str, axis: str) -> World:
-    return World("position", (body,), axis)
+def _position(body: str, axis: str) -> EngineRead:
+    return EngineRead("position", (body,), axis)
 
 
-def _quaternion(body: str) -> tuple[World, ...]:
-    return tuple(World("orientation", (body,), axis) for axis in QUATERNION)
+def _quaternion(body: str) -> tuple[EngineRead, ...]:
+    return tuple(EngineRead("orientation", (body,), axis) for axis in QUATERNION)
 
 
 def rotation(body: str, row: int, column: int) -> Scalar:

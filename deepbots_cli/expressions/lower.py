@@ -26,7 +26,7 @@ from deepbots_cli.expressions.functions import (
     scalar_function,
     whole_exponent,
 )
-from deepbots_cli.expressions.scalar import Const, Draw, Name, NamedFloat, Op, Scalar, State, World
+from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, NamedFloat, Op, Scalar, State
 from deepbots_cli.expressions.types import (
     Components,
     ComponentSelection,
@@ -160,7 +160,7 @@ class Lowering:
             rows = [[fold_operation("mul", rotation(body, row, column), vector[row]) for row in range(3)] for column in range(3)]
             return tuple(fold_operation("add", *row) for row in rows)
         if function.components is not None:
-            return tuple(World(function.name, (names[0][0],), component) for component in function.components)
+            return tuple(EngineRead(function.name, (names[0][0],), component) for component in function.components)
         count = len(components or ("",))
         pairs = [tuple(group[index if len(group) > 1 else 0] for group in names) for index in range(count)]
         pieces = {subject.name: subject.pieces for subject in value.subjects if subject.pieces}
@@ -173,7 +173,7 @@ class Lowering:
 
 def _if_present(reduction: Reduction, copy: str, part: Scalar) -> Scalar:
     """The component of a copy of a group; an absent copy changes nothing."""
-    present = World("present", (copy,))
+    present = EngineRead("present", (copy,))
     match reduction.operation:
         case "or":
             return fold_operation("and", present, part)
@@ -205,14 +205,14 @@ def _named(subject: Subject, function: Function) -> tuple[str, ...]:
 
 def _of_pieces(function: Function, names: tuple[str, ...], pieces: Mapping[str, tuple[str, ...]]) -> Scalar:
     """The value for every piece of a wall, joined: the least clearance, whether any is touched or seen."""
-    read = function.tree or (lambda *bodies: World(function.name, bodies))
+    read = function.tree or (lambda *bodies: EngineRead(function.name, bodies))
     found = [read(*each) for each in product(*(pieces.get(name, (name,)) for name in names))]
     return found[0] if len(found) == 1 else fold_operation(function.pieces_operator, *found)
 
 
 # Scalar trees to Python text
 
-Leaf = Callable[[Name | World | State | Draw], str]
+Leaf = Callable[[Name | EngineRead | State | Draw], str]
 
 
 class Precedence(IntEnum):
@@ -338,7 +338,7 @@ def _code(scalar: Scalar, leaf: Leaf, target: Target) -> Code:
             return number_code(value)
         case Op(op=name, args=args):
             return operation_code(name, [_code(arg, leaf, target) for arg in args], args, target)
-        case Name() | World() | State() | Draw():
+        case Name() | EngineRead() | State() | Draw():
             return Code(leaf(scalar))
 
 

@@ -54,7 +54,7 @@ class Name(NamedTuple):
         return self.name if self.component is None else f"{self.name}.{self.component}"
 
 
-class World(NamedTuple):
+class EngineRead(NamedTuple):
     """A fact read from the simulated world, such as component `x` of `position(cart.tip)`.
 
     `subjects` are full names: a robot (`cart`), a link or joint (`cart.tip`), an object (`ball`).
@@ -97,7 +97,7 @@ class Draw(NamedTuple):
     stream: str
 
 
-Scalar = Const | Name | World | Op | State | Draw
+Scalar = Const | Name | EngineRead | Op | State | Draw
 
 
 def children(scalar: Scalar) -> tuple[Scalar, ...]:

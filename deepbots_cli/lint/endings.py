@@ -15,7 +15,7 @@ from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import LENGTH, TIME
 from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, TRUTH, Interval, hull
-from deepbots_cli.expressions.scalar import Name, Op, Scalar, World
+from deepbots_cli.expressions.scalar import EngineRead, Name, Op, Scalar
 from deepbots_cli.expressions.types import referenced_names
 from deepbots_cli.lint.context import RuleContext, Simulation
 from deepbots_cli.program import Program
@@ -77,7 +77,9 @@ def _reasons(analysis: Analysis, ending: Ending) -> Iterator[str]:
     for entry in never:
         yield from (f"`{text}` is {words}" for text, known, words in _sides(entry, ranges) if known.low > -INF or known.high < INF)
     (node,) = analysis.scalars(ending.value)
-    touched = (part for part in analysis.walk_definitions(node) if isinstance(part, World) and part.function in ("contact", "collided"))
+    touched = (
+        part for part in analysis.walk_definitions(node) if isinstance(part, EngineRead) and part.function in ("contact", "collided")
+    )
     intangible = sorted({name for part in touched for name in analysis.intangible.intersection(part.subjects)})
     yield from (f"nothing touches `{name}`, which is not solid" for name in intangible)
     if not never and not intangible and isinstance(meaning := analysis.resolve_aliases(node), Op) and meaning.op == "and":
@@ -194,7 +196,7 @@ def _leaves(analysis: Analysis, node: Scalar) -> set[str]:
     parameters = {value.name for value in analysis.program.parameters}
     nodes = list(analysis.walk_definitions(node))
     names = {part.name for part in nodes if isinstance(part, Name)} - parameters
-    return names | {f"{part.function}()" for part in nodes if isinstance(part, World)}
+    return names | {f"{part.function}()" for part in nodes if isinstance(part, EngineRead)}
 
 
 def timeout_as_termination(context: RuleContext) -> Iterator[Finding]:
@@ -380,7 +382,7 @@ def unreachable_goal(context: RuleContext) -> Iterator[Finding]:
 def _unreachable(analysis: Analysis, asked: Threshold) -> tuple[str, str] | None:
     """Why two bodies cannot come so near, and a help; None where they can, or where that is unknown."""
     pair = analysis.distance_pair(asked.quantity)
-    if pair is None or len(pair) != 2 or isinstance(analysis.resolve_aliases(asked.quantity), World):
+    if pair is None or len(pair) != 2 or isinstance(analysis.resolve_aliases(asked.quantity), EngineRead):
         return None
     a, b = sorted(pair)
     limit = asked.bound.high
@@ -435,9 +437,9 @@ def _cores(analysis: Analysis, body: str) -> list[SolidProfile]:
 def _height(analysis: Analysis, subject: str, shape: Shape | RobotModel) -> float | None:
     """The initial height of the origin, m; None where it is drawn or unknown, or where the body is tilted."""
     start = analysis.start
-    if any(start.initial(World("orientation", (subject,), axis)) != NEVER for axis in "xy"):
+    if any(start.initial(EngineRead("orientation", (subject,), axis)) != NEVER for axis in "xy"):
         return None
-    known = start.initial(World("position", (subject,), "z"))
+    known = start.initial(EngineRead("position", (subject,), "z"))
     if known is None:
         return None
     if known.is_single:
@@ -464,7 +466,7 @@ def _is_outside(analysis: Analysis, body: str, near: float) -> bool:
     if arena is None or not any(thing.name == body for thing in analysis.program.world.objects):
         return False
     for axis, size in zip("xy", arena.size, strict=True):
-        known = analysis.start.initial(World("position", (body,), axis))
+        known = analysis.start.initial(EngineRead("position", (body,), axis))
         if known is not None and (known.low > size / 2 + near or known.high < -size / 2 - near):
             return True
     return False

@@ -12,7 +12,7 @@ from deepbots_cli.analysis.returns import RewardTerms, Terms, total_range
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.intervals import INF, NEVER, TRUTH, Interval
-from deepbots_cli.expressions.scalar import Name, Op, Scalar, State, World, walk
+from deepbots_cli.expressions.scalar import EngineRead, Name, Op, Scalar, State, walk
 from deepbots_cli.lint.context import RuleContext, Simulation
 from deepbots_cli.lint.simulation import HELD_RANDOM, IDLE, RANDOM, Episode
 from deepbots_cli.program.task import Ending
@@ -208,7 +208,7 @@ def measured_early_death(simulation: Simulation) -> Iterator[Finding]:
 class _StillRanges(Ranges):
     """Ranges while nothing moves: speeds are 0, and values that are compared with the step before do not change."""
 
-    def _world(self, node: World) -> Interval:
+    def _world(self, node: EngineRead) -> Interval:
         return NEVER if node.function in _RATE_FUNCTIONS else super()._world(node)
 
     def _state(self, node: State) -> Interval:
@@ -389,7 +389,8 @@ def _place_pays(simulation: Simulation, success: Ending) -> list[Finding]:
 def _is_progress(analysis: Analysis, node: Scalar) -> bool:
     """Whether a value depends on motion, or on what was before."""
     return any(
-        (isinstance(part, State) and part.function in _PROGRESS_FUNCTIONS) or (isinstance(part, World) and part.function in _RATE_FUNCTIONS)
+        (isinstance(part, State) and part.function in _PROGRESS_FUNCTIONS)
+        or (isinstance(part, EngineRead) and part.function in _RATE_FUNCTIONS)
         for part in analysis.walk_definitions(node)
     )
 

@@ -10,7 +10,7 @@ from deepbots_cli.compiler.namespace import Origin
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.document.layout import removal_fix
 from deepbots_cli.expressions.dimensions import ANGLE
-from deepbots_cli.expressions.scalar import Op, Scalar, World
+from deepbots_cli.expressions.scalar import EngineRead, Op, Scalar
 from deepbots_cli.expressions.types import Constant, Invocation, Kind, Operation, Reference, Stage, Typed, children, referenced_names, walk
 from deepbots_cli.lint.context import RuleContext
 from deepbots_cli.program import Program
@@ -151,7 +151,7 @@ def _is_measurement(analysis: Analysis, node: Scalar, known: dict[int, bool]) ->
     number = analysis.identity(node)
     if number not in known:
         match analysis.resolve_aliases(node):
-            case World(function, subjects):
+            case EngineRead(function, subjects):
                 fixed = {thing.name for thing in analysis.program.world.objects if thing.fixed}
                 known[number] = function in _MEASUREMENT_FUNCTIONS and fixed.isdisjoint(subject.partition("#")[0] for subject in subjects)
             case Op(op, args):

@@ -14,7 +14,7 @@ from deepbots_cli.compiler.values import ValueReader
 from deepbots_cli.diagnostics import Finding, Label, Span
 from deepbots_cli.expressions.dimensions import LENGTH, TIME
 from deepbots_cli.expressions.intervals import NEVER, Interval, hull
-from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar, World, walk
+from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Op, Scalar, walk
 from deepbots_cli.footprint import link_frames
 from deepbots_cli.frames import Frame, Triple, quaternion
 from deepbots_cli.lint.context import RuleContext, Simulation
@@ -393,7 +393,7 @@ def limits_in_degrees(context: RuleContext) -> Iterator[Finding]:
     """
     program = context.program
     trees = [tree for value in program.computed_expressions for tree in value.scalars]
-    read = {node.subjects[0] for tree in trees for node in walk(tree) if isinstance(node, World)}
+    read = {node.subjects[0] for tree in trees for node in walk(tree) if isinstance(node, EngineRead)}
     for robot in program.robots:
         scene = context.namespace.robots[robot.name]
         if scene is None:

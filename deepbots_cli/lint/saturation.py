@@ -14,7 +14,7 @@ from deepbots_cli.compiler.robots import rigid_root
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.expressions.dimensions import ACCELERATION
 from deepbots_cli.expressions.intervals import NEVER, SIGNED_UNIT, Interval
-from deepbots_cli.expressions.scalar import Draw, Name, Scalar, World, children
+from deepbots_cli.expressions.scalar import Draw, EngineRead, Name, Scalar, children
 from deepbots_cli.expressions.types import Typed, walk
 from deepbots_cli.lint.context import RuleContext
 from deepbots_cli.lint.observations import RangedNumber, first_of_each_clipped, ranged_numbers, replace_range
@@ -197,7 +197,7 @@ def _saturated_at_start(context: RuleContext) -> Iterator[Finding]:
             continue  # DB602
         first, fact = analysis.start.of(number.node), analysis.resolve_aliases(number.node)
         is_beyond = first.low > number.high + number.slack or first.high < number.low - number.slack
-        drawn = analysis.start.initial(fact) if isinstance(fact, World) else None
+        drawn = analysis.start.initial(fact) if isinstance(fact, EngineRead) else None
         if drawn is not None and drawn.is_finite:  # exactly what is drawn, not a wider range around it
             is_beyond = drawn.high > number.high + number.slack or drawn.low < number.low - number.slack
         if is_beyond:
@@ -214,7 +214,7 @@ def _goal_out_of_range(context: RuleContext) -> Iterator[Finding]:
     for node, low, high in zip(analysis.scalars(goal.desired), goal.low, goal.high, strict=True):
         meant = analysis.resolve_aliases(node)
         drawn = analysis.start.of(meant) if isinstance(meant, Draw) else None
-        drawn = analysis.start.initial(meant) if isinstance(meant, World) else drawn
+        drawn = analysis.start.initial(meant) if isinstance(meant, EngineRead) else drawn
         slack = _ROUNDING * (high - low)
         if drawn is not None and drawn.is_finite and (drawn.low < low - slack or drawn.high > high + slack):
             headline = f"`desired` can begin outside its range: it is drawn {bounds_text(drawn, goal.desired.typed.type.dimension)}"
@@ -250,7 +250,7 @@ def _at_rest(analysis: Analysis, leaf: Scalar) -> float | None:
         return None
     robot, sensor = found
     model = analysis.body(robot).model
-    tilts = [analysis.start.of(World("orientation", (f"{robot}.{model.root}",), axis)) for axis in "xy"]
+    tilts = [analysis.start.of(EngineRead("orientation", (f"{robot}.{model.root}",), axis)) for axis in "xy"]
     if rigid_root(model, sensor.subjects[0])[0] != model.root or any(tilt not in (NEVER, SIGNED_UNIT) for tilt in tilts):
         return None
     link = footprint.link_frames(model)[sensor.subjects[0]]

@@ -11,7 +11,7 @@ from deepbots_cli.analysis.returns import RewardTerms, Terms
 from deepbots_cli.diagnostics import Finding, Fix, Label
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH
 from deepbots_cli.expressions.intervals import NEVER, Interval
-from deepbots_cli.expressions.scalar import Name, Op, Scalar, State, World, children
+from deepbots_cli.expressions.scalar import EngineRead, Name, Op, Scalar, State, children
 from deepbots_cli.expressions.unification import negated_text
 from deepbots_cli.lint.context import RuleContext
 from deepbots_cli.program.task import Ending
@@ -283,7 +283,7 @@ def _concerns(analysis: Analysis, node: Scalar) -> set[str]:
         match part:
             case Name(name):
                 found.add(name)
-            case World(function, subjects) if function not in _RATE_FUNCTIONS:
+            case EngineRead(function, subjects) if function not in _RATE_FUNCTIONS:
                 found |= {subject.partition(".")[0] for subject in subjects}
     return found
 

@@ -18,7 +18,7 @@ from deepbots_cli.engine_kinds import ENGINES, OTHER_ENGINES
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, MASS
 from deepbots_cli.expressions.functions import contains_draw
 from deepbots_cli.expressions.intervals import ALWAYS, single
-from deepbots_cli.expressions.scalar import World
+from deepbots_cli.expressions.scalar import EngineRead
 from deepbots_cli.expressions.types import Stage, referenced_names
 from deepbots_cli.lint.context import RuleContext, Simulation
 from deepbots_cli.lint.observations import may_be_noisy
@@ -369,7 +369,7 @@ def requirement_not_redrawn(context: RuleContext) -> Iterator[Finding]:
         return
     (node,) = analysis.scalars(require)
     drawn = {value.name for value in program.parameters if value.typed.type.stage is not Stage.FIXED}
-    facts = [fact for fact in analysis.walk_definitions(node) if isinstance(fact, World)]
+    facts = [fact for fact in analysis.walk_definitions(node) if isinstance(fact, EngineRead)]
     bodies = {subject.partition(".")[0].partition("#")[0] for fact in facts for subject in fact.subjects}
     places = [place for place in analysis.placements if place.body in bodies]
     names = {name for place in places for coordinate in place.coordinates.values() for name in referenced_names(coordinate.typed)}
@@ -384,7 +384,7 @@ def requirement_not_redrawn(context: RuleContext) -> Iterator[Finding]:
         )
 
 
-def _is_of_root(program: Program, fact: World) -> bool:
+def _is_of_root(program: Program, fact: EngineRead) -> bool:
     """Whether a fact concerns the pose of an object or of a root link, which no joint moves."""
     roots = {f"{robot.name}.{robot.model.root}" for robot in program.world.robots} | {thing.name for thing in program.world.objects}
     return fact.function in ("position", "orientation") and roots.issuperset(fact.subjects)

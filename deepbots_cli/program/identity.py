@@ -20,7 +20,7 @@ from functools import lru_cache
 from pathlib import PurePath
 from typing import Any
 
-from deepbots_cli.expressions.scalar import Scalar
+from deepbots_cli.expressions.scalar import EngineRead, Scalar
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import MessageField, MessageLayout
 from deepbots_cli.program.task import ActionRange, Choices, Evaluation, ObservedNumber
@@ -28,6 +28,10 @@ from deepbots_cli.program.world import Picture, WorldModel
 from deepbots_cli.robots.model import Mesh
 
 # Canonical JSON
+
+
+_NAMES: Mapping[type, str] = {EngineRead: "World"}
+"""Names in the JSON that differ from those of the classes: digests of earlier runs contain them."""
 
 
 def to_json(program: Program) -> str:
@@ -93,7 +97,7 @@ def record_members(part: object) -> dict[str, Any] | None:
 def _plain(value: object) -> object:
     inside = record_members(value)
     if inside is not None:
-        return {"is": type(value).__name__, **{name: _plain(member) for name, member in inside.items()}}
+        return {"is": _NAMES.get(type(value), type(value).__name__), **{name: _plain(member) for name, member in inside.items()}}
     if isinstance(value, tuple):
         return [_plain(item) for item in value]
     if isinstance(value, Mapping):

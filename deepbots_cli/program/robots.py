@@ -10,7 +10,7 @@ from typing import Literal
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import fold_operation
-from deepbots_cli.expressions.scalar import Const, Name, Scalar, State, World, names_in, walk
+from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Scalar, State, names_in, walk
 from deepbots_cli.program.values import Expression, NamedScalars
 from deepbots_cli.robots.model import Pose
 
@@ -118,11 +118,11 @@ class Sensor:
         """Whether a reading is the value of a world function, which is read from the engine without a device."""
         return self.world_function is not None and self.faults is None and self.mount == Pose()
 
-    def world_value(self, robot: str, component: str | None) -> World:
+    def world_value(self, robot: str, component: str | None) -> EngineRead:
         """The call of the world function that gives one component of such a sensor."""
         if self.components == self.subjects:  # joints under their names
-            return World(self.world_function or "", (f"{robot}.{component or self.subjects[0]}",))
-        return World(self.world_function or "", (f"{robot}.{self.subjects[0]}",), component)
+            return EngineRead(self.world_function or "", (f"{robot}.{component or self.subjects[0]}",))
+        return EngineRead(self.world_function or "", (f"{robot}.{self.subjects[0]}",), component)
 
     def digest_fields(self) -> dict[str, object]:
         return {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.name not in ("reader", "world_function")}
@@ -411,7 +411,7 @@ class Robot:
     @cached_property
     def emitted(self) -> tuple[NamedScalars | Expression, ...]:
         """The values that the robot sends, in order."""
-        ages = (NamedScalars(field, (), (World("age", (f"{self.name}.{sensor}",)),)) for sensor, field in self.ages)
+        ages = (NamedScalars(field, (), (EngineRead("age", (f"{self.name}.{sensor}",)),)) for sensor, field in self.ages)
         return (*self.emit, *ages)
 
     @cached_property

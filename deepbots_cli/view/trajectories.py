@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli.analysis import Analysis
-from deepbots_cli.expressions.scalar import Name, Scalar, World
+from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar
 from deepbots_cli.program import Program
 from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import RobotBody, WorldModel
@@ -132,7 +132,7 @@ def _read_by(analysis: Analysis, value: Expression) -> Iterator[tuple[str, str]]
 
 def _full_names(analysis: Analysis, node: Scalar) -> Iterator[str]:
     match node:
-        case World(_, subjects):
+        case EngineRead(_, subjects):
             yield from subjects
         case Name() if sensor := analysis.sensor(node):
             yield from (f"{sensor[0]}.{subject}" for subject in sensor[1].subjects)

@@ -8,14 +8,14 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.errors import ScenarioError
-from deepbots_cli.expressions.scalar import World, walk
+from deepbots_cli.expressions.scalar import EngineRead, walk
 
 REWARD = "  alive: 1"
 
 
-def facts(compiled, name: str) -> set[World]:
+def facts(compiled, name: str) -> set[EngineRead]:
     signal = next(signal for signal in compiled.program.signals if signal.name == name)
-    return {node for value in signal.scalars for node in walk(value) if isinstance(node, World)}
+    return {node for value in signal.scalars for node in walk(value) if isinstance(node, EngineRead)}
 
 
 def test_a_name_that_a_joint_and_a_link_share_means_what_the_function_needs(workshop, cartpole) -> None:
@@ -24,8 +24,8 @@ def test_a_name_that_a_joint_and_a_link_share_means_what_the_function_needs(work
         (REWARD, "  alive: 1 + 0 * spin / (rad/s) + 0 * rise / (m/s)"),
     )
     compiled = workshop.compile(text)
-    assert facts(compiled, "spin") == {World("joint_velocity", ("cart.wheel_front_left",))}
-    assert facts(compiled, "rise") == {World("velocity", ("cart.wheel_front_left",), "z")}
+    assert facts(compiled, "spin") == {EngineRead("joint_velocity", ("cart.wheel_front_left",))}
+    assert facts(compiled, "rise") == {EngineRead("velocity", ("cart.wheel_front_left",), "z")}
 
 
 def test_such_a_name_is_offered_once_among_the_known_ones(workshop, cartpole) -> None:

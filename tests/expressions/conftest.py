@@ -14,7 +14,7 @@ from deepbots_cli.expressions.dimensions import ACCELERATION, ANGLE, ANGULAR_VEL
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
 from deepbots_cli.expressions.lower import lower, to_python
 from deepbots_cli.expressions.parser import parse
-from deepbots_cli.expressions.scalar import Draw, Name, State, World
+from deepbots_cli.expressions.scalar import Draw, EngineRead, Name, State
 from deepbots_cli.expressions.types import SPACE, Context, Kind, Stage, Subject, Symbol, Type, Typed
 from deepbots_cli.runtime import formulas
 
@@ -143,11 +143,11 @@ def evaluate(value: Typed, read: dict[str, object]) -> list[float]:
     return [eval(to_python(scalar, leaf), {**vars(math), **vars(formulas), **read}) for scalar in scalars]
 
 
-def leaf(read: Name | World | State | Draw) -> str:
+def leaf(read: Name | EngineRead | State | Draw) -> str:
     match read:
         case Name(name=name, component=component):
             parts = [name, *([component] if component else [])]
-        case World(function=function, subjects=subjects, component=component):
+        case EngineRead(function=function, subjects=subjects, component=component):
             parts = [function, *subjects, *([component] if component else [])]
         case State(slot=place) | Draw(stream=place):
             parts = [place.replace("#", "_")]

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from deepbots_cli.expressions.functions import FUNCTIONS, scalar_function
 from deepbots_cli.expressions.lower import constant_values, lower
-from deepbots_cli.expressions.scalar import Const, Draw, Op, State, World
+from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Op, State
 from deepbots_cli.expressions.types import Context
 
 
@@ -70,8 +70,8 @@ def test_a_single_draw_is_drawn_anew_for_each_target(bench):
 
 
 def test_a_robot_is_read_at_its_base_link_and_a_joint_by_its_name(bench):
-    assert lower(bench.clean("position(cart).x"), "item") == (World("position", ("cart.body",), "x"),)
-    assert lower(bench.clean("joint_position(cart.pole_hinge)"), "item") == (World("joint_position", ("cart.pole_hinge",)),)
+    assert lower(bench.clean("position(cart).x"), "item") == (EngineRead("position", ("cart.body",), "x"),)
+    assert lower(bench.clean("joint_position(cart.pole_hinge)"), "item") == (EngineRead("joint_position", ("cart.pole_hinge",)),)
 
 
 def test_states_of_one_text_have_slots_of_their_own(bench):
@@ -109,7 +109,7 @@ def compute(scalar, q):
     match scalar:
         case Const(value=value):
             return value
-        case World(component=axis):
+        case EngineRead(component=axis):
             return q["xyzw".index(axis)]
         case Op(op=name, args=args):
             return scalar_function(name)(*(compute(arg, q) for arg in args))

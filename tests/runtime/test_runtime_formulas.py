@@ -8,7 +8,7 @@ import random
 import pytest
 
 from deepbots_cli.expressions.functions import FUNCTIONS, rotation, scalar_function
-from deepbots_cli.expressions.scalar import Const, Op, Scalar, World
+from deepbots_cli.expressions.scalar import Const, EngineRead, Op, Scalar
 from deepbots_cli.frames import Frame
 from deepbots_cli.runtime import formulas
 
@@ -26,9 +26,9 @@ def computed(tree: Scalar, poses: dict[str, Frame]) -> float:
     match tree:
         case Const(value):
             return value
-        case World("position", (body,), axis):
+        case EngineRead("position", (body,), axis):
             return poses[body][0]["xyz".index(axis or "x")]
-        case World("orientation", (body,), axis):
+        case EngineRead("orientation", (body,), axis):
             return poses[body][1]["xyzw".index(axis or "x")]
         case Op(name, args):
             return scalar_function(name)(*(computed(arg, poses) for arg in args))
