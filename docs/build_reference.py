@@ -20,7 +20,7 @@ from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, TIME, UNI
 from deepbots_cli.expressions.functions import ALLOWED_FAMILIES, FUNCTIONS, Family, Function
 from deepbots_cli.expressions.types import Context, Kind
 from deepbots_cli.learning.defaults import DEFAULTS, library_defaults, library_of
-from deepbots_cli.lint import Page, every_page
+from deepbots_cli.lint import RulePage, every_page
 from deepbots_cli.scenario.base import (
     Forms,
     Kinds,
@@ -313,7 +313,7 @@ def _rules() -> str:
     return "\n".join(lines) + "\n"
 
 
-def _rule_page(page: Page) -> Iterator[str]:
+def _rule_page(page: RulePage) -> Iterator[str]:
     """What `deepbots explain` says too; the tests lay examples in YAML upon CartPole, and read robot files as they are."""
     is_second = page.deep and RULES[page.code].deep == "too"
     yield from ["", f"### {page.code} by simulation" if is_second else f"## {page.code} {RULES[page.code].name}", "", page.about]

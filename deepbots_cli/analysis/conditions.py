@@ -29,23 +29,23 @@ _CONTINUOUS_FUNCTIONS = frozenset({"position", "orientation", "joint_position", 
 """Facts that do not jump, unlike speeds and forces when bodies collide."""
 
 
-class Comparison(NamedTuple):
+class ConditionComparison(NamedTuple):
     """A comparison in a condition, and the named value whose text holds it."""
 
     value: Expression
     node: Operation
 
 
-def comparisons(analysis: Analysis, condition: Expression) -> Iterator[Comparison]:
+def comparisons(analysis: Analysis, condition: Expression) -> Iterator[ConditionComparison]:
     """Comparisons of which at least one must hold for the condition to hold; also those within `duration(...)`."""
     yield from _compared(analysis, condition, condition.typed, set()) if condition.foreign is None else ()
 
 
-def _compared(analysis: Analysis, value: Expression, node: Typed, met: set[str]) -> Iterator[Comparison]:
+def _compared(analysis: Analysis, value: Expression, node: Typed, met: set[str]) -> Iterator[ConditionComparison]:
     match node:
         case Operation(operator=operator) if operator in _COMPARISONS:
             held = _held_for(node)
-            yield from _compared(analysis, value, held, met) if held else (Comparison(value, node),)
+            yield from _compared(analysis, value, held, met) if held else (ConditionComparison(value, node),)
         case Operation(operator="and" | "or", args=args):
             for arg in args:
                 yield from _compared(analysis, value, arg, met)
@@ -107,7 +107,7 @@ def has_choice(analysis: Analysis, condition: Expression) -> bool:
     return False
 
 
-def thresholds(comparison: Comparison, ranges: Ranges) -> Iterator[Threshold]:
+def thresholds(comparison: ConditionComparison, ranges: Ranges) -> Iterator[Threshold]:
     """The thresholds that a comparison sets for each quantity of its sides, for each component."""
     analysis, node = ranges.analysis, comparison.node
     left, right = (analysis.lowered(arg, comparison.value.owner) for arg in node.args)

@@ -36,7 +36,7 @@ from deepbots_cli.compiler.episodes import (
     truncation,
     with_reading_ages,
 )
-from deepbots_cli.compiler.evaluation import scenario_tests, training, with_cases
+from deepbots_cli.compiler.evaluation import compile_variants, scenario_tests, training
 from deepbots_cli.compiler.inputs import Inputs
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.policy import Actions, Goals, Observations, copies, scripts
@@ -92,17 +92,17 @@ class CheckedScenario:
 def check(document: Document) -> CheckedScenario:
     """Run all passes that can run; every problem ends up in `findings`, unless they are too many."""
     try:
-        return _with_cases(document)
+        return _check_with_variants(document)
     except TooManyFindings as too_many:
         document.findings.report_limit(too_many)
         return CheckedScenario(document, document.findings)
 
 
-def _with_cases(document: Document) -> CheckedScenario:
+def _check_with_variants(document: Document) -> CheckedScenario:
     checked = _check(document)
     if checked.program is None or checked.spec is None or not (checked.spec.evaluation.cases or checked.spec.curriculum):
         return checked
-    variants, program = with_cases(checked.document, checked.spec, checked.program, checked.findings, _check)
+    variants, program = compile_variants(checked.document, checked.spec, checked.program, checked.findings, _check)
     own = {test.name: test.expected for variant in variants for test in variant.tests}
     tests = tuple(replace(test, expected=own.get(test.name, test.expected)) for test in checked.tests)
     return replace(checked, program=None if checked.findings.errors else program, variants=variants, tests=tests)
@@ -133,21 +133,20 @@ def _program(namespace: Namespace) -> Program:
     painted = lines(namespace)
     for name, robot in spec.robots.items():
         namespace.robots[name] = load_robot(name, robot, namespace)
-    scenes = [scene for scene in namespace.robots.values() if scene is not None]
     actions, goals = Actions(namespace), Goals(namespace)
-    builders = [RobotBuilder(scene, namespace) for scene in scenes]
+    builders = [RobotBuilder(robot, namespace) for robot in namespace.resolved_robots]
     signals = Signals(namespace)
 
     for name in namespace.names_of(Origin.PARAMETER, Origin.FIELD):
         namespace.resolve(name)
-    bare = world(namespace, scenes, painted)
+    bare = world(namespace, namespace.resolved_robots, painted)
     timestep = bare.timestep
     reset, walls = compile_reset(namespace, bare)
     limits, action, rewards = truncation(namespace), actions.parts(), reward_terms(namespace)
     each, action_repeat = copies(namespace), spec.agent.action_repeat
     routes = route("to_robot", namespace), route("from_robot", namespace)
     robots = tuple(builder.finish(timestep, action, routes) for builder in builders)
-    poses = {builder.scene.name: builder.poses for builder in builders}
+    poses = {builder.robot.name: builder.poses for builder in builders}
     policy = Policy(
         action,
         Observations(namespace).entries(),

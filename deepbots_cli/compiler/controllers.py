@@ -50,26 +50,26 @@ class ResolvedActuator(NamedTuple):
     """Of a gripper: the position of its joints at a command of 0, and at 1."""
 
 
-def driven_parts(scene: ResolvedRobot, spec: specs.Actuator) -> Components | None:
+def driven_parts(robot: ResolvedRobot, spec: specs.Actuator) -> Components | None:
     """The components of a command to the actuator, without findings; None where there are none."""
     if spec.components:
         return spec.components
-    key, known = ("link", scene.link_names) if isinstance(spec, specs.Thrust) else ("joint", scene.drivable_joints)
-    found, _ = expand_patterns(known, getattr(spec, f"{key}s") or getattr(spec, key, None) or (), scene.groups)
+    key, known = ("link", robot.link_names) if isinstance(spec, specs.Thrust) else ("joint", robot.drivable_joints)
+    found, _ = expand_patterns(known, getattr(spec, f"{key}s") or getattr(spec, key, None) or (), robot.groups)
     return found or None
 
 
 class Actuators:
     """Reads the actuators of one robot."""
 
-    def __init__(self, scene: ResolvedRobot, namespace: Namespace) -> None:
-        self._scene = scene
+    def __init__(self, robot: ResolvedRobot, namespace: Namespace) -> None:
+        self._robot = robot
         self._namespace = namespace
         self._values = namespace.values
 
     def read(self, name: str) -> ResolvedActuator | None:
         """The actuator called `name`; None after a finding. One without a command varies nothing."""
-        spec = self._scene.spec.actuators[name]
+        spec = self._robot.spec.actuators[name]
         varied = len(self._namespace.variations)
         match spec:
             case specs.JointActuator():
@@ -82,12 +82,12 @@ class Actuators:
                 driven = self._gripper(name, spec)
             case _:
                 raise TypeError(f"{type(spec).__name__} is in no table")
-        if name not in self._scene.spec.apply:
+        if name not in self._robot.spec.apply:
             del self._namespace.variations[varied:]
         return driven
 
     def _motor(self, name: str, spec: specs.JointActuator) -> ResolvedActuator | None:
-        joints = self._scene.joints_of(spec, self._values)
+        joints = self._robot.joints_of(spec, self._values)
         if not joints:
             return None
         names, dimension = tuple(joint.name for joint in joints), spec.dimension_of(joints[0])
@@ -123,12 +123,12 @@ class Actuators:
         return ResolvedActuator(motor, dimension, names if len(names) > 1 or spec.joints is not None else None)
 
     def _cartesian(self, name: str, spec: specs.Cartesian) -> ResolvedActuator | None:
-        joints = self._scene.joints_of(spec, self._values)
-        links = self._scene.links_of(spec, self._values)
+        joints = self._robot.joints_of(spec, self._values)
+        links = self._robot.links_of(spec, self._values)
         rpy = self._namespace.triple(spec, "rpy")
         if not links or not joints or (spec.rpy is not None and rpy is None):
             return None
-        model = self._scene.model
+        model = self._robot.model
         idle = [joint.name for joint in joints if not joint_moves_link(model, joint, spec.link)]
         if idle:
             headline, help = f"the joint `{idle[0]}` does not move `{spec.link}`", "name the joints between the base and the link"
@@ -142,7 +142,7 @@ class Actuators:
 
     def _gripper(self, name: str, spec: specs.Gripper) -> ResolvedActuator | None:
         """A servo whose command is how far it is open."""
-        joints = self._scene.joints_of(spec, self._values)
+        joints = self._robot.joints_of(spec, self._values)
         if not joints:
             return None
         position = joint_dimension(joints[0])
@@ -166,7 +166,7 @@ class Actuators:
                 return
 
     def _thrust(self, name: str, spec: specs.Thrust) -> ResolvedActuator | None:
-        links = self._scene.links_of(spec, self._values)
+        links = self._robot.links_of(spec, self._values)
         ends = self._namespace.ends(spec, "range", what="the range of a thrust")
         moment_constant = self._namespace.fixed(spec, "moment_constant") or 0.0
         response = self._response(spec, links)
@@ -184,7 +184,7 @@ class Actuators:
         senses: dict[str, float | None] = {}
         unknown = False
         for pattern in spec.spin:
-            members, missing = expand_patterns(links, pattern, self._scene.groups)
+            members, missing = expand_patterns(links, pattern, self._robot.groups)
             unknown = unknown or bool(missing)
             if missing and links:
                 report_unmatched(self._values, self._values.key_span((*spec.path, "spin", pattern)), pattern, "link", links)
@@ -229,7 +229,7 @@ class Actuators:
 
     def _scalar_or_randomized(self, spec: specs.Actuator, key: str, default: Default, **context: Unpack[FieldContext]) -> float | Default:
         """A value that an episode may draw."""
-        of = OfActuator(self._scene.name, str(spec.path[-1]))
+        of = OfActuator(self._robot.name, str(spec.path[-1]))
         return self._namespace.scalar_or_randomized(spec, key, f"actuator_{key}", of, default, **context)  # type: ignore[arg-type]
 
     def _compare(self, spec: specs.Actuator, key: str, limit: float, dimension: Dimension, own: Limits) -> None:
@@ -245,26 +245,26 @@ def _tighter(own: Limits, found: float) -> Limits:
     return tuple(found if limit is None else min(found, limit) for limit in own)
 
 
-def poses(scene: ResolvedRobot, namespace: Namespace) -> dict[str, Symbol]:
+def poses(robot: ResolvedRobot, namespace: Namespace) -> dict[str, Symbol]:
     """Each pose as a vector by joint: patterns in the order of the file, each in that of the robot file."""
-    return {name: _pose(name, scene, namespace) for name in scene.spec.poses}
+    return {name: _pose(name, robot, namespace) for name in robot.spec.poses}
 
 
-def _pose(name: str, scene: ResolvedRobot, namespace: Namespace) -> Symbol:
-    values, moving = namespace.values, scene.drivable_joints
+def _pose(name: str, robot: ResolvedRobot, namespace: Namespace) -> Symbol:
+    values, moving = namespace.values, robot.drivable_joints
     positions: dict[str, float] = {}
     sound = True
-    for pattern in scene.spec.poses[name]:
-        joints, missing = expand_patterns(moving, pattern, scene.groups)
+    for pattern in robot.spec.poses[name]:
+        joints, missing = expand_patterns(moving, pattern, robot.groups)
         if missing:
-            scene.report_missing_joint(values, values.key_span((*scene.spec.path, "poses", name, pattern)), pattern, moving)
-        dimension = joint_dimension(scene.model.joint(joints[0])) if joints else None
-        position = namespace.fixed(scene.spec, "poses", name, pattern, dimension=dimension) if joints else None
+            robot.report_missing_joint(values, values.key_span((*robot.spec.path, "poses", name, pattern)), pattern, moving)
+        dimension = joint_dimension(robot.model.joint(joints[0])) if joints else None
+        position = namespace.fixed(robot.spec, "poses", name, pattern, dimension=dimension) if joints else None
         sound = sound and position is not None
         positions |= dict.fromkeys(joints, position or 0.0)
-    dimensions = {joint_dimension(scene.model.joint(joint)) for joint in positions}
+    dimensions = {joint_dimension(robot.model.joint(joint)) for joint in positions}
     if len(dimensions) > 1:
-        span = values.key_span((*scene.spec.path, "poses", name))
+        span = values.key_span((*robot.spec.path, "poses", name))
         values.findings.add("DB404", span, "turning and sliding joints in one pose", help="make a pose of each")
     if not sound or len(dimensions) != 1:
         return Symbol(name, None)
@@ -276,14 +276,14 @@ def _pose(name: str, scene: ResolvedRobot, namespace: Namespace) -> Symbol:
 class RobotBuilder:
     """Builds the `Robot` of a program: defines its names, types what it emits, receives and applies, and `finish` returns it."""
 
-    scene: ResolvedRobot
+    robot: ResolvedRobot
     namespace: Namespace
 
     def __post_init__(self) -> None:
         self.values: ValueReader = self.namespace.values
-        self.path: NodePath = ("robots", self.scene.name)
-        self.sensing = SensorsCompiler(self.scene, self.namespace)
-        self.poses = poses(self.scene, self.namespace)
+        self.path: NodePath = ("robots", self.robot.name)
+        self.sensing = SensorsCompiler(self.robot, self.namespace)
+        self.poses = poses(self.robot, self.namespace)
         self.own: dict[str, Symbol] = {**self.poses, **self.sensing.symbols}
         self.fields: dict[str, Expression] = {}
         self.received: dict[str, Expression] = {}
@@ -294,7 +294,7 @@ class RobotBuilder:
 
     def _check_names(self) -> None:
         """No name on board may mean two things, also not one here and another in the scenario."""
-        spec = self.scene.spec
+        spec = self.robot.spec
         taken: dict[str, tuple[str, NodePath]] = {}
         for name in self.namespace.names_of(Origin.PARAMETER, Origin.ACTION):
             definition = self.namespace.definitions[name]
@@ -312,36 +312,36 @@ class RobotBuilder:
     # What it sends
 
     def _define_fields(self) -> None:
-        emit = self.scene.spec.emit
+        emit = self.robot.spec.emit
         entries = (
             [(name, (*self.path, "emit", name)) for name in emit]
             if isinstance(emit, dict)
             else [(name, (*self.path, "emit", i)) for i, name in enumerate(emit)]
         )
         for name, place in entries:
-            self.namespace.define(f"{self.scene.name}.{name}", Origin.FIELD, place, partial(self._field, name, place))
+            self.namespace.define(f"{self.robot.name}.{name}", Origin.FIELD, place, partial(self._field, name, place))
 
     def _field(self, name: str, place: NodePath) -> Symbol:
-        full = f"{self.scene.name}.{name}"
-        emit = self.scene.spec.emit
+        full = f"{self.robot.name}.{name}"
+        emit = self.robot.spec.emit
         text = self.values.text(place, emit[name] if isinstance(emit, dict) else name)
         if not isinstance(emit, dict) and name not in self.own:
-            sensors = list(self.scene.spec.sensors)
+            sensors = list(self.robot.spec.sensors)
             self.values.report_unknown(text.span, "sensor", name, sensors)
             if meant := nearest_word(name, sensors):
-                self.values.mark_invalid(f"{self.scene.name}.{meant}")
+                self.values.mark_invalid(f"{self.robot.name}.{meant}")
             return Symbol(full, None)
-        typed = self.values.expression(text, RobotScope(self.namespace, Context.EMIT, self.scene.name, self.own))
+        typed = self.values.expression(text, RobotScope(self.namespace, Context.EMIT, self.robot.name, self.own))
         if typed is None:
             return Symbol(full, None)
-        self.fields[name] = Expression(name, text.span, text.text, typed, f"{self.scene.name}.emit.{name}")
+        self.fields[name] = Expression(name, text.span, text.text, typed, f"{self.robot.name}.emit.{name}")
         return Symbol(full, typed.type._replace(stage=Stage.STEP))
 
     # What it receives and does
 
     def _receive(self) -> dict[str, Symbol]:
         """Action variables, and what `receive` adds to them."""
-        spec = self.scene.spec
+        spec = self.robot.spec
         symbols = {name: self.namespace.resolve(name) or Symbol(name, None) for name in self.namespace.names_of(Origin.ACTION)}
         for name, given in (spec.receive or {}).items():
             place = (*self.path, "receive", name)
@@ -349,26 +349,26 @@ class RobotBuilder:
             typed = self.values.expression(text, SupervisorScope(self.namespace, Context.RECEIVE))
             symbols[name] = Symbol(name, None)
             if typed is not None:
-                self.received[name] = Expression(name, text.span, text.text, typed, f"{self.scene.name}.receive.{name}")
+                self.received[name] = Expression(name, text.span, text.text, typed, f"{self.robot.name}.receive.{name}")
                 symbols[name] = Symbol(name, typed.type._replace(stage=Stage.STEP))
         return symbols
 
     def finish(self, timestep: float, action: Sequence[ActionPart], routes: tuple[Route, Route]) -> Robot:
         """Type everything that is left; the world's timestep is `timestep` s, `routes` are those to and from robots."""
         received = self._receive()
-        scope = RobotScope(self.namespace, Context.APPLY, self.scene.name, {**self.own, **received})
-        actuators = Actuators(self.scene, self.namespace)
-        driven = {name: found for name in self.scene.spec.actuators if (found := actuators.read(name)) is not None}
+        scope = RobotScope(self.namespace, Context.APPLY, self.robot.name, {**self.own, **received})
+        actuators = Actuators(self.robot, self.namespace)
+        driven = {name: found for name in self.robot.spec.actuators if (found := actuators.read(name)) is not None}
         commands = []
-        for name, given in self.scene.spec.apply.items():
+        for name, given in self.robot.spec.apply.items():
             place = (*self.path, "apply", name)
-            if name not in self.scene.spec.actuators:
-                self.values.report_unknown(self.values.key_span(place), "actuator", name, list(self.scene.spec.actuators))
+            if name not in self.robot.spec.actuators:
+                self.values.report_unknown(self.values.key_span(place), "actuator", name, list(self.robot.spec.actuators))
                 continue
             command = self._command(name, given, place, driven.get(name), scope)
             if command:
                 commands.append(command)
-        name, (to_robot, from_robot) = self.scene.name, routes
+        name, (to_robot, from_robot) = self.robot.name, routes
         robot = Robot(
             name,
             self.sensing.compiled(timestep),
@@ -377,8 +377,8 @@ class RobotBuilder:
             tuple(self.fields.values()),
             tuple(commands),
             tuple(_used_variables(action, commands, self.received)),
-            to_robot.of(name, "to_robot"),
-            from_robot.of(name, "from_robot"),
+            to_robot.route_for(name, "to_robot"),
+            from_robot.route_for(name, "from_robot"),
         )
         if to_robot.on_loss == "zero" and (to_robot.loses or to_robot.range is not None):
             self._report_lost_starts(robot)
@@ -401,13 +401,13 @@ class RobotBuilder:
             self.values.expression(text, scope, boolean=False)
             return None
         parts = driven.components or ("",)
-        spec = self.scene.spec.actuators[name]
+        spec = self.robot.spec.actuators[name]
         own = f"{{type: {spec.type}, {'link' if isinstance(spec, specs.Thrust) else 'joint'}: {parts[0]}}}"
         help = f"one number drives all of them; for a number each, give each an actuator of its own: `{parts[0]}: {own}`"
         typed = self.values.quantity(text, f"the target of `{name}`", scope, driven.dimension, driven.components, Stage.STEP, help)
         if typed is None:
             return None
-        return Command(driven.actuator, Expression(name, text.span, text.text, typed, f"{self.scene.name}.apply.{name}"), driven.opening)
+        return Command(driven.actuator, Expression(name, text.span, text.text, typed, f"{self.robot.name}.apply.{name}"), driven.opening)
 
 
 def _used_variables(action: Sequence[ActionPart], commands: Iterable[Command], received: Container[str]) -> Iterator[MessageField]:

@@ -159,11 +159,11 @@ def _disturbance(name: str, spec: DisturbanceSpec, namespace: Namespace) -> Dist
 
 def _pushed(spec: DisturbanceSpec, namespace: Namespace) -> tuple[str, str | None] | None:
     """Body and link that are pushed; None after a finding."""
-    called, values, scenes = spec.body, namespace.values, [scene for scene in namespace.robots.values() if scene is not None]
+    called, values = spec.body, namespace.values
     span = values.field(spec, "body").span
     subject = namespace.subject(called, frozenset({Kind.LINK}))
     if subject is None:
-        links = [f"{scene.name}.{link}" for scene in scenes for link in scene.link_names]
+        links = [f"{robot.name}.{link}" for robot in namespace.resolved_robots for link in robot.link_names]
         values.report_unknown(span, "robot, link or object", called, [*namespace.names_of(Origin.ROBOT, Origin.OBJECT), *links])
         return None
     if subject.kind is Kind.BROKEN:
@@ -180,9 +180,9 @@ def _pushed(spec: DisturbanceSpec, namespace: Namespace) -> tuple[str, str | Non
 
 def _is_fixed(body: str, link: str, namespace: Namespace) -> bool:
     """Whether it never moves: a fixed object, a mark, the root link of a robot that is bolted down."""
-    scene = namespace.robots.get(body)
-    if scene is not None:
-        return scene.spec.base == "fixed" and link in ("", scene.model.root)
+    robot = namespace.robots.get(body)
+    if robot is not None:
+        return robot.spec.base == "fixed" and link in ("", robot.model.root)
     thing = namespace.scenario.objects.get(body)
     return bool(getattr(thing, "fixed", False)) or getattr(thing, "solid", True) is False
 

@@ -147,27 +147,27 @@ Check = Callable[[Document], "CheckedScenario"]
 VariantKind = Literal["case", "stage"]
 
 
-def with_cases(
+def compile_variants(
     document: Document, spec: Scenario, program: Program, findings: Findings, check: Check
 ) -> tuple[tuple[CheckedScenario, ...], Program]:
     """Check every case and stage of a scenario that is sound itself: what came of each, and the task with those that are sound too."""
     if document.root is None:
         return (), program
-    maker = _Maker(document, document.root, program, findings, check)
+    compiler = _VariantCompiler(document, document.root, program, findings, check)
     count, size = len(spec.evaluation.cases) + len(spec.curriculum), count_and_depth(document.root)[0]
     if count > MAX_VARIANTS or count * size > MAX_VALUES:
         many = f"more than {MAX_VARIANTS} cases and stages"
         if count <= MAX_VARIANTS:
             many = f"{count} cases and stages of a scenario with {size:,} values"
-        maker.report("DB005", ("curriculum",) if spec.curriculum else ("evaluation", "cases"), many)
+        compiler.report("DB005", ("curriculum",) if spec.curriculum else ("evaluation", "cases"), many)
         return (), program
-    maker.check_order(spec)
+    compiler.check_order(spec)
     cases = [
-        (name, case.episodes or spec.evaluation.episodes, maker.program("case", name, ("evaluation", "cases", name)))
+        (name, case.episodes or spec.evaluation.episodes, compiler.program("case", name, ("evaluation", "cases", name)))
         for name, case in spec.evaluation.cases.items()
     ]
-    stages = [(stage, maker.program("stage", stage.name, ("curriculum", index))) for index, stage in enumerate(spec.curriculum)]
-    return tuple(maker.checked), replace(
+    stages = [(stage, compiler.program("stage", stage.name, ("curriculum", index))) for index, stage in enumerate(spec.curriculum)]
+    return tuple(compiler.checked), replace(
         program,
         cases=tuple(EvaluationCase(name, episodes, made) for name, episodes, made in cases if made is not None),
         curriculum=tuple(CurriculumStage(stage.name, _criterion(stage.until), made) for stage, made in stages if made is not None),
@@ -179,7 +179,7 @@ def _criterion(text: str | None) -> Criterion | None:
     return Criterion(*found) if found else None  # type: ignore[arg-type]  # the pattern allows the metrics only
 
 
-class _Maker:
+class _VariantCompiler:
     """Checks the scenario under one group of settings after the other."""
 
     def __init__(self, document: Document, root: MappingNode, program: Program, findings: Findings, check: Check) -> None:

@@ -139,15 +139,15 @@ def definition(checked: CheckedScenario, name: str, robot: str | None = None) ->
 
 
 def _on_board(namespace: Namespace, robot: str | None, name: str) -> NameEntry | None:
-    scene = namespace.robots.get(robot) if robot else None
-    if scene is None:
+    resolved = namespace.robots.get(robot) if robot else None
+    if resolved is None:
         return None
     own = (
-        (scene.spec.sensors, "sensors", "a sensor"),
-        (scene.spec.poses, "poses", "a pose"),
-        (scene.spec.receive or {}, "receive", "received"),
+        (resolved.spec.sensors, "sensors", "a sensor"),
+        (resolved.spec.poses, "poses", "a pose"),
+        (resolved.spec.receive or {}, "receive", "received"),
     )
-    return next((_keyed(namespace, ("robots", scene.name, key, name), what) for table, key, what in own if name in table), None)
+    return next((_keyed(namespace, ("robots", resolved.name, key, name), what) for table, key, what in own if name in table), None)
 
 
 def _anywhere(namespace: Namespace, name: str) -> NameEntry | None:
@@ -194,25 +194,24 @@ def _bodies(namespace: Namespace) -> list[NameEntry]:
 
 def _parts(namespace: Namespace, robot: str | None, sections: tuple[str, ...]) -> Iterator[NameEntry]:
     """The parts of robots, by short names of one `robot`, or by full names of all."""
-    scenes = [namespace.robots.get(robot)] if robot else namespace.robots.values()
-    for scene in scenes:
-        for part in _parts_of(namespace, scene, sections) if scene is not None else ():
-            yield part if robot or scene is None else part._replace(name=f"{scene.name}.{part.name}")
+    for resolved in [namespace.robots.get(robot)] if robot else namespace.robots.values():
+        for part in _parts_of(namespace, resolved, sections) if resolved is not None else ():
+            yield part if robot or resolved is None else part._replace(name=f"{resolved.name}.{part.name}")
 
 
-def _parts_of(namespace: Namespace, scene: ResolvedRobot, sections: tuple[str, ...]) -> Iterator[NameEntry]:
-    home: NodePath = ("robots", scene.name)
-    for name, sensor in scene.spec.sensors.items() if "sensors" in sections else ():
+def _parts_of(namespace: Namespace, robot: ResolvedRobot, sections: tuple[str, ...]) -> Iterator[NameEntry]:
+    home: NodePath = ("robots", robot.name)
+    for name, sensor in robot.spec.sensors.items() if "sensors" in sections else ():
         yield _keyed(namespace, (*home, "sensors", name), f"a sensor ({sensor.type})")
-    for name, actuator in scene.spec.actuators.items() if "actuators" in sections else ():
+    for name, actuator in robot.spec.actuators.items() if "actuators" in sections else ():
         yield _keyed(namespace, (*home, "actuators", name), f"an actuator ({actuator.type})")
-    for name, (kind, members) in scene.groups.items():
+    for name, (kind, members) in robot.groups.items():
         if "groups" in sections or ("joints" if kind is Kind.JOINTS else "links") in sections:
             yield _keyed(namespace, (*home, "groups", name), f"{kind.description} ({', '.join(members)})")
-    for joint in scene.model.moving_joints if "joints" in sections else ():
-        yield NameEntry(joint.name, f"{with_article(joint.type)} joint", scene.file.joint_spans.get(joint.name))
-    for link in scene.link_names if "links" in sections else ():
-        yield NameEntry(link, "a link", scene.file.link_spans.get(link))
+    for joint in robot.model.moving_joints if "joints" in sections else ():
+        yield NameEntry(joint.name, f"{with_article(joint.type)} joint", robot.file.joint_spans.get(joint.name))
+    for link in robot.link_names if "links" in sections else ():
+        yield NameEntry(link, "a link", robot.file.link_spans.get(link))
 
 
 # What is listed stands in the schema once for each key that takes it, and for each robot.
@@ -257,8 +256,8 @@ def scenario_names(checked: CheckedScenario) -> ScenarioNames:
     everywhere["choice"] = _offer(choices)
     everywhere["joints"] = _offer(_named(checked, "joints"), only=is_whole)
     everywhere |= _expressions(namespace)
-    scenes = [scene for scene in namespace.robots.values() if scene is not None]
-    return ScenarioNames(everywhere, {scene.name: _names_on_board(checked, scene, spec) for scene in scenes[:_MAX_ROBOTS]})
+    robots = namespace.resolved_robots[:_MAX_ROBOTS]
+    return ScenarioNames(everywhere, {robot.name: _names_on_board(checked, robot, spec) for robot in robots})
 
 
 def _offer(said: Mapping[str, str], *, only: bool = False) -> OfferedNames:
@@ -269,10 +268,10 @@ def _expressions(namespace: Namespace) -> Names:
     """The names that an expression of the supervisor may use, by kind of expression."""
     scopes = {word: SupervisorScope(namespace, context).names() for word, context in _SUPERVISED.items()}
     parameters = dict.fromkeys(("require", "parameter"), namespace.names_of(Origin.PARAMETER))
-    return {f"{word} expression": _offer(_said(namespace, found)) for word, found in (scopes | parameters).items()}
+    return {f"{word} expression": _offer(_describe_names(namespace, found)) for word, found in (scopes | parameters).items()}
 
 
-def _said(namespace: Namespace, found: Iterable[str]) -> dict[str, str]:
+def _describe_names(namespace: Namespace, found: Iterable[str]) -> dict[str, str]:
     """Each name with what it stands for, and a parameter with its value."""
     origins = {name: origin.value if (origin := namespace.origin(name)) else "built in" for name in found}
     return {
@@ -281,20 +280,20 @@ def _said(namespace: Namespace, found: Iterable[str]) -> dict[str, str]:
     }
 
 
-def _names_on_board(checked: CheckedScenario, scene: ResolvedRobot, spec: Scenario) -> Names:
+def _names_on_board(checked: CheckedScenario, robot: ResolvedRobot, spec: Scenario) -> Names:
     """The parts of one robot by their short names; those of its file are checked, and patterns over them never are."""
-    home: NodePath = ("robots", scene.name)
-    groups = dict.fromkeys(scene.spec.groups, "a group")
-    joints = groups | _named(checked, "joints", home) | {joint.name: _described(joint) for joint in scene.model.moving_joints}
+    home: NodePath = ("robots", robot.name)
+    groups = dict.fromkeys(robot.spec.groups, "a group")
+    joints = groups | _named(checked, "joints", home) | {joint.name: _described(joint) for joint in robot.model.moving_joints}
     links = groups | _named(checked, "links", home)
     sensors, actuators = _named(checked, "sensor", home), _named(checked, "actuator", home)
-    received = dict.fromkeys(scene.spec.receive or {}, "received") | dict.fromkeys(spec.action, "an action")
+    received = dict.fromkeys(robot.spec.receive or {}, "received") | dict.fromkeys(spec.action, "an action")
     parts = {
         **dict.fromkeys(("joint", "joints", "joint pattern"), _offer(joints, only=True)),
         **dict.fromkeys(("link", "links", "link pattern"), _offer(links, only=True)),
         "joint or link pattern": _offer(links | joints, only=True),
     }
-    poses = dict.fromkeys(scene.spec.poses, "a pose")
+    poses = dict.fromkeys(robot.spec.poses, "a pose")
     own = {"emit": sensors, "apply": received | sensors | poses}
     return {
         **parts,

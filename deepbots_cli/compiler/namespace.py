@@ -384,6 +384,11 @@ class Namespace:
         definition = self.definitions.get(name)
         return definition.origin if definition else None
 
+    @property
+    def resolved_robots(self) -> list[ResolvedRobot]:
+        """The robots whose files were read."""
+        return [robot for robot in self.robots.values() if robot is not None]
+
     def names_of(self, *origins: Origin) -> list[str]:
         return [name for name, definition in self.definitions.items() if definition.origin in origins]
 
@@ -486,8 +491,8 @@ class SupervisorScope(_Scope):
         if origin is Origin.GOAL and self.context not in AFTER_SIGNALS:
             return Symbol(name, None, refusal=GOAL_AFTER_SIGNALS_MESSAGE)
         robot, _, rest = name.partition(".")
-        scene = self.namespace.robots.get(robot)
-        if origin is None and scene is not None and rest in scene.spec.sensors and not self.namespace.is_invalid(name):
+        resolved = self.namespace.robots.get(robot)
+        if origin is None and resolved is not None and rest in resolved.spec.sensors and not self.namespace.is_invalid(name):
             return Symbol(name, None, refusal=f"robot `{robot}` does not send it; add `{rest}` to its `emit`")
         return self.namespace.symbol(name)
 
@@ -525,8 +530,8 @@ class RobotScope(_Scope):
             self.namespace.mark_used(name)
             return self.own[name]
         origin = self.namespace.origin(name)
-        scene = self.namespace.robots.get(self.robot)
-        arrives = origin is Origin.ACTION or (scene is not None and name in (scene.spec.receive or {}))
+        resolved = self.namespace.robots.get(self.robot)
+        arrives = origin is Origin.ACTION or (resolved is not None and name in (resolved.spec.receive or {}))
         if origin is Origin.PARAMETER:
             symbol = self.namespace.symbol(name)
             if symbol is None or symbol.type is None or symbol.type.stage is Stage.FIXED:

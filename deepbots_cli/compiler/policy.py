@@ -224,8 +224,8 @@ class Actions:
         if robot is not None and rest in robot.spec.actuators:
             return driven_parts(robot, robot.spec.actuators[rest])
         if not self._namespace.is_invalid(reference):
-            scenes = [scene for scene in self._namespace.robots.values() if scene is not None]
-            known = dict.fromkeys(f"{scene.name}.{part}" for scene in scenes for part in (*scene.groups, *scene.spec.actuators))
+            robots = self._namespace.resolved_robots
+            known = dict.fromkeys(f"{robot.name}.{part}" for robot in robots for part in (*robot.groups, *robot.spec.actuators))
             self._values.report_unknown(self._values.span(place), "group or actuator", reference, list(known))
         return None
 

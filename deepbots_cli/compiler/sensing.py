@@ -31,20 +31,20 @@ _CONTACT_KINDS = frozenset({Kind.GROUND, Kind.ROBOT, Kind.OBJECT, Kind.OBJECTS, 
 class SensorsCompiler:
     """The sensors of one robot. Those with findings are missing, and their names have no type."""
 
-    def __init__(self, scene: ResolvedRobot, namespace: Namespace) -> None:
-        self._scene = scene
+    def __init__(self, robot: ResolvedRobot, namespace: Namespace) -> None:
+        self._robot = robot
         self._namespace = namespace
         self._values = namespace.values
         self.symbols: dict[str, Symbol] = {}
         self._sensors: dict[str, Sensor] = {}
-        for name, spec in scene.spec.sensors.items():
+        for name, spec in robot.spec.sensors.items():
             self.symbols[name] = Symbol(name, None)
             self._add(name, spec)
         self._check_size()
 
     def compiled(self, timestep: float) -> tuple[Sensor, ...]:
         """The sensors in a world whose timestep is `timestep` s, which their periods are multiples of."""
-        specs = self._scene.spec.sensors
+        specs = self._robot.spec.sensors
         return tuple(
             replace(found, faults=_with_period(found.faults, self._namespace, specs[name], timestep))
             for name, found in self._sensors.items()
@@ -56,8 +56,8 @@ class SensorsCompiler:
         values = sum(math.prod(symbol.type.picture) for symbol in self.symbols.values() if symbol.type and symbol.type.picture)
         for count, limit, what in ((rays, MAX_SENSED_RAYS, "rays"), (values, MAX_OBSERVED_BYTES, "bytes of pictures")):
             if count > limit:
-                span = self._values.key_span((*self._scene.spec.path, "sensors"))
-                headline = f"the sensors of `{self._scene.name}` have {count:,} {what}; the limit is {limit:,}"
+                span = self._values.key_span((*self._robot.spec.path, "sensors"))
+                headline = f"the sensors of `{self._robot.name}` have {count:,} {what}; the limit is {limit:,}"
                 self._values.findings.add("DB005", span, headline, help="use fewer: the robot reads all of them in every timestep")
 
     def _add(self, name: str, spec: SensorSpec) -> None:
@@ -65,7 +65,7 @@ class SensorsCompiler:
         if made is None:
             return
         sensor, known = made
-        slides = isinstance(spec, JointSensor) and joint_dimension(self._scene.model.joint(sensor.subjects[0])) == LENGTH
+        slides = isinstance(spec, JointSensor) and joint_dimension(self._robot.model.joint(sensor.subjects[0])) == LENGTH
         own = self._namespace.parameters(spec, kind_parameters(type(spec), *BASES), known.dimension, slides=slides)
         if own is None:
             return
@@ -83,18 +83,18 @@ class SensorsCompiler:
         more: dict[str, Any] = {}
         match spec:
             case JointSensor():
-                joints = self._scene.joints_of(spec, self._values)
+                joints = self._robot.joints_of(spec, self._values)
                 if joints:
                     subjects, dimension = tuple(joint.name for joint in joints), spec.dimension_of(joints[0])
                     intervals = [spec.interval_of(joint_interval(joint)) for joint in joints]
                 components = subjects if spec.joints is not None else ()
             case ContactSensor():
-                subjects = self._scene.links_of(spec, self._values)
+                subjects = self._robot.links_of(spec, self._values)
                 components = subjects if spec.links is not None else ()
                 if isinstance(spec, Touch) and spec.against is not None:
                     more["against"] = self._against(spec)
             case LinkSensor():
-                subjects = self._scene.links_of(spec, self._values)
+                subjects = self._robot.links_of(spec, self._values)
                 more["mount"] = _frame(self._namespace, spec.pose)
                 if isinstance(spec, RayScan):
                     scan = _scan(self._namespace, spec)

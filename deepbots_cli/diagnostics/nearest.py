@@ -41,7 +41,7 @@ def nearest_word(word: str, known: Iterable[str], cutoff: float = 0.6) -> str | 
 def suggest_replacement(word: str, known: Iterable[str], *, of_language: bool = False) -> Replacement | None:
     """The nearest of the `known` words as a replacement.
 
-    It is certain only among words of the language (`ours`), and only if exactly one of them is a slip away. Names that a
+    It is certain only among words of the language (`of_language`), and only if exactly one of them is a slip away. Names that a
     user chose may differ by a letter on purpose (`left_1`, `left_2`).
     """
     words = tuple(islice(known, _MAX_COMPARED))

@@ -296,7 +296,7 @@ class _Reader:
         return pruned if isinstance(pruned, MappingNode) else tree
 
     def _followed(self, tree: MappingNode, item: ScalarNode) -> tuple[NodePath, Node, str]:
-        """As `follow`, for a path under `remove`; DB109 for each former name of a key in it."""
+        """As `follow_dotted`, for a path under `remove`; DB109 for each former name of a key in it."""
         path = item.text
         while True:
             steps, reached, rest = follow_dotted(tree, path)

@@ -214,7 +214,7 @@ PAGES = Path(__file__).with_name("pages.yaml")
 
 
 @dataclass(frozen=True)
-class Page:
+class RulePage:
     """The page of a finding, for the reference and for `deepbots explain`: why it matters, an example, and what to write instead.
 
     The page of a static rule is the docstring of its function. Pages of the compiler's findings and of simulated rules are in
@@ -250,29 +250,29 @@ class Page:
 
 
 @cache
-def every_page() -> tuple[Page, ...]:
+def every_page() -> tuple[RulePage, ...]:
     """All pages in the order of their codes; of two pages of a code, the one about static analysis comes first."""
     return tuple(sorted([*(_of_rule(rule.__doc__) for rule in STATIC_RULES), *_of_file()], key=lambda page: page.code))
 
 
-def pages_of(code: str) -> tuple[Page, ...]:
+def pages_of(code: str) -> tuple[RulePage, ...]:
     """The pages of one code."""
     check = RULES[code].check
     return tuple(page for page in every_page() if page.code == code) if check is None else (_page(code, cleandoc(check.__doc__ or "")),)
 
 
-def _of_rule(docstring: str | None) -> Page:
+def _of_rule(docstring: str | None) -> RulePage:
     code, _, text = cleandoc(docstring or "").partition(": ")
     return _page(code, text)
 
 
-def _page(code: str, text: str) -> Page:
+def _page(code: str, text: str) -> RulePage:
     about, _, rest = text.partition("\n\nExample::\n\n")
     example, _, instead = rest.partition("\n\nInstead::\n\n")
-    return Page(code, about[0].upper() + about[1:], dedent(example), dedent(instead))
+    return RulePage(code, about[0].upper() + about[1:], dedent(example), dedent(instead))
 
 
-def _of_file() -> Iterator[Page]:
+def _of_file() -> Iterator[RulePage]:
     findings = Findings()
     root = parse(Source(PAGES.name, PAGES.read_text(encoding="utf-8")), findings)
     table = to_data(root) if root else None
@@ -280,4 +280,4 @@ def _of_file() -> Iterator[Page]:
         raise ValueError(f"{PAGES} is broken: {findings}")
     for code, page in table.items():
         texts = {part: text.strip() for part, text in page.items() if isinstance(text, str)}
-        yield Page(code, deep=page.get("deep") is True, **texts)
+        yield RulePage(code, deep=page.get("deep") is True, **texts)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from deepbots_cli import footprint
 from deepbots_cli.analysis import Analysis
-from deepbots_cli.analysis.conditions import Comparison, Threshold, comparisons, has_choice, thresholds
+from deepbots_cli.analysis.conditions import ConditionComparison, Threshold, comparisons, has_choice, thresholds
 from deepbots_cli.analysis.ranges import Ranges, bounds_text, with_unit
 from deepbots_cli.analysis.returns import total_range
 from deepbots_cli.diagnostics import Finding, Label
@@ -86,7 +86,7 @@ def _reasons(analysis: Analysis, ending: Ending) -> Iterator[str]:
         yield "its parts are never true at the same time"
 
 
-def _sides(entry: Comparison, ranges: Ranges) -> Iterator[tuple[str, Interval, str]]:
+def _sides(entry: ConditionComparison, ranges: Ranges) -> Iterator[tuple[str, Interval, str]]:
     """The text, the range and the range in words of both sides of a comparison, except constants."""
     for arg in entry.node.args:
         known = hull([ranges.of(part) for part in ranges.analysis.lowered(arg, entry.value.owner)])

@@ -14,7 +14,7 @@ from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.intervals import INF, NEVER, TRUTH, Interval
 from deepbots_cli.expressions.scalar import EngineRead, Name, Op, Scalar, State, walk
 from deepbots_cli.lint.context import RuleContext, Simulation
-from deepbots_cli.lint.simulation import HELD_RANDOM, IDLE, RANDOM, Episode
+from deepbots_cli.lint.simulation import HELD_RANDOM, IDLE, RANDOM, SimulatedEpisode
 from deepbots_cli.program.task import Ending
 from deepbots_cli.program.values import Expression
 
@@ -351,7 +351,7 @@ _PROGRESS_HELP = (
 )
 
 
-def _better_than_success(episodes: list[Episode]) -> tuple[Episode, Episode] | None:
+def _better_than_success(episodes: list[SimulatedEpisode]) -> tuple[SimulatedEpisode, SimulatedEpisode] | None:
     """The best episode that lasted to its limit and the best success, with the same seed, if each seed with both says the same."""
     pairs = []
     for seed in sorted({episode.seed for episode in episodes}):

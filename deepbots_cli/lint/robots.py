@@ -395,14 +395,14 @@ def limits_in_degrees(context: RuleContext) -> Iterator[Finding]:
     trees = [tree for value in program.computed_expressions for tree in value.scalars]
     read = {node.subjects[0] for tree in trees for node in walk(tree) if isinstance(node, EngineRead)}
     for robot in program.robots:
-        scene = context.namespace.robots[robot.name]
-        if scene is None:
+        resolved = context.namespace.robots[robot.name]
+        if resolved is None:
             continue
         used = {joint for actuator in robot.actuators for joint in getattr(actuator, "joints", ())}
         used |= {name for sensor in robot.sensors for name in sensor.subjects}
         for joint in context.analysis.body(robot.name).model.moving_joints:
             is_used = joint.name in used or f"{robot.name}.{joint.name}" in read
-            written = joint.limit == scene.file.model.joint(joint.name).limit and joint.name in scene.file.limit_spans
+            written = joint.limit == resolved.file.model.joint(joint.name).limit and joint.name in resolved.file.limit_spans
             low, high = joint.limit.lower, joint.limit.upper
             if not (is_used and written and joint.type == "revolute") or low is None or high is None:
                 continue
@@ -410,7 +410,7 @@ def limits_in_degrees(context: RuleContext) -> Iterator[Finding]:
                 headline = f"the limits {low:g} and {high:g} rad of joint `{joint.name}` are {(high - low) / (2 * pi):.3g} turns apart"
                 help = f'if they are degrees, write lower="{radians(low):.5g}" upper="{radians(high):.5g}" in the robot file'
                 help += f", or `range: {low:g} .. {high:g} deg` under `joints`"
-                yield Finding("DB317", scene.file.limit_spans[joint.name], headline, help=help)
+                yield Finding("DB317", resolved.file.limit_spans[joint.name], headline, help=help)
 
 
 # Rays

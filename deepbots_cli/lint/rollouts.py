@@ -1,4 +1,4 @@
-"""Resets and episodes of `lint --deep`, and what is measured in them. Runs in a process of its own (`child`).
+"""Resets and episodes of `lint --deep`, and what is measured in them. Runs in a process of its own (`simulation_process`).
 
 Every result is written at once: if an engine crashes, the last line tells how far the simulation had got.
 """
@@ -314,7 +314,7 @@ class Counter:
         return bool(self.high[place] - self.low[place] > _ROUNDING) if place < numbers else self._pictures[place - numbers] in self._changed
 
     def rows_by_part(self) -> list[Any]:
-        """Steps, rows, and the statistics of numbers and terms, as `simulation.Statistics` takes them."""
+        """Steps, rows, and the statistics of numbers and terms, as `simulation.PolicyStatistics` takes them."""
         if not self.steps:
             return [0, 0, [], []]
         numbers = zip(*(part.tolist() for part in (self.low, self.high, self.at_low, self.at_high)), strict=True)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from deepbots_cli import footprint, frames
 from deepbots_cli.analysis import Analysis
-from deepbots_cli.analysis.conditions import Comparison, Threshold, comparisons, thresholds
+from deepbots_cli.analysis.conditions import ConditionComparison, Threshold, comparisons, thresholds
 from deepbots_cli.analysis.ranges import Ranges, bounds_text, range_text, with_unit
 from deepbots_cli.compiler.robots import rigid_root
 from deepbots_cli.diagnostics import Finding, Label
@@ -134,7 +134,7 @@ def _edge(number: RangedNumber, threshold: Threshold, ranges: Ranges) -> float:
     return near
 
 
-def _unseen(context: RuleContext, analysis: Analysis, view: BlindNumber, ending: Expression, comparison: Comparison) -> Finding:
+def _unseen(context: RuleContext, analysis: Analysis, view: BlindNumber, ending: Expression, comparison: ConditionComparison) -> Finding:
     number, name, limit = view.number, view.number.name, view.threshold.limit
     help, fix = f"widen the range of `{name}`, or of the `clamp` in its value, so that it still changes at the limit", None
     if analysis.identity(number.node) == analysis.identity(view.threshold.quantity):
@@ -160,7 +160,7 @@ def _unseen(context: RuleContext, analysis: Analysis, view: BlindNumber, ending:
     return Finding("DB603", context.range_span(number.entry), headline, help=help, labels=also, fix=fix)
 
 
-def _part_of(comparison: Comparison, analysis: Analysis, quantity: Scalar) -> Typed | None:
+def _part_of(comparison: ConditionComparison, analysis: Analysis, quantity: Scalar) -> Typed | None:
     """The part of a comparison that is written for the quantity; None where nothing is."""
     wanted = analysis.identity(quantity)
     for part in walk(comparison.node):

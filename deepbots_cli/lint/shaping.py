@@ -5,7 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from deepbots_cli.analysis import Analysis
-from deepbots_cli.analysis.conditions import ORDER_PRESERVING, Comparison, Threshold, comparisons, is_clock, is_one_comparison, thresholds
+from deepbots_cli.analysis.conditions import (
+    ORDER_PRESERVING,
+    ConditionComparison,
+    Threshold,
+    comparisons,
+    is_clock,
+    is_one_comparison,
+    thresholds,
+)
 from deepbots_cli.analysis.ranges import Ranges, with_unit
 from deepbots_cli.analysis.returns import RewardTerms, Terms
 from deepbots_cli.diagnostics import Finding, Fix, Label
@@ -288,7 +296,7 @@ def _concerns(analysis: Analysis, node: Scalar) -> set[str]:
     return found
 
 
-def _opposite_help(compared: Comparison, threshold: Threshold) -> str:
+def _opposite_help(compared: ConditionComparison, threshold: Threshold) -> str:
     side = compared.node.args[0 if compared.node.operator.startswith("greater") else 1]
     quantity = compared.value.text[side.start : side.end]
     assert threshold.dimension is not None  # a length or an angle

@@ -140,7 +140,7 @@ class Halt:
 
 
 @dataclass(frozen=True)
-class Overlap:
+class MeasuredOverlap:
     """Two bodies that penetrate each other right after a reset: names of body and link, depth in m."""
 
     one: tuple[str, str]
@@ -150,7 +150,7 @@ class Overlap:
 
 
 @dataclass(frozen=True)
-class Episode:
+class SimulatedEpisode:
     """One episode; `discounted_return` is the discounted return."""
 
     policy: str
@@ -214,7 +214,7 @@ class TermStatistics(NamedTuple):
     high: float
 
 
-class Statistics(NamedTuple):
+class PolicyStatistics(NamedTuple):
     """All episodes of one policy. `rows` is `steps` times the copies of a team."""
 
     steps: int
@@ -235,11 +235,11 @@ class SimulationReport:
 
     where: SimulationPosition = SimulationPosition("build", 0, 0)
     fastest: tuple[str, float] | None = None
-    overlaps: list[Overlap] = field(default_factory=list)
+    overlaps: list[MeasuredOverlap] = field(default_factory=list)
     endings_at_reset: dict[str, list[int]] = field(default_factory=dict)
     misses: list[UnreachedPose] = field(default_factory=list)
-    episodes: list[Episode] = field(default_factory=list)
-    measured: dict[str, Statistics] = field(default_factory=dict)
+    episodes: list[SimulatedEpisode] = field(default_factory=list)
+    measured: dict[str, PolicyStatistics] = field(default_factory=dict)
     constant_numbers: Sequence[int] = ()
     zero_terms: Sequence[int] = ()
     clearances: dict[tuple[str, str], Clearance] = field(default_factory=dict)
@@ -257,17 +257,17 @@ class SimulationReport:
             case {"fast": [str(body), int() | float() as speed]}:
                 self.fastest = (body, speed)
             case {"overlap": {"one": [str(a), str(b)], "other": [str(c), str(d)], "depth": float(depth), "seed": int(seed)}}:
-                self.overlaps.append(Overlap((a, b), (c, d), depth, seed))
+                self.overlaps.append(MeasuredOverlap((a, b), (c, d), depth, seed))
             case {"early": [str(ending), int(seed)]}:
                 self.endings_at_reset.setdefault(ending, []).append(seed)
             case {"miss": Mapping() as row}:
                 self.misses.append(UnreachedPose(**row))
             case {"episode": Mapping() as row}:
-                self.episodes.append(Episode(**row))
+                self.episodes.append(SimulatedEpisode(**row))
             case {"measured": Mapping() as policies}:
                 for by, (steps, rows, numbers, terms) in policies.items():
                     numbers, terms = [NumberStatistics(*row) for row in numbers], [TermStatistics(*row) for row in terms]
-                    self.measured[by] = Statistics(steps, rows, numbers, terms)
+                    self.measured[by] = PolicyStatistics(steps, rows, numbers, terms)
             case {"still": still, "silent": silent}:
                 self.constant_numbers, self.zero_terms = still, silent
             case {"clearances": rows, "depths": depths}:

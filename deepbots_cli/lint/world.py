@@ -22,7 +22,7 @@ from deepbots_cli.expressions.scalar import EngineRead
 from deepbots_cli.expressions.types import Stage, referenced_names
 from deepbots_cli.lint.context import RuleContext, Simulation
 from deepbots_cli.lint.observations import may_be_noisy
-from deepbots_cli.lint.simulation import Overlap
+from deepbots_cli.lint.simulation import MeasuredOverlap
 from deepbots_cli.program import Program
 from deepbots_cli.program.resets import Placement
 from deepbots_cli.program.robots import Route, Sensor
@@ -399,7 +399,7 @@ def _is_drawn_again(program: Program, places: list[Placement], bent: set[str]) -
 
 def spawn_overlap(simulation: Simulation) -> Iterator[Finding]:
     """DB310: bodies overlap at the start; one pair is reported for all copies of a group."""
-    deepest: dict[frozenset[str], Overlap] = {}
+    deepest: dict[frozenset[str], MeasuredOverlap] = {}
     for found in simulation.report.overlaps:
         pair = frozenset(name.partition("#")[0] for name, _ in (found.one, found.other))
         if found.depth > _MAX_DEPTH and (pair not in deepest or deepest[pair].depth < found.depth):
@@ -408,7 +408,7 @@ def spawn_overlap(simulation: Simulation) -> Iterator[Finding]:
         yield _overlapping(simulation, found)
 
 
-def _overlapping(simulation: Simulation, found: Overlap) -> Finding:
+def _overlapping(simulation: Simulation, found: MeasuredOverlap) -> Finding:
     """Reported at the body that the scenario places, a robot first."""
     one, other = sorted((found.one, found.other), key=lambda part: _order(simulation, part[0]))
     first, second = simulation.called(one[0]), simulation.called(other[0])

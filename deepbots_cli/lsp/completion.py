@@ -33,7 +33,7 @@ from deepbots_cli.lsp.lookup import (
     shapes_at,
     summary,
 )
-from deepbots_cli.lsp.workspace import Analysis, CursorView
+from deepbots_cli.lsp.workspace import CursorView, DocumentAnalysis
 from deepbots_cli.scenario.base import Kinds, MappingOf, Section, example_of, hover_text, section_description, section_fields
 from deepbots_cli.scenario.fields import (
     COLOURS,
@@ -75,7 +75,7 @@ _COLON = re.compile(r"[\w]*[ \t]*:")
 def completion(view: CursorView) -> CompletionList:
     """All completions at the place; the client filters them by the text before the cursor.
 
-    The list is models_by_marker as incomplete until the current text is analysed, so that the client asks again at the next letter.
+    The list is marked as incomplete until the current text is analysed, so that the client asks again at the next letter.
     """
     place = view.place
     if view.document.is_blank:
@@ -287,7 +287,7 @@ def _is_expression(field: FieldType) -> bool:
     return isinstance(field, (Expression, Quantity, Range, Column))
 
 
-def _scope_of(analysis: Analysis, field: FieldType, path: NodePath) -> Scope | None:
+def _scope_of(analysis: DocumentAnalysis, field: FieldType, path: NodePath) -> Scope | None:
     """The scope of an expression at `path` in a field of this type."""
     checked = analysis.checked
     if checked is None or checked.namespace is None:

@@ -33,7 +33,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.lint.fixes import Fixer
 from deepbots_cli.lsp.completion import completion
 from deepbots_cli.lsp.lookup import definitions, document_symbols, hover
-from deepbots_cli.lsp.workspace import Analysis, Document, Locator, Workspace, analyse, common_prefix, path_of
+from deepbots_cli.lsp.workspace import Document, DocumentAnalysis, Locator, Workspace, analyse, common_prefix, path_of
 
 # Findings as diagnostics, and the text edits that fix or suppress them
 
@@ -61,7 +61,7 @@ def diagnostic(finding: Finding, locator: Locator) -> types.Diagnostic:
     )
 
 
-def diagnostics(analysis: Analysis, open_uris: dict[Path, str]) -> dict[str, list[types.Diagnostic]]:
+def diagnostics(analysis: DocumentAnalysis, open_uris: dict[Path, str]) -> dict[str, list[types.Diagnostic]]:
     """All diagnostics by URI. The document and all open files that it reads always have an entry."""
     locator = Locator(analysis, open_uris)
     read = (open_uris[path] for path in analysis.paths.values() if path in open_uris)
@@ -76,13 +76,13 @@ _DEBOUNCE = 0.05
 
 Publish = Callable[[str, int | None, list[types.Diagnostic]], None]
 Warn = Callable[[str], None]
-Analyse = Callable[[Document, Drafts], Analysis]
+Analyse = Callable[[Document, Drafts], DocumentAnalysis]
 
 
 class _Published(NamedTuple):
     """The diagnostics of the last analysis of a document, by URI."""
 
-    analysis: Analysis
+    analysis: DocumentAnalysis
     found: dict[str, list[types.Diagnostic]]
 
     def is_about(self, document: Document | None) -> bool:
@@ -143,14 +143,14 @@ class Checker:
         except Exception as error:  # an internal error must not end the server  # noqa: BLE001
             self._warn(f"deepbots could not check this file, which is a fault of its own: {type(error).__name__}: {error}")
 
-    def _run(self, document: Document, drafts: Drafts) -> Analysis:
+    def _run(self, document: Document, drafts: Drafts) -> DocumentAnalysis:
         """Analyse in the thread, and collect garbage there, because the server disables automatic collection."""
         try:
             return self._analyse(document, drafts)
         finally:
             gc.collect()
 
-    def _record(self, analysis: Analysis) -> None:
+    def _record(self, analysis: DocumentAnalysis) -> None:
         uri = analysis.document.uri
         if analysis.settings_error:
             self._warn(analysis.settings_error)
@@ -218,7 +218,7 @@ class CodeActions:
         return self._edit(changes) if changes else None
 
     @property
-    def _analysis(self) -> Analysis | None:
+    def _analysis(self) -> DocumentAnalysis | None:
         """The analysis of the current version of the document."""
         known = self._workspace.latest.get(self._document.uri)
         return known if known is not None and known.document is self._document else None
@@ -227,7 +227,7 @@ class CodeActions:
     def _has_safe_fixes(self) -> bool:
         return self._analysis is not None and any(found.fix is not None and found.fix.safe for found in self._analysis.findings)
 
-    def _findings(self, range: types.Range) -> Iterator[tuple[Finding, Analysis]]:
+    def _findings(self, range: types.Range) -> Iterator[tuple[Finding, DocumentAnalysis]]:
         """The findings in the document that touch the range, each once."""
         lines, seen = self._document.lines, set()
         start, end = lines.offset(range.start), lines.offset(range.end)
@@ -238,7 +238,7 @@ class CodeActions:
                     seen.add(finding.sort_key)
                     yield finding, analysis
 
-    def _actions_for(self, finding: Finding, analysis: Analysis) -> Iterator[types.CodeAction]:
+    def _actions_for(self, finding: Finding, analysis: DocumentAnalysis) -> Iterator[types.CodeAction]:
         about = [diagnostic(finding, Locator(analysis, self._workspace.open_uris))]
         changes = self._changes(finding, analysis)
         if changes and finding.fix is not None:
@@ -252,7 +252,7 @@ class CodeActions:
                 edit = self._edit({self._document: [suppression]})
                 yield types.CodeAction(title, types.CodeActionKind.QuickFix, about, edit=edit)
 
-    def _changes(self, finding: Finding, analysis: Analysis) -> dict[Document, list[types.TextEdit]]:
+    def _changes(self, finding: Finding, analysis: DocumentAnalysis) -> dict[Document, list[types.TextEdit]]:
         """The edits of a fix by document; empty unless all apply to the current text of open documents."""
         changes: dict[Document, list[types.TextEdit]] = {}
         by_path = self._workspace.by_path

@@ -137,7 +137,7 @@ def uri_of(path: Path) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class Analysis:
+class DocumentAnalysis:
     """The result of compiling and linting one version of a document.
 
     `drafts` holds the open files at that time by path. `checked` is None for an included file and for unreadable files.
@@ -172,8 +172,8 @@ class Analysis:
         """The files that the analysis read."""
         if self.checked is None:
             return {}
-        scenes = (self.checked.robots or {}).values()
-        return {source: path for path, source in self.checked.document.files.items()} | {scene.file.source: scene.path for scene in scenes}
+        robots = (self.checked.robots or {}).values()
+        return {source: path for path, source in self.checked.document.files.items()} | {robot.file.source: robot.path for robot in robots}
 
     def path(self, source: Source) -> Path:
         """The file of a source. A file that could not be read is found by its name."""
@@ -192,10 +192,10 @@ class Analysis:
         return tuple(reading for one in each if one.namespace is not None for reading in one.namespace.values.readings)
 
 
-def analyse(document: Document, drafts: Drafts, *, allow_paths: Iterable[Path] = (), allow_code: bool = False) -> Analysis:
+def analyse(document: Document, drafts: Drafts, *, allow_paths: Iterable[Path] = (), allow_code: bool = False) -> DocumentAnalysis:
     """Load, check and lint a document. `drafts` replace files on the disk; the permissions are those of `deepbots lint`."""
     if not document.is_scenario:
-        return Analysis(document, drafts)  # scenarios that include the file report its findings
+        return DocumentAnalysis(document, drafts)  # scenarios that include the file report its findings
     settings_error = None
     try:
         project = settings(document.path.parent)
@@ -209,17 +209,17 @@ def analyse(document: Document, drafts: Drafts, *, allow_paths: Iterable[Path] =
     try:
         read = load(document.path, display=str(document.path), allow_paths=allow_paths, drafts={**drafts, document.path: document.bytes})
     except UsageError:  # a folder, or a name that no file can have
-        return Analysis(document, drafts)
+        return DocumentAnalysis(document, drafts)
     checked = check(replace(read, allow_code=allow_code))
     found = all_findings(checked, preview=preview)
     wanted = (*selection.inactive_rules(), *filter(selection.selects, found))
-    return Analysis(document, drafts, wanted, checked, settings_error, selection)
+    return DocumentAnalysis(document, drafts, wanted, checked, settings_error, selection)
 
 
 class Locator:
     """Converts spans of one analysis to locations; `open_uris` gives the client's URI of each open file, by path."""
 
-    def __init__(self, analysis: Analysis, open_uris: dict[Path, str]) -> None:
+    def __init__(self, analysis: DocumentAnalysis, open_uris: dict[Path, str]) -> None:
         self._analysis = analysis
         self._open_uris = open_uris
         self._lines: dict[Source, Lines] = {}
@@ -249,7 +249,7 @@ class CursorView:
 
     document: Document
     offset: int
-    analysis: Analysis | None
+    analysis: DocumentAnalysis | None
     source: Source | None
     known_offset: int | None
     is_settled: bool
@@ -310,8 +310,8 @@ class Workspace:
 
     def __init__(self) -> None:
         self.documents: dict[str, Document] = {}
-        self.latest: dict[str, Analysis] = {}
-        self._resolved: dict[str, Analysis] = {}
+        self.latest: dict[str, DocumentAnalysis] = {}
+        self._resolved: dict[str, DocumentAnalysis] = {}
 
     def put(self, document: Document) -> None:
         self.documents[document.uri] = document
@@ -320,7 +320,7 @@ class Workspace:
         for table in (self.documents, self.latest, self._resolved):
             table.pop(uri, None)
 
-    def record(self, analysis: Analysis) -> None:
+    def record(self, analysis: DocumentAnalysis) -> None:
         """Keep an analysis if its document is still open."""
         uri = analysis.document.uri
         if uri in self.documents:
@@ -354,7 +354,7 @@ class Workspace:
         """The URIs of the other open documents that read this one."""
         return [uri for uri, known in self.latest.items() if uri != document.uri and document.path in known.paths.values()]
 
-    def analyses_of(self, document: Document) -> Iterable[tuple[Analysis, Source]]:
+    def analyses_of(self, document: Document) -> Iterable[tuple[DocumentAnalysis, Source]]:
         """The analyses that read this version of the document."""
         for analysis in self.latest.values():
             source = analysis.source(document.path)

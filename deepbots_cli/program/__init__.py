@@ -6,7 +6,7 @@
     ├── parameters            values drawn per episode or more often (fixed ones are folded into the expressions)
     ├── signals               augmentation and signals, in order of evaluation
     ├── policies              by name: action, observation, goal, reward, scripts, training, copies of a robot
-    ├── repeat                control ticks in one step, for which each action is held
+    ├── action_repeat         control ticks in one step, for which each action is held
     ├── endings, truncation   when an episode ends
     ├── reset, disturbances   how an episode begins, what it varies, what disturbs it
     ├── evaluation, solved
@@ -50,7 +50,7 @@ class Program:
 
     - the world and the robots. The commands of a robot name the action variables that they use, so a policy needs no list of robots;
     - parameters and signals, which form one namespace;
-    - the episode: reset, endings, truncation, and the `repeat` of a step. A world is reset and stepped as a whole.
+    - the episode: reset, endings, truncation, and the `action_repeat`. A world is reset and stepped as a whole.
 
     There is one policy, named `policy`. `augmented_signals` holds the names of the signals that policies may see. `engine` is the engine
     that the scenario names, None for the default. `stored_signals` names the signals that the supervisor stores after each step, as

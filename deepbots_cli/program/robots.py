@@ -261,7 +261,7 @@ class MessageField:
     shape: tuple[int, ...] = ()
 
     @staticmethod
-    def of(value: Expression) -> MessageField:
+    def from_expression(value: Expression) -> MessageField:
         """The field that carries a value."""
         known = value.typed.type
         if known.picture:
@@ -281,7 +281,7 @@ class MessageLayout:
     layout_hash: int
 
     @staticmethod
-    def of(robot: str, direction: Direction, fields: tuple[MessageField, ...]) -> MessageLayout:
+    def from_fields(robot: str, direction: Direction, fields: tuple[MessageField, ...]) -> MessageLayout:
         parts = ((field, ",".join([*field.components, *map(str, field.shape)])) for field in fields)
         words = [f"v{LAYOUT_VERSION}", robot, direction, *(f"{f.name}:{f.dtype}:{f.unit}:{inside}" for f, inside in parts)]
         return MessageLayout(robot, direction, fields, zlib.crc32("|".join(words).encode()))
@@ -323,7 +323,7 @@ class Route:
         found = (("latency", self.latency), ("loss", self.loss), ("range", self.range))
         return tuple((name, value) for name, value in found if value is not None)
 
-    def of(self, robot: str, direction: Direction) -> Route:
+    def route_for(self, robot: str, direction: Direction) -> Route:
         """The route of one robot, whose draws have streams of their own."""
         own = {name: replace(value, owner=f"{robot}.{direction}.{name}") for name, value in self.settings}
         return replace(self, latency=own.get("latency"), loss=own.get("loss"), range=own.get("range"))
@@ -430,9 +430,9 @@ class Robot:
 
     @cached_property
     def to_robot(self) -> MessageLayout:
-        return MessageLayout.of(self.name, "to_robot", (*self.variables, *map(MessageField.of, self.receive)))
+        return MessageLayout.from_fields(self.name, "to_robot", (*self.variables, *map(MessageField.from_expression, self.receive)))
 
     @cached_property
     def from_robot(self) -> MessageLayout:
         ages = (MessageField(field, "s") for _, field in self.ages)
-        return MessageLayout.of(self.name, "from_robot", (*map(MessageField.of, self.emit), *ages))
+        return MessageLayout.from_fields(self.name, "from_robot", (*map(MessageField.from_expression, self.emit), *ages))

@@ -45,7 +45,7 @@ GROUPED_DIGITS = r"[-+]?[0-9]{1,3}(_[0-9]{3})+"
 def error(
     code: str, headline: str, help: str | None = None, *, missing: tuple[str, ...] = (), replacement: Replacement | None = None
 ) -> PydanticCustomError:
-    """An error with the parts of a finding: `missing` keys, and `meant`, a replacement of the whole value."""
+    """An error with the parts of a finding: `missing` keys, and a `replacement` of the whole value."""
     context = {"headline": headline, "help": help, "missing": missing, "replacement": replacement}
     return PydanticCustomError(code, "{headline}; {help}" if help else "{headline}", context)
 

@@ -63,7 +63,7 @@ _REQUIRED_SECTION_DEFAULTS: dict[str, object] = {
 
 @dataclass(frozen=True)
 class _Problem:
-    """A finding about `path`, with `missing` keys, or with the key that was probably `meant` by an unknown one."""
+    """A finding about `path`, with `missing` keys, or with the probable `replacement` of an unknown key."""
 
     path: NodePath
     finding: Finding
@@ -467,12 +467,12 @@ def _with_new_names(node: Node, shape: Shape | None, findings: Findings) -> Node
             entries = {key: Entry(entry.key, _with_new_names(entry.value, value, findings)) for key, entry in node.entries.items()}
             return replace(node, entries=entries)
         case type(), nodes.MappingNode():
-            return _section(node, shape, findings)
+            return _rename_section_keys(node, shape, findings)
         case _:
             return node
 
 
-def _section(node: nodes.MappingNode, section: type[Section], findings: Findings) -> nodes.MappingNode:
+def _rename_section_keys(node: nodes.MappingNode, section: type[Section], findings: Findings) -> nodes.MappingNode:
     entries: dict[str, Entry] = {}
     for name, entry in node.entries.items():
         rename = next((each for each in RENAMES if each.old == name and _is_key_of(each, section)), None)

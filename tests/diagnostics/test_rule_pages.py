@@ -13,7 +13,7 @@ from deepbots_cli.compiler import check
 from deepbots_cli.diagnostics import RULES, Findings
 from deepbots_cli.diagnostics.findings import Source, suppress
 from deepbots_cli.document import loads
-from deepbots_cli.lint import SIMULATED_RULES, STATIC_RULES, Page, code_of, every_page, simulate, static_findings
+from deepbots_cli.lint import SIMULATED_RULES, STATIC_RULES, RulePage, code_of, every_page, simulate, static_findings
 from deepbots_cli.lint.context import StaticRule
 from deepbots_cli.robots.reader import read
 from tests.few import few
@@ -36,7 +36,7 @@ truncation: {max_steps: 100}
 """
 
 
-def codes(text: str, page: Page, folder: Path) -> set[str]:
+def codes(text: str, page: RulePage, folder: Path) -> set[str]:
     """What is found in a fragment upon CartPole, by a simulation too where the page is about one, or in a robot file."""
     if page.language == "xml":
         file, findings = folder / "robot.urdf", Findings()
@@ -60,7 +60,7 @@ def test_the_docstring_of_a_rule_is_a_page(rule: StaticRule) -> None:
     assert SHAPE.fullmatch(cleandoc(rule.__doc__ or ""))
 
 
-def named(page: Page) -> str:
+def named(page: RulePage) -> str:
     return f"{page.code}{'-deep' * page.deep}"
 
 
@@ -70,7 +70,7 @@ QUICK = {named(page) for page in EXAMPLES if not page.deep} | {"DB310-deep"}
 
 
 @pytest.mark.parametrize("page", few(EXAMPLES, QUICK, named))
-def test_the_example_of_a_page_has_its_finding_and_what_to_write_instead_has_not(page: Page, tmp_path: Path) -> None:
+def test_the_example_of_a_page_has_its_finding_and_what_to_write_instead_has_not(page: RulePage, tmp_path: Path) -> None:
     assert page.code in codes(page.example, page, tmp_path)
     found = codes(page.instead, page, tmp_path)
     assert page.code not in found

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from deepbots_cli.lsp.server import Checker, Server
-from deepbots_cli.lsp.workspace import Analysis, Document, Workspace, analyse, path_of
+from deepbots_cli.lsp.workspace import Document, DocumentAnalysis, Workspace, analyse, path_of
 from tests.fuzz.mutations import SEEDS
 from tests.lsp.client import Client
 
@@ -130,7 +130,7 @@ def test_what_is_written_in_is_looked_at_before_what_waits_already():
     workspace, looked = Workspace(), []
     documents = [Document(f"untitled:{name}", 1, "deepbots: 1\n", path_of(f"untitled:{name}")) for name in "abc"]
 
-    def noted(document: Document, drafts: Any) -> Analysis:
+    def noted(document: Document, drafts: Any) -> DocumentAnalysis:
         looked.append(document.uri)
         return analyse(document, drafts)
 
