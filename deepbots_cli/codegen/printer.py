@@ -43,7 +43,7 @@ class Column(NamedTuple):
         return f"[a{self.item} for a in {self.code}]" if self.item else self.code
 
 
-class Scope(Protocol):
+class MethodContext(Protocol):
     """The class that a method is printed for: what its names mean, and what its methods share."""
 
     target: Target
@@ -69,14 +69,17 @@ class Printer:
     trees is to walk them. `renamed` has the code of names that mean something else in this method.
     """
 
-    def __init__(self, scope: Scope, *, settable: Mapping[int, str] = NO_SETTABLE, renamed: Mapping[str, str] = NO_RENAMED) -> None:
+    def __init__(
+        self, context: MethodContext, *, settable: Mapping[int, str] = NO_SETTABLE, renamed: Mapping[str, str] = NO_RENAMED
+    ) -> None:
         self.lines: list[str] = []
-        self.scope = scope
-        self.names = scope.names
+        self.context = context
+        self.names = context.names
         self.needs: ReaderKeys = {}
         self._settable = settable
         self._renamed = renamed
-        self._hoisted: dict[State, str] = {}
+        self._hoisted: dict[State, tuple[str, str]] = {}
+        """The local that holds the value of a memory, and what is taken from it, such as `[0]`."""
         self.reads_at = 0
 
     def line(self, text: str) -> None:
@@ -88,7 +91,7 @@ class Printer:
 
     def method_lines(self, docstring: Sequence[str] = ()) -> list[str]:
         """All lines, with the calls of readers."""
-        at, reads = self.reads_at, self.scope.readers.call_lines(self.needs)
+        at, reads = self.reads_at, self.context.readers.call_lines(self.needs)
         return [*docstring, *self.lines[:at], *reads, *self.lines[at:]] or ["pass"]
 
     def value(self, tree: Scalar) -> str:
@@ -104,9 +107,9 @@ class Printer:
     def assign(self, target: str, code: str, text: str = "") -> None:
         """An assignment, with the text of the scenario that it was made from."""
         made = f"{code} = "
-        if self.lines and self.lines[-1].startswith(made) and code in self.scope.memories:
+        if self.lines and self.lines[-1].startswith(made) and code in self.context.memories:
+            self._hoisted = {state: (target if local == code else local, item) for state, (local, item) in self._hoisted.items()}
             code = self.lines.pop().removeprefix(made)
-            self._hoisted = {state: re.sub(rf"^{made[:-3]}\b", target, name) for state, name in self._hoisted.items()}
         self.lines += with_comment(f"{target} = {code}", text)
 
     def add_in_place(self, target: str, code: str) -> None:
@@ -116,12 +119,12 @@ class Printer:
     def operation(self, operation: str, codes: Sequence[str]) -> str:
         """The code of an operation on values with this code."""
         args = [Code(code) for code in codes]
-        return operation_code(operation, args, (), self.scope.target).text if len(args) > 1 or operation == "not" else codes[0]
+        return operation_code(operation, args, (), self.context.target).text if len(args) > 1 or operation == "not" else codes[0]
 
     @property
     def on_floats(self) -> bool:
         """Whether the code is for one world."""
-        return self.scope.target is SCALAR
+        return self.context.target is SCALAR
 
     def tuple(self, trees: Sequence[Scalar]) -> str:
         """The code of a tuple with one item per tree."""
@@ -147,7 +150,7 @@ class Printer:
     def update_memories(self, trees: Sequence[Scalar]) -> None:
         """Print only what keeps the memory of stateful functions, for values that are not needed here."""
         groups: dict[tuple[str, tuple[str, str]], list[State]] = {}
-        states = (state for tree in trees for state in outer_states(tree, without=self.scope.begun_by_message))
+        states = (state for tree in trees for state in outer_states(tree, without=self.context.begun_by_message))
         for state in dict.fromkeys(states):  # one number may drive several joints
             groups.setdefault((state.function, state.call), []).append(state)
         for group in groups.values():
@@ -158,14 +161,14 @@ class Printer:
     def code(self, tree: Scalar) -> Code:
         match tree:
             case Const(value=NamedFloat(component=None) as value) if value.text:
-                return Code(self.scope.constants.number(value))
+                return Code(self.context.constants.number(value))
             case Const(value=value):
                 return number_code(value)
             case Op():
                 return (
                     self._pose_function_code(tree)
                     or self._reduction_code(tree)
-                    or operation_code(tree.op, [self.code(arg) for arg in tree.args], tree.args, self.scope.target)
+                    or operation_code(tree.op, [self.code(arg) for arg in tree.args], tree.args, self.context.target)
                 )
             case State():
                 return Code(self._state(tree))
@@ -174,7 +177,7 @@ class Printer:
             case Name(name=name) if name in self._renamed:
                 return Code(self._renamed[name])
             case Name() | EngineRead():
-                return Code(self.scope.scalar(tree, self.needs))
+                return Code(self.context.scalar(tree, self.needs))
 
     def draw(self, distribution: str, stream: str, args: Sequence[str]) -> str:
         return f"self.streams.{distribution}({', '.join([stream, *args])})"
@@ -183,7 +186,7 @@ class Printer:
         """A function of the poses of bodies, or a component of a vector as a body sees it."""
         found = _of_poses(tree)
         if found is not None:
-            poses = [self.scope.readers.pose(body, self.needs) for body in found[1]]
+            poses = [self.context.readers.pose(body, self.needs) for body in found[1]]
             return Code(f"{found[0]}({', '.join(poses)})")
         seen = _body_frame_component(tree)
         if seen is not None:
@@ -191,13 +194,13 @@ class Printer:
         return None
 
     def _body_frame_code(self, seen: _BodyFrameComponent) -> str:
-        return f"to_body_frame({self.scope.readers.pose(seen.body, self.needs)}, {self.vector(seen.vector)})"
+        return f"to_body_frame({self.context.readers.pose(seen.body, self.needs)}, {self.vector(seen.vector)})"
 
     def _reduction_code(self, tree: Op) -> Code | None:
         """An operation on many arguments of the same form, as one operation on a vector."""
         if tree.op == "hypot" and (column := self._column(tree.args)) is not None:
             return Code(f"hypot(*{column.elements})")
-        joined = _VECTOR_FUNCTIONS[self.scope.target.name].get(tree.op)
+        joined = _VECTOR_FUNCTIONS[self.context.target.name].get(tree.op)
         if joined is None or len(tree.args) < _MIN_LOOP_ITEMS:
             return None
         column = self._column(tree.args)
@@ -216,16 +219,16 @@ class Printer:
         if not trees:
             return Column("()")
         if all(isinstance(tree, Const) for tree in trees):
-            return Column(self.scope.constants.vector([tree.value for tree in trees if isinstance(tree, Const)]))
+            return Column(self.context.constants.vector([tree.value for tree in trees if isinstance(tree, Const)]))
         if all(isinstance(tree, State) for tree in trees) and len(trees) > 2:
             return self._states([tree for tree in trees if isinstance(tree, State)])
         if all(isinstance(tree, Name) for tree in trees):
             if isinstance(trees[0], Name) and trees[0].name in self._renamed:
                 return Column(f"({self.value(trees[0])},) * {len(trees)}")
-            code = self.scope.vector([tree for tree in trees if isinstance(tree, Name)])
+            code = self.context.vector([tree for tree in trees if isinstance(tree, Name)])
             return None if code is None else Column(code)
         if all(isinstance(tree, EngineRead) for tree in trees):
-            found = self.scope.readers.vector([tree for tree in trees if isinstance(tree, EngineRead)], self.needs)
+            found = self.context.readers.vector([tree for tree in trees if isinstance(tree, EngineRead)], self.needs)
             return None if found is None else Column(*found)
         seen = [found for found in map(_body_frame_component, trees) if found is not None]
         if [found.axis for found in seen] == [0, 1, 2] == list(range(len(trees))) and len({found[::2] for found in seen}) == 1:
@@ -239,15 +242,15 @@ class Printer:
             name = self._memory([state])
             arguments = ", ".join(self.value(argument) for argument in state.args)
             self.line(f"{name} = self.{name}.update({arguments})")
-            self._hoisted[state] = name
-        return self._hoisted[state]
+            self._hoisted[state] = name, ""
+        return "".join(self._hoisted[state])
 
     def _states(self, states: Sequence[State]) -> Column | None:
         """A vector of memories; None where they differ in more than their component."""
         found = [self._hoisted.get(state) for state in states]
         if found[0] is not None:
-            whole = found[0].removesuffix("[0]")
-            return Column(whole) if found == [f"{whole}[{index}]" for index in range(len(states))] else None
+            local = found[0][0]
+            return Column(local) if found == [(local, f"[{index}]") for index in range(len(states))] else None
         if any(found) or len({state.function for state in states}) > 1:
             return None
         if len({len(state.args) for state in states}) > 1:
@@ -255,7 +258,7 @@ class Printer:
         arguments = [self.vector(trees) for trees in zip(*(state.args for state in states), strict=True)]
         name = self._memory(states)
         self.line(f"{name} = self.{name}.update({', '.join(arguments)})")
-        self._hoisted |= {state: f"{name}[{index}]" for index, state in enumerate(states)}
+        self._hoisted |= {state: (name, f"[{index}]") for index, state in enumerate(states)}
         return Column(name)
 
     def _memory(self, states: Sequence[State]) -> str:
@@ -264,9 +267,9 @@ class Printer:
         owner = first.slot.partition("#")[0].rpartition(".")[2]
         name = self.names.identifier(f"memory {first.slot}", first.function, owner)
         kind = FUNCTIONS[first.function].memory
-        options = ", on_message=True" if first.call in self.scope.begun_by_message else ""
+        options = ", on_message=True" if first.call in self.context.begun_by_message else ""
         kinds = f"self.memories({kind}, {len(states)}{options})" if len(states) > 1 else f"self.memory({kind}{options})"
-        self.scope.memories[name] = kinds if self.on_floats else f"self.memory({quoted(name)})"
+        self.context.memories[name] = kinds if self.on_floats else f"self.memory({quoted(name)})"
         return name
 
 
@@ -302,7 +305,7 @@ class _Loop:
         if "{" in texts[0] or "}" in texts[0]:
             raise _DifferentShapesError
         around = quoted(texts[0][:start])[:-1], quoted(texts[0][len(texts[0]) - end :])[1:]
-        return f"f{around[0]}{{{self.variable(Column(self._printer.scope.constants.strings(parts)))}}}{around[1]}"
+        return f"f{around[0]}{{{self.variable(Column(self._printer.context.constants.strings(parts)))}}}{around[1]}"
 
     def code(self, body: str) -> str:
         """The vector as a comprehension."""
@@ -332,7 +335,7 @@ class _Loop:
         name = operations[0].op
         if name == "pow" and len({tree.args[1] for tree in operations}) > 1:
             raise _DifferentShapesError
-        return operation_code(name, self._bodies([tree.args for tree in operations]), operations[0].args, self._printer.scope.target)
+        return operation_code(name, self._bodies([tree.args for tree in operations]), operations[0].args, self._printer.context.target)
 
     def _bodies(self, rows: Sequence[tuple[Scalar, ...]]) -> list[Code]:
         if len({len(row) for row in rows}) > 1:

@@ -135,7 +135,7 @@ def _print_joints(start: JointStart, printer: Printer) -> None:
     robot, (joints, positions, velocities) = quoted(start.robot), zip(*start.states, strict=True)
     if len(joints) > 2:
         moving = "" if _all_zero(velocities) else f", {printer.vector(velocities)}"
-        printer.line(f"self.set_joints({robot}, {printer.scope.constants.strings(joints)}, {printer.vector(positions)}{moving})")
+        printer.line(f"self.set_joints({robot}, {printer.context.constants.strings(joints)}, {printer.vector(positions)}{moving})")
         return
     for joint, position, velocity in start.states:
         printer.line(f"self.engine.set_joint({robot}, {quoted(joint)}, {printer.value(position)}, {printer.value(velocity)})")

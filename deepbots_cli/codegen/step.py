@@ -497,7 +497,7 @@ def _observed(workspace: Workspace, printer: Printer, entry: Observation) -> str
         if not components:
             return f"{function}({code}, {ends})"
         return f"*scale_each({code}, {ends})" if entry.clip else f"*[scale_freely(a, {ends}) for a in {code}]"
-    low, high = (printer.scope.constants.vector(ends) for ends in (entry.low, entry.high))
+    low, high = (printer.context.constants.vector(ends) for ends in (entry.low, entry.high))
     return f"*[{'scale' if entry.clip else 'scale_freely'}(a, b, c) for a, b, c in zip({code}, {low}, {high})]"
 
 

@@ -11,7 +11,7 @@ import keyword
 import math
 import re
 import textwrap
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Sequence
 
 from deepbots_cli.expressions.functions import FUNCTIONS, OPERATORS
 from deepbots_cli.expressions.lower import number_code
@@ -49,14 +49,14 @@ class Names:
     """Hands out one identifier per key, the same for the same key."""
 
     def __init__(self) -> None:
-        self._given: dict[str, str] = {}
+        self._given: dict[Hashable, str] = {}
         self._used: set[str] = set(_RESERVED_NAMES)
 
     def __call__(self, *parts: str | None) -> str:
         """The identifier of a dotted name, such as `cart_pole_angle` for ("cart.pole_angle",)."""
-        return self.identifier("\0".join(part for part in parts if part), *parts)
+        return self.identifier(parts, *parts)
 
-    def identifier(self, key: str, *parts: str | None) -> str:
+    def identifier(self, key: Hashable, *parts: str | None) -> str:
         """The identifier for `key`, made of these parts."""
         if key not in self._given:
             wanted = re.sub(r"\W", "_", "_".join(part for part in parts if part))

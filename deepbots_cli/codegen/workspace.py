@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from copy import copy
+from typing import NamedTuple
 
 from deepbots_cli.codegen.printer import Printer
 from deepbots_cli.codegen.text import LOOP_VARIABLES, Constants, Names, quoted
@@ -19,13 +20,17 @@ from deepbots_cli.program.task import ActionRange, Choices, action_names
 
 # Readers of the engine
 
-ReaderKey = tuple[str, str]
-"""The kind of a reader and what it reads."""
+
+class ReaderKey(NamedTuple):
+    """The kind of a reader, and the parts of the world that it is about."""
+
+    kind: str
+    parts: tuple[str, ...]
+
+
 ReaderKeys = dict[ReaderKey, None]
 """The readers that a method calls, in order of first use."""
 
-_PART_SEPARATOR = "\0"
-"""Between two parts of the world that one reader is about: no name holds it, and those of the pieces of walls hold blanks."""
 _KINDS = ("joints", "torques", "pose", "velocity")
 _POSES = {"position": "pose", "orientation": "pose", "velocity": "velocity", "angular_velocity": "velocity"}
 _RESULT_INDEX = {
@@ -76,18 +81,18 @@ class Readers:
         """The code of one number."""
         what, item = leaf.function, _RESULT_INDEX.get(leaf.function)
         if what in _POSES:
-            return f"{self._need((_POSES[what], leaf.subjects[0]), needs)}[{item}][{_XYZ.index(leaf.component or 'x')}]"
+            return f"{self._need(_POSES[what], leaf.subjects[:1], needs)}[{item}][{_XYZ.index(leaf.component or 'x')}]"
         if what in _SCALAR_READERS:
-            return self._need((what, _PART_SEPARATOR.join(leaf.subjects)), needs)
+            return self._need(what, leaf.subjects, needs)
         if what in ("cross_track_error", "arc_length"):
             self.pose(leaf.subjects[0], needs)
-            return f"{self._need(('line', _PART_SEPARATOR.join(leaf.subjects)), needs)}[{item}]"
+            return f"{self._need('line', leaf.subjects, needs)}[{item}]"
         code, index = self._joint(leaf, needs)
         return f"{code}[{index}]" if what == "joint_torque" else f"{code}[{index}][{item}]"
 
     def pose(self, subject: str, needs: ReaderKeys) -> str:
         """The code of the position and the orientation of a body."""
-        return self._need(("pose", subject), needs)
+        return self._need("pose", (subject,), needs)
 
     def vector(self, leaves: Sequence[EngineRead], needs: ReaderKeys) -> tuple[str, str] | None:
         """The code of a sequence and of what is taken from each item; None where the facts are read apart."""
@@ -97,30 +102,31 @@ class Readers:
         if what in _POSES:
             parts = "".join(leaf.component or "" for leaf in leaves)
             whole = len(set(subjects)) == 1 and parts == _XYZ[: 4 if what == "orientation" else 3]
-            return (f"{self._need((_POSES[what], leaves[0].subjects[0]), needs)}[{_RESULT_INDEX[what]}]", "") if whole else None
+            return (f"{self._need(_POSES[what], leaves[0].subjects[:1], needs)}[{_RESULT_INDEX[what]}]", "") if whole else None
         if what in ("joint_position", "joint_velocity", "joint_torque"):
             robot, names = subjects[0][0].partition(".")[0], [one.partition(".")[2] for (one,) in subjects]
             if any(one.partition(".")[0] != robot for (one,) in subjects) or len(names) < 2:
                 return None
             key = _of_joints(leaves[0], names)
             self._joints[key] = names
-            return self._need(key, needs), "" if what == "joint_torque" else f"[{_RESULT_INDEX[what]}]"
+            return self._need(*key, needs), "" if what == "joint_torque" else f"[{_RESULT_INDEX[what]}]"
         if what == "contact" and len(leaves) > 2 and len({others[1:] for others in subjects}) == 1:
             robot = subjects[0][0].partition(".")[0]
             if all(one.partition(".")[0] == robot and "." in one for one, *_ in subjects):
-                links = _PART_SEPARATOR.join(one.partition(".")[2] for one, *_ in subjects)
-                return self._need(("contacts", _PART_SEPARATOR.join((robot, subjects[0][1], links))), needs), ""
+                links = (one.partition(".")[2] for one, *_ in subjects)
+                return self._need("contacts", (robot, subjects[0][1], *links), needs), ""
         return None
 
     def _joint(self, leaf: EngineRead, needs: ReaderKeys) -> tuple[str, int]:
         single, (robot, _, name) = _of_joints(leaf, ()), leaf.subjects[0].partition(".")
-        vectors = (key for key, names in self._joints.items() if name in names and key[0] == single[0] and _robot(key) == robot)
+        vectors = (key for key, names in self._joints.items() if name in names and (key.kind, key.parts[0]) == (single.kind, robot))
         key = next(vectors, single)
         joints = self._joints.setdefault(key, [])
         joints += [] if name in joints else [name]
-        return self._need(key, needs), joints.index(name)
+        return self._need(*key, needs), joints.index(name)
 
-    def _need(self, key: ReaderKey, needs: ReaderKeys) -> str:
+    def _need(self, kind: str, parts: tuple[str, ...], needs: ReaderKeys) -> str:
+        key = ReaderKey(kind, parts)
         self._bound[key] = needs[key] = None
         return self._local(key)
 
@@ -134,35 +140,31 @@ class Readers:
         """Statements that read once what a method needs."""
         lines = []
         for key in self._sorted(needs):
-            kind, subject = key
             local = self._local(key)
-            place = f"{self._local(('pose', subject.partition(_PART_SEPARATOR)[0]))}[0]" if kind == "line" else ""
-            many = kind == "contacts"
+            place = f"{self._local(ReaderKey('pose', key.parts[:1]))}[0]" if key.kind == "line" else ""
+            many = key.kind == "contacts"
             lines.append(f"{local} = [a() for a in self.read_{local}]" if many else f"{local} = self.read_{local}({place})")
         return lines
 
     def start_lines(self) -> list[str]:
         """Statements that begin an episode."""
-        return [f"self.read_{self._local(key)}.reset()" for key in self._sorted(self._bound) if key[0] == "line"]
+        return [f"self.read_{self._local(key)}.reset()" for key in self._sorted(self._bound) if key.kind == "line"]
 
     @property
     def needs_paths(self) -> bool:
         """Whether the class needs paths around obstacles."""
-        return any(kind in ("path_distance", "reachable") for kind, _ in self._bound)
+        return any(key.kind in ("path_distance", "reachable") for key in self._bound)
 
     def _sorted(self, keys: ReaderKeys) -> list[ReaderKey]:
-        return sorted(keys, key=lambda key: _READER_ORDER.index(key[0].removesuffix("s") if key[0] == "contacts" else key[0]))
+        return sorted(keys, key=lambda key: _READER_ORDER.index("contact" if key.kind == "contacts" else key.kind))
 
     def _local(self, key: ReaderKey) -> str:
-        kind, subject = key
-        parts = subject.split(_PART_SEPARATOR)
-        said = [self._short.get(part, part) for part in parts[: {"contacts": 2, "joints": 1, "torques": 1}.get(kind)]]
-        return self._names.identifier(f"{kind}\1{subject}", *said, kind)
+        parts = key.parts[: {"contacts": 2, "joints": 1, "torques": 1}.get(key.kind)]
+        return self._names.identifier(key, *(self._short.get(part, part) for part in parts), key.kind)
 
     def _reader(self, key: ReaderKey) -> str:
-        kind, subject = key
-        parts = subject.split(_PART_SEPARATOR)
-        body, _, link = subject.partition(".")
+        kind, parts = key
+        body, _, link = parts[0].partition(".")
         if self._on_columns and kind not in _KINDS:
             name = quoted(f"read_{self._local(key)}")
             return f"[self.each({name}, index) for index in range({len(parts) - 2})]" if kind == "contacts" else f"self.each({name})"
@@ -189,11 +191,7 @@ class Readers:
 def _of_joints(leaf: EngineRead, names: Sequence[str]) -> ReaderKey:
     """The reader of certain joints that are read as a vector, or of all that are read one by one."""
     kind = "torques" if leaf.function == "joint_torque" else "joints"
-    return kind, _PART_SEPARATOR.join((leaf.subjects[0].partition(".")[0], *names))
-
-
-def _robot(key: ReaderKey) -> str:
-    return key[1].partition(_PART_SEPARATOR)[0]
+    return ReaderKey(kind, (leaf.subjects[0].partition(".")[0], *names))
 
 
 def _part(name: str) -> str:
