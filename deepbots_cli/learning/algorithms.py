@@ -41,11 +41,8 @@ _ACTIVATIONS: Mapping[str, type[nn.Module]] = {
     "silu": nn.SiLU,
     "tanh": nn.Tanh,
 }
-_WIDEST_LAYER = 8192
-_WIDEST_MEMORY = 2048
 _MOST_LAYERS = 16
 _MOST_WEIGHTS = 50_000_000  # of one network; with gradients and moments, actor and critic then take 1.6 GB
-_MOST_COPIES = 1024
 _BYTES_PER_COPY = 29_000_000  # of a cart-pole in PyBullet
 
 
@@ -182,20 +179,13 @@ def has_masks(model: BaseAlgorithm) -> bool:
 
 
 def check(training: Training) -> None:
-    """Raises: UsageError: Settings that no machine could meet, or names that the tables do not hold."""
+    """Raises: UsageError: The table does not hold the algorithm, or the networks would be larger than any memory."""
     _entry(training.algorithm)
-    if not 1 <= training.environments <= _MOST_COPIES:
-        raise UsageError(f"'train' asks for {training.environments} environments; from 1 to {_MOST_COPIES} are possible")
     hidden = training.network.hidden
-    if len(hidden) > _MOST_LAYERS or not all(1 <= width <= _WIDEST_LAYER for width in hidden):
-        raise UsageError(f"a policy has at most {_MOST_LAYERS} hidden layers of 1 to {_WIDEST_LAYER} units")
+    if len(hidden) > _MOST_LAYERS:
+        raise UsageError(f"a policy has at most {_MOST_LAYERS} hidden layers")
     if sum(one * other for one, other in pairwise(hidden)) > _MOST_WEIGHTS:
         raise UsageError(f"a policy with hidden layers of {', '.join(map(str, hidden))} units has more than {_MOST_WEIGHTS:,} weights")
-    memory = [h.value for h in training.hyperparameters if h.name == "lstm"]
-    if not all(type(units) is int and 1 <= units <= _WIDEST_MEMORY for units in memory):
-        raise UsageError(f"a policy has a memory of 1 to {_WIDEST_MEMORY} units")
-    if training.network.activation not in _ACTIVATIONS:
-        raise UsageError(_unknown("activation", training.network.activation, _ACTIVATIONS))
 
 
 def check_memory(copies: int, memory: int | None = None) -> None:
@@ -234,13 +224,10 @@ def _memory() -> int | None:
 
 def _entry(name: str) -> type[Model]:
     if name not in ALGORITHMS:
-        raise UsageError(_unknown("algorithm", name, ALGORITHMS))
+        near = nearest_word(name, ALGORITHMS)
+        hint = f" (did you mean {near}?)" if near else ""
+        raise UsageError(f"algorithm '{name}' cannot be trained with; the choices are {', '.join(ALGORITHMS)}{hint}")
     return ALGORITHMS[name]
-
-
-def _unknown(kind: str, name: str, table: Mapping[str, object]) -> str:
-    near = nearest_word(name, table)
-    return f"{kind} '{name}' cannot be trained with; the choices are {', '.join(table)}" + (f" (did you mean {near}?)" if near else "")
 
 
 def _networks(network: Network, algorithm: type[Model]) -> Settings:

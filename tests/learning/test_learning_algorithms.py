@@ -17,6 +17,7 @@ import stable_baselines3
 import stand_in
 import torch
 
+from deepbots_cli import api
 from deepbots_cli.errors import MissingExtraError, UsageError, install_hint
 from deepbots_cli.learning import TrainingResult, algorithms, defaults, evaluate, models, resume, train, training
 from deepbots_cli.learning.algorithms import DecayingNoise
@@ -272,10 +273,17 @@ def test_a_policy_with_a_memory_is_kept_whole_and_goes_on_learning(remembered: T
     assert resume(remembered.run, total_timesteps=more, build=Remember).steps >= more
 
 
-@pytest.mark.parametrize("units", [0, -1, 10**9, True, 2.5, "64"])
-def test_a_memory_that_no_machine_could_have_is_refused(units: object) -> None:
-    with pytest.raises(UsageError, match="memory of 1 to 2048 units"):
-        algorithms.check(Training("RecurrentPPO", 100, 1, hyper(lstm=units)))
+@pytest.mark.parametrize("units", ["0", "-1", "1000000000", "true", "2.5", "'64'"])
+@pytest.mark.parametrize("setting", ["lstm: {}", "environments: {}", "policy: {{hidden: [{}]}}"])
+def test_numbers_of_units_and_worlds_that_no_machine_could_have_are_refused(setting: str, units: str) -> None:
+    train = f"algorithm: RecurrentPPO, total_timesteps: 100, {setting.format(units)}"
+    findings = api.lint("cartpole", overrides=[f"train={{{train}}}"])
+    assert [finding.code for finding in findings] == ["DB105" if units.lstrip("-").isdigit() else "DB103"]
+
+
+def test_an_unknown_activation_is_refused() -> None:
+    (finding,) = api.lint("cartpole", overrides=["train.policy.activation=relou"])
+    assert (finding.code, finding.fix is not None) == ("DB104", True)
 
 
 # Pictures
