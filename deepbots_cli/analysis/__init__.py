@@ -18,6 +18,7 @@ from weakref import proxy
 from deepbots_cli.analysis.conditions import shadowed_endings
 from deepbots_cli.analysis.ranges import Ranges, StartRanges
 from deepbots_cli.analysis.returns import RewardTerms, return_range
+from deepbots_cli.expressions.intervals import INF
 from deepbots_cli.expressions.lower import Lowering, Scalars
 from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State
 from deepbots_cli.expressions.scalar import children as parts
@@ -256,6 +257,20 @@ class Analysis:
                 met.add(self.identity(node))
                 yield node
                 waiting += parts(node)
+
+    def conjuncts(self, *conditions: Scalar, limit: float = INF) -> Iterator[Scalar]:
+        """The parts of conditions that must all hold, through all names, each once; at most `limit` nodes are visited."""
+        met: set[int] = set()
+        waiting = list(conditions)
+        while waiting and len(met) < limit:
+            node = self.resolve_aliases(waiting.pop())
+            if self.identity(node) in met:
+                continue
+            met.add(self.identity(node))
+            if isinstance(node, Op) and node.op == "and":
+                waiting += node.args
+            else:
+                yield node
 
     # Equal quantities
 

@@ -55,10 +55,10 @@ def _compared(analysis: Analysis, value: Expression, node: Typed, met: set[str])
                 yield from _compared(analysis, meant, meant.typed, met)
 
 
-def is_one_comparison(analysis: Analysis, condition: Expression) -> bool:
-    """Whether a condition is a comparison, and no conjunction or disjunction."""
-    meaning = analysis.resolve_aliases(analysis.scalars(condition)[0])
-    return isinstance(meaning, Op) and meaning.op in _COMPARISONS
+def only_comparison(analysis: Analysis, condition: Expression) -> ConditionComparison | None:
+    """The comparison that a condition is; None for a conjunction, a disjunction and others."""
+    meaning, found = analysis.resolve_aliases(analysis.scalars(condition)[0]), list(comparisons(analysis, condition))
+    return found[0] if len(found) == 1 and isinstance(meaning, Op) and meaning.op in _COMPARISONS else None
 
 
 def _held_for(node: Operation) -> Typed | None:
@@ -95,16 +95,7 @@ def is_clock(analysis: Analysis, quantity: Scalar) -> bool:
 
 def has_choice(analysis: Analysis, condition: Expression) -> bool:
     """Whether one part of a condition may hold without the others."""
-    met: set[int] = set()
-    waiting = [analysis.scalars(condition)[0]]
-    while waiting:
-        node = analysis.resolve_aliases(waiting.pop())
-        if isinstance(node, Op) and node.op == "or":
-            return True
-        if isinstance(node, Op) and node.op == "and" and analysis.identity(node) not in met:
-            met.add(analysis.identity(node))
-            waiting += node.args
-    return False
+    return any(isinstance(part, Op) and part.op == "or" for part in analysis.conjuncts(analysis.scalars(condition)[0]))
 
 
 def thresholds(comparison: ConditionComparison, ranges: Ranges) -> Iterator[Threshold]:

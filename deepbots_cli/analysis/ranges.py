@@ -153,16 +153,8 @@ class Ranges:
     def _required(self, conditions: Sequence[Scalar]) -> Iterator[tuple[int, Interval]]:
         """The range of each quantity in which all these conditions can hold; of very many conditions only the first count."""
         analysis = self.analysis
-        met: set[int] = set()
-        waiting = list(conditions)
-        while waiting and len(met) < _MAX_CONDITIONS:
-            condition = analysis.resolve_aliases(waiting.pop())
-            if analysis.identity(condition) in met:
-                continue
-            met.add(analysis.identity(condition))
+        for condition in analysis.conjuncts(*conditions, limit=_MAX_CONDITIONS):
             match condition:
-                case Op("and", args):
-                    waiting += args
                 case Op("less" | "less_equal", (small, large)) | Op("greater" | "greater_equal", (large, small)):
                     high = self.of(large).high
                     high = math.nextafter(high, -INF) if condition.op in ("less", "greater") else high

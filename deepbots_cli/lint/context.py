@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, NamedTuple
 
@@ -13,7 +12,6 @@ from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.values import SourceText, ValueReader
 from deepbots_cli.diagnostics import Finding, Span
-from deepbots_cli.expressions.scalar import Name, walk
 from deepbots_cli.lint.simulation import SimulationPosition, SimulationReport, TermStatistics, simulation_plan
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Observation
@@ -46,27 +44,15 @@ class RuleContext:
         return self.values.span(("observation", entry.value.name, "range"))
 
 
-@dataclass(frozen=True, eq=False)
-class MeasuredNumber:
-    """One number of the observation: its entry, its component, and its place among all numbers."""
+class MeasuredNumber(NamedTuple):
+    """One number of the observation: its entry, its component, its place among all numbers, its full name, and its range."""
 
     entry: Observation
     component: int
     place: int
-
-    @property
-    def name(self) -> str:
-        """`pole.x`."""
-        parts = self.entry.value.components
-        return f"{self.entry.value.name}.{parts[self.component]}" if parts else self.entry.value.name
-
-    @property
-    def low(self) -> float:
-        return self.entry.low[self.component]
-
-    @property
-    def high(self) -> float:
-        return self.entry.high[self.component]
+    name: str
+    low: float
+    high: float
 
 
 Section = Literal["observation", "reward", "other"]
@@ -100,9 +86,8 @@ class Simulation(RuleContext):
     @cached_property
     def numbers(self) -> tuple[MeasuredNumber, ...]:
         """In the order of the report."""
-        entries = [entry for entry in self.program.policy.observation if not entry.value.typed.type.picture]
-        parts = [(entry, part) for entry in entries for part in range(len(entry.value.components) or 1)]
-        return tuple(MeasuredNumber(entry, part, place) for place, (entry, part) in enumerate(parts))
+        found = [(entry, part, number) for entry in self.program.policy.observation for part, number in enumerate(entry.numbers)]
+        return tuple(MeasuredNumber(*row[:2], place, row[2].full_name, row[2].low, row[2].high) for place, row in enumerate(found))
 
     def terms(self) -> Iterator[tuple[Expression, dict[str, TermStatistics]]]:
         """Every term of the reward, with its statistics by policy."""
@@ -191,32 +176,21 @@ class Simulation(RuleContext):
         for term in program.policy.reward:
             yield _identifier("term", term.name), (term, "reward")
             yield _identifier(term.name, "term"), (term, "reward")
-        seen, paid = (
-            _signals_in(program, (entry.value for entry in program.policy.observation)),
-            _signals_in(program, program.policy.reward),
-        )
+        seen, paid = self._names_behind([entry.value for entry in program.policy.observation]), self._names_behind(program.policy.reward)
         for value in program.signals:
             section: Section = "observation" if value.name in seen else "reward" if value.name in paid else "other"
             yield _identifier(value.name), (value, section)
         for ending in program.endings:
             yield _identifier(ending.value.name), (ending.value, "other")
 
+    def _names_behind(self, values: Iterable[Expression]) -> set[str]:
+        """The names that values depend on."""
+        analysis = self.analysis.ideal
+        return {name for value in values for tree in analysis.scalars(value) for name in analysis.dependencies(tree)}
+
 
 def _identifier(*parts: str) -> str:
     return re.sub(r"\W", "_", "_".join(part for part in parts if part))
-
-
-def _signals_in(program: Program, values: Iterable[Expression]) -> set[str]:
-    """The signals that values depend on."""
-    signals = {signal.name: signal.scalars for signal in program.signals}
-    found: set[str] = set()
-    waiting = [scalar for value in values for scalar in value.scalars]
-    while waiting:
-        for node in walk(waiting.pop()):
-            if isinstance(node, Name) and node.name in signals and node.name not in found:
-                found.add(node.name)
-                waiting += signals[node.name]
-    return found
 
 
 StaticRule = Callable[[RuleContext], Iterator[Finding]]

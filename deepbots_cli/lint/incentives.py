@@ -291,16 +291,9 @@ def _ways_to_avoid(analysis: Analysis, success: Ending) -> list[Threshold | None
 
 def _first_step(analysis: Analysis, ending: Ending) -> float:
     """The first step in which an ending may hold, as in `time > 5 s and still`, or `duration(still) > 5 s`."""
-    first, ranges, met = 0.0, analysis.ranges_in(0.0, float(analysis.last_step)), set[int]()
-    waiting = list(analysis.scalars(ending.value)[:1]) if ending.foreign is None else []
-    while waiting:
-        node = analysis.resolve_aliases(waiting.pop())
-        if analysis.identity(node) in met:
-            continue
-        met.add(analysis.identity(node))
+    first, ranges = 0.0, analysis.ranges_in(0.0, float(analysis.last_step))
+    for node in analysis.conjuncts(*analysis.scalars(ending.value)[:1]) if ending.foreign is None else ():
         match node:
-            case Op("and", args):
-                waiting += args
             case Op("greater" | "greater_equal", (late, limit)) | Op("less" | "less_equal", (limit, late)):
                 clock = analysis.resolve_aliases(late)
                 if isinstance(clock, State) and clock.function == "duration":

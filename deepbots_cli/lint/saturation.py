@@ -14,7 +14,7 @@ from deepbots_cli.compiler.robots import rigid_root
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.expressions.dimensions import ACCELERATION
 from deepbots_cli.expressions.intervals import NEVER, SIGNED_UNIT, Interval
-from deepbots_cli.expressions.scalar import Draw, EngineRead, Name, Scalar, children
+from deepbots_cli.expressions.scalar import Draw, EngineRead, Name, Scalar
 from deepbots_cli.expressions.types import Typed, walk
 from deepbots_cli.lint.context import RuleContext
 from deepbots_cli.lint.observations import RangedNumber, first_of_each_clipped, ranged_numbers, replace_range
@@ -75,14 +75,7 @@ class BlindNumber(NamedTuple):
 
 def _parts(analysis: Analysis, node: Scalar) -> set[int]:
     """The identities of a value and of everything that it is made of."""
-    found: set[int] = set()
-    waiting = [node]
-    while waiting:
-        node = waiting.pop()
-        if analysis.identity(node) not in found:
-            found.add(analysis.identity(node))
-            waiting += children(analysis.resolve_aliases(node))
-    return found
+    return set(map(analysis.identity, analysis.walk_definitions(node)))
 
 
 def _can_be_met(threshold: Threshold, ranges: Ranges) -> bool:

@@ -9,9 +9,8 @@ from deepbots_cli.analysis.conditions import (
     ORDER_PRESERVING,
     ConditionComparison,
     Threshold,
-    comparisons,
     is_clock,
-    is_one_comparison,
+    only_comparison,
     thresholds,
 )
 from deepbots_cli.analysis.ranges import Ranges, with_unit
@@ -19,7 +18,7 @@ from deepbots_cli.analysis.returns import RewardTerms, Terms
 from deepbots_cli.diagnostics import Finding, Fix, Label
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH
 from deepbots_cli.expressions.intervals import NEVER, Interval
-from deepbots_cli.expressions.scalar import EngineRead, Name, Op, Scalar, State, children
+from deepbots_cli.expressions.scalar import EngineRead, Name, Op, Scalar, State
 from deepbots_cli.expressions.unification import negated_text
 from deepbots_cli.lint.context import RuleContext
 from deepbots_cli.program.task import Ending
@@ -88,10 +87,8 @@ def _wrong_sign(term: Expression, headline: str, also: tuple[Label, ...]) -> Fin
 def _away_from_success(reward: RewardTerms, ordinary: Terms, ending: Ending) -> Iterator[Finding]:
     """Terms that pay for the opposite of the one comparison of a success."""
     analysis, running = reward.analysis, reward.ranges_while_running()
-    compared = list(comparisons(analysis, ending.value))
-    if len(compared) != 1 or not is_one_comparison(analysis, ending.value):
-        return
-    for threshold in thresholds(compared[0], running):
+    compared = only_comparison(analysis, ending.value)
+    for threshold in thresholds(compared, running) if compared else ():
         if is_clock(analysis, threshold.quantity):
             continue
         slope, wrong = Slope(running, threshold), -1.0 if threshold.above else 1.0
@@ -245,28 +242,21 @@ def pays_towards_failure(context: RuleContext) -> Iterator[Finding]:
         return
     ordinary, _ = reward.split_by_end()
     for ending in context.program.endings:
-        compared = list(comparisons(analysis, ending.value)) if ending.outcome == "failure" else []
-        if len(compared) != 1 or not is_one_comparison(analysis, ending.value):
-            continue
-        threshold = next(thresholds(compared[0], reward.ranges_while_running()), None)
-        if threshold is None or not _counts_from_middle(reward, threshold):
+        compared = only_comparison(analysis, ending.value) if ending.outcome == "failure" else None
+        threshold = next(thresholds(compared, reward.ranges_while_running()), None) if compared else None
+        if compared is None or threshold is None or not _counts_from_middle(reward, threshold):
             continue
         for term in _towards(reward, threshold, ordinary):
             headline = f"`{term.name}` pays more as the episode approaches `{ending.value.name}`"
             also = (Label(ending.value.span, "a failure"),)
-            yield Finding("DB710", term.span, headline, help=_opposite_help(compared[0], threshold), labels=also)
+            yield Finding("DB710", term.span, headline, help=_opposite_help(compared, threshold), labels=also)
 
 
 def _counts_from_middle(reward: RewardTerms, threshold: Threshold) -> bool:
     """Whether a quantity counts from a middle up to a limit, and depends on the present alone."""
     known = reward.ranges_while_running().of(threshold.quantity)
     is_place = threshold.dimension in (LENGTH, ANGLE) and threshold.above and known.low == 0.0 < threshold.bound.low
-    return is_place and not _has_memory(reward.analysis, threshold.quantity)
-
-
-def _has_memory(analysis: Analysis, node: Scalar) -> bool:
-    node = analysis.resolve_aliases(node)
-    return isinstance(node, State) or any(_has_memory(analysis, part) for part in children(node))
+    return is_place and not any(isinstance(part, State) for part in reward.analysis.walk_definitions(threshold.quantity))
 
 
 def _towards(reward: RewardTerms, threshold: Threshold, terms: Terms) -> list[Expression]:
