@@ -24,7 +24,7 @@ from types import CodeType, ModuleType
 from typing import Any
 
 from deepbots_cli.codegen.robot import ControllerPrinter
-from deepbots_cli.codegen.supervisor import batch_supervisor, supervisor
+from deepbots_cli.codegen.supervisor import print_batch_supervisor, print_supervisor
 from deepbots_cli.codegen.text import COLUMN_NAMES, RUNTIME_NAMES, Constants, class_name, fill_template, wrap_line
 from deepbots_cli.errors import BatchError
 from deepbots_cli.expressions.functions import math_names
@@ -107,7 +107,7 @@ def generate_module(scenario: Program, target: str = "scalar") -> str:
 
 def _classes(scenario: Program, constants: Constants, target: Target) -> list[str]:
     lines = [line for robot in scenario.robots for line in (*ControllerPrinter(scenario, robot, constants, target).lines(), "", "")]
-    return [*lines, *(supervisor(scenario, constants) if target is SCALAR else batch_supervisor(scenario, constants))]
+    return [*lines, *(print_supervisor(scenario, constants) if target is SCALAR else print_batch_supervisor(scenario, constants))]
 
 
 _NUMBERS = frozenset({"pi", "tau", "e", "inf"})

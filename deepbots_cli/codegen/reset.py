@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from deepbots_cli.codegen.printer import Printer
 from deepbots_cli.codegen.robot import ActuatorBindings
 from deepbots_cli.codegen.text import Constants, block, indent, quoted, quoted_tuple, tuple_code
-from deepbots_cli.codegen.workspace import Workspace
+from deepbots_cli.codegen.workspace import SupervisorPrinter
 from deepbots_cli.expressions.scalar import Const, Scalar, names_in
 from deepbots_cli.program import Program
 from deepbots_cli.program.resets import (
@@ -31,15 +31,15 @@ from deepbots_cli.program.robots import Route
 from deepbots_cli.program.values import Expression, Noise
 
 
-def begin_method(workspace: Workspace) -> list[str]:
+def begin_method(supervisor: SupervisorPrinter) -> list[str]:
     """Draws in order of dependency, then variations, places, joints; the actuators hold until their first commands."""
-    scenario, reset = workspace.scenario, workspace.scenario.reset
-    printer = workspace.printer()
-    _print_first_draws(workspace, printer)
-    _print_stds(workspace, printer)
+    scenario, reset = supervisor.scenario, supervisor.scenario.reset
+    printer = supervisor.printer()
+    _print_first_draws(supervisor, printer)
+    _print_stds(supervisor, printer)
     if needs_arrangement(scenario):
         for index, variation in enumerate(reset.variations):
-            printer.assign(_varied(workspace, index), printer.vector(variation.scalars))
+            printer.assign(_varied(supervisor, index), printer.vector(variation.scalars))
         printer.line(f"self.bodies.arrange(self._arrange, {reset.attempts}, self.streams)")
     else:
         printer.line("self.engine.reset()")
@@ -51,17 +51,17 @@ def begin_method(workspace: Workspace) -> list[str]:
             printer.line(_placing(place, printer))
         for start in reset.joint_starts:
             _print_joints(start, printer)
-        printer.lines += _reset_paths_lines(workspace)
-    _print_first_pushes(workspace, printer)
+        printer.lines += _reset_paths_lines(supervisor)
+    _print_first_pushes(supervisor, printer)
     printer.lines += [
-        f"self.robot_{robot.name}.hold()" for robot in scenario.robots if ActuatorBindings(scenario, robot, workspace.constants).actuators
+        f"self.robot_{robot.name}.hold()" for robot in scenario.robots if ActuatorBindings(scenario, robot, supervisor.constants).actuators
     ]
     ticks = round(reset.settle / scenario.world.timestep)
     if ticks:
         printer.line(f"self.physics({ticks * scenario.world.substeps})")
     doc = '"""Draw what this episode varies, and put the world where it begins."""'
     method = block("def _begin(self) -> None:", printer.method_lines([doc]))
-    return [*method, *_arrange(workspace)] if needs_arrangement(scenario) else method
+    return [*method, *_arrange(supervisor)] if needs_arrangement(scenario) else method
 
 
 def needs_arrangement(scenario: Program) -> bool:
@@ -72,33 +72,33 @@ def needs_arrangement(scenario: Program) -> bool:
     return bool(drawn) or pooled or scenario.world.terrain is not None or any(needs_search(place) for place in reset.placements)
 
 
-def _arrange(workspace: Workspace) -> list[str]:
+def _arrange(supervisor: SupervisorPrinter) -> list[str]:
     """The method that is one attempt at a start."""
-    reset = workspace.scenario.reset
-    printer = workspace.printer()
+    reset = supervisor.scenario.reset
+    printer = supervisor.printer()
     printer.line("bodies = self.bodies")
-    printer.lines += _place_lines(reset.placements, workspace, printer)
+    printer.lines += _place_lines(reset.placements, supervisor, printer)
     shares = ", ".join(f"({quoted(layout.name)}, {layout.share!r})" for layout in reset.layouts)
     if len(reset.layouts) > 1:
         printer.line(f'layout = bodies.layout("reset.layout", {shares})')
     for index, layout in enumerate(reset.layouts):
-        lines = _place_lines(layout.placements, workspace, printer) or ["pass"]
+        lines = _place_lines(layout.placements, supervisor, printer) or ["pass"]
         if len(reset.layouts) > 1:
             printer.line(f"{'elif' if index else 'if'} layout == {quoted(layout.name)}:")
             lines = [f"    {line}" for line in lines]
         printer.lines += lines
-    printer.lines += [f"{workspace.present_count(group.name)} = bodies.present[{quoted(group.name)}]" for group in reset.groups]
+    printer.lines += [f"{supervisor.present_count(group.name)} = bodies.present[{quoted(group.name)}]" for group in reset.groups]
     printer.line("self.engine.reset()")
-    if any(thing.variants for thing in workspace.scenario.world.objects):
+    if any(thing.variants for thing in supervisor.scenario.world.objects):
         printer.line("bodies.choose()")
     for index, variation in enumerate(reset.variations):
-        varied = _varied(workspace, index)
+        varied = _varied(supervisor, index)
         printer.line(_setting(variation, varied, [f"{varied}[{number}]" for number in range(len(variation.scalars))]))
-    printer.lines += _releasing(workspace.scenario)
+    printer.lines += _releasing(supervisor.scenario)
     printer.line("bodies.put()")
     for start in reset.joint_starts:
         _print_joints(start, printer)
-    printer.lines += _reset_paths_lines(workspace)
+    printer.lines += _reset_paths_lines(supervisor)
     if reset.require is None:
         printer.line("return True")
     else:
@@ -113,14 +113,14 @@ def _releasing(scenario: Program) -> list[str]:
     return [f"self.robot_{robot.name}.release()" for robot in scenario.robots if ActuatorBindings(scenario, robot, Constants()).has_devices]
 
 
-def _reset_paths_lines(workspace: Workspace) -> list[str]:
+def _reset_paths_lines(supervisor: SupervisorPrinter) -> list[str]:
     """Statements after which no chart shows the episode before."""
-    return ["self.ways.reset()"] if workspace.readers.needs_paths else []
+    return ["self.ways.reset()"] if supervisor.readers.needs_paths else []
 
 
-def _varied(workspace: Workspace, index: int) -> str:
+def _varied(supervisor: SupervisorPrinter, index: int) -> str:
     """The attribute that holds the values of a randomized parameter while places are looked for."""
-    return f"self.{workspace.names(f'varied {index}')}"
+    return f"self.{supervisor.names(f'varied {index}')}"
 
 
 def _placing(place: Placement, printer: Printer) -> str:
@@ -153,9 +153,9 @@ def needs_search(place: Placement) -> bool:
     return place.seeks_height or place.spot is not None
 
 
-def _place_lines(places: Sequence[Placement], workspace: Workspace, printer: Printer) -> list[str]:
+def _place_lines(places: Sequence[Placement], supervisor: SupervisorPrinter, printer: Printer) -> list[str]:
     """The statements of one layout: bodies with coordinates, then bodies in cells, then bodies at free positions."""
-    groups = {group.name: group for group in workspace.scenario.reset.groups}
+    groups = {group.name: group for group in supervisor.scenario.reset.groups}
     return [line for place in _ordered(places) for line in _place(place, groups.get(place.body), printer)]
 
 
@@ -244,28 +244,28 @@ _ROUNDING = 1e-9
 """In s: a period of a whole number of steps must not become one more by rounding."""
 
 
-def _print_first_draws(workspace: Workspace, printer: Printer) -> None:
+def _print_first_draws(supervisor: SupervisorPrinter, printer: Printer) -> None:
     """Parameters and values of routes, as they are at the beginning of an episode."""
-    for entry in workspace.scenario.parameters:
-        _print_first_period(workspace, printer, entry, entry.name)
-        printer.assign(workspace.parameter(entry.name), printer.vector_or_number(entry.components, entry.scalars), entry.text)
-    for name, value in _settings(workspace):
+    for entry in supervisor.scenario.parameters:
+        _print_first_period(supervisor, printer, entry, entry.name)
+        printer.assign(supervisor.parameter(entry.name), printer.vector_or_number(entry.components, entry.scalars), entry.text)
+    for name, value in _settings(supervisor):
         if not isinstance(value.scalar, Const) and not _of_message(value):
-            _print_first_period(workspace, printer, value, name)
+            _print_first_period(supervisor, printer, value, name)
             printer.assign(f"self.{name}", printer.value(value.scalar))
 
 
-def print_redraws(workspace: Workspace, printer: Printer) -> None:
+def print_redraws(supervisor: SupervisorPrinter, printer: Printer) -> None:
     """Print the values that a step draws or computes anew before it sends messages; the step is not counted yet."""
     changing: set[str] = set()
-    for entry in workspace.scenario.parameters:
+    for entry in supervisor.scenario.parameters:
         if entry.redraw is not None or _reads(entry.scalars, changing):
             changing.add(entry.name)
-            drawn = f"{workspace.parameter(entry.name)} = {printer.vector_or_number(entry.components, entry.scalars)}"
-            _print_when_due(workspace, printer, entry, entry.name, drawn)
-    for name, value in _settings(workspace):
+            drawn = f"{supervisor.parameter(entry.name)} = {printer.vector_or_number(entry.components, entry.scalars)}"
+            _print_when_due(supervisor, printer, entry, entry.name, drawn)
+    for name, value in _settings(supervisor):
         if value.period is not None if value.redraw else _reads(value.scalars, changing):
-            _print_when_due(workspace, printer, value, name, f"self.{name} = {printer.value(value.scalar)}")
+            _print_when_due(supervisor, printer, value, name, f"self.{name} = {printer.value(value.scalar)}")
 
 
 def print_draws_of_message(printer: Printer, channel: str, route: Route) -> None:
@@ -275,9 +275,9 @@ def print_draws_of_message(printer: Printer, channel: str, route: Route) -> None
             printer.assign(f"{channel}.{name}", printer.value(value.scalar))
 
 
-def _settings(workspace: Workspace) -> Iterator[tuple[str, Expression]]:
+def _settings(supervisor: SupervisorPrinter) -> Iterator[tuple[str, Expression]]:
     """Every value of every route, with the attribute that holds it."""
-    for robot in workspace.scenario.robots:
+    for robot in supervisor.scenario.robots:
         for channel, route in ((f"to_{robot.name}", robot.to_route), (f"from_{robot.name}", robot.from_route)):
             yield from ((f"{channel}.{name}", value) for name, value in route.settings)
 
@@ -286,22 +286,22 @@ def _of_message(value: Expression) -> bool:
     return value.redraw is not None and value.period is None
 
 
-def _due(workspace: Workspace, name: str) -> str:
+def _due(supervisor: SupervisorPrinter, name: str) -> str:
     """The attribute that holds the time (s) from which a value is drawn again."""
-    return f"self.{workspace.names('due', name)}"
+    return f"self.{supervisor.names('due', name)}"
 
 
-def _print_first_period(workspace: Workspace, printer: Printer, value: Expression, name: str) -> None:
+def _print_first_period(supervisor: SupervisorPrinter, printer: Printer, value: Expression, name: str) -> None:
     if value.period is not None:
-        printer.line(f"{_due(workspace, name)} = {printer.value(value.period)} - {_ROUNDING!r}")
+        printer.line(f"{_due(supervisor, name)} = {printer.value(value.period)} - {_ROUNDING!r}")
 
 
-def _print_when_due(workspace: Workspace, printer: Printer, value: Expression, name: str, line: str) -> None:
+def _print_when_due(supervisor: SupervisorPrinter, printer: Printer, value: Expression, name: str, line: str) -> None:
     if value.period is None:
         printer.line(line)
         return
-    due = _due(workspace, name)
-    printer.line(f"if {workspace.tick} * {workspace.scenario.world.timestep!r} >= {due}:")
+    due = _due(supervisor, name)
+    printer.line(f"if {supervisor.tick} * {supervisor.scenario.world.timestep!r} >= {due}:")
     printer.lines += indent([f"{due} += {printer.value(value.period)}", line])
 
 
@@ -309,9 +309,9 @@ def _reads(values: Iterable[Scalar], names: set[str]) -> bool:
     return any(leaf.name in names for value in values for leaf in names_in(value))
 
 
-def _print_stds(workspace: Workspace, printer: Printer) -> None:
+def _print_stds(supervisor: SupervisorPrinter, printer: Printer) -> None:
     """Draw the standard deviations of noise that differ between episodes."""
-    scenario = workspace.scenario
+    scenario = supervisor.scenario
     noisy: list[tuple[str, Noise | None]] = [(f"observation.{entry.name}", entry.noise) for entry in scenario.policy.observation]
     noisy += [(f"augment.{entry.name}", entry.noise) for entry in scenario.signals]
     noisy += [("goal.achieved", scenario.policy.goal.achieved.noise)] if scenario.policy.goal else []
@@ -328,30 +328,30 @@ def std_attribute(printer: Printer, stream: str) -> str:
 # Disturbances
 
 
-def bind_pushes(workspace: Workspace) -> list[str]:
+def bind_pushes(supervisor: SupervisorPrinter) -> list[str]:
     """Statements that take what pushes from `engine`."""
-    substep = workspace.scenario.world.timestep / workspace.scenario.world.substeps
+    substep = supervisor.scenario.world.timestep / supervisor.scenario.world.substeps
     return [
         f"self.push_{push.name} = Push(engine, ({quoted(push.body)}, {quoted(push.link) if push.link else None}), "
         f"self._draw_{push.name}, {substep!r})"
-        for push in workspace.scenario.disturbances
+        for push in supervisor.scenario.disturbances
     ]
 
 
-def _print_first_pushes(workspace: Workspace, printer: Printer) -> None:
+def _print_first_pushes(supervisor: SupervisorPrinter, printer: Printer) -> None:
     """Statements of a reset that say when the first push of each disturbance begins."""
-    settling = round(workspace.scenario.reset.settle / workspace.scenario.world.timestep) * workspace.scenario.world.substeps
-    for push in workspace.scenario.disturbances:
+    settling = round(supervisor.scenario.reset.settle / supervisor.scenario.world.timestep) * supervisor.scenario.world.substeps
+    for push in supervisor.scenario.disturbances:
         printer.line(f"self.push_{push.name}.reset({printer.value(push.begins)}, {settling})")
 
 
-def push_methods(workspace: Workspace) -> list[str]:
+def push_methods(supervisor: SupervisorPrinter) -> list[str]:
     """The methods that draw a push."""
-    return [line for push in workspace.scenario.disturbances for line in _drawing(workspace, push)]
+    return [line for push in supervisor.scenario.disturbances for line in _drawing(supervisor, push)]
 
 
-def _drawing(workspace: Workspace, push: Disturbance) -> list[str]:
-    printer = workspace.printer()
+def _drawing(supervisor: SupervisorPrinter, push: Disturbance) -> list[str]:
+    printer = supervisor.printer()
     force, torque = (printer.tuple(vector) for vector in push.wrench)
     duration, every = printer.value(push.duration.scalar), "inf" if push.every is None else printer.value(push.every.scalar)
     printer.line(f"return {force}, {torque}, {duration}, {every}")

@@ -15,7 +15,7 @@ from deepbots_cli.codegen.printer import Printer, outer_states
 from deepbots_cli.codegen.reset import print_draws_of_message, print_redraws, std_attribute
 from deepbots_cli.codegen.robot import observes_each_timestep
 from deepbots_cli.codegen.text import block, indent, quoted, targets_code, tuple_code, with_comment
-from deepbots_cli.codegen.workspace import Workspace, zeros
+from deepbots_cli.codegen.workspace import SupervisorPrinter, zeros
 from deepbots_cli.expressions.lower import number_code
 from deepbots_cli.expressions.scalar import Const, Name, names_in
 from deepbots_cli.program.robots import Robot, Route
@@ -25,35 +25,35 @@ from deepbots_cli.program.values import Noise
 _SUMMANDS = 100
 
 
-def start_method(workspace: Workspace) -> list[str]:
+def start_method(supervisor: SupervisorPrinter) -> list[str]:
     """The method that runs right after a reset."""
-    lines = ['"""Observe the first moment of an episode."""', *workspace.readers.start_lines()]
-    lines += _zeroed(_terms(workspace))
-    lines.append(f"self._observe({', '.join(zeros(components) for _, components in workspace.action_names_read)})")
-    return block("def _start(self) -> None:", [*lines, *_start_memories_of_messages(workspace)])
+    lines = ['"""Observe the first moment of an episode."""', *supervisor.readers.start_lines()]
+    lines += _zeroed(_terms(supervisor))
+    lines.append(f"self._observe({', '.join(zeros(components) for _, components in supervisor.action_names_read)})")
+    return block("def _start(self) -> None:", [*lines, *_start_memories_of_messages(supervisor)])
 
 
-def advance_methods(workspace: Workspace) -> list[str]:
+def advance_methods(supervisor: SupervisorPrinter) -> list[str]:
     """The method of a step, and that of a timestep where a step has several."""
-    printer = workspace.printer()
-    _print_acting(workspace, printer)
-    result = "Iterator[None]" if workspace.is_of_copy else "None"
-    acting = [workspace.local(name) for name, _ in workspace.action_names_read]
-    if not workspace.repeats_actions:
-        _print_tick(workspace, printer)
+    printer = supervisor.printer()
+    _print_acting(supervisor, printer)
+    result = "Iterator[None]" if supervisor.is_of_copy else "None"
+    acting = [supervisor.local(name) for name, _ in supervisor.action_names_read]
+    if not supervisor.repeats_actions:
+        _print_tick(supervisor, printer)
         doc = '"""Act, let the world go on for a timestep, and observe."""'
         return block(f"def _advance(self, action: Any) -> {result}:", printer.method_lines([doc]))
-    repeat = workspace.scenario.action_repeat
-    if workspace.uses("previous_reward"):
+    repeat = supervisor.scenario.action_repeat
+    if supervisor.uses("previous_reward"):
         printer.line("self.previous_reward = self.reward")
-    printer.lines += _zeroed(["self.reward", *_terms(workspace)])
+    printer.lines += _zeroed(["self.reward", *_terms(supervisor)])
     printer.line(f"for _ in {'range' if printer.on_floats else 'self.ticks'}({repeat}):")
-    printer.line(f"    {'yield from ' if workspace.is_of_copy else ''}self._tick({', '.join(acting)})")
+    printer.line(f"    {'yield from ' if supervisor.is_of_copy else ''}self._tick({', '.join(acting)})")
     printer.lines += ["    if self.terminated or self.truncated:", "        break"] if printer.on_floats else []
-    ticking = workspace.printer()
+    ticking = supervisor.printer()
     ticking.add_in_place("self.timestep_count", "1")
-    _print_tick(workspace, ticking)
-    arguments = ", ".join(["self", *_parameters(workspace)])
+    _print_tick(supervisor, ticking)
+    arguments = ", ".join(["self", *_parameters(supervisor)])
     doc = f'"""Hold an action for {repeat} timesteps; the reward is the sum over them."""'
     return [
         *block(f"def _advance(self, action: Any) -> {result}:", printer.method_lines([doc])),
@@ -61,28 +61,28 @@ def advance_methods(workspace: Workspace) -> list[str]:
     ]
 
 
-def observe_method(workspace: Workspace) -> list[str]:
+def observe_method(supervisor: SupervisorPrinter) -> list[str]:
     """The method that computes everything, once per timestep and right after a reset."""
-    printer = workspace.printer()
-    for robot in workspace.scenario.robots:
-        _print_receiving(workspace, printer, robot)
+    printer = supervisor.printer()
+    for robot in supervisor.scenario.robots:
+        _print_receiving(supervisor, printer, robot)
     printer.insert_readers_here()
-    for entry in workspace.scenario.signals:
-        printer.assign(workspace.local(entry.name), printer.vector_or_number(entry.components, entry.scalars), entry.text)
-        _print_noise(printer, workspace.local(entry.name), entry.components, f"augment.{entry.name}", entry.noise)
-    _print_goal(workspace, printer)
-    _print_endings(workspace, printer)
-    _print_rewards(workspace, printer)
-    _print_observation(workspace, printer)
-    _print_masks(workspace, printer)
-    printer.lines += workspace.storing_statements()
-    arguments = ", ".join(["self", *_parameters(workspace)])
+    for entry in supervisor.scenario.signals:
+        printer.assign(supervisor.local(entry.name), printer.vector_or_number(entry.components, entry.scalars), entry.text)
+        _print_noise(printer, supervisor.local(entry.name), entry.components, f"augment.{entry.name}", entry.noise)
+    _print_goal(supervisor, printer)
+    _print_endings(supervisor, printer)
+    _print_rewards(supervisor, printer)
+    _print_observation(supervisor, printer)
+    _print_masks(supervisor, printer)
+    printer.lines += supervisor.storing_statements()
+    arguments = ", ".join(["self", *_parameters(supervisor)])
     doc = '"""Receive, and compute signals, endings, the reward and the observation."""'
     return block(f"def _observe({arguments}) -> None:", printer.method_lines([doc]))
 
 
-def _parameters(workspace: Workspace) -> list[str]:
-    return [f"{workspace.local(name)}: {'Any' if components else 'float'}" for name, components in workspace.action_names_read]
+def _parameters(supervisor: SupervisorPrinter) -> list[str]:
+    return [f"{supervisor.local(name)}: {'Any' if components else 'float'}" for name, components in supervisor.action_names_read]
 
 
 def _zeroed(targets: list[str]) -> list[str]:
@@ -96,22 +96,22 @@ def _zeroed(targets: list[str]) -> list[str]:
     return lines
 
 
-def _terms(workspace: Workspace) -> list[str]:
-    return [f"self.term_{term.name}" for term in workspace.scenario.policy.reward]
+def _terms(supervisor: SupervisorPrinter) -> list[str]:
+    return [f"self.term_{term.name}" for term in supervisor.scenario.policy.reward]
 
 
 # Acting
 
 
-def choice_tables(workspace: Workspace) -> list[str]:
+def choice_tables(supervisor: SupervisorPrinter) -> list[str]:
     """The values that each option sets, as one dictionary per choice; and the one-hot vector of the choice where it is read."""
     lines = []
-    hot = ("1.0", "0.0") if workspace.ranges else ("True", "False")
-    for part in workspace.choices:
+    hot = ("1.0", "0.0") if supervisor.ranges else ("True", "False")
+    for part in supervisor.choices:
         rows = [[repr(value) for value in option.values] for option in part.options]
         names = ", ".join(option.name for option in part.options)
         lines.append(f"CHOICES_{part.name} = {_table([row[0] if len(row) == 1 else tuple_code(row) for row in rows])}  # {names}")
-        if workspace.agent_action_read:
+        if supervisor.agent_action_read:
             size = range(len(part.options))
             lines.append(f"TAKEN_{part.name} = {_table([tuple_code([hot[index != other] for other in size]) for index in size])}")
     return lines
@@ -121,66 +121,66 @@ def _table(rows: list[str]) -> str:
     return f"{{{', '.join(f'{index}: {row}' for index, row in enumerate(rows))}}}"
 
 
-def _print_acting(workspace: Workspace, printer: Printer) -> None:
+def _print_acting(supervisor: SupervisorPrinter, printer: Printer) -> None:
     """Print the statements that run once per step: the action, and the messages that carry it."""
-    _print_decoding(workspace, printer)
+    _print_decoding(supervisor, printer)
     if printer.on_floats:
-        print_redraws(workspace, printer)
+        print_redraws(supervisor, printer)
     else:
-        _print_redrawing(workspace, printer)
+        _print_redrawing(supervisor, printer)
     printer.add_in_place("self.step_count", "1")
-    if workspace.has_history:
+    if supervisor.has_history:
         printer.line("self.next_frame()")
-    printer.lines += [f"{local} = self.last_{local}" for local in workspace.sent_names()]
+    printer.lines += [f"{local} = self.last_{local}" for local in supervisor.sent_names()]
     printer.insert_readers_here()
-    for robot in workspace.scenario.robots:
+    for robot in supervisor.scenario.robots:
         channel = f"self.to_{robot.name}"
         values = [printer.vector_or_number(entry.components, entry.scalars) for entry in robot.received]
-        _print_draws_of_message(workspace, printer, channel, robot.to_route)
+        _print_draws_of_message(supervisor, printer, channel, robot.to_route)
         printer.line(f"{channel}.send({tuple_code(values) if values else '()'})")
-        if not _delivers_in_ticks(workspace, robot):
-            _print_delivering(workspace, printer, robot)
+        if not _delivers_in_ticks(supervisor, robot):
+            _print_delivering(supervisor, printer, robot)
 
 
-def _print_decoding(workspace: Workspace, printer: Printer) -> None:
+def _print_decoding(supervisor: SupervisorPrinter, printer: Printer) -> None:
     """Statements that set the action variables from `action`, which holds `choices` and `ranges` where there are both."""
     chosen = ranged = "action"
-    if workspace.choices and workspace.ranges:
-        chosen, ranged = workspace.names("chosen part"), workspace.names("ranged part")
+    if supervisor.choices and supervisor.ranges:
+        chosen, ranged = supervisor.names("chosen part"), supervisor.names("ranged part")
         printer.line(f'{chosen}, {ranged} = action["choices"], action["ranges"]')
-    picks = [chosen] if len(workspace.choices) == 1 else [workspace.names(f"{part.name} pick") for part in workspace.choices]
+    picks = [chosen] if len(supervisor.choices) == 1 else [supervisor.names(f"{part.name} pick") for part in supervisor.choices]
     if len(picks) > 1:
         printer.line(f"{', '.join(picks)} = {chosen}{'' if printer.on_floats else '.T'}")
     looked_up = "{}[{}]" if printer.on_floats else "pick({}, {})"
     given = {
-        part.name: f"*{looked_up.format(f'self.TAKEN_{part.name}', pick)}" for part, pick in zip(workspace.choices, picks, strict=True)
+        part.name: f"*{looked_up.format(f'self.TAKEN_{part.name}', pick)}" for part, pick in zip(supervisor.choices, picks, strict=True)
     }
-    for part, pick in zip(workspace.choices, picks, strict=True):
-        printer.line(f"{', '.join(map(workspace.local, part.variables))} = {looked_up.format(f'self.CHOICES_{part.name}', pick)}")
-    names = {interval.name: workspace.local(interval.name) for interval in workspace.ranges}
-    vectors = [interval.name for interval in workspace.ranges if interval.components]
-    if len(vectors) == len(workspace.ranges) == 1:
+    for part, pick in zip(supervisor.choices, picks, strict=True):
+        printer.line(f"{', '.join(map(supervisor.local, part.variables))} = {looked_up.format(f'self.CHOICES_{part.name}', pick)}")
+    names = {interval.name: supervisor.local(interval.name) for interval in supervisor.ranges}
+    vectors = [interval.name for interval in supervisor.ranges if interval.components]
+    if len(vectors) == len(supervisor.ranges) == 1:
         (name,) = vectors
         printer.line(f"{names[name]} = self.ranges({ranged})")
         given[name] = f"*{names[name]}"
     elif vectors:
-        values, place = workspace.names("values of ranges"), 0
+        values, place = supervisor.names("values of ranges"), 0
         printer.line(f"{values} = self.ranges({ranged})")
-        for interval in workspace.ranges:
+        for interval in supervisor.ranges:
             end = place + max(1, len(interval.components))
             printer.line(f"{names[interval.name]} = {values}[{f'{place}:{end}' if interval.components else place}]")
             given[interval.name] = f"*{values}[{place}:{end}]"
             place = end
-    elif workspace.ranges:
+    elif supervisor.ranges:
         printer.line(f"{targets_code(list(names.values()))} = self.ranges({ranged})")
         given |= names
-    if workspace.agent_action_read:
-        parts = [given[part.name] for part in workspace.scenario.policy.action]
+    if supervisor.agent_action_read:
+        parts = [given[part.name] for part in supervisor.scenario.policy.action]
         whole = parts[0][1:] if len(parts) == 1 and parts[0][0] == "*" else tuple_code(parts)
-        printer.line(f"{workspace.local('previous_action')} = {whole}")
-    for interval in workspace.ranges:
+        printer.line(f"{supervisor.local('previous_action')} = {whole}")
+    for interval in supervisor.ranges:
         half, middle = (interval.high - interval.low) / 2, (interval.high + interval.low) / 2
-        name = workspace.local(interval.name)
+        name = supervisor.local(interval.name)
         if (half, middle) != (1.0, 0.0):
             item = "a" if interval.components else name
             code = f"{middle!r} + {half!r} * {item}" if middle else f"{half!r} * {item}"
@@ -188,107 +188,107 @@ def _print_decoding(workspace: Workspace, printer: Printer) -> None:
             printer.lines += with_comment(f"{name} = {f'[{code} for a in {name}]' if interval.components else code}", said)
 
 
-def redraw_method(workspace: Workspace) -> list[str]:
+def redraw_method(supervisor: SupervisorPrinter) -> list[str]:
     """For a batch: the method that draws anew in one world what is due; nothing where nothing ever is."""
-    printer = workspace.of_one_world().printer()
-    print_redraws(workspace.of_one_world(), printer)
+    printer = supervisor.of_one_world().printer()
+    print_redraws(supervisor.of_one_world(), printer)
     if not printer.lines:
         return []
     doc = '"""Draw anew what is due in a single world."""'
     return ["@staticmethod", *block("def _redraw(self: Any) -> None:", printer.method_lines([doc]))]
 
 
-def _print_redrawing(workspace: Workspace, printer: Printer) -> None:
-    lines = redraw_method(workspace)
+def _print_redrawing(supervisor: SupervisorPrinter, printer: Printer) -> None:
+    lines = redraw_method(supervisor)
     if not lines:
         return
     kept = dict.fromkeys(name for line in lines for name in re.findall(r"self\.((?:parameter|due)_\w+) (?:=|\+=) ", line))
     periods = [name for name in kept if name.startswith("due_")]
     always = any(re.match(r"    self\.", line) for line in lines)
     due = f"self.{periods[0]}" if len(periods) == 1 else f"minimum({', '.join(f'self.{name}' for name in periods)})"
-    condition = "True" if always else f"{workspace.tick} * {workspace.scenario.world.timestep!r} >= {due}"
+    condition = "True" if always else f"{supervisor.tick} * {supervisor.scenario.world.timestep!r} >= {due}"
     printer.line(f"self.redraw({', '.join([condition, 'self._redraw', *map(quoted, kept)])})")
 
 
-def _print_draws_of_message(workspace: Workspace, printer: Printer, channel: str, route: Route) -> None:
+def _print_draws_of_message(supervisor: SupervisorPrinter, printer: Printer, channel: str, route: Route) -> None:
     if printer.on_floats:
         print_draws_of_message(printer, channel, route)
         return
-    drawing = workspace.of_one_world().printer()
+    drawing = supervisor.of_one_world().printer()
     print_draws_of_message(drawing, channel, route)
     for line in drawing.lines:
         name = line.partition(" = ")[0].removeprefix("self.").replace(".", "_")
-        workspace.of_message[f"_draw_{name}"] = line
+        supervisor.of_message[f"_draw_{name}"] = line
         printer.line(f"self.redraw(True, self._draw_{name})")
 
 
 # Messages
 
 
-def _delivers_in_ticks(workspace: Workspace, robot: Robot) -> bool:
+def _delivers_in_ticks(supervisor: SupervisorPrinter, robot: Robot) -> bool:
     """Whether a message to this robot may arrive in another timestep than the one that follows its sending."""
-    late = workspace.scenario.timing == "delayed" and workspace.repeats_actions
-    return workspace.scenario.format != "none" and (late or not robot.to_route.perfect)
+    late = supervisor.scenario.timing == "delayed" and supervisor.repeats_actions
+    return supervisor.scenario.format != "none" and (late or not robot.to_route.perfect)
 
 
-def _print_delivering(workspace: Workspace, printer: Printer, robot: Robot) -> None:
+def _print_delivering(supervisor: SupervisorPrinter, printer: Printer, robot: Robot) -> None:
     controller, channel = f"self.robot_{robot.name}", f"self.to_{robot.name}"
-    if workspace.is_direct(robot, "to_robot"):
+    if supervisor.is_direct(robot, "to_robot"):
         printer.line(f"{controller}.use_message_data({channel}.receive())")
     else:
         printer.line(f"for message in {channel}.receive():")
         printer.line(f"    {controller}.use_message_data(message)")
 
 
-def _print_receiving(workspace: Workspace, printer: Printer, robot: Robot) -> None:
+def _print_receiving(supervisor: SupervisorPrinter, printer: Printer, robot: Robot) -> None:
     """The message of one robot into local variables; the first of an episode arrives at once."""
     controller, channel = f"self.robot_{robot.name}", f"self.from_{robot.name}"
-    targets = [workspace.local(f"{robot.name}.{entry.name}") for entry in robot.emitted]
-    drawing = workspace.printer()
-    _print_draws_of_message(workspace, drawing, channel, robot.from_route)
-    if drawing.lines and workspace.scenario.format != "none":
-        printer.lines += [f"if {workspace.tick}:", *indent(drawing.lines)] if printer.on_floats else drawing.lines
+    targets = [supervisor.local(f"{robot.name}.{entry.name}") for entry in robot.emitted]
+    drawing = supervisor.printer()
+    _print_draws_of_message(supervisor, drawing, channel, robot.from_route)
+    if drawing.lines and supervisor.scenario.format != "none":
+        printer.lines += [f"if {supervisor.tick}:", *indent(drawing.lines)] if printer.on_floats else drawing.lines
     printer.line(f"{channel}.send({controller}.create_message())")
-    receive = "receive" if workspace.is_direct(robot, "from_robot") else "newest"
+    receive = "receive" if supervisor.is_direct(robot, "from_robot") else "newest"
     printer.line(f"{targets_code(targets)} = {channel}.{receive}()" if targets else f"{channel}.{receive}()")
 
 
-def _print_tick(workspace: Workspace, printer: Printer) -> None:
-    for robot in workspace.scenario.robots:
-        if _delivers_in_ticks(workspace, robot):
-            _print_delivering(workspace, printer, robot)
-    if workspace.is_of_copy:
+def _print_tick(supervisor: SupervisorPrinter, printer: Printer) -> None:
+    for robot in supervisor.scenario.robots:
+        if _delivers_in_ticks(supervisor, robot):
+            _print_delivering(supervisor, printer, robot)
+    if supervisor.is_of_copy:
         printer.line("yield  # the world goes on when every copy has acted")
     else:
-        printer.line(f"self.physics({workspace.scenario.world.substeps})")
+        printer.line(f"self.physics({supervisor.scenario.world.substeps})")
     printer.lines += [
-        f"self.robot_{robot.name}.observe()" for robot in workspace.scenario.robots if observes_each_timestep(workspace.scenario, robot)
+        f"self.robot_{robot.name}.observe()" for robot in supervisor.scenario.robots if observes_each_timestep(supervisor.scenario, robot)
     ]
-    printer.line(f"self._observe({', '.join(workspace.local(name) for name, _ in workspace.action_names_read)})")
+    printer.line(f"self._observe({', '.join(supervisor.local(name) for name, _ in supervisor.action_names_read)})")
 
 
-def _start_memories_of_messages(workspace: Workspace) -> list[str]:
+def _start_memories_of_messages(supervisor: SupervisorPrinter) -> list[str]:
     """Start the memories of values that messages to robots contain; they start with an action of 0."""
-    if not any(outer_states(value) for value in workspace.sent):
+    if not any(outer_states(value) for value in supervisor.sent):
         return []
-    printer = workspace.printer()
-    used = {leaf.name for value in workspace.sent for state in outer_states(value) for leaf in names_in(state)}
-    printer.lines += [f"{workspace.local(name)} = {zeros(components)}" for name, components in workspace.variables if name in used]
-    printer.lines += [f"{local} = self.last_{local}" for local in workspace.sent_names()]
+    printer = supervisor.printer()
+    used = {leaf.name for value in supervisor.sent for state in outer_states(value) for leaf in names_in(state)}
+    printer.lines += [f"{supervisor.local(name)} = {zeros(components)}" for name, components in supervisor.variables if name in used]
+    printer.lines += [f"{local} = self.last_{local}" for local in supervisor.sent_names()]
     printer.insert_readers_here()
-    printer.update_memories(workspace.sent)
+    printer.update_memories(supervisor.sent)
     return printer.method_lines()
 
 
 # Goal and noise
 
 
-def _print_goal(workspace: Workspace, printer: Printer) -> None:
+def _print_goal(supervisor: SupervisorPrinter, printer: Printer) -> None:
     """Set `achieved`, `desired` and `goal_reached`: both as the policy sees them, so that a reward can be recomputed."""
-    goal = workspace.scenario.policy.goal
+    goal = supervisor.scenario.policy.goal
     if goal is None:
         return
-    achieved, desired = workspace.local("achieved"), workspace.local("desired")
+    achieved, desired = supervisor.local("achieved"), supervisor.local("desired")
     given = printer.vector(goal.achieved.scalars)
     if goal.achieved.noise is not None:
         printer.assign(achieved, given if goal.components else printer.value(goal.achieved.scalar))
@@ -296,7 +296,7 @@ def _print_goal(workspace: Workspace, printer: Printer) -> None:
         given = achieved if goal.components else f"({achieved},)"
     targets = (achieved, desired) if goal.components else (f"({achieved},)", f"({desired},)")
     printer.line(f"{', '.join(targets)} = self.set_goal_observation({given}, {printer.vector(goal.targets)})")
-    printer.assign(workspace.local("goal_reached"), printer.value(goal.reached))
+    printer.assign(supervisor.local("goal_reached"), printer.value(goal.reached))
 
 
 def _print_noise(printer: Printer, local: str, components: Sequence[str], stream: str, noise: Noise | None) -> None:
@@ -330,41 +330,41 @@ def _std(printer: Printer, stream: str, noise: Noise) -> str:
 # Endings
 
 
-def _print_endings(workspace: Workspace, printer: Printer) -> None:
+def _print_endings(supervisor: SupervisorPrinter, printer: Printer) -> None:
     """Conditions in order of dependency; `ended_by` is the first in file order, failures before successes."""
-    endings = workspace.scenario.endings
+    endings = supervisor.scenario.endings
     for ending in _after_what_they_use(endings):
         code = (
             printer.value(ending.value.scalar)
             if ending.foreign is None
-            else f"{function_attribute(workspace, 'ending', ending.name)}(self)"
+            else f"{function_attribute(supervisor, 'ending', ending.name)}(self)"
         )
-        printer.assign(workspace.local(ending.name), code, ending.value.text)
+        printer.assign(supervisor.local(ending.name), code, ending.value.text)
     failures = [ending for ending in endings if ending.outcome == "failure"]
     successes = [ending for ending in endings if ending.outcome == "success"]
     if not printer.on_floats:
-        _print_endings_of_batch(workspace, printer, failures, successes)
+        _print_endings_of_batch(supervisor, printer, failures, successes)
         return
     if endings:
-        printer.line(f"if {' or '.join(workspace.local(ending.name) for ending in endings)}:")
-        held = ", ".join(f"{quoted(ending.name)}: {workspace.local(ending.name)}" for ending in [*failures, *successes])
+        printer.line(f"if {' or '.join(supervisor.local(ending.name) for ending in endings)}:")
+        held = ", ".join(f"{quoted(ending.name)}: {supervisor.local(ending.name)}" for ending in [*failures, *successes])
         success = ""
         if successes:
-            reached = " or ".join(workspace.local(ending.name) for ending in successes)
-            refused = "".join(f" and not {workspace.local(ending.name)}" for ending in failures)
+            reached = " or ".join(supervisor.local(ending.name) for ending in successes)
+            refused = "".join(f" and not {supervisor.local(ending.name)}" for ending in failures)
             success = f", success={f'({reached})' if refused and len(successes) > 1 else reached}{refused}"
         printer.line(f"    self._terminate({{{held}}}{success})")
-    limit = _tick_limit(workspace)
+    limit = _tick_limit(supervisor)
     if limit is not None:
-        printer.line(f"{'elif' if endings else 'if'} {workspace.tick} >= {limit[0]}:")
+        printer.line(f"{'elif' if endings else 'if'} {supervisor.tick} >= {limit[0]}:")
         printer.line(f"    self._truncate({quoted(limit[1])})")
-        if workspace.scenario.policy.goal is not None and not successes:
-            printer.line(f"    self.is_success = {workspace.local('goal_reached')}")
+        if supervisor.scenario.policy.goal is not None and not successes:
+            printer.line(f"    self.is_success = {supervisor.local('goal_reached')}")
 
 
-def _print_endings_of_batch(workspace: Workspace, printer: Printer, failures: list[Ending], successes: list[Ending]) -> None:
+def _print_endings_of_batch(supervisor: SupervisorPrinter, printer: Printer, failures: list[Ending], successes: list[Ending]) -> None:
     """Print the endings of a batch, for each world by itself."""
-    names = [workspace.local(ending.name) for ending in [*failures, *successes]]
+    names = [supervisor.local(ending.name) for ending in [*failures, *successes]]
     if names:
         held = ", ".join(f"{quoted(ending.name)}: {local}" for ending, local in zip([*failures, *successes], names, strict=True))
         success = ""
@@ -373,21 +373,21 @@ def _print_endings_of_batch(workspace: Workspace, printer: Printer, failures: li
             refused = [printer.operation("not", [local]) for local in names[: len(failures)]]
             success = f", success={printer.operation('and', [reached, *refused])}"
         printer.line(f"self._terminate({{{held}}}{success})")
-    limit = _tick_limit(workspace)
+    limit = _tick_limit(supervisor)
     if limit is not None:
-        reached_goal = f", {workspace.local('goal_reached')}" if workspace.scenario.policy.goal is not None and not successes else ""
-        printer.line(f"self._truncate({quoted(limit[1])}, {workspace.tick} >= {limit[0]}{reached_goal})")
+        reached_goal = f", {supervisor.local('goal_reached')}" if supervisor.scenario.policy.goal is not None and not successes else ""
+        printer.line(f"self._truncate({quoted(limit[1])}, {supervisor.tick} >= {limit[0]}{reached_goal})")
 
 
-def _tick_limit(workspace: Workspace) -> tuple[int, str] | None:
+def _tick_limit(supervisor: SupervisorPrinter) -> tuple[int, str] | None:
     """The number of timesteps at which an episode is cut short, and the name of that limit; a step is cut short only by an ending."""
-    limits = workspace.scenario.truncation
+    limits = supervisor.scenario.truncation
     ticks = []
     if limits.max_steps is not None:
-        ticks.append((limits.max_steps * workspace.scenario.action_repeat, "max_steps"))
+        ticks.append((limits.max_steps * supervisor.scenario.action_repeat, "max_steps"))
     if limits.max_time is not None:
         # a limit of a whole number of timesteps must not gain one by rounding
-        ticks.append((max(1, math.ceil(limits.max_time / workspace.scenario.world.timestep - 1e-9)), "max_time"))
+        ticks.append((max(1, math.ceil(limits.max_time / supervisor.scenario.world.timestep - 1e-9)), "max_time"))
     return min(ticks) if ticks else None
 
 
@@ -408,53 +408,53 @@ def _after_what_they_use(endings: tuple[Ending, ...]) -> list[Ending]:
     return list(order.values())
 
 
-def bind_foreign(workspace: Workspace) -> list[str]:
+def bind_foreign(supervisor: SupervisorPrinter) -> list[str]:
     """Statements that import the functions of Python which the scenario names."""
-    items = [("reward term", term.name, term.foreign, False) for term in workspace.scenario.policy.reward]
-    items += [("ending", ending.name, ending.foreign, True) for ending in workspace.scenario.endings]
+    items = [("reward term", term.name, term.foreign, False) for term in supervisor.scenario.policy.reward]
+    items += [("ending", ending.name, ending.foreign, True) for ending in supervisor.scenario.endings]
     lines = []
     for what, name, function, truth in items:
         if function is not None:
             place = ", ".join(map(quoted, (what, name, function.module, function.function)))
-            lines.append(f"{function_attribute(workspace, what, name)} = foreign({place}, {truth})")
+            lines.append(f"{function_attribute(supervisor, what, name)} = foreign({place}, {truth})")
     return lines
 
 
-def function_attribute(workspace: Workspace, what: str, name: str) -> str:
+def function_attribute(supervisor: SupervisorPrinter, what: str, name: str) -> str:
     """The attribute that holds the function of an ending or a reward term."""
-    return f"self.{workspace.names(f'function of {what}', name)}"
+    return f"self.{supervisor.names(f'function of {what}', name)}"
 
 
 # Rewards
 
 
-def _print_rewards(workspace: Workspace, printer: Printer) -> None:
+def _print_rewards(supervisor: SupervisorPrinter, printer: Printer) -> None:
     """The terms and their sum, but right after a reset; what they remember begins there."""
-    terms = workspace.scenario.policy.reward
+    terms = supervisor.scenario.policy.reward
     for flag in ("terminated", "truncated"):
-        if workspace.uses(flag):
-            printer.line(f"{workspace.local(flag)} = self.{flag}")
-    if workspace.uses("ended"):
-        printer.line(f"{workspace.local('ended')} = {printer.operation('or', ['self.terminated', 'self.truncated'])}")
+        if supervisor.uses(flag):
+            printer.line(f"{supervisor.local(flag)} = self.{flag}")
+    if supervisor.uses("ended"):
+        printer.line(f"{supervisor.local('ended')} = {printer.operation('or', ['self.terminated', 'self.truncated'])}")
     for term in terms:
         printer.update_memories([term.scalar])
-    names = [workspace.names(f"{term.name} term") if workspace.repeats_actions else f"self.term_{term.name}" for term in terms]
+    names = [supervisor.names(f"{term.name} term") if supervisor.repeats_actions else f"self.term_{term.name}" for term in terms]
     lines: list[str] = []
     for name, term in zip(names, terms, strict=True):
-        code = printer.value(term.scalar) if term.foreign is None else f"{function_attribute(workspace, 'reward term', term.name)}(self)"
+        code = printer.value(term.scalar) if term.foreign is None else f"{function_attribute(supervisor, 'reward term', term.name)}(self)"
         lines += with_comment(f"{name} = {code}", term.text)
     # Python's compiler goes down one level per `+`, so a long sum is taken up in parts; the order is the same.
     parts = [" + ".join(names[i : i + _SUMMANDS]) for i in range(0, len(names), _SUMMANDS)]
     for index, part in enumerate(parts):
-        last = index == len(parts) - 1 and not workspace.repeats_actions
+        last = index == len(parts) - 1 and not supervisor.repeats_actions
         lines.append(f"{'self.reward = reward' if last else 'reward'} = {'reward + ' if index else ''}{part}")
-    summing = workspace.printer()
-    if workspace.repeats_actions:
+    summing = supervisor.printer()
+    if supervisor.repeats_actions:
         for name, term in zip(names, terms, strict=True):
             summing.add_in_place(f"self.term_{term.name}", name)
         summing.add_in_place("self.reward", "reward")
     summing.lines += ["if not -1e300 < reward < 1e300:", "    self._not_finite()"] if printer.on_floats else ["self.require_finite(reward)"]
-    if workspace.uses("episode_return"):
+    if supervisor.uses("episode_return"):
         summing.add_in_place("self.episode_return", "reward")
     lines += summing.lines
     printer.lines += ["if self.step_count:  # there is no reward at the reset", *indent(lines)] if printer.on_floats else lines
@@ -463,19 +463,19 @@ def _print_rewards(workspace: Workspace, printer: Printer) -> None:
 # Observation
 
 
-def _print_observation(workspace: Workspace, printer: Printer) -> None:
+def _print_observation(supervisor: SupervisorPrinter, printer: Printer) -> None:
     seen = []
-    for entry in workspace.scenario.policy.observation:
-        if entry in workspace.scenario.policy.images:
+    for entry in supervisor.scenario.policy.observation:
+        if entry in supervisor.scenario.policy.images:
             continue
-        seen.append(_observed(workspace, printer, entry))
+        seen.append(_observed(supervisor, printer, entry))
     if seen:
         printer.line(f"self.set_observation({', '.join(seen)})")
-    for pictured in workspace.scenario.policy.images:
+    for pictured in supervisor.scenario.policy.images:
         printer.line(f"self.frame_stacks[{quoted(pictured.key)}].frames[self.newest] = {printer.value(pictured.value.scalar)}")
 
 
-def _observed(workspace: Workspace, printer: Printer, entry: Observation) -> str:
+def _observed(supervisor: SupervisorPrinter, printer: Printer, entry: Observation) -> str:
     """The code of one or several numbers, as the policy sees them."""
     components = entry.value.components
     # the reward of this step is known here; everywhere else the name means that of the step before
@@ -504,15 +504,15 @@ def _observed(workspace: Workspace, printer: Printer, entry: Observation) -> str
 # Masks
 
 
-def _print_masks(workspace: Workspace, printer: Printer) -> None:
+def _print_masks(supervisor: SupervisorPrinter, printer: Printer) -> None:
     """Print the options that the agent may choose next; at least one option of each choice must be allowed."""
-    if not workspace.forbids_options:
+    if not supervisor.forbids_options:
         return
-    repeat = workspace.scenario.action_repeat
+    repeat = supervisor.scenario.action_repeat
     chooses = "not self.terminated and not self.truncated" + (
-        f" and self.timestep_count % {repeat} == 0" if workspace.repeats_actions else ""
+        f" and self.timestep_count % {repeat} == 0" if supervisor.repeats_actions else ""
     )
-    for part in workspace.choices:
+    for part in supervisor.choices:
         if any(option.forbidden is not None for option in part.options):
             allowed = f"self.allowed_{part.name}"
             printer.line(f"{allowed} = {tuple_code([_allowed(printer, option) for option in part.options])}")

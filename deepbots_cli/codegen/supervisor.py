@@ -19,7 +19,7 @@ from deepbots_cli.codegen.text import (
     sentence_list,
     tuple_code,
 )
-from deepbots_cli.codegen.workspace import Workspace
+from deepbots_cli.codegen.workspace import SupervisorPrinter
 from deepbots_cli.expressions.lower import BATCH, fold_operation
 from deepbots_cli.expressions.scalar import Const, Scalar
 from deepbots_cli.program import Program
@@ -68,18 +68,18 @@ class {name}Batch(BatchSupervisor):
 """
 
 
-def batch_supervisor(scenario: Program, constants: Constants) -> list[str]:
+def print_batch_supervisor(scenario: Program, constants: Constants) -> list[str]:
     """The lines of the class for a batch: what happens in each step; episodes begin in the single worlds."""
-    workspace = Workspace(scenario, constants, BATCH)
-    observing, acting = observe_method(workspace), advance_methods(workspace)
-    methods = [*acting, *observing, *redraw_method(workspace)]
-    for name, line in workspace.of_message.items():
+    supervisor = SupervisorPrinter(scenario, constants, BATCH)
+    observing, acting = observe_method(supervisor), advance_methods(supervisor)
+    methods = [*acting, *observing, *redraw_method(supervisor)]
+    for name, line in supervisor.of_message.items():
         doc = '"""Draw a value for the next message of a single world."""'
         methods += ["@staticmethod", *block(f"def {name}(self: Any) -> None:", [doc, line])]
     lines = [line for line in methods if "@staticmethod" not in line]
     read = re.findall(r"""(?:self\.|")((?:parameter|due|std|last|present)_\w+)""", "\n".join(lines))
     kept = tuple(dict.fromkeys(read))
-    tables = choice_tables(workspace)
+    tables = choice_tables(supervisor)
     terms = tuple(term.name for term in scenario.policy.reward)
     return fill_template(
         _BATCH_CLASS,
@@ -87,24 +87,24 @@ def batch_supervisor(scenario: Program, constants: Constants) -> list[str]:
         doc=docstring(scenario.summary or scenario.name),
         tables=[*tables, ""] if tables else [],
         kept=[*([f"KEEPS = {quoted_tuple(kept)}"] if kept else []), f"TERMS = {quoted_tuple(terms)}", ""],
-        binding=_bind_batch(workspace),
+        binding=_bind_batch(supervisor),
         methods=methods,
     )
 
 
-def _bind_batch(workspace: Workspace) -> list[str]:
-    memories = [f"self.{name} = {code}" for name, code in workspace.memories.items()]
-    return [*_bind_robots(workspace), *workspace.readers.bind_lines(), *memories]
+def _bind_batch(supervisor: SupervisorPrinter) -> list[str]:
+    memories = [f"self.{name} = {code}" for name, code in supervisor.memories.items()]
+    return [*_bind_robots(supervisor), *supervisor.readers.bind_lines(), *memories]
 
 
-def supervisor(scenario: Program, constants: Constants) -> list[str]:
+def print_supervisor(scenario: Program, constants: Constants) -> list[str]:
     """The lines of the class."""
-    workspace = Workspace(scenario, constants)
+    supervisor = SupervisorPrinter(scenario, constants)
     # What the other methods read says what a reset has to begin anew.
-    observing, acting, pushing = observe_method(workspace), advance_methods(workspace), push_methods(workspace)
-    asked = [*_allowed(workspace), *_compute_reward(workspace), *_between_steps(workspace)]
-    methods = [*begin_method(workspace), *pushing, *start_method(workspace), *acting, *observing]
-    tables = choice_tables(workspace)
+    observing, acting, pushing = observe_method(supervisor), advance_methods(supervisor), push_methods(supervisor)
+    asked = [*_allowed(supervisor), *_compute_reward(supervisor), *_between_steps(supervisor)]
+    methods = [*begin_method(supervisor), *pushing, *start_method(supervisor), *acting, *observing]
+    tables = choice_tables(supervisor)
     terms = ", ".join(f"{quoted(term.name)}: self.term_{term.name}" for term in scenario.policy.reward)
     info = '"is_success": self.is_success, "ended_by": self.ended_by, "endings": self.endings'
     return fill_template(
@@ -112,51 +112,51 @@ def supervisor(scenario: Program, constants: Constants) -> list[str]:
         name=class_name(scenario.name),
         doc=docstring(scenario.summary or scenario.name),
         tables=[*tables, ""] if tables else [],
-        binding=_bind(workspace),
+        binding=_bind(supervisor),
         methods=methods,
-        seen=docstring(f"What the policy sees, float32 in [-1, 1]: {_observation_text(workspace)}."),
-        observation=_observation(workspace),
+        seen=docstring(f"What the policy sees, float32 in [-1, 1]: {_observation_text(supervisor)}."),
+        observation=_observation(supervisor),
         summed=docstring(f"The sum of {sentence_list([term.name for term in scenario.policy.reward])}."),
         ended=docstring(f"Whether {', and whether '.join(_ends(scenario))}."),
         terms=terms,
-        info=info + (', "action_mask": self.action_mask()' if workspace.forbids_options else "") + ', "reward_terms": terms',
+        info=info + (', "action_mask": self.action_mask()' if supervisor.forbids_options else "") + ', "reward_terms": terms',
         asked=asked,
     )
 
 
-def _bind_robots(workspace: Workspace) -> list[str]:
+def _bind_robots(supervisor: SupervisorPrinter) -> list[str]:
     lines = []
-    for robot in workspace.scenario.robots:
+    for robot in supervisor.scenario.robots:
         lines.append(f"self.robot_{robot.name} = self.robot({quoted(robot.name)}, {controller_name(robot)})")
         for which, direction in (("to", "to_robot"), ("from", "from_robot")):
-            made = "channel" if workspace.is_direct(robot, direction) else "lossy_channel"  # type: ignore[arg-type]
+            made = "channel" if supervisor.is_direct(robot, direction) else "lossy_channel"  # type: ignore[arg-type]
             lines.append(f"self.{which}_{robot.name} = self.{made}({quoted(robot.name)}, {quoted(direction)})")
     return lines
 
 
-def _bind(workspace: Workspace) -> list[str]:
-    scenario, lines = workspace.scenario, _bind_robots(workspace)
+def _bind(supervisor: SupervisorPrinter) -> list[str]:
+    scenario, lines = supervisor.scenario, _bind_robots(supervisor)
     arranged = needs_arrangement(scenario)
     lines += ["self.bodies = Arrangement(self.scenario, engine)"] if arranged else []
-    if workspace.readers.needs_paths:
+    if supervisor.readers.needs_paths:
         lines.append(f"self.ways = Ways(self.scenario, engine{', self.bodies' if arranged else ''})")
-    memories = [f"self.{name} = {code}" for name, code in workspace.memories.items()]
-    return [*lines, *workspace.readers.bind_lines(), *memories, *bind_pushes(workspace), *bind_foreign(workspace)] or ["pass"]
+    memories = [f"self.{name} = {code}" for name, code in supervisor.memories.items()]
+    return [*lines, *supervisor.readers.bind_lines(), *memories, *bind_pushes(supervisor), *bind_foreign(supervisor)] or ["pass"]
 
 
 # The paper's methods, which read what `_observe` left and change nothing
 
 
-def _observation_text(workspace: Workspace) -> str:
-    histories = {entry.name: entry.history for entry in workspace.scenario.policy.observation}
+def _observation_text(supervisor: SupervisorPrinter) -> str:
+    histories = {entry.name: entry.history for entry in supervisor.scenario.policy.observation}
     seen = sentence_list([name if many == 1 else f"{name} ({many} in a row)" for name, many in histories.items()])
-    seen += f"; {workspace.scenario.policy.frame_stack} times in a row" if workspace.scenario.policy.frame_stack > 1 else ""
-    return seen + ("; and what is achieved and desired" if workspace.scenario.policy.goal is not None else "")
+    seen += f"; {supervisor.scenario.policy.frame_stack} times in a row" if supervisor.scenario.policy.frame_stack > 1 else ""
+    return seen + ("; and what is achieved and desired" if supervisor.scenario.policy.goal is not None else "")
 
 
-def _observation(workspace: Workspace) -> str:
+def _observation(supervisor: SupervisorPrinter) -> str:
     """The code of each part of an observation, under its key where there are several."""
-    scenario = workspace.scenario
+    scenario = supervisor.scenario
     parts = {"observation": "self.seen()"} if scenario.policy.numbers or not scenario.policy.images else {}
     parts |= {pictured.key: f"self.frame_stacks[{quoted(pictured.key)}].seen(self.newest)" for pictured in scenario.policy.images}
     if scenario.policy.goal is not None:
@@ -173,21 +173,21 @@ def _ends(scenario: Program) -> list[str]:
     return [*ends, f"a limit cut the episode short ({sentence_list(limits, 'or')})"]
 
 
-def _allowed(workspace: Workspace) -> list[str]:
+def _allowed(supervisor: SupervisorPrinter) -> list[str]:
     """The method that returns the options that may be chosen next; nothing if no option is ever forbidden."""
-    if not workspace.forbids_options:
+    if not supervisor.forbids_options:
         return []
     rows = [
         f"self.allowed_{part.name}" if any(option.forbidden for option in part.options) else tuple_code(["True"] * len(part.options))
-        for part in workspace.choices
+        for part in supervisor.choices
     ]
-    doc = docstring(f"Which options of {sentence_list([part.name for part in workspace.choices])} may be chosen next.")
+    doc = docstring(f"Which options of {sentence_list([part.name for part in supervisor.choices])} may be chosen next.")
     return block("def allowed(self) -> tuple[tuple[bool, ...], ...]:", [*doc, f"return {tuple_code(rows)}"])
 
 
-def _compute_reward(workspace: Workspace) -> list[str]:
+def _compute_reward(supervisor: SupervisorPrinter) -> list[str]:
     """The method that hindsight replay calls; nothing without a goal."""
-    if workspace.scenario.policy.goal is None:
+    if supervisor.scenario.policy.goal is None:
         return []
     doc = docstring("The reward for other goals, as the policy sees them: arrays (n, k) or (k,).")
     head = "def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any = None) -> Any:"
@@ -197,36 +197,36 @@ def _compute_reward(workspace: Workspace) -> list[str]:
 # Hand-written policies
 
 
-def _between_steps(workspace: Workspace) -> list[str]:
+def _between_steps(supervisor: SupervisorPrinter) -> list[str]:
     """Methods that read the values of the last timestep. They are called between two steps, on request only."""
-    lines = [line for script in workspace.scenario.policy.scripts for line in _script(workspace, script)]
-    for test in workspace.scenario.tests:
+    lines = [line for script in supervisor.scenario.policy.scripts for line in _script(supervisor, script)]
+    for test in supervisor.scenario.tests:
         asked = {"holds": (test.scalars, "Whether each condition"), "compared": (test.compared, "The compared values of the conditions")}
         for name, (scalars, said) in asked.items():
-            printer = _printer_after(workspace, scalars)
+            printer = _printer_after(supervisor, scalars)
             printer.line(f"return {printer.tuple(scalars) if scalars else '()'}")
             head = f"def test_{test.name}_{name}(self) -> tuple[Any, ...]:"
             lines += block(head, printer.method_lines(docstring(f"{said} of the test {test.name}.")))
     return lines
 
 
-def _printer_after(workspace: Workspace, scalars: tuple[Scalar, ...]) -> Printer:
+def _printer_after(supervisor: SupervisorPrinter, scalars: tuple[Scalar, ...]) -> Printer:
     """A printer for these values, which stands after the last timestep: the reward of that one is known."""
-    printer = Printer(workspace, settable=workspace.settable, renamed={"previous_reward": "self.reward"})
-    used = workspace.names_read(scalars)
-    kept = [workspace.local(name) for name in workspace.stored_names() if name in used]
+    printer = Printer(supervisor, settable=supervisor.settable, renamed={"previous_reward": "self.reward"})
+    used = supervisor.names_read(scalars)
+    kept = [supervisor.local(name) for name in supervisor.stored_names() if name in used]
     printer.lines += [f"{local} = self.last_{local}" for local in kept]
     printer.insert_readers_here()
     return printer
 
 
-def _script(workspace: Workspace, script: Script) -> list[str]:
+def _script(supervisor: SupervisorPrinter, script: Script) -> list[str]:
     """The method that computes the next action."""
-    printer = _printer_after(workspace, script.scalars)
+    printer = _printer_after(supervisor, script.scalars)
     choices, ranges = [], []
-    for part, decided in zip(workspace.scenario.policy.action, script.parts, strict=True):
+    for part, decided in zip(supervisor.scenario.policy.action, script.parts, strict=True):
         if isinstance(part, Choices) and isinstance(decided, ScriptedChoice):
-            choices.append(_print_pick(workspace, printer, part, decided))
+            choices.append(_print_pick(supervisor, printer, part, decided))
         elif isinstance(part, ActionRange) and isinstance(decided, ScriptedRange):
             ranges += [_normalized_code(printer, part, value) for value in decided.scalars]
     printer.line(f"return self.make_action({tuple_code(choices) if choices else '()'}, {tuple_code(ranges) if ranges else '()'})")
@@ -235,9 +235,9 @@ def _script(workspace: Workspace, script: Script) -> list[str]:
     )
 
 
-def _print_pick(workspace: Workspace, printer: Printer, part: Choices, pick: ScriptedChoice) -> str:
+def _print_pick(supervisor: SupervisorPrinter, printer: Printer, part: Choices, pick: ScriptedChoice) -> str:
     """The local that holds the number of the option."""
-    target, names = workspace.names(f"{part.name} pick"), [option.name for option in part.options]
+    target, names = supervisor.names(f"{part.name} pick"), [option.name for option in part.options]
     for index, option in enumerate(pick.options):
         setting = f"{target} = {names.index(option)}  # {option}"
         if len(pick.options) == 1:

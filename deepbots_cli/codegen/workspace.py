@@ -205,7 +205,7 @@ def _part(name: str) -> str:
 _GOAL = ("achieved", "desired", "goal_reached")
 
 
-class Workspace:
+class SupervisorPrinter:
     """One per printed supervisor.
 
     `evaluated` are the expressions of every timestep; `sent` are those of messages to robots, with values of the
@@ -334,8 +334,8 @@ class Workspace:
         asked = {node.subjects[0] for node in nodes if isinstance(node, EngineRead) and node.function == "age"}
         return {node.name for node in nodes if isinstance(node, Name)} | {self._ages[subject] for subject in asked if subject in self._ages}
 
-    def of_one_world(self) -> Workspace:
-        """The workspace of code that runs in one world."""
+    def of_one_world(self) -> SupervisorPrinter:
+        """The printer of code that runs in one world."""
         other = copy(self)
         other.target = SCALAR
         return other
