@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from deepbots_cli.learning.evaluation import EvaluationResult
     from deepbots_cli.learning.group import GroupTraining
     from deepbots_cli.learning.robustness import Robustness
+    from deepbots_cli.view.frames import WorldFrame
 
 MAX_DRAWN = 8
 """Drawn values that `--details` shows, those with the largest effect; `--json` has all of them."""
@@ -304,6 +305,22 @@ def robustness_json(found: Robustness) -> dict[str, Any]:
     ]
     known = {name: getattr(found, name) for name in ("run", "scenario", "metric", "bar", "bar_source", "nominal_holds", "nominal_certain")}
     return {**known, "nominal": to_json(found.nominal), "conditions": conditions}
+
+
+# Recordings
+
+
+def recorded_rows(ends: Iterable[tuple[int, WorldFrame]]) -> list[Row]:
+    """A row for each episode of a recording, by its number and its last frame."""
+    found = [(number, frame, next(iter(frame.agents.values())).episode_return) for number, frame in ends]
+    return [
+        {"episode": number, "steps": frame.step, "time_s": frame.time, "ending": frame.ending, "ended_by": frame.ended_by, "return": total}
+        for number, frame, total in found
+    ]
+
+
+def recorded_table(rows: Sequence[Row]) -> str:
+    return table([{name: value for name, value in row.items() if name != "ended_by"} for row in rows])
 
 
 # Files

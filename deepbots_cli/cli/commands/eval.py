@@ -197,8 +197,8 @@ def command(
     known = Run.open(run)
     if robustness:
         _refuse("does not go with --robustness", given, ("video", "csv", "junit", "baselines", "details", "require-solved"))
-        changed = with_engine(overrides, several[0])
-        _robustness(known, gates, changed, allow_paths or (), scenario, case, stage, as_json=as_json, seed=seed, mass_of=mass_of, **chosen)
+        chosen |= {"scenario": scenario, "overrides": with_engine(overrides, several[0]), "allow_paths": allow_paths or ()}
+        _robustness(known, gates, as_json=as_json, case=case, stage=stage, seed=seed, mass_of=mass_of, **chosen)
         return
     chosen |= {"seed": seed}
     with terminal.transient_line("loading the policy ..."):
@@ -392,7 +392,7 @@ class Gates:
 
 def _evaluate_group(
     folder: Path,
-    judged: Sequence[Compiled | None],
+    scenarios: Sequence[Compiled | None],
     gates: Gates,
     *,
     csv: Path | None,
@@ -400,25 +400,25 @@ def _evaluate_group(
     as_json: bool,
     **chosen: Any,
 ) -> None:
-    """Evaluate a group in each of the `judged` scenarios, which differ in their engine; None is the scenario of the group."""
+    """Evaluate a group in each of the `scenarios`, which differ in their engine; None is the scenario of the group."""
     with terminal.transient_line("loading the policies ..."):
         from deepbots_cli.learning.comparison import compare_engines, evaluate_group  # which import torch
     ready = Group.open(folder).runs_with_model
     groups: list[GroupResult] = []
     requirements: list[Requirement] = []
-    for compiled in judged:
+    for compiled in scenarios:
         planned = 0
         if ready:
             program = Run.open(ready[0]).program if compiled is None else compiled.program
             gates.check(program)
             usual = program.evaluation.episodes if chosen["case"] is None else program.case(chosen["case"]).episodes
             planned = (chosen["episodes"] or usual) * len(ready)
-        until = partial(gates.decided_of_group, planned=planned) if planned and len(judged) == 1 else None
+        until = partial(gates.decided_of_group, planned=planned) if planned and len(scenarios) == 1 else None
         with terminal.progress("runs", always=False) as show_run:
             found = evaluate_group(folder, scenario=compiled, on_run=show_run, until=until, **chosen)
         for result in found.evaluations:
             records.write_evaluation(Run.open(result.run), records.evaluation_json(result))
-        of = f"{found.evaluations[0].engine}: " if len(judged) > 1 else ""
+        of = f"{found.evaluations[0].engine}: " if len(scenarios) > 1 else ""
         requirements += [(f"{of}{words}", met, reason) for words, met, reason in gates.requirements_of_group(found, planned)]
         groups.append(found)
         if not as_json:
@@ -435,34 +435,13 @@ def _evaluate_group(
     _require(requirements, [result for found in groups for result in found.evaluations], junit)
 
 
-def _robustness(
-    known: Run,
-    gates: Gates,
-    overrides: Sequence[str],
-    allow_paths: Sequence[Path],
-    scenario: str | None,
-    case: str | None,
-    stage: str | None,
-    *,
-    as_json: bool,
-    **chosen: Any,
-) -> None:
+def _robustness(known: Run, gates: Gates, *, as_json: bool, **options: Any) -> None:
     gates.check(known.program)
     with terminal.transient_line("loading the policy ..."):
         from deepbots_cli.learning.robustness import evaluate_robustness  # which imports torch
+    bars: dict[str, Any] = {"min_success": gates.min_success, "min_return": gates.min_return}
     with terminal.progress("evaluations") as show_level:
-        found = evaluate_robustness(
-            known,
-            scenario=scenario,
-            overrides=overrides,
-            allow_paths=allow_paths,
-            min_success=gates.min_success,
-            min_return=gates.min_return,
-            on_level=show_level,
-            case=case,
-            stage=stage,
-            **chosen,
-        )
+        found = evaluate_robustness(known, on_level=show_level, **bars, **options)
     terminal.show(records.robustness_json(found), records.robustness_text(found), as_json=as_json)
 
 

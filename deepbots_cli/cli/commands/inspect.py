@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -88,10 +89,7 @@ def command(
         root = with_settings_at(root, ("curriculum", [known.name for known in side.program.curriculum].index(stage)))
     engine = engine or (side.run.engine_for(program) if side.run else None)
     tables = {**inspection.scenario_tables(program, root, side.run), **_start(program, picture, engine, allow_code=allow_code)}
-    if as_json:
-        terminal.show_json(tables)
-    else:
-        _show(tables)
+    terminal.show(tables, *_lines(tables), as_json=as_json)
     if picture is not None:
         terminal.note(f"wrote a picture of the world to {picture}")
 
@@ -124,15 +122,12 @@ def _inspect_robot(reference: str, picture: Path | None, engine: str, as_json: b
     tables = inspection.robot_tables(robot, findings)
     if picture is not None:
         _draw(_rendered(robot.model, engine), picture)
-    if as_json:
-        terminal.show_json(tables)
-    else:
-        _show({name: rows for name, rows in tables.items() if name != "findings"})
-        if findings and _is_of_package(reference):
-            codes = ", ".join(f"{count} {code}" for code, count in Counter(finding.code for finding in findings).most_common())
-            terminal.note(f"{summary(findings)} about a file of a package, which you cannot change ({codes}); --json lists them")
-        elif findings:
-            terminal.show_findings(findings)
+    terminal.show(tables, *_lines({name: rows for name, rows in tables.items() if name != "findings"}), as_json=as_json)
+    if findings and not as_json and _is_of_package(reference):
+        codes = ", ".join(f"{count} {code}" for code, count in Counter(finding.code for finding in findings).most_common())
+        terminal.note(f"{summary(findings)} about a file of a package, which you cannot change ({codes}); --json lists them")
+    elif findings and not as_json:
+        terminal.show_findings(findings)
     if picture is not None:
         terminal.note(f"wrote a picture of the robot to {picture}")
 
@@ -171,7 +166,7 @@ def _draw(image: Image, picture: Path) -> None:
         PIL.Image.fromarray(image).save(draft, format="PNG")
 
 
-def _show(tables: inspection.Tables) -> None:
+def _lines(tables: inspection.Tables) -> Iterator[str]:
     for name, rows in tables.items():
-        terminal.print_result(f"{name}{f': {_CAPTIONS[name]}' if name in _CAPTIONS else ''}")
-        terminal.print_result((table(rows) if isinstance(rows, list) else row_as_lines(rows)) + "\n")
+        yield f"{name}{f': {_CAPTIONS[name]}' if name in _CAPTIONS else ''}"
+        yield (table(rows) if isinstance(rows, list) else row_as_lines(rows)) + "\n"

@@ -5,10 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from deepbots_cli.cli import terminal
+from deepbots_cli.cli import records, terminal
 from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Force, Json, Overrides, Seed, Stage, integer, option
 from deepbots_cli.cli.commands.view import Driver, EngineOrRun, Episode, ScenarioOrRun
-from deepbots_cli.cli.tables import table
 from deepbots_cli.errors import UsageError
 
 
@@ -56,9 +55,7 @@ def command(
     with closing_player(source, driver) as world, terminal.progress(always=False) as show:
         numbers = range(episode, episode + episodes)
         last = record(world, path, seed, numbers, lambda number: show(number + 1 - episode, episodes) if show else None, steps=steps)
-    returns = [next(iter(frame.agents.values())).episode_return for frame in last]
-    ends = [{"episode": n, "steps": f.step, "ended_by": f.ended_by, "return": r} for n, f, r in zip(numbers, last, returns, strict=True)]
-    rows = [{**end, "ended_by": frame.ending or "cut", "time_s": frame.time} for end, frame in zip(ends, last, strict=True)]
-    data, size = {"recording": path, "bytes": path.stat().st_size, "episodes": ends}, f"{path} ({path.stat().st_size / 1000:,.0f} kB)"
+    rows = records.recorded_rows(zip(numbers, last, strict=True))
+    data, size = {"recording": path, "bytes": path.stat().st_size, "episodes": rows}, f"{path} ({path.stat().st_size / 1000:,.0f} kB)"
     next_commands = [f"deepbots view {path}", f"deepbots replay --verify {path}"]
-    terminal.show(data, table(rows, indent=""), size, as_json=as_json, next_commands=next_commands)
+    terminal.show(data, records.recorded_table(rows), size, as_json=as_json, next_commands=next_commands)

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deepbots_cli.cli import sources, terminal
+from deepbots_cli.cli import records, sources, terminal
 from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Overrides, option
 from deepbots_cli.cli.commands.diff import Change, Group
 from deepbots_cli.cli.commands.diff import scenario_changes as changes_of_meaning
 from deepbots_cli.cli.exits import FAILED
-from deepbots_cli.cli.tables import table
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import ScenarioError, UsageError
@@ -68,14 +67,11 @@ def command(
     if not to_verify:
         with closing(ReplayPlayer(opened)) as player:
             ends = [(each.number, player.begin(0, each.number), player.seek(len(each.steps))) for each in found.episodes]
-        rows = [
-            {"episode": number, "steps": last.step, "ending": last.ending, "return": next(iter(last.agents.values())).episode_return}
-            for number, _, last in ends
-        ]
+        rows = records.recorded_rows((number, last) for number, _, last in ends)
         known = {name: found.metadata.get(name, "?") for name in ("scenario", "source", "seed", "driver", "engine")}
         about = "{scenario} ({source}), seed {seed}, driven by {driver}, engine {engine}".format(**known)
         data = {"recording": found.path, **found.metadata, "episodes": rows}
-        terminal.show(data, about, table(rows, indent=""), as_json=as_json, next_commands=[f"deepbots replay --verify {recording}"])
+        terminal.show(data, about, records.recorded_table(rows), as_json=as_json, next_commands=[f"deepbots replay --verify {recording}"])
         return
     shown = opened
     if scenario is not None:

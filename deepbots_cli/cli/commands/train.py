@@ -226,22 +226,32 @@ def _announce_seed(seed: int, number: int, count: int) -> None:
     terminal.note(f"seed {seed}, {number} of {count}")
 
 
-def _finish_group(group: GroupTraining, *, quiet: bool, as_json: bool, allow_code: bool) -> None:
-    """Show the trainings of a group; unless it was interrupted, evaluate all of its runs and name the next commands."""
-    if not as_json:
-        terminal.print_result(records.group_training_text(group))
-    if group.interrupted:
-        if as_json:
-            terminal.show_json({"training": vars(group), "evaluation": None})
+def _show_training(text: str, data: object, stopped: bool, *, as_json: bool) -> None:
+    """Show a training as text; after an interruption also as JSON, and end the command."""
+    if stopped or not as_json:
+        terminal.show(data, text, as_json=as_json)
+    sys.stdout.flush()  # after SIGTERM, the process may be killed at any moment
+    if stopped:
         raise typer.Exit(INTERRUPTED)
+
+
+@contextmanager
+def _evaluating(trained: Path, *, quiet: bool) -> Iterator[None]:
+    """The evaluation after a training; an interruption ends the command."""
     if not quiet:
         terminal.note("evaluating on held-out episodes, without the exploration of the training, so returns differ ...")
     try:
-        with terminal.progress("runs", always=False) as show_run:
-            evaluation = learning.evaluate_group(group.group, allow_code=allow_code, on_run=show_run)
+        yield
     except KeyboardInterrupt:
-        terminal.note(f"interrupted; the trainings are finished, evaluate their policies with: deepbots eval {quote(str(group.group))}")
+        terminal.note(f"interrupted; the training is finished, evaluate it with: deepbots eval {quote(str(trained))}")
         raise typer.Exit(INTERRUPTED) from None
+
+
+def _finish_group(group: GroupTraining, *, quiet: bool, as_json: bool, allow_code: bool) -> None:
+    """Show the trainings of a group; unless it was interrupted, evaluate all of its runs and name the next commands."""
+    _show_training(records.group_training_text(group), {"training": vars(group), "evaluation": None}, group.interrupted, as_json=as_json)
+    with _evaluating(group.group, quiet=quiet), terminal.progress("runs", always=False) as show_run:
+        evaluation = learning.evaluate_group(group.group, allow_code=allow_code, on_run=show_run)
     for found in evaluation.evaluations:
         records.write_evaluation(Run.open(found.run), records.evaluation_json(found))
     path, data = quote(str(group.group)), {"training": vars(group), "evaluation": records.group_json(evaluation)}
@@ -254,23 +264,11 @@ def _finish_group(group: GroupTraining, *, quiet: bool, as_json: bool, allow_cod
 
 def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, allow_code: bool) -> None:
     """Show the result of the training; unless it was interrupted, evaluate the policy and name the next commands."""
-    if not as_json:
-        terminal.print_result(records.training_text(result))
-    sys.stdout.flush()  # after SIGTERM, the process may be killed at any moment
-    if result.stop_requested:
-        if as_json:
-            terminal.show_json({"training": result, "evaluation": None})
-        raise typer.Exit(INTERRUPTED)
-    if not quiet:
-        terminal.note("evaluating on held-out episodes, without the exploration of the training, so returns differ ...")
+    _show_training(records.training_text(result), {"training": result, "evaluation": None}, result.stop_requested, as_json=as_json)
     trained = Run.open(result.run)
-    try:
-        with terminal.progress(always=False) as show_episode:
-            evaluation = learning.evaluate(trained, allow_code=allow_code, on_episode=show_episode)
-            cases = learning.evaluate_cases(trained, allow_code=allow_code, on_episode=show_episode)
-    except KeyboardInterrupt:
-        terminal.note(f"interrupted; the training is finished, evaluate its policy with: deepbots eval {quote(str(result.run))}")
-        raise typer.Exit(INTERRUPTED) from None
+    with _evaluating(result.run, quiet=quiet), terminal.progress(always=False) as show_episode:
+        evaluation = learning.evaluate(trained, allow_code=allow_code, on_episode=show_episode)
+        cases = learning.evaluate_cases(trained, allow_code=allow_code, on_episode=show_episode)
     found = records.evaluation_json(evaluation, cases)
     records.write_evaluation(trained, found)
     solved = run_verdict(trained.path, trained.record).solved
