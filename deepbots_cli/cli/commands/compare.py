@@ -1,4 +1,4 @@
-"""`deepbots compare`."""
+"""`deepbots compare`: the table of groups, and the table of differences from the first group."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`deepbots eval`."""
+"""`deepbots eval`: a run or a group in its scenario, its cases and several engines, what its result must reach (`Gates`), robustness."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`deepbots inspect`."""
+"""`deepbots inspect`: a scenario, a run or a robot file as the tables of `cli/inspection.py`, and a picture of it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`deepbots runs`."""
+"""`deepbots runs`: the table of runs and groups, and of the evaluations that a run keeps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`deepbots train`."""
+"""`deepbots train`: a run or a group, its page while it trains, and the evaluation of its policies."""
 
 from __future__ import annotations
 

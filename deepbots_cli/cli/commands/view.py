@@ -1,4 +1,4 @@
-"""What people see of a world: `view` and `play` serve a page in the browser, `render_picture` and `write_clip` write files."""
+"""What people see of a world: `view` and `play` serve a page in the browser, `picture` and `clip` write files."""
 
 from __future__ import annotations
 
