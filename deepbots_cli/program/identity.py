@@ -31,7 +31,11 @@ from deepbots_cli.robots.model import Mesh
 
 
 _NAMES: Mapping[type, str] = {EngineRead: "World"}
-"""Names in the JSON that differ from those of the classes: digests of earlier runs contain them."""
+
+
+def kind_name(kind: type) -> str:
+    """The name of a class of records in the JSON; of some it is an earlier one, which digests of runs contain."""
+    return _NAMES.get(kind, kind.__name__)
 
 
 def to_json(program: Program) -> str:
@@ -97,7 +101,7 @@ def record_members(part: object) -> dict[str, Any] | None:
 def _plain(value: object) -> object:
     inside = record_members(value)
     if inside is not None:
-        return {"is": _NAMES.get(type(value), type(value).__name__), **{name: _plain(member) for name, member in inside.items()}}
+        return {"is": kind_name(type(value)), **{name: _plain(member) for name, member in inside.items()}}
     if isinstance(value, tuple):
         return [_plain(item) for item in value]
     if isinstance(value, Mapping):

@@ -193,22 +193,24 @@ def _page(*, wanted: bool, allow_code: bool) -> Iterator[Callable[[Path], None]]
     """
     if wanted and find_spec("viser") is None:
         raise MissingExtraError("view", "a page in the browser")
-    started: list[subprocess.Popen[str]] = []
+    started: list[tuple[subprocess.Popen[str], Thread]] = []
 
     def show(run: Path) -> None:
         if wanted:
             options = ["--fps", str(_PAGE_FRAME_RATE), *(["--allow-code"] if allow_code else [])]
             command = python_command("deepbots_cli", "view", *options, "--", str(run))
             nowhere, pipe = subprocess.DEVNULL, subprocess.PIPE
-            started.append(subprocess.Popen(command, stdin=nowhere, stdout=pipe, text=True, env=python_environment()))
-            Thread(target=_await_page, args=(started[0],), daemon=True).start()
+            process = subprocess.Popen(command, stdin=nowhere, stdout=pipe, text=True, env=python_environment())
+            started.append((process, Thread(target=_await_page, args=(process,), daemon=True)))
+            started[0][1].start()
 
     try:
         yield show
     finally:
-        for process in started:
+        for process, waiting in started:
             process.kill()  # which, unlike SIGTERM, it does not report
             process.wait()
+            waiting.join()  # its standard output has ended
 
 
 def _await_page(page: subprocess.Popen[str]) -> None:
