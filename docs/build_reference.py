@@ -14,7 +14,6 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from deepbots_cli.cli.commands.explain import topics
-from deepbots_cli.diagnostics.nearest import RENAMES
 from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, TIME, UNITS
 from deepbots_cli.expressions.functions import ALLOWED_FAMILIES, FUNCTIONS, Family, Function
@@ -69,7 +68,7 @@ class _Keys:
             "Values are stored in SI units; the unit 1 is a plain number. [The language](../language.md) describes how values are written."
             " The tests insert each example into a suitable scenario and run it.",
         ]
-        return "\n".join([*head, *self._section("scenario", Scenario, ()), *_defaults(), *_renamed()]) + "\n"
+        return "\n".join([*head, *self._section("scenario", Scenario, ()), *_defaults()]) + "\n"
 
     def _section(self, title: str, part: type[Section], route: Route) -> Iterator[str]:
         if part not in self._met:
@@ -132,14 +131,6 @@ def _defaults() -> Iterator[str]:
         for name in model.hyperparameter_names():
             text, source = (own[name].description, "deepbots") if name in own else (_plain(library.get(name)), title)
             yield f"| `{name}` | {text} | {source} |"
-
-
-def _renamed() -> Iterator[str]:
-    """The old names of keys, words and functions."""
-    yield from ["", "## Renamed", "", "An old name is the finding [DB109](rules.md#db109-renamed), and its fix writes the new one."]
-    yield from ["", "| old name | new name | what it is | reason |", "|---|---|---|---|"]
-    for (old, new), rename in {(rename.old, rename.new): rename for rename in RENAMES}.items():
-        yield f"| `{old}` | `{new}` | {rename.kind} | {rename.reason} |"
 
 
 def _plain(value: object) -> str:

@@ -50,7 +50,7 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.task import Evaluation, Policy, ScenarioTest, Truncation
 from deepbots_cli.scenario.base import visit_values
 from deepbots_cli.scenario.scenario import Scenario
-from deepbots_cli.scenario.validate import validate, with_new_names
+from deepbots_cli.scenario.validate import validate
 
 __all__ = ["CheckedScenario", "check"]
 
@@ -110,8 +110,6 @@ def _check_with_variants(document: Document) -> CheckedScenario:
 
 def _check(document: Document) -> CheckedScenario:
     findings = document.findings
-    if document.root is not None:
-        document = replace(document, root=with_new_names(document.root, findings))
     spec = validate(document.root, findings) if document.root is not None else None
     if document.root is None or spec is None:
         return CheckedScenario(document, findings)

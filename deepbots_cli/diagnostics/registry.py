@@ -67,7 +67,6 @@ _CATALOGUE = (
     Rule("DB106", "wrong-length", "error", "a list or a vector with too few or too many items"),
     Rule("DB107", "empty-value", "error", "a key without a value"),
     Rule("DB108", "not-yet-supported", "error", "a part of the language that this version does not support yet"),
-    Rule("DB109", "renamed", "error", "a key, a word or a function under its old name"),
     Rule("DB201", "unknown-reference", "error", "a name that nothing in the scenario defines"),
     Rule("DB202", "duplicate-name", "error", "two definitions share one name"),
     Rule("DB203", "wrong-kind-reference", "error", "a name of the wrong kind"),

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from deepbots_cli.diagnostics import MAX_FINDINGS, Findings, Fix, Label, Source, Span, TooManyFindings
-from deepbots_cli.diagnostics.nearest import nearest_word, renames_of
+from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document import files, nodes, shipped
 from deepbots_cli.document.nodes import (
     Entry,
@@ -280,7 +280,7 @@ class _Reader:
             if not isinstance(item, ScalarNode) or not isinstance(item.value, str):
                 self.findings.add("DB103", item.span, "a path to remove must be text", help=example)
                 continue
-            steps, reached, rest = self._followed(tree, item)
+            steps, reached, rest = follow_dotted(tree, item.text)
             if not rest and steps:
                 paths.append(steps)
                 _, key, found = descend(own, steps)
@@ -294,22 +294,6 @@ class _Reader:
                 self.findings.add("DB201", here, f"there is no `{item.text}` to remove", help=help)
         pruned = without_paths(tree, paths)
         return pruned if isinstance(pruned, MappingNode) else tree
-
-    def _followed(self, tree: MappingNode, item: ScalarNode) -> tuple[NodePath, Node, str]:
-        """As `follow_dotted`, for a path under `remove`; DB109 for each former name of a key in it."""
-        path = item.text
-        while True:
-            steps, reached, rest = follow_dotted(tree, path)
-            name, _, below = rest.partition(".")
-            keys = reached.entries if isinstance(reached, MappingNode) and not (steps and steps[-1] in _OF_NAMES) else {}
-            rename = next((each for each in renames_of(name) if each.kind == "key" and each.new in keys), None)
-            if rename is None:
-                return steps, reached, rest
-            end = len(item.text) - len(below) - bool(below)
-            span = item.part(end - len(name), end)
-            fix = Fix.replacing(span, name, rename.new, safe=True)
-            self.findings.add("DB109", span, rename.headline, help=f"write `{rename.new}`", fix=fix)
-            path = ".".join(filter(None, (path[: len(path) - len(rest)].rstrip("."), rename.new, below)))
 
 
 def _listed(node: MappingNode) -> str:

@@ -12,7 +12,7 @@ from fractions import Fraction
 from functools import partial
 from typing import NamedTuple, TypeVar
 
-from deepbots_cli.diagnostics.nearest import FORMER_FUNCTIONS, Replacement, suggest_replacement
+from deepbots_cli.diagnostics.nearest import Replacement, suggest_replacement
 from deepbots_cli.expressions import syntax
 from deepbots_cli.expressions.dimensions import ANGLE, NUMBER, TIME, Dimension, prefixed_unit, suggest_unit
 from deepbots_cli.expressions.functions import ALLOWED_FAMILIES, FUNCTIONS, OPERATORS, Family, Form, Function, Param
@@ -443,9 +443,6 @@ class _Checker:
     def _call(self, node: syntax.Call) -> Typed:
         function = FUNCTIONS.get(node.function)
         called = syntax.Name(node.start, node.name_end, (node.function,))
-        if function is None and (rename := FORMER_FUNCTIONS.get(node.function)):
-            self._fault("DB109", called, rename.headline, f"write `{rename.new}`", Replacement(rename.new, safe=True))
-            function = FUNCTIONS[rename.new]
         if function is None:
             if help := _CONTEXT_CALL_HELP.get(node.function):
                 raise self._fault("DB402", called, f"unknown function `{node.function}`", help)

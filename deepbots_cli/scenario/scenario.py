@@ -576,10 +576,10 @@ class Scenario(Section):
         """
         from deepbots_cli.document import descend, load, shipped, to_data
         from deepbots_cli.errors import ScenarioError
-        from deepbots_cli.scenario.validate import validate, with_new_names
+        from deepbots_cli.scenario.validate import validate
 
         document = load(path)
-        root = with_new_names(document.root, document.findings) if document.root is not None else None
+        root = document.root
         found = validate(root, document.findings) if root is not None else None
         if root is None or found is None or document.findings.errors:
             raise ScenarioError(list(document.findings))

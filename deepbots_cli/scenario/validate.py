@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -19,21 +19,17 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from deepbots_cli.diagnostics import Finding, Findings, Fix, Span, TooManyFindings
-from deepbots_cli.diagnostics.nearest import FORMER_KEYS_AND_WORDS, RENAMES, Rename, Replacement, nearest_word, suggest_replacement
+from deepbots_cli.diagnostics.nearest import Replacement, nearest_word, suggest_replacement
 from deepbots_cli.document import nodes
 from deepbots_cli.document.hints import GIVE_A_VALUE
-from deepbots_cli.document.nodes import Entry, Node, NodePath, ScalarNode, descend, to_data, walk
+from deepbots_cli.document.nodes import Node, NodePath, ScalarNode, descend, to_data, walk
 from deepbots_cli.scenario.base import (
     LENIENT,
     Forms,
     Kinds,
-    ListOf,
     MappingOf,
-    Section,
     Shape,
-    chosen_shape,
     noun_of,
-    section_fields,
     set_paths,
     shape_at,
     walk_sections,
@@ -428,98 +424,3 @@ def _nearest_home(parent: NodePath, key: str) -> str | None:
         return None
     best = found[0]
     return f"under `{'.'.join('<name>' if step == '*' else step for step in best)}`" if best else "at the top level"
-
-
-# Old spellings
-
-
-def with_new_names(root: nodes.MappingNode, findings: Findings) -> nodes.MappingNode:
-    """The tree under the new names; DB109 for each old one.
-
-    Raises:
-        TooManyFindings: There are more than `findings` takes.
-    """
-    if not any(_holds_old_word(node) for _, node in walk(root)):
-        return root
-    renamed = _with_new_names(root, Scenario, findings)
-    assert isinstance(renamed, nodes.MappingNode)  # as it was
-    return renamed
-
-
-def _holds_old_word(node: Node) -> bool:
-    match node:
-        case nodes.MappingNode():
-            return not FORMER_KEYS_AND_WORDS.isdisjoint(node.entries)
-        case ScalarNode():
-            return node.text in FORMER_KEYS_AND_WORDS
-        case nodes.SequenceNode():
-            return False
-
-
-def _with_new_names(node: Node, shape: Shape | None, findings: Findings) -> Node:
-    if isinstance(node, nodes.MappingNode) and isinstance(shape, Kinds):
-        node = _with_new_kind(node, shape, findings)
-    shape = None if shape is None else chosen_shape(shape, to_data(node))
-    match shape, node:
-        case ListOf(item=item), nodes.SequenceNode():
-            return nodes.SequenceNode(node.span, tuple(_with_new_names(each, item, findings) for each in node.items))
-        case MappingOf(value=value), nodes.MappingNode():
-            entries = {key: Entry(entry.key, _with_new_names(entry.value, value, findings)) for key, entry in node.entries.items()}
-            return replace(node, entries=entries)
-        case type(), nodes.MappingNode():
-            return _rename_section_keys(node, shape, findings)
-        case _:
-            return node
-
-
-def _rename_section_keys(node: nodes.MappingNode, section: type[Section], findings: Findings) -> nodes.MappingNode:
-    entries: dict[str, Entry] = {}
-    for name, entry in node.entries.items():
-        rename = next((each for each in RENAMES if each.old == name and _is_key_of(each, section)), None)
-        if rename is not None:
-            other = node.entries.get(rename.new)
-            is_twice = other is not None and other.key.span.source is entry.key.span.source
-            entry = Entry(_renamed(entry.key, rename, findings, fixed=not is_twice), entry.value)
-        key = entry.key.text if rename else name
-        below = section_fields(section).get(key)
-        word = next((each for each in RENAMES if each.key == key and _is_word_of(each, section, entry.value)), None)
-        value = _renamed(entry.value, word, findings) if word and isinstance(entry.value, ScalarNode) else entry.value
-        entries[key] = Entry(entry.key, _with_new_names(value, below, findings))  # of two files, the one that extends the other wins
-    return replace(node, entries=entries)
-
-
-def _with_new_kind(node: nodes.MappingNode, kinds: Kinds, findings: Findings) -> nodes.MappingNode:
-    """The mapping with the new word for its kind."""
-    entry = node.entries.get(kinds.key)
-    if entry is None or not isinstance(entry.value, ScalarNode) or entry.value.text in kinds.models:
-        return node
-    for rename in RENAMES:
-        model = kinds.models.get(rename.new)
-        if rename.key == kinds.key and rename.old == entry.value.text and model is not None and _is_below(model, rename.section):
-            value = _renamed(entry.value, rename, findings)
-            return replace(node, entries={**node.entries, kinds.key: Entry(entry.key, value)})
-    return node
-
-
-def _is_key_of(rename: Rename, section: type[Section]) -> bool:
-    """Whether the section has the renamed key; not where it means something else by the new name, or has a key of the old one."""
-    owner = next((base for base in section.__mro__ if base.__name__ == rename.section), None)
-    if owner is None or rename.key or rename.old in section.model_fields:
-        return False
-    return section_fields(section).get(rename.new) == section_fields(owner)[rename.new]
-
-
-def _is_word_of(rename: Rename, section: type[Section], value: Node) -> bool:
-    return isinstance(value, ScalarNode) and value.text == rename.old and _is_below(section, rename.section)
-
-
-def _is_below(section: type[Section], name: str) -> bool:
-    return any(base.__name__ == name for base in section.__mro__)
-
-
-def _renamed(node: ScalarNode, rename: Rename, findings: Findings, *, fixed: bool = True) -> ScalarNode:
-    span = node.part(0, len(node.text))
-    fix = Fix.replacing(span, rename.old, rename.new, safe=True) if fixed else None
-    help = f"write `{rename.new}`" if fixed else f"keep one of `{rename.old}` and `{rename.new}`, under the new name"
-    findings.add("DB109", span, rename.headline, help=help, fix=fix)
-    return node._replace(text=rename.new, value=rename.new)

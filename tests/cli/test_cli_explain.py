@@ -236,16 +236,3 @@ def test_the_example_of_a_concept_lints_clean_and_its_page_has_the_section(topic
 def test_no_two_concepts_share_a_name():
     names = [name.lower() for topic in topics() for name in (topic.name, *topic.names)]
     assert len(names) == len(set(names))
-
-
-@pytest.mark.parametrize(
-    ("word", "said"),
-    [
-        ("beside", "beside: the former name of the function `cross_track_error`\n\ncross_track_error(body, line): a function"),
-        ("quantise", "quantise: the former name of the key `resolution`"),
-        ("inclinometer", "inclinometer: the former name of the word `projected_gravity`\n\nprojected_gravity: a type of"),
-        ("paper", "paper: the former name of the word `delayed`\n\ntiming: a key of"),
-    ],
-)
-def test_an_old_name_is_explained_by_the_new_one(deepbots, word, said):
-    assert deepbots("explain", word).out.startswith(said)

@@ -2,7 +2,6 @@
 
     python -m tests.oracle record DIR [--source PATH] [--inputs PATH] [--only motion|findings]
     python -m tests.oracle compare DIR_A DIR_B
-    python -m tests.oracle rename INPUTS TARGET
 
 A change that must not change behaviour is recorded before and after, with the same inputs:
 
@@ -17,9 +16,6 @@ text: the golden inputs, the shipped scenarios, and 2000 of the scenarios of tes
 
 `motion.json` holds spaces, layouts of messages and every step of the shipped scenarios of the checkout under random actions, and of a
 few steps of each golden input without findings. `findings.json` holds the findings of each input, rules in preview included.
-
-`rename` copies inputs that were written under old names of the language, and replaces the names. A record of the copy tells the places of
-findings in the old text, and can be compared with a record of the old inputs.
 
 `compare` exits with 0 if every motion is identical and at least 99 % of the files have identical findings. `accepted.yaml` beside this
 file maps files to the reason why their findings may differ; they are shown apart and do not count. A recording takes about two minutes.
@@ -41,7 +37,6 @@ from pathlib import Path
 from tests.faults.injected import CRAFTED, ROOT, Injected, everything
 from tests.golden.cases import write as write_golden
 from tests.oracle.comparison import compare
-from tests.oracle.renamed import rewrite
 
 PARTS = ("motion", "findings")
 FAULTS = 2000
@@ -117,13 +112,7 @@ def main() -> int:
     compared = verbs.add_parser("compare", help="compare two records")
     compared.add_argument("before", type=Path, metavar="DIR_A")
     compared.add_argument("after", type=Path, metavar="DIR_B")
-    renamed = verbs.add_parser("rename", help="copy inputs, under the new names of the language")
-    renamed.add_argument("inputs", type=Path, metavar="INPUTS")
-    renamed.add_argument("target", type=Path, metavar="TARGET")
     given = parser.parse_args()
-    if given.verb == "rename":
-        rewrite(given.inputs.resolve(), given.target.resolve())
-        return 0
     if given.verb == "compare":
         return 0 if compare(given.before, given.after) else 1
     target = given.target.resolve()

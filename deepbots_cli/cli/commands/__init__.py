@@ -34,7 +34,6 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "diff": ("diff.command", "Compare the meaning of two scenarios."),
     "new": ("new.new", "Write a first scenario from a template or for a robot file."),
     "copy": ("new.copy", "Copy a scenario that comes with deepbots, and its files."),
-    "upgrade": ("rewriting.upgrade", "Upgrade a scenario file to the present language."),
     "eject": ("code.eject", "Write a scenario as a Python project that you can edit."),
     "list": ("installation.list_", "List the scenarios that come with deepbots."),
     "bench": ("bench.command", "Compare the time of a step with that of the physics."),

@@ -15,7 +15,7 @@ from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import Json
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.diagnostics import Findings, Rule, Source
-from deepbots_cli.diagnostics.nearest import is_typo, nearest_word, renames_of
+from deepbots_cli.diagnostics.nearest import is_typo, nearest_word
 from deepbots_cli.diagnostics.registry import matching_rules, unknown_rule_message
 from deepbots_cli.document.nodes import to_data
 from deepbots_cli.document.parse import parse
@@ -184,9 +184,6 @@ def explain_word(word: str) -> list[str]:
     if not found and word not in _words():
         found = [topic for topic in topics() if plain in map(_plain, topic.names)]
     blocks = [*map(_of_topic, found), *blocks]
-    for new, rename in {rename.new: rename for rename in renames_of(spelt)}.items():
-        named = _blocks(new) or _blocks(rename.key)  # a word that is no kind is explained by its key
-        blocks += [[f"{spelt}: the former name of the {rename.kind} `{new}`"], *named]
     others = _others(word, {topic.name for topic in found} | {spelt}) if word.strip() else []
     if blocks and others:
         blocks.append([f"See also: {', '.join(others)}"])
