@@ -75,9 +75,9 @@ class Analysis:
         self._defined: dict[str, tuple[Expression, str]] = {value.name: (value, "") for value in (*program.parameters, *program.signals)}
         self._defined |= {ending.value.name: (ending.value, "") for ending in program.endings}
         self._defined |= {f"{robot.name}.{value.name}": (value, robot.name) for robot in program.robots for value in robot.emit}
-        if program.policy.goal is not None:
-            self._defined |= {"achieved": (program.policy.goal.achieved, ""), "desired": (program.policy.goal.desired, "")}
-            self._defined["goal_reached"] = (_goal_reached(program.policy.goal), "")
+        if program.agent.goal is not None:
+            self._defined |= {"achieved": (program.agent.goal.achieved, ""), "desired": (program.agent.goal.desired, "")}
+            self._defined["goal_reached"] = (_goal_reached(program.agent.goal), "")
         self._components: dict[str, dict[str | None, Scalar]] = {}
         self._lowerings: dict[str, _CachedLowering] = exact._lowerings if exact else {}
         self._dependencies: dict[int, tuple[Scalar, frozenset[str]]] = {}
@@ -278,7 +278,7 @@ class Analysis:
         """The contacts between links of one robot, which are never true: links of one robot do not touch each other."""
         found = [part for part in self.walk_definitions(node) if isinstance(part, EngineRead) and part.function == "contact"]
         owners = [(part, {name.partition(".")[0] for name in part.subjects}) for part in found]
-        copies = self.program.policy.copies
+        copies = self.program.agent.copies
         robots = self._robots.keys() - {copies.robot if copies else ""}  # a copy may touch another one
         return sorted({f"contact({', '.join(part.subjects)})" for part, of in owners if len(of) == 1 and of <= robots})
 

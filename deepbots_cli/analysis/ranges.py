@@ -87,7 +87,7 @@ class Ranges:
         if node not in self._names:
             meaning = self.analysis.resolve_aliases(node)
             known = self._leaf(meaning) if isinstance(meaning, Name) else self.of(meaning)
-            goal = self.analysis.program.policy.goal
+            goal = self.analysis.program.agent.goal
             if goal is not None and node.name in ("achieved", "desired"):  # both are clipped to the range of the goal
                 names = goal.achieved.components or (None,)
                 at = names.index(node.component) if node.component in names else 0
@@ -177,7 +177,7 @@ class StartRanges(Ranges):
     def __init__(self, analysis: Analysis) -> None:
         super().__init__(analysis, {"episode_return": NEVER, "previous_reward": NEVER}, (0.0, 0.0))
         program = analysis.program
-        self._is_placed = not program.reset.settle and program.policy.copies is None
+        self._is_placed = not program.reset.settle and program.agent.copies is None
         self._bodies = {f"{robot.name}.{robot.model.root}": robot.name for robot in program.world.robots}
         self._bodies |= {thing.name: thing.name for thing in program.world.objects}
 

@@ -26,8 +26,8 @@ class RewardTerms:
     def __init__(self, analysis: Analysis) -> None:
         self.analysis = analysis
         self.program = analysis.program
-        self.terms = [(term, analysis.scalars(term)[0]) for term in self.program.policy.reward if term.foreign is None]
-        self.is_complete = len(self.terms) == len(self.program.policy.reward)
+        self.terms = [(term, analysis.scalars(term)[0]) for term in self.program.agent.reward if term.foreign is None]
+        self.is_complete = len(self.terms) == len(self.program.agent.reward)
         self._steps = (1.0, float(analysis.last_step))
         self._running: dict[tuple[float, float], Ranges] = {}
         self._at: dict[Ending | None, Ranges] = {}

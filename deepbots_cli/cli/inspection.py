@@ -66,12 +66,12 @@ def scenario_tables(scenario: Program, root: Node, run: Run | None = None) -> Ta
             "messages": [_message(layout, scenario.format) for layout in _layouts(scenario)],
             "message_fields": [_field(layout, field) for layout in _layouts(scenario) for field in layout.fields],
             "routes": [row for direction in ("to_robot", "from_robot") for row in _route(root, direction)],
-            "action": [_action(part) for part in scenario.policy.action],
+            "action": [_action(part) for part in scenario.agent.action],
             "signals": _signals(scenario, root),
-            "goal": {key: text for key, text in goal.items() if text} if scenario.policy.goal else {},
+            "goal": {key: text for key, text in goal.items() if text} if scenario.agent.goal else {},
             "observation": _observation(scenario),
             "timing": timing(scenario),
-            "reward": [{"term": term.name, "is": text_at(root, "reward", term.name)} for term in scenario.policy.reward],
+            "reward": [{"term": term.name, "is": text_at(root, "reward", term.name)} for term in scenario.agent.reward],
             "endings": [
                 {"ending": ending.name, "outcome": ending.outcome, "when": text_at(root, "termination", ending.outcome, ending.name)}
                 for ending in scenario.endings
@@ -84,8 +84,8 @@ def scenario_tables(scenario: Program, root: Node, run: Run | None = None) -> Ta
             ],
             "scripts": [
                 {"script": script.name, "action": part.name, "is": text_at(root, "scripts", script.name, part.name)}
-                for script in scenario.policy.scripts
-                for part in scenario.policy.action
+                for script in scenario.agent.scripts
+                for part in scenario.agent.action
             ],
             **_training(scenario, root, run),
         }
@@ -229,28 +229,28 @@ def _scenario(scenario: Program) -> Row:
         "action_space": _space(scenario),
         "max_steps": scenario.truncation.max_steps,
         "max_time_s": scenario.truncation.max_time,
-        "copies": f"{copies.count} of {copies.robot}" if (copies := scenario.policy.copies) else None,
+        "copies": f"{copies.count} of {copies.robot}" if (copies := scenario.agent.copies) else None,
         "solved": scenario.solved.description if scenario.solved else "",
     }
 
 
 def _view(scenario: Program) -> str:
-    numbers = len(policy_inputs(scenario.policy.numbers, scenario.policy.frame_stack))
-    parts = [f"Box({numbers})"] if numbers or not scenario.policy.images else []
-    parts += [f"{entry.key} {_image_size_text(entry, scenario)}" for entry in scenario.policy.images]
-    if scenario.policy.goal is not None:
-        parts.append(f"two goals of {len(scenario.policy.goal.low)}")
+    numbers = len(policy_inputs(scenario.agent.numbers, scenario.agent.frame_stack))
+    parts = [f"Box({numbers})"] if numbers or not scenario.agent.images else []
+    parts += [f"{entry.key} {_image_size_text(entry, scenario)}" for entry in scenario.agent.images]
+    if scenario.agent.goal is not None:
+        parts.append(f"two goals of {len(scenario.agent.goal.low)}")
     return ", ".join(parts)
 
 
 def _image_size_text(entry: ImageObservation, scenario: Program) -> str:
     rows, columns, channels = entry.shape
-    return f"{rows} x {columns} x {channels * len(entry.ages(scenario.policy.frame_stack))}"
+    return f"{rows} x {columns} x {channels * len(entry.ages(scenario.agent.frame_stack))}"
 
 
 def _space(scenario: Program) -> str:
-    sizes = [len(part.options) for part in scenario.policy.action if isinstance(part, Choices)]
-    width = sum(max(1, len(part.components)) for part in scenario.policy.action if isinstance(part, ActionRange))
+    sizes = [len(part.options) for part in scenario.agent.action if isinstance(part, Choices)]
+    width = sum(max(1, len(part.components)) for part in scenario.agent.action if isinstance(part, ActionRange))
     spaces = [f"Box({width})"] if width else []
     if sizes:
         spaces.append(f"Discrete({sizes[0]})" if len(sizes) == 1 else f"MultiDiscrete({', '.join(map(str, sizes))})")
@@ -421,7 +421,7 @@ def _action(part: Choices | ActionRange) -> Row:
 
 
 def _signals(scenario: Program, root: Node) -> list[Row]:
-    observed = {entry.full_name.partition(".")[0] for entry in scenario.policy.numbers}
+    observed = {entry.full_name.partition(".")[0] for entry in scenario.agent.numbers}
     has_noise = any(entry.noise for entry in scenario.signals)
     rows: list[Row] = []
     for entry in scenario.signals:
@@ -434,14 +434,14 @@ def _signals(scenario: Program, root: Node) -> list[Row]:
 
 def _observation(scenario: Program) -> list[Row]:
     """A row per number that the policy sees; with histories, how many steps before the last one it was so."""
-    seen = [(scenario.policy.numbers[index], ago) for index, ago in policy_inputs(scenario.policy.numbers, scenario.policy.frame_stack)]
+    seen = [(scenario.agent.numbers[index], ago) for index, ago in policy_inputs(scenario.agent.numbers, scenario.agent.frame_stack)]
     remembers = any(ago for _, ago in seen)
     rows: list[Row] = []
     for index, (entry, ago) in enumerate(seen):
         row: dict[str, object] = {"index": index, "name": entry.full_name, **({"steps_ago": ago} if remembers else {})}
         row |= {"low": entry.low, "high": entry.high, "unit": entry.unit}
         rows.append(row | {"seen_as": "0 or 1" if entry.is_truth else "-1 .. 1" if entry.clip else "-1 .. 1, not clipped"})
-    images = [(entry.key, _image_size_text(entry, scenario)) for entry in scenario.policy.images]
+    images = [(entry.key, _image_size_text(entry, scenario)) for entry in scenario.agent.images]
     return rows + [{"index": None, "name": key, "seen_as": f"{size} of 0 .. 255"} for key, size in images]
 
 
@@ -454,7 +454,7 @@ def _reset(scenario: Program, root: Node) -> list[Row]:
 
 def _training(scenario: Program, root: Node, run: Run | None) -> Tables:
     """The training, and its hyperparameters with the source of each value."""
-    training = scenario.policy.training
+    training = scenario.agent.training
     if training is None:
         return {}
     total = run.record.total_timesteps if run else training.total_timesteps
@@ -498,7 +498,7 @@ def timing(scenario: Program) -> list[Row]:
     """
     substeps, timestep, repeat = scenario.world.substeps, scenario.world.timestep, scenario.action_repeat
     rows: list[Row] = []
-    for part in scenario.policy.action:
+    for part in scenario.agent.action:
         named = set(part.variables) if isinstance(part, Choices) else {part.name}
         routes = [robot.to_route for robot in scenario.robots if named & {entry.name for entry in robot.received}]
         ticks = _whole(_slowest(scenario, routes))
@@ -512,8 +512,8 @@ def timing(scenario: Program) -> list[Row]:
     for signal in scenario.signals:  # in order of evaluation, so what a signal reads is known
         ages[signal.name] = _oldest(signal.scalars, ages)
         senders[signal.name] = _senders(signal.scalars, senders)
-    observed = [(entry.full_name, entry.scalar) for entry in scenario.policy.numbers]
-    observed += [(entry.name, entry.value.scalar) for entry in scenario.policy.images]
+    observed = [(entry.full_name, entry.scalar) for entry in scenario.agent.numbers]
+    observed += [(entry.name, entry.value.scalar) for entry in scenario.agent.images]
     for name, scalar in observed:
         ticks = _whole(_age(scalar, ages))
         after = 0 if ticks is None else substeps * (repeat - ticks)

@@ -126,12 +126,12 @@ def _imports(used: set[str], on_floats: bool) -> list[str]:
 
 def batch_obstacles(scenario: Program) -> list[str]:
     """Why a batch cannot hold a scenario; nothing where it can."""
-    policy = scenario.policy
+    agent = scenario.agent
     reasons = [
-        (policy.copies is not None, "it has several copies of a robot"),
-        (bool(policy.images) or any(sensor.optics for robot in scenario.robots for sensor in robot.sensors), "it has cameras"),
+        (agent.copies is not None, "it has several copies of a robot"),
+        (bool(agent.images) or any(sensor.optics for robot in scenario.robots for sensor in robot.sensors), "it has cameras"),
         (bool(scenario.python_functions), "it runs code of packages"),
-        (any(option.forbidden for part in policy.action if isinstance(part, Choices) for option in part.options), "it forbids choices"),
+        (any(option.forbidden for part in agent.action if isinstance(part, Choices) for option in part.options), "it forbids choices"),
     ]
     found = [reason for holds, reason in reasons if holds]
     if not found:
@@ -148,9 +148,9 @@ def _names(scenario: Program) -> Iterator[str]:
     parts: list[tuple[Any, ...]] = [
         part for robot in robots for part in (robot.sensors, robot.actuators, robot.received, robot.emitted, robot.commands)
     ]
-    own: list[tuple[Any, ...]] = [scenario.parameters, scenario.signals, scenario.policy.reward, scenario.endings, scenario.policy.action]
+    own: list[tuple[Any, ...]] = [scenario.parameters, scenario.signals, scenario.agent.reward, scenario.endings, scenario.agent.action]
     yield from (robot.name for robot in robots)
-    own += [scenario.disturbances, scenario.policy.scripts, scenario.tests]
+    own += [scenario.disturbances, scenario.agent.scripts, scenario.tests]
     yield from (entry.name for entries in (*parts, *own) for entry in entries)
 
 

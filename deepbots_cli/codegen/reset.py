@@ -312,9 +312,9 @@ def _reads(values: Iterable[Scalar], names: set[str]) -> bool:
 def _print_stds(supervisor: SupervisorPrinter, printer: Printer) -> None:
     """Draw the standard deviations of noise that differ between episodes."""
     scenario = supervisor.scenario
-    noisy: list[tuple[str, Noise | None]] = [(f"observation.{entry.name}", entry.noise) for entry in scenario.policy.observation]
+    noisy: list[tuple[str, Noise | None]] = [(f"observation.{entry.name}", entry.noise) for entry in scenario.agent.observation]
     noisy += [(f"augment.{entry.name}", entry.noise) for entry in scenario.signals]
-    noisy += [("goal.achieved", scenario.policy.goal.achieved.noise)] if scenario.policy.goal else []
+    noisy += [("goal.achieved", scenario.agent.goal.achieved.noise)] if scenario.agent.goal else []
     for stream, noise in noisy:
         if noise is not None and not all(isinstance(std, Const) for std in noise.std.scalars):
             printer.assign(std_attribute(printer, stream), printer.vector_or_number(noise.std.scalars[1:], noise.std.scalars))

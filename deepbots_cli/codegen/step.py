@@ -97,7 +97,7 @@ def _zeroed(targets: list[str]) -> list[str]:
 
 
 def _terms(supervisor: SupervisorPrinter) -> list[str]:
-    return [f"self.term_{term.name}" for term in supervisor.scenario.policy.reward]
+    return [f"self.term_{term.name}" for term in supervisor.scenario.agent.reward]
 
 
 # Acting
@@ -175,7 +175,7 @@ def _print_decoding(supervisor: SupervisorPrinter, printer: Printer) -> None:
         printer.line(f"{targets_code(list(names.values()))} = self.ranges({ranged})")
         given |= names
     if supervisor.agent_action_read:
-        parts = [given[part.name] for part in supervisor.scenario.policy.action]
+        parts = [given[part.name] for part in supervisor.scenario.agent.action]
         whole = parts[0][1:] if len(parts) == 1 and parts[0][0] == "*" else tuple_code(parts)
         printer.line(f"{supervisor.local('previous_action')} = {whole}")
     for interval in supervisor.ranges:
@@ -285,7 +285,7 @@ def _start_memories_of_messages(supervisor: SupervisorPrinter) -> list[str]:
 
 def _print_goal(supervisor: SupervisorPrinter, printer: Printer) -> None:
     """Set `achieved`, `desired` and `goal_reached`: both as the policy sees them, so that a reward can be recomputed."""
-    goal = supervisor.scenario.policy.goal
+    goal = supervisor.scenario.agent.goal
     if goal is None:
         return
     achieved, desired = supervisor.local("achieved"), supervisor.local("desired")
@@ -358,7 +358,7 @@ def _print_endings(supervisor: SupervisorPrinter, printer: Printer) -> None:
     if limit is not None:
         printer.line(f"{'elif' if endings else 'if'} {supervisor.tick} >= {limit[0]}:")
         printer.line(f"    self._truncate({quoted(limit[1])})")
-        if supervisor.scenario.policy.goal is not None and not successes:
+        if supervisor.scenario.agent.goal is not None and not successes:
             printer.line(f"    self.is_success = {supervisor.local('goal_reached')}")
 
 
@@ -375,7 +375,7 @@ def _print_endings_of_batch(supervisor: SupervisorPrinter, printer: Printer, fai
         printer.line(f"self._terminate({{{held}}}{success})")
     limit = _tick_limit(supervisor)
     if limit is not None:
-        reached_goal = f", {supervisor.local('goal_reached')}" if supervisor.scenario.policy.goal is not None and not successes else ""
+        reached_goal = f", {supervisor.local('goal_reached')}" if supervisor.scenario.agent.goal is not None and not successes else ""
         printer.line(f"self._truncate({quoted(limit[1])}, {supervisor.tick} >= {limit[0]}{reached_goal})")
 
 
@@ -410,7 +410,7 @@ def _after_what_they_use(endings: tuple[Ending, ...]) -> list[Ending]:
 
 def bind_foreign(supervisor: SupervisorPrinter) -> list[str]:
     """Statements that import the functions of Python which the scenario names."""
-    items = [("reward term", term.name, term.foreign, False) for term in supervisor.scenario.policy.reward]
+    items = [("reward term", term.name, term.foreign, False) for term in supervisor.scenario.agent.reward]
     items += [("ending", ending.name, ending.foreign, True) for ending in supervisor.scenario.endings]
     lines = []
     for what, name, function, truth in items:
@@ -430,7 +430,7 @@ def function_attribute(supervisor: SupervisorPrinter, what: str, name: str) -> s
 
 def _print_rewards(supervisor: SupervisorPrinter, printer: Printer) -> None:
     """The terms and their sum, but right after a reset; what they remember begins there."""
-    terms = supervisor.scenario.policy.reward
+    terms = supervisor.scenario.agent.reward
     for flag in ("terminated", "truncated"):
         if supervisor.uses(flag):
             printer.line(f"{supervisor.local(flag)} = self.{flag}")
@@ -465,13 +465,13 @@ def _print_rewards(supervisor: SupervisorPrinter, printer: Printer) -> None:
 
 def _print_observation(supervisor: SupervisorPrinter, printer: Printer) -> None:
     seen = []
-    for entry in supervisor.scenario.policy.observation:
-        if entry in supervisor.scenario.policy.images:
+    for entry in supervisor.scenario.agent.observation:
+        if entry in supervisor.scenario.agent.images:
             continue
         seen.append(_observed(supervisor, printer, entry))
     if seen:
         printer.line(f"self.set_observation({', '.join(seen)})")
-    for pictured in supervisor.scenario.policy.images:
+    for pictured in supervisor.scenario.agent.images:
         printer.line(f"self.frame_stacks[{quoted(pictured.key)}].frames[self.newest] = {printer.value(pictured.value.scalar)}")
 
 

@@ -47,7 +47,7 @@ from deepbots_cli.diagnostics import Finding, Findings, TooManyFindings
 from deepbots_cli.document import Document
 from deepbots_cli.document.hints import number_fix
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import Evaluation, Policy, ScenarioTest, Truncation
+from deepbots_cli.program.task import Agent, Evaluation, ScenarioTest, Truncation
 from deepbots_cli.scenario.base import visit_values
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.validate import validate
@@ -145,7 +145,7 @@ def _program(namespace: Namespace) -> Program:
     routes = route("to_robot", namespace), route("from_robot", namespace)
     robots = tuple(builder.finish(timestep, action, routes) for builder in builders)
     poses = {builder.robot.name: builder.poses for builder in builders}
-    policy = Policy(
+    agent = Agent(
         action,
         Observations(namespace).entries(),
         rewards,
@@ -165,7 +165,7 @@ def _program(namespace: Namespace) -> Program:
         timing=spec.messages.timing,
         parameters=parameters.drawn(),
         signals=signals.ordered(),
-        policies={"policy": replace(policy, action=actions.with_conditions(action))},
+        agents={"policy": replace(agent, action=actions.with_conditions(action))},
         endings=signals.endings(),
         truncation=limits,
         reset=replace(

@@ -309,7 +309,7 @@ class _Reader:
         self._scenario = namespace.scenario
         self._values = namespace.values
         self._program = program
-        self._decisions = Decisions(namespace, program.policy.action, namespace.scope(Context.FIXED))
+        self._decisions = Decisions(namespace, program.agent.action, namespace.scope(Context.FIXED))
         self._scope = SupervisorScope(namespace, Context.TEST)
 
     def test(self, name: str, spec: TestSpec) -> ScenarioTest | None:
@@ -354,7 +354,7 @@ class _Reader:
         choices: list[int] = []
         ranges: list[float] = []
         words: list[str] = []
-        for part, decision in zip(self._program.policy.action, decided or (), strict=False):
+        for part, decision in zip(self._program.agent.action, decided or (), strict=False):
             if isinstance(part, Choices) and isinstance(decision, ScriptedChoice):
                 choices.append([option.name for option in part.options].index(decision.otherwise))
                 words.append(decision.otherwise)

@@ -109,7 +109,7 @@ def bundle_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
     verdict = run_verdict(run.path, run.record) if name == "best" else RunVerdict(None, None)
     program, record, lstm = run.program, run.record, getattr(model.policy, "lstm_actor", None)
     space: Any = observation_space(program)
-    masks = [f"{part.name}: {option.name}" for part in program.policy.action if isinstance(part, Choices) for option in part.options]
+    masks = [f"{part.name}: {option.name}" for part in program.agent.action if isinstance(part, Choices) for option in part.options]
     card = Card(
         format=FORMAT,
         deepbots=deepbots_cli.__version__,
@@ -118,16 +118,16 @@ def bundle_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
         scenario_digest=run.digest,
         task_digest=identity.task_digest(program),
         licences=_licences(run.path / INPUTS_FOLDER),
-        algorithm=program.policy.training.algorithm if program.policy.training else "",
+        algorithm=program.agent.training.algorithm if program.agent.training else "",
         model=name,
         training_seed=record.seed,
         training_steps=models.steps_of(run.model(name)),
         engine=record.engine,
         control_period_s=program.period,
         control_rate_hz=round(1 / program.period, 6),
-        observation=program.policy.inputs,
-        achieved_and_desired_goal=program.policy.goal.values if program.policy.goal else (),
-        pictures=tuple(CardImage(name=each.key, shape=space[each.key].shape) for each in program.policy.images),
+        observation=program.agent.inputs,
+        achieved_and_desired_goal=program.agent.goal.values if program.agent.goal else (),
+        pictures=tuple(CardImage(name=each.key, shape=space[each.key].shape) for each in program.agent.images),
         action=tuple(_card_actions(program)),
         action_mask=tuple(masks) if export.takes_masks(model, program) else None,
         memory=(lstm.num_layers, lstm.hidden_size) if lstm is not None else None,
@@ -154,7 +154,7 @@ def bundle_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
 
 def _card_actions(program: Program) -> list[CardAction]:
     found = []
-    for part in program.policy.action:
+    for part in program.agent.action:
         if isinstance(part, ActionRange):
             found += [CardAction(name=name, unit=part.unit.removeprefix("1"), low=part.low, high=part.high) for name in part.names]
         else:

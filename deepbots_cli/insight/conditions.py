@@ -98,7 +98,7 @@ class InstrumentedProgram:
     def read(self, agent: Supervisor) -> StepValues:
         """What this step left in a supervisor of the program."""
         found = {name: getattr(agent, f"last_{name}") for name in self.program.stored_signals}
-        goal = self.program.policy.goal
+        goal = self.program.agent.goal
         values = {name: tuple(value) if isinstance(value, list | tuple) else (float(value),) for name, value in found.items()}
         return values if goal is None else {**values, _GOAL_SIGNAL: (_distance(goal, agent),), f"{_GOAL_SIGNAL}_bound": (goal.tolerance,)}
 
@@ -107,9 +107,9 @@ def instrument_program(program: Program, *, include_observation: bool = False) -
     """The program with kept values for each comparison of its endings, and for the observation too with `include_observation`."""
     made = _ConditionBuilder(program)
     conditions = {ending.name: made.ending_condition(ending) for ending in program.endings}
-    if program.policy.goal is not None:
-        conditions.setdefault("goal_reached", made.goal(program.policy.goal, negated=False))
-    seen = [entry.value for entry in program.policy.observation if include_observation and entry.numbers and entry.value.foreign is None]
+    if program.agent.goal is not None:
+        conditions.setdefault("goal_reached", made.goal(program.agent.goal, negated=False))
+    seen = [entry.value for entry in program.agent.observation if include_observation and entry.numbers and entry.value.foreign is None]
     kept = {value.name: made.probe(value.typed, value) for value in seen if made.is_measurable(value)}
     signals = (*program.signals, *made.probes.values())
     return InstrumentedProgram(replace(program, signals=signals, stored_signals=frozenset(made.probes)), conditions, kept)
@@ -156,8 +156,8 @@ class _ConditionBuilder:
                 every: Literal["any", "all"] = "any" if (function == "any") != negated else "all"
                 if isinstance(inner, Operation) and inner.operator in SIGN_OF_OPERATOR:
                     return self._condition(inner, expression, negated=negated, joined=every)
-            case Reference(symbol=symbol) if symbol.name == "goal_reached" and self._program.policy.goal is not None:
-                return self.goal(self._program.policy.goal, negated=negated)
+            case Reference(symbol=symbol) if symbol.name == "goal_reached" and self._program.agent.goal is not None:
+                return self.goal(self._program.agent.goal, negated=negated)
             case Reference(symbol=symbol) if symbol.name in self._named and node.type.components is None:
                 other = self._named[symbol.name]
                 if not any(map(is_drawn, other.scalars)):

@@ -137,7 +137,7 @@ def action_without_effect(t: TrainingEvidence) -> Numbers | None:
     Try: Look at `apply` of the robot, at the limits of its motors (`deepbots inspect RUN`), and at the wheels or joints that it
     drives.
     """
-    own = [place for place, number in enumerate(t.program.policy.numbers) if number.name != "previous_action"]
+    own = [place for place, number in enumerate(t.program.agent.numbers) if number.name != "previous_action"]
     dead, steps = [], 0
     for part, traces in t.constant_actions.items():
         pairs = list(combinations(traces.values(), 2))
@@ -219,14 +219,14 @@ def _spans(t: TrainingEvidence) -> dict[str, tuple[float, float]]:
     seen = np.concatenate([trace.observations for trace in t.probes])
     spans = zip(np.ptp(seen, axis=0), seen[0], strict=True)
     return {
-        n.full_name: (float(span), float(first)) for n, (span, first) in zip(t.program.policy.numbers, spans, strict=True)
+        n.full_name: (float(span), float(first)) for n, (span, first) in zip(t.program.agent.numbers, spans, strict=True)
         if n.name != "previous_action"
     }  # fmt: skip
 
 
 def _unscaled(t: TrainingEvidence, name: str, value: float) -> str:
     """A number of the observation, from -1 to 1, as the value that it stands for."""
-    number = next(each for each in t.program.policy.numbers if each.full_name == name)
+    number = next(each for each in t.program.agent.numbers if each.full_name == name)
     if number.is_truth:
         return "true" if value else "false"
     return quantity_text(number.low + (value + 1) / 2 * (number.high - number.low), number.unit)
@@ -255,8 +255,8 @@ def saturated_observation(t: TrainingEvidence) -> Numbers | None:
     """
     if t.probe_moments < 2 * MIN_EPISODES:
         return None
-    found = {entry.name: _beyond(t, entry) for entry in t.program.policy.observation if entry.clip and entry.name != "previous_action"}
-    cut = {n.full_name: part for e in t.program.policy.observation for n, part in zip(e.numbers, found.get(e.name, ()), strict=False)}
+    found = {entry.name: _beyond(t, entry) for entry in t.program.agent.observation if entry.clip and entry.name != "previous_action"}
+    cut = {n.full_name: part for e in t.program.agent.observation for n, part in zip(e.numbers, found.get(e.name, ()), strict=False)}
     shares = {name: float((part != 0).mean()) for name, part in cut.items()}
     # Clipping holds a value such as the reading of a sensor that sees nothing at an end, and loses nothing if it is always the same one.
     spreads = {name: max(_spread(part[part > 0]), _spread(part[part < 0])) for name, part in cut.items()}
@@ -296,7 +296,7 @@ def learning_rate_too_high(t: TrainingEvidence) -> Numbers | None:
 
     Try: Set `train.learning_rate` to {usual}.
     """
-    rate, training = t.number_setting("learning_rate"), t.program.policy.training
+    rate, training = t.number_setting("learning_rate"), t.program.agent.training
     if rate is None or training is None:
         return None
     known: Any = default_values(training, t.run.record.total_timesteps, longest_episode(t.program)).get("learning_rate")
@@ -359,7 +359,7 @@ def _exploration_changes(t: TrainingEvidence, factor: float) -> list[str]:
     if weight is not None and (weight or factor > 1):
         found.append(f"{verb} `train.ent_coef` from {weight:g} to {weight * factor or 0.01:.2g}")
     elif isinstance(settings.get("ent_coef"), str):
-        size = sum(len(part.names) for part in t.program.policy.action if isinstance(part, ActionRange))
+        size = sum(len(part.names) for part in t.program.agent.action if isinstance(part, ActionRange))
         found.append(f"set `train.target_entropy` from {settings.get('target_entropy')} to {-size * (0.5 if factor > 1 else 2):g}")
     if noise is not None and (noise.end or factor > 1):
         now = f"{noise.start:g}" if noise.start == noise.end else f"{noise.start:g} -> {noise.end:g}"
@@ -394,7 +394,7 @@ def exploration_too_large(t: TrainingEvidence) -> Numbers | None:
 
 def _random_entropy(t: TrainingEvidence) -> float | None:
     """The entropy of a random policy; None where not all parts of the action are choices."""
-    parts = t.program.policy.action
+    parts = t.program.agent.action
     options = [len(part.options) for part in parts if isinstance(part, Choices)]
     return float(np.log(options).sum()) if len(options) == len(parts) else None
 

@@ -228,14 +228,14 @@ def unforeseen(trace: Trace) -> Numbers | None:
 
 def saturation(trace: Trace) -> Numbers | None:
     """Observations at an end of their range, as a share of steps: {parts}."""
-    numbers = trace.program.policy.numbers
+    numbers = trace.program.agent.numbers
     at_end = (np.abs(trace.observations) >= 1.0).mean(axis=0)
     return _shares({n.full_name: float(at_end[place]) for place, n in enumerate(numbers) if n.clip and not n.is_truth})
 
 
 def action_limits(trace: Trace) -> Numbers | None:
     """Actions at a limit of their range, as a share of steps: {parts}."""
-    names = [name for part in trace.program.policy.action if isinstance(part, ActionRange) for name in part.names]
+    names = [name for part in trace.program.agent.action if isinstance(part, ActionRange) for name in part.names]
     at_limit = np.abs(trace.action_array("ranges")) >= 0.999
     return _shares({name: float(at_limit[:, place].mean()) for place, name in enumerate(names) if trace.steps})
 
@@ -249,7 +249,7 @@ def _shares(found: Mapping[str, float]) -> Numbers | None:
 
 def choices(trace: Trace) -> Numbers | None:
     """Actions, as a share of steps: {parts}."""
-    parts = [part for part in trace.program.policy.action if isinstance(part, Choices)]
+    parts = [part for part in trace.program.agent.action if isinstance(part, Choices)]
     if not parts or not trace.steps:
         return None
     counts = [Counter(column.astype(int).tolist()).most_common() for column in trace.action_array("choices").T]

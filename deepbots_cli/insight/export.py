@@ -129,7 +129,7 @@ def networks(model: BaseAlgorithm, program: Program) -> dict[str, bytes]:
 
 def takes_masks(model: BaseAlgorithm, program: Program) -> bool:
     """Whether the graph has the input `action_mask`: the algorithm uses action masks, and the scenario forbids options."""
-    choices = [part for part in program.policy.action if isinstance(part, Choices)]
+    choices = [part for part in program.agent.action if isinstance(part, Choices)]
     return algorithms.takes_masks(model) and any(option.forbidden is not None for part in choices for option in part.options)
 
 
@@ -200,9 +200,9 @@ def _extractor(model: BaseAlgorithm) -> nn.Module:
 def _bounds(program: Program, name: str) -> tuple[Any, Any]:
     """The values (SI) that stand for -1 and 1; a truth value stays as it is."""
     if name != "observation":
-        assert program.policy.goal is not None
-        return np.array(program.policy.goal.low), np.array(program.policy.goal.high)
-    seen = program.policy.inputs
+        assert program.agent.goal is not None
+        return np.array(program.agent.goal.low), np.array(program.agent.goal.high)
+    seen = program.agent.inputs
     return np.array([-1.0 if n.truth else n.low for n in seen]), np.array([1.0 if n.truth else n.high for n in seen])
 
 
@@ -232,7 +232,7 @@ def _gates(weight: torch.Tensor) -> torch.Tensor:
 
 def _ranges(graph: _Graph, value: str, program: Program, *, si: bool) -> None:
     value = graph.add("Clip", value, graph.constant(-1.0), graph.constant(1.0))
-    parts = [part for part in program.policy.action if isinstance(part, ActionRange)]
+    parts = [part for part in program.agent.action if isinstance(part, ActionRange)]
     ends = np.array([(part.low, part.high) for part in parts for _ in part.names])
     if si:
         half = (ends[:, 1] - ends[:, 0]) / 2
@@ -242,7 +242,7 @@ def _ranges(graph: _Graph, value: str, program: Program, *, si: bool) -> None:
 
 def _choices(graph: _Graph, value: str, model: BaseAlgorithm, program: Program, *, si: bool) -> None:
     """The option with the largest logit of each choice; its number, or the values that it sets."""
-    parts = [part for part in program.policy.action if isinstance(part, Choices)]
+    parts = [part for part in program.agent.action if isinstance(part, Choices)]
     sizes = [len(part.options) for part in parts]
     if takes_masks(model, program):
         allowed = graph.input("action_mask", np.bool_, "batch", sum(sizes))
@@ -271,7 +271,7 @@ def largest_difference(
         run: Runs the graph; by default the slow reference of onnx does.
     """
     random, space = np.random.default_rng(0), observation_space(program)
-    if run is None and program.policy.images:
+    if run is None and program.agent.images:
         count = min(count, 50)
     rows = batch_space(space, count)
     rows.seed(0)
@@ -279,7 +279,7 @@ def largest_difference(
     feeds = dict(observations) if isinstance(observations, dict) else {"observation": observations}
     options: dict[str, Any] = {}
     if algorithms.takes_masks(model):
-        sizes = [len(part.options) for part in program.policy.action if isinstance(part, Choices)]
+        sizes = [len(part.options) for part in program.agent.action if isinstance(part, Choices)]
         allowed = random.random((count, sum(sizes))) < (0.5 if takes_masks(model, program) else 2.0)
         allowed[:, np.cumsum([0, *sizes[:-1]])] = True
         options["action_masks"] = allowed

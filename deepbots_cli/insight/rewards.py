@@ -26,7 +26,7 @@ def term_dominates(t: TrainingEvidence) -> Numbers | None:
 
     Try: Weaken '{term}' until the other terms outweigh it, such as by a factor of 10.
     """
-    names = [term.name for term in t.program.policy.reward]
+    names = [term.name for term in t.program.agent.reward]
     sums = {name: float(sum(np.nansum(trace.terms[name]) for trace in t.random)) for name in names}
     whole = sum(map(abs, sums.values()))
     if len(sums) < 2 or not whole:
@@ -115,7 +115,7 @@ def loitering(t: TrainingEvidence) -> Numbers | None:
     if len(late) < MIN_EPISODES or at_limit.mean() < 0.3 or 2 * sum(map(_stays_near, staying)) <= len(staying):
         return None
     halves = {
-        term.name: np.concatenate([trace.terms[term.name][trace.steps // 2 :] for trace in staying]) for term in t.program.policy.reward
+        term.name: np.concatenate([trace.terms[term.name][trace.steps // 2 :] for trace in staying]) for term in t.program.agent.reward
     }
     paid = {name: float(values.mean()) for name, values in halves.items() if (values > 0).mean() >= 0.8}
     if not paid or sum(values.mean() for values in halves.values()) <= 0 or (t.idle and _per_step(t.idle) >= 0.8 * _per_step(t.policy)):
@@ -185,7 +185,7 @@ def _ends(t: TrainingEvidence, term: str) -> tuple[float, float]:
 
 def _rising_term(t: TrainingEvidence) -> tuple[str, float, float] | None:
     """The reward term that rises most, with its mean in the first and in the last quarter."""
-    ends = [(term.name, *_ends(t, term.name)) for term in t.program.policy.reward]
+    ends = [(term.name, *_ends(t, term.name)) for term in t.program.agent.reward]
     found = max(ends, key=lambda each: each[2] - each[1], default=None)
     return found if found is not None and found[2] > found[1] else None
 
@@ -195,7 +195,7 @@ def silent_terms(t: TrainingEvidence) -> Numbers | None:
 
     Try: Check the condition of each such term: `deepbots run SCENARIO` shows the terms of an episode.
     """
-    names = [term.name for term in t.program.policy.reward]
+    names = [term.name for term in t.program.agent.reward]
     sums = {name: sum(float(np.abs(trace.terms[name]).sum()) for trace in t.probes) for name in names}
     silent = [name for name, value in sums.items() if value == 0 and not np.abs(t.curve(f"reward/{name}")).max(initial=0.0)]
     steps = sum(trace.steps for trace in t.probes)

@@ -123,7 +123,7 @@ class TraceRecorder(gym.Wrapper[Any, Any, Any, Any]):
         names, team = list(world.agents), len(world.agents) > 1
         row = next((n for n, agent in enumerate(world.agents.values()) if agent.ended_by and agent.ended_by == world.ended_by), 0)
         seen = [value_of_row(each, row) if team else each for each in self.observations]
-        newest = [place for place, value in enumerate(program.policy.inputs) if value.steps_ago == 0]
+        newest = [place for place, value in enumerate(program.agent.inputs) if value.steps_ago == 0]
         vectors = [each.get("observation", np.zeros(0)) if isinstance(each, dict) else each for each in seen]
         observations = np.array([np.asarray(vector, float)[newest] for vector in vectors]).reshape(len(vectors), len(newest))
         outcome: Any = "error" if error else "not ended"
@@ -134,7 +134,7 @@ class TraceRecorder(gym.Wrapper[Any, Any, Any, Any]):
             instrumented=self.instrumented,
             observations=observations,
             actions=[value_of_row(each, row) if team else each for each in self.actions],
-            terms={term.name: np.array([terms[row][term.name] for terms in self._terms], float) for term in program.policy.reward},
+            terms={term.name: np.array([terms[row][term.name] for terms in self._terms], float) for term in program.agent.reward},
             values=[values[row] for values in self._values],
             ended_by=world.ended_by,
             outcome=outcome,

@@ -126,7 +126,7 @@ class TrainingEvidence:
     @property
     def planned(self) -> int:
         """The steps that the scenario plans."""
-        settings = self.run.program.policy.training
+        settings = self.run.program.agent.training
         return settings.total_timesteps if settings else self.run.record.total_timesteps
 
     @property
@@ -305,7 +305,7 @@ def run_probes(training: TrainingEvidence, *, allow_code: bool = False, on_episo
 
 def _constant(env: Supervisor) -> dict[str, dict[str, Any]]:
     """For each part of the action, constant actions in which it alone differs: the first options of a choice, both ends of a range."""
-    action = env.scenario.policy.action
+    action = env.scenario.agent.action
     picks = {part.name: {option.name: n for n, option in enumerate(part.options[:4])} for part in action if isinstance(part, Choices)}
     names = [name for part in action if isinstance(part, ActionRange) for name in part.names]
     values: dict[str, Mapping[str, float]] = {**picks, **{name: {"-1": -1.0, "1": 1.0} for name in names[:8]}}
@@ -315,7 +315,7 @@ def _constant(env: Supervisor) -> dict[str, dict[str, Any]]:
 def _still(env: Supervisor) -> Any:
     """The action that commands zeros; None where a choice has no such option, or a range does not hold zero."""
     values: dict[str, float] = {}
-    for part in env.scenario.policy.action:
+    for part in env.scenario.agent.action:
         if isinstance(part, Choices):
             zeros = [number for number, option in enumerate(part.options) if not any(option.values)]
             if not zeros:

@@ -346,7 +346,7 @@ class TrainingCallback(BaseCallback):
         else:
             buffer = self.model.rollout_buffer  # type: ignore[attr-defined]  # of OnPolicyAlgorithm
             rows = slice(None)
-            if any(isinstance(part, Choices) for part in self.run.program.policy.action):
+            if any(isinstance(part, Choices) for part in self.run.program.agent.action):
                 self.logger.record("action/probability", float(np.exp(buffer.log_probs).mean()))
         observations = buffer.observations
         if isinstance(observations, dict):
@@ -365,14 +365,14 @@ class TrainingCallback(BaseCallback):
 
 def _first_frame(program: Program) -> dict[str, int]:
     """Where the newest value of each clipped number stands in an observation, by name; a truth value is always at an end of its range."""
-    numbers = program.policy.numbers
-    places = enumerate(policy_inputs(numbers, program.policy.frame_stack))
+    numbers = program.agent.numbers
+    places = enumerate(policy_inputs(numbers, program.agent.frame_stack))
     return {numbers[i].full_name: place for place, (i, age) in places if age == 0 and numbers[i].clip and not numbers[i].is_truth}
 
 
 def option_shares(program: Program, actions: npt.NDArray[Any]) -> dict[str, float]:
     """The share of each option in actions of shape (..., choices): `forward`, or `drive/forward` if there are several choices."""
-    choices = [part for part in program.policy.action if isinstance(part, Choices)]
+    choices = [part for part in program.agent.action if isinstance(part, Choices)]
     columns = np.asarray(actions).reshape(-1, max(1, len(choices)))
     return {
         f"{part.name}/{option.name}" if len(choices) > 1 else option.name: float((column == index).mean())

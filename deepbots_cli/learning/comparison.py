@@ -352,7 +352,7 @@ def _notes(runs: Sequence[Run], groups: Sequence[GroupResult], differences: Sequ
         notes.append(f"a group has {fewest} run{'' if fewest == 1 else 's'}: train at least {MIN_SEEDS} seeds of each, better 5")
     if len({run.record.engine for run in runs}) > 1:
         notes.append("the runs were trained in different engines, and each is evaluated in its own")
-    if len({str([(term.name, term.text) for term in run.program.policy.reward]) for run in runs}) > 1:
+    if len({str([(term.name, term.text) for term in run.program.agent.reward]) for run in runs}) > 1:
         where = "each run is evaluated in its own scenario" if own else "all runs are evaluated with one reward, that of the scenario above"
         notes.append(f"the rewards of the runs differ, and {where}: compare success rates, not returns")
     for group in groups:

@@ -127,12 +127,12 @@ def longest_episode(scenario: Program) -> int:
 
 def effective_hyperparameters(scenario: Program, total_timesteps: int) -> list[EffectiveHyperparameter]:
     """Every hyperparameter of the scenario's algorithm, in the order of the table of the language; none without a known one."""
-    training = scenario.policy.training
+    training = scenario.agent.training
     if training is None or training.algorithm not in ALGORITHMS:  # a scenario of a run may name any
         return []
     given: dict[str, object] = {entry.name: entry.value for entry in training.hyperparameters}
     given |= {name: value for name, value in (("action_noise", training.action_noise), ("replay", training.replay)) if value is not None}
-    rows = training.environments * (scenario.policy.copies.count if scenario.policy.copies else 1)
+    rows = training.environments * (scenario.agent.copies.count if scenario.agent.copies else 1)
     own = default_values(replace(training, environments=rows), total_timesteps, longest_episode(scenario))
     library = library_defaults(_base(training.algorithm))
     title = "library default" if library is None else library_of(_base(training.algorithm))

@@ -212,7 +212,7 @@ def evaluate_baselines(
     results = []
     engine = engine or known.engine_for(program)
     with closing((build or default_factory(engine, allow_code=allow_code))(program)) as world:
-        scripts = {f"script {script.name}": script.name for script in program.policy.scripts}
+        scripts = {f"script {script.name}": script.name for script in program.agent.scripts}
         for name, driver in {RANDOM: RANDOM, ZERO: ZERO, **scripts}.items():
             done = []
             for number in range(count):
@@ -244,7 +244,7 @@ def load_model(run: Run, name: ModelName, world: World) -> BaseAlgorithm:
     Raises:
         RunError: The file is missing, damaged, or fits another policy.
     """
-    training = run.program.policy.training
+    training = run.program.agent.training
     if training is None:
         raise RunError(f"{run.path} holds a scenario without a 'train' section")
     algorithms.check(training)

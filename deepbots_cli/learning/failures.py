@@ -117,7 +117,7 @@ class FailureRecorder(gym.Wrapper[Any, Any, Any, Any]):
         key, part = next((key, part) for key, part in parts.items() if not np.isfinite(part).all())
         if key != "observation" or self._program is None:
             return f"the {key.replace('_', ' ')}"
-        names = [value.name for value in self._program.policy.inputs]
+        names = [value.name for value in self._program.agent.inputs]
         place = int(np.flatnonzero(~np.isfinite(part).reshape(-1))[0])
         return f"the observation '{names[place % len(names)]}'" if names else "the observation"
 

@@ -50,11 +50,11 @@ class Policy:
     def __init__(self, program: Program, model: BaseAlgorithm) -> None:
         self.scenario = program.name
         self.observation_space, self.action_space = observation_space(program), action_space(program)
-        self.observation = program.policy.inputs
-        self.goal = program.policy.goal.values if program.policy.goal else ()
+        self.observation = program.agent.inputs
+        self.goal = program.agent.goal.values if program.agent.goal else ()
         self._observer = Observer(program)
         self.values = self._observer.values
-        self.action = tuple(value for part in program.policy.action for value in _values(part))
+        self.action = tuple(value for part in program.agent.action for value in _values(part))
         self._model = model
         self._takes_masks = algorithms.takes_masks(model)
         self.reset()

@@ -296,7 +296,7 @@ def _keys(root: Node | None, *path: str) -> list[str]:
 def _noise(root: MappingNode, program: Program, share: float) -> Change:
     """Noise on each entry of the observation with a finite range, that of its narrowest component."""
     widths: dict[str, tuple[float, str]] = {}
-    for number in program.policy.numbers:
+    for number in program.agent.numbers:
         width = number.high - number.low
         if number.is_truth or not 0 < width < 1e9:
             continue

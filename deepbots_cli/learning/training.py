@@ -236,9 +236,9 @@ def _has_learned(run: Run) -> bool:
 def _training_of(program: Program, total_timesteps: int | None) -> Training:
     if find_spec("tensorboard") is None:  # Stable-Baselines3 would only notice with the run half made
         raise MissingExtraError("train", "training")
-    if program.policy.training is None:
+    if program.agent.training is None:
         raise UsageError(f"{program.name} has no 'train' section, so there is nothing to train with")
-    training = program.policy.training if total_timesteps is None else replace(program.policy.training, total_timesteps=total_timesteps)
+    training = program.agent.training if total_timesteps is None else replace(program.agent.training, total_timesteps=total_timesteps)
     if training.total_timesteps < 1:
         raise UsageError(f"total_timesteps must be at least 1, and is {training.total_timesteps}")
     if training.total_timesteps > MAX_STEPS:

@@ -86,12 +86,12 @@ class Simulation(RuleContext):
     @cached_property
     def numbers(self) -> tuple[MeasuredNumber, ...]:
         """In the order of the report."""
-        found = [(entry, part, number) for entry in self.program.policy.observation for part, number in enumerate(entry.numbers)]
+        found = [(entry, part, number) for entry in self.program.agent.observation for part, number in enumerate(entry.numbers)]
         return tuple(MeasuredNumber(*row[:2], place, row[2].full_name, row[2].low, row[2].high) for place, row in enumerate(found))
 
     def terms(self) -> Iterator[tuple[Expression, dict[str, TermStatistics]]]:
         """Every term of the reward, with its statistics by policy."""
-        for place, term in enumerate(self.program.policy.reward):
+        for place, term in enumerate(self.program.agent.reward):
             yield term, {by: found.terms[place] for by, found in self.measured.items()}
 
     # Places in the scenario
@@ -155,7 +155,7 @@ class Simulation(RuleContext):
             return None
         text = str(stop.get("text", ""))
         notes = (self.when(), text) if text else (self.when(),)
-        terms = {term.name: term for term in self.program.policy.reward}
+        terms = {term.name: term for term in self.program.agent.reward}
         for name in map(str, stop.get("terms", ())):
             if name in terms:
                 return FailedExpression(name, terms[name].span, "reward", notes)
@@ -170,13 +170,13 @@ class Simulation(RuleContext):
     def _identifiers(self) -> Iterator[tuple[str, tuple[Expression, Section]]]:
         """The identifiers of values in generated code, in the order of `codegen.text`, which appends a number to a taken one."""
         program = self.program
-        for entry in program.policy.observation:
+        for entry in program.agent.observation:
             for name in (_identifier("seen", entry.value.name), _identifier(entry.value.name)):
                 yield name, (entry.value, "observation")
-        for term in program.policy.reward:
+        for term in program.agent.reward:
             yield _identifier("term", term.name), (term, "reward")
             yield _identifier(term.name, "term"), (term, "reward")
-        seen, paid = self._names_behind([entry.value for entry in program.policy.observation]), self._names_behind(program.policy.reward)
+        seen, paid = self._names_behind([entry.value for entry in program.agent.observation]), self._names_behind(program.agent.reward)
         for value in program.signals:
             section: Section = "observation" if value.name in seen else "reward" if value.name in paid else "other"
             yield _identifier(value.name), (value, section)

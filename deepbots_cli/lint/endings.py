@@ -216,7 +216,7 @@ def timeout_as_termination(context: RuleContext) -> Iterator[Finding]:
     """
     analysis = context.analysis
     shown = {
-        name for entry in context.program.policy.observation for node in analysis.scalars(entry.value) for name in _leaves(analysis, node)
+        name for entry in context.program.agent.observation for node in analysis.scalars(entry.value) for name in _leaves(analysis, node)
     }
     for ending in context.program.endings if not shown & _CLOCK_NAMES else ():
         names = _leaves(analysis, analysis.scalars(ending.value)[0]) if ending.foreign is None else set()

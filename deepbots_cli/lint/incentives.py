@@ -66,7 +66,7 @@ def rewards_early_death(context: RuleContext) -> Iterator[Finding]:
     at_limit = total_range(final, reward.ranges_at(None)).high
     if not reward.is_complete or _total_sum(ordinary, running, last) + at_limit >= 0.0:
         return
-    if program.policy.goal is not None:  # no term can refer to the failure, so its price is whatever may be paid as it happens
+    if program.agent.goal is not None:  # no term can refer to the failure, so its price is whatever may be paid as it happens
         if total_range(ordinary, reward.ranges_while_running()).high > 0.0:
             return
         final = [*ordinary, *final]
@@ -92,7 +92,7 @@ def rewards_early_death(context: RuleContext) -> Iterator[Finding]:
         return
     headline = f"continuing an episode costs at least {whole}, and `{ending.value.name}` {price}"
     help = "pay for a good step instead, such as `alive: 1`, or make a failure cost more than all steps together"
-    if program.policy.goal is not None:
+    if program.agent.goal is not None:
         headline = f"an episode that misses the goal costs at least {whole}, and one that ends by `{ending.value.name}` {price} or less"
         help = f"pay for the goal instead, as in `1 when goal_reached`, or remove `{ending.value.name}`"
     yield Finding("DB705", dearest.span, headline, help=help, labels=also)
@@ -118,7 +118,7 @@ def break_even(living: float, failing: float, success: float) -> float:
 
 def _horizon(reward: RewardTerms) -> float:
     """The steps of the agent that count: those of an episode, or the horizon of the discount factor if it is shorter."""
-    gamma = reward.program.policy.discount
+    gamma = reward.program.agent.discount
     return min(float(reward.analysis.last_step), INF if gamma >= 1.0 else 1.0 / (1.0 - gamma))
 
 
@@ -165,7 +165,7 @@ def _sum_over_steps(ranges: Ranges, node: Scalar, steps: float) -> Interval:
 
 def _short_of_the_goal(reward: RewardTerms) -> Ranges:
     """Ranges in a step that ends nothing and, where there is a goal, does not reach it."""
-    goal, running = reward.program.policy.goal, reward.ranges_while_running()
+    goal, running = reward.program.agent.goal, reward.ranges_while_running()
     reached = reward.analysis.resolve_aliases(Name("goal_reached"))
     if goal is None or not isinstance(reached, Op):
         return running
@@ -178,7 +178,7 @@ def measured_early_death(simulation: Simulation) -> Iterator[Finding]:
     ordinary, final = reward.split_by_end()
     failure, successes = _cheapest_failure(reward, final), [each for each in simulation.program.endings if each.outcome == "success"]
     rows = {by: simulation.measured[by] for by in (RANDOM, HELD_RANDOM, IDLE) if by in simulation.measured}
-    if not (simulation.is_complete and reward.is_complete and simulation.program.policy.goal is None and failure and successes and rows):
+    if not (simulation.is_complete and reward.is_complete and simulation.program.agent.goal is None and failure and successes and rows):
         return
     if _total_sum(ordinary, _short_of_the_goal(reward), _horizon(reward)) < 0.0:
         return  # the static rule knows the costs

@@ -63,7 +63,7 @@ class RangedNumber(NamedTuple):
 
 def ranged_numbers(analysis: Analysis) -> Iterator[RangedNumber]:
     """All numbers of the observation, without pictures and truth values."""
-    for entry in analysis.program.policy.observation:
+    for entry in analysis.program.agent.observation:
         known = entry.value.typed.type
         if not known.picture and not known.boolean:
             for node, low, high in zip(analysis.scalars(entry.value), entry.low, entry.high, strict=True):
@@ -103,7 +103,7 @@ def privileged_observation(context: RuleContext) -> Iterator[Finding]:
         observation: {height: 0 .. 2 m}
     """
     privileged = _privileged(context.program)
-    for observed in context.program.policy.observation:
+    for observed in context.program.agent.observation:
         head = observed.value.name.partition(".")[0]
         if head in privileged:
             origin = context.namespace.origin(head)
@@ -153,7 +153,7 @@ def goal_in_observation(context: RuleContext) -> Iterator[Finding]:
         train: {algorithm: DQN, total_timesteps: 50_000, learning_starts: 1000, replay: her}
     """
     program = context.program
-    if program.policy.goal is None or program.policy.training is None or program.policy.training.replay is None:
+    if program.agent.goal is None or program.agent.training is None or program.agent.training.replay is None:
         return
     analysis = context.analysis.ideal
 
@@ -161,14 +161,14 @@ def goal_in_observation(context: RuleContext) -> Iterator[Finding]:
         return {name for node in analysis.scalars(value) for name in analysis.drawn_dependencies(node)}
 
     bodies = {thing.name for thing in program.world.objects} | {robot.name for robot in program.world.robots}
-    goal_sources = sources(program.policy.goal.desired) - sources(program.policy.goal.achieved)
+    goal_sources = sources(program.agent.goal.desired) - sources(program.agent.goal.achieved)
     goal_sources &= bodies | {value.name for value in program.parameters}
-    for entry in program.policy.observation:
+    for entry in program.agent.observation:
         shared = sources(entry.value) & goal_sources
         if shared:
             headline = f"`{entry.value.name}` depends on the goal, but hindsight replay replaces only `desired`"
             help = "remove it: the policy sees `achieved` and `desired` in addition to the observation"
-            also = (Label(program.policy.goal.desired.span, f"also depends on `{min(shared)}`"),)
+            also = (Label(program.agent.goal.desired.span, f"also depends on `{min(shared)}`"),)
             yield Finding("DB614", entry.value.span, headline, help=help, labels=also)
 
 
@@ -211,7 +211,7 @@ def noise_without_effect(context: RuleContext) -> Iterator[Finding]:
         reward: {alive: 1 when goal_reached}
     """
     program, analysis = context.program, context.analysis
-    if not any((*(entry.noise for entry in program.policy.observation), *(value.noise for value in may_be_noisy(program)))):
+    if not any((*(entry.noise for entry in program.agent.observation), *(value.noise for value in may_be_noisy(program)))):
         return
     seen = [(number, _noises(analysis, number)) for number in _seen_numbers(analysis)]
     known: dict[int, Linear] = {}
@@ -230,7 +230,7 @@ def noise_without_effect(context: RuleContext) -> Iterator[Finding]:
 
 def may_be_noisy(program: Program) -> tuple[Expression, ...]:
     """The values that may have noise of their own, whether the policy sees them or not."""
-    return (*program.signals, *([program.policy.goal.achieved] if program.policy.goal else []))
+    return (*program.signals, *([program.agent.goal.achieved] if program.agent.goal else []))
 
 
 def _seen_numbers(analysis: Analysis) -> Iterator[SeenNumber]:
@@ -241,9 +241,9 @@ def _seen_numbers(analysis: Analysis) -> Iterator[SeenNumber]:
         SeenNumber(number.name, number.entry.value.span, number.node, Interval(number.low, number.high), number.entry.noise)
         for number in ranged_numbers(analysis)
     ]
-    if program.policy.goal is not None:
-        for value in (program.policy.goal.achieved, program.policy.goal.desired):
-            for node, low, high in zip(analysis.scalars(value), program.policy.goal.low, program.policy.goal.high, strict=False):
+    if program.agent.goal is not None:
+        for value in (program.agent.goal.achieved, program.agent.goal.desired):
+            for node, low, high in zip(analysis.scalars(value), program.agent.goal.low, program.agent.goal.high, strict=False):
                 found.append(SeenNumber(value.name, value.span, node, Interval(low, high), value.noise))
     return (number for number in found if not (is_late and any("." in name for name in analysis.dependencies(number.node))))
 
@@ -359,7 +359,7 @@ def outside_space(simulation: Simulation) -> Iterator[Finding]:
     """DB607: a number of the observation is NaN, or outside of the observation space."""
     stop = simulation.report.stop or {}
     if stop.get("kind") == "space":
-        for entry in simulation.program.policy.observation:
+        for entry in simulation.program.agent.observation:
             names = [name for name in map(str, stop["entries"]) if name.partition(".")[0] == entry.value.name or name == entry.value.name]
             if names:
                 headline = f"`{names[0]}` is outside of the observation space"
@@ -391,7 +391,7 @@ def constant_observation(simulation: Simulation) -> Iterator[Finding]:
         headline = f"`{name}` never changes" + (f": it is {value} in every step" if len(numbers) == 1 else "")
         help = ("remove it" if is_whole else "observe only the other components") + ", or add a script under `scripts` that changes it"
         yield Finding("DB608", entry.value.span, headline, help=help, notes=(simulation.summary,))
-    pictures = [entry for entry in simulation.program.policy.observation if entry.value.typed.type.picture]
+    pictures = [entry for entry in simulation.program.agent.observation if entry.value.typed.type.picture]
     for place, entry in enumerate(pictures, start=len(simulation.numbers)):
         if place in simulation.report.constant_numbers:
             help = "check the place and the view of its camera, or add a script under `scripts` that changes it"
@@ -463,7 +463,7 @@ def range_of_other_parts(context: RuleContext) -> Iterator[Finding]:
             emit: [angles]
         observation: {arm.angles.panda_joint1: auto, arm.angles.panda_joint2: auto}
     """
-    for entry in context.program.policy.observation:
+    for entry in context.program.agent.observation:
         span, dimension = context.range_span(entry), entry.value.typed.type.dimension
         own = _limits_of_parts(context.program, entry) if span.text == "auto" else []
         shares = [(part.high - part.low) / (entry.high[0] - entry.low[0]) for part in own]

@@ -51,7 +51,7 @@ def reward_unbounded(context: RuleContext) -> Iterator[Finding]:
     """
     analysis = context.analysis
     search = _PoleSearch(analysis)
-    for term in context.program.policy.reward:
+    for term in context.program.agent.reward:
         if term.foreign is None and not search.ranges.of(analysis.scalars(term)[0]).is_finite:
             found = search.pole(term, term.typed)
             search.met.clear()
@@ -218,7 +218,7 @@ def inactive_term(context: RuleContext) -> Iterator[Finding]:
     """
     inactive = [_always_zero(analysis) for analysis in context.versions]
     touching = {term.name: context.analysis.own_contacts(node) for term, node in context.analysis.reward.terms}
-    for term in context.program.policy.reward:
+    for term in context.program.agent.reward:
         if touching.get(term.name):
             headline = f"`{touching[term.name][0]}` is never true: links of one robot do not touch each other"
             yield Finding("DB704", term.span, headline, help="compare `clearance(...)` of the two links with a distance")
@@ -263,7 +263,7 @@ def silent_term(simulation: Simulation) -> Iterator[Finding]:
         return
     analysis = simulation.analysis
     final = {term.name for term, _ in analysis.reward.split_by_end()[1]}
-    for place, term in enumerate(simulation.program.policy.reward):
+    for place, term in enumerate(simulation.program.agent.reward):
         if place not in simulation.report.zero_terms or term.name in final or term.foreign is not None:
             continue
         if not _is_turned_off(term.typed, analysis) and not _is_conditional(term.typed, analysis, set()):
@@ -311,16 +311,16 @@ def nothing_to_learn(context: RuleContext) -> Iterator[Finding]:
         reward: {alive: 1}
         termination: {failure: {fallen: abs(cart.pole_angle) > fall_angle}}
     """
-    if context.program.policy.training is None or not all(return_range(analysis).is_single for analysis in context.versions):
+    if context.program.agent.training is None or not all(return_range(analysis).is_single for analysis in context.versions):
         return
     worth = return_range(context.analysis).low
     headline = f"every episode has the return {worth:.4g}, whatever the policy does"
-    help = "pay for the goal, as in `1 when goal_reached`" if context.program.policy.goal else "pay for the intended behaviour"
+    help = "pay for the goal, as in `1 when goal_reached`" if context.program.agent.goal else "pay for the intended behaviour"
     if worth > 0.0:
         help += ", or add a failure that ends a bad episode early"
     elif worth < 0.0:  # a failure would end the costs (DB705)
         help += ", or add a success that ends a good episode early"
-    yield Finding("DB711", context.program.policy.reward[0].span, headline, help=help)
+    yield Finding("DB711", context.program.agent.reward[0].span, headline, help=help)
 
 
 def return_out_of_reach(context: RuleContext) -> Iterator[Finding]:

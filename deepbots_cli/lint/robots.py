@@ -566,7 +566,7 @@ class Heights:
             if thing.solid:
                 yield thing.name, self._top(thing, may_be_lifted=may_be_lifted)
         for other in self._world.robots:
-            if other.name != robot or self._program.policy.copies is not None:
+            if other.name != robot or self._program.agent.copies is not None:
                 yield other.name, self._top_of_robot(other)
 
     def _top(self, thing: ObjectBody, *, may_be_lifted: bool) -> float:

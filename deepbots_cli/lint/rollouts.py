@@ -138,7 +138,7 @@ class Simulator:
     def _check_first_commands(self, environment: Supervisor, arms: ArmWatch) -> None:
         """Check whether arms reach their first commanded pose. Every choice should lead to one; the end of a range need not."""
         by = IDLE if idle_action(self._program) is not None else RANDOM
-        if by == RANDOM and not all(isinstance(part, Choices) for part in self._program.policy.action):
+        if by == RANDOM and not all(isinstance(part, Choices) for part in self._program.agent.action):
             return
         for seed in range(_FIRST_EPISODES):
             arms.is_watching = True
@@ -200,7 +200,7 @@ class Simulator:
                 self._write({"stop": {"kind": "space", "entries": _outside(environment, step.observation)}})
                 raise StoppedError
         if report:
-            worth = float(np.dot(rewards, self._program.policy.discount ** np.arange(len(rewards))))
+            worth = float(np.dot(rewards, self._program.agent.discount ** np.arange(len(rewards))))
             end = "success" if environment.is_success else "failure" if environment.terminated else None
             end = end or ("limit" if environment.truncated else "left")
             episode = {"policy": rollout.policy, "seed": rollout.seed, "steps": len(rewards), "discounted_return": worth, "end": end}
@@ -222,13 +222,13 @@ class Simulator:
     def _constant_numbers(self) -> list[int]:
         """The places of the numbers of the observation that were the same in every step of every episode; pictures after them."""
         whole = functools.reduce(Counter.joined, self._counters.values(), Counter(self._program))
-        return [place for place in range(len(self._program.policy.numbers) + len(self._program.policy.images)) if not whole.varies(place)]
+        return [place for place in range(len(self._program.agent.numbers) + len(self._program.agent.images)) if not whole.varies(place)]
 
     def _silent(self) -> list[int]:
         """The places of the terms of the reward that were always 0."""
         return [
             place
-            for place in range(len(self._program.policy.reward))
+            for place in range(len(self._program.agent.reward))
             if not any(counter.fired[place] for counter in self._counters.values())
         ]
 
@@ -238,7 +238,7 @@ class Simulator:
         for program in (*(case.program for case in own.cases), *(stage.program for stage in own.curriculum)):
             if not self._constant_numbers() and not self._silent():
                 return
-            sizes = [(len(each.numbers) + len(each.images), len(each.reward)) for each in (own.policy, program.policy)]
+            sizes = [(len(each.numbers) + len(each.images), len(each.reward)) for each in (own.agent, program.agent)]
             if sizes[0] == sizes[1]:
                 with closing(self._build(program)) as environment:
                     self._run_episodes(environment, variant_plan(program), counted_as=_VARIANTS_LABEL)
@@ -262,12 +262,12 @@ class Counter:
 
     def __init__(self, program: Program) -> None:
         self._program = program
-        ages = policy_inputs(program.policy.numbers, program.policy.frame_stack)
-        self._columns = [ages.index((place, 0)) for place in range(len(program.policy.numbers))]
-        self._pictures = [entry.key for entry in program.policy.images]
+        ages = policy_inputs(program.agent.numbers, program.agent.frame_stack)
+        self._columns = [ages.index((place, 0)) for place in range(len(program.agent.numbers))]
+        self._pictures = [entry.key for entry in program.agent.images]
         self._first: dict[str, NDArray[np.uint8]] = {}
         self._changed: set[str] = set()
-        numbers, terms = len(program.policy.numbers), len(program.policy.reward)
+        numbers, terms = len(program.agent.numbers), len(program.agent.reward)
         self.steps = 0
         self.rows = 0
         self.low, self.high = np.full(numbers, np.inf), np.full(numbers, -np.inf)
@@ -333,8 +333,8 @@ def _actions(environment: Supervisor, rollout: Rollout) -> Iterator[Any]:
 
 def _random(environment: Supervisor, hold: int) -> Iterator[Any]:
     scenario = environment.scenario
-    masked = scenario.policy.copies is None and any(
-        option.forbidden for part in scenario.policy.action for option in getattr(part, "options", ())
+    masked = scenario.agent.copies is None and any(
+        option.forbidden for part in scenario.agent.action for option in getattr(part, "options", ())
     )
     for number in count():
         if number % hold == 0 or masked:
@@ -354,8 +354,8 @@ def _outside(environment: Supervisor, observation: Any) -> list[str]:
     """The numbers of an observation that are outside of its space, by name."""
     numbers = np.atleast_2d(observation["observation"] if isinstance(observation, dict) else observation)
     entries = [
-        environment.scenario.policy.numbers[place]
-        for place, _ in policy_inputs(environment.scenario.policy.numbers, environment.scenario.policy.frame_stack)
+        environment.scenario.agent.numbers[place]
+        for place, _ in policy_inputs(environment.scenario.agent.numbers, environment.scenario.agent.frame_stack)
     ]
     return [
         entry.full_name
@@ -544,7 +544,7 @@ class RayWatch:
 
     def __init__(self, scenario: Program) -> None:
         self._world = scenario.world
-        is_asked = scenario.world.terrain is None and scenario.policy.copies is None
+        is_asked = scenario.world.terrain is None and scenario.agent.copies is None
         found = [(robot.name, sensor) for robot in scenario.robots for sensor in robot.sensors if is_asked and casts_rays(sensor)]
         self._sensors = {(robot, sensor.name): sensor for robot, sensor in found}
         self.clearances: dict[tuple[str, str], Clearance] = dict.fromkeys(self._sensors, Clearance(inf, -inf, ""))

@@ -201,7 +201,7 @@ def _saturated_at_start(context: RuleContext) -> Iterator[Finding]:
 
 def _goal_out_of_range(context: RuleContext) -> Iterator[Finding]:
     """A goal that is drawn from more than its range: policy, reward and endings know only the clipped value."""
-    analysis, goal = context.analysis, context.program.policy.goal
+    analysis, goal = context.analysis, context.program.agent.goal
     if goal is None:
         return
     for node, low, high in zip(analysis.scalars(goal.desired), goal.low, goal.high, strict=True):

@@ -202,11 +202,11 @@ def hidden_state_reward(context: RuleContext) -> Iterator[Finding]:
         reward: {near: -abs(left) / m}
     """
     analysis, program = context.analysis.ideal, context.program
-    shown = [entry.value for entry in program.policy.observation]
-    shown += [program.policy.goal.achieved, program.policy.goal.desired] if program.policy.goal is not None else []
+    shown = [entry.value for entry in program.agent.observation]
+    shown += [program.agent.goal.achieved, program.agent.goal.desired] if program.agent.goal is not None else []
     seen = {found for value in shown for node in analysis.scalars(value) for found in analysis.drawn_dependencies(node)}
     perceives = any(SENSORS[sensor.kind].perceives for robot in program.robots for sensor in robot.sensors)
-    perceives = perceives or any(entry.value.typed.type.picture for entry in program.policy.observation)
+    perceives = perceives or any(entry.value.typed.type.picture for entry in program.agent.observation)
     drawn = {value.name for value in program.parameters}
     walls = set(context.namespace.walls)  # their pieces, such as `bay 1`, never move
     things = {thing.name for thing in program.world.objects if thing.name.partition(" ")[0] not in walls}
@@ -238,7 +238,7 @@ def pays_towards_failure(context: RuleContext) -> Iterator[Finding]:
         termination: {failure: {off_track: abs(x) > 39 cm}}
     """
     analysis, reward = context.analysis, context.analysis.reward
-    if context.program.policy.goal is not None or not reward.is_complete:
+    if context.program.agent.goal is not None or not reward.is_complete:
         return
     ordinary, _ = reward.split_by_end()
     for ending in context.program.endings:

@@ -83,14 +83,14 @@ def variant_plan(program: Program) -> tuple[Rollout, ...]:
 def _others(program: Program) -> Iterator[tuple[str, str | None]]:
     if idle_action(program) is not None:
         yield IDLE, None
-    for script in program.policy.scripts:
+    for script in program.agent.scripts:
         yield f"the script `{script.name}`", script.name
 
 
 def _work(program: Program) -> float:
     """The cost of a step of the agent, in physics steps of one robot (about 15 us): ten of them are overhead."""
-    copies = program.policy.copies.count if program.policy.copies else 1
-    pixels = sum(entry.shape[0] * entry.shape[1] for entry in program.policy.images)
+    copies = program.agent.copies.count if program.agent.copies else 1
+    pixels = sum(entry.shape[0] * entry.shape[1] for entry in program.agent.images)
     return (len(program.robots) * (program.world.substeps * program.action_repeat + 10) + pixels / _PIXELS) * copies
 
 
@@ -101,7 +101,7 @@ def idle_action(program: Program) -> tuple[tuple[int, ...], tuple[float, ...]] |
     """
     choices: list[int] = []
     values: list[float] = []
-    for part in program.policy.action:
+    for part in program.agent.action:
         if isinstance(part, Choices):
             still = next((number for number, option in enumerate(part.options) if not any(option.values)), None)
             if still is None:

@@ -291,7 +291,7 @@ def identical_episodes(context: RuleContext) -> Iterator[Finding]:
     """
     program = context.program
     if (
-        program.policy.training is None
+        program.agent.training is None
         or program.evaluation.episodes < 2
         or program.cases
         or program.curriculum
@@ -315,7 +315,7 @@ def identical_episodes(context: RuleContext) -> Iterator[Finding]:
 def _varies(analysis: Analysis) -> bool:
     """Whether anything is random that no function of the language draws."""
     program = analysis.program
-    values = [*program.signals, *program.policy.reward, *(ending.value for ending in program.endings)]
+    values = [*program.signals, *program.agent.reward, *(ending.value for ending in program.endings)]
     return bool(
         program.reset.variations
         or program.disturbances
@@ -323,7 +323,7 @@ def _varies(analysis: Analysis) -> bool:
         or len(program.reset.layouts) > 1
         or any(place.spot is not None or _draws_coordinates(place) for place in analysis.placements)
         or any(_is_random(route) for robot in program.robots for route in (robot.to_route, robot.from_route))
-        or any(entry.noise for entry in program.policy.observation)
+        or any(entry.noise for entry in program.agent.observation)
         or any(value.noise for value in may_be_noisy(program))
         or any(_has_noise(sensor) for robot in program.robots for sensor in robot.sensors)
         or any(value.foreign for value in values)

@@ -5,7 +5,7 @@
     ├── robots                controllers: sensors, what they emit, what they apply, message layouts, routes
     ├── parameters            values drawn per episode or more often (fixed ones are folded into the expressions)
     ├── signals               augmentation and signals, in order of evaluation
-    ├── policies              by name: action, observation, goal, reward, scripts, training, copies of a robot
+    ├── agents                by name: action, observation, goal, reward, scripts, training, copies of a robot
     ├── action_repeat         control ticks in one step, for which each action is held
     ├── endings, truncation   when an episode ends
     ├── reset, disturbances   how an episode begins, what it varies, what disturbs it
@@ -13,7 +13,7 @@
     └── cases, curriculum     the whole once more for each case of the evaluation and each stage of the curriculum
 
 values.py   Expression, the leaf of all of these      world.py    what an engine builds
-robots.py   sensors, actuators, messages, controllers task.py     policies, endings, training, evaluation
+robots.py   sensors, actuators, messages, controllers task.py     agents, endings, training, evaluation
 resets.py   placements, randomized parameters         identity.py canonical JSON, digests, interfaces
 draws.py    what a reset draws, by name
 
@@ -36,7 +36,7 @@ from deepbots_cli.expressions.scalar import is_drawn
 from deepbots_cli.program.draws import EpisodeDraws
 from deepbots_cli.program.resets import Disturbance, Reset
 from deepbots_cli.program.robots import Robot, Timing
-from deepbots_cli.program.task import Choices, Criterion, Ending, Evaluation, Policy, ScenarioTest, Script, Solved, Truncation
+from deepbots_cli.program.task import Agent, Choices, Criterion, Ending, Evaluation, ScenarioTest, Script, Solved, Truncation
 from deepbots_cli.program.values import Expression, Foreign, NamedScalars
 from deepbots_cli.program.world import WorldModel
 
@@ -45,14 +45,14 @@ from deepbots_cli.program.world import WorldModel
 class Program:
     """One checked scenario, ready to be printed as Python and run.
 
-    A field belongs to a policy if a second policy would need its own: action, observation, goal, reward, scripts, training, and the
-    copies of a robot. All other fields are shared by all policies:
+    A field belongs to an agent if a second agent would need its own: action, observation, goal, reward, scripts, training, and the
+    copies of a robot. All other fields are shared by all agents:
 
-    - the world and the robots. The commands of a robot name the action variables that they use, so a policy needs no list of robots;
+    - the world and the robots. The commands of a robot name the action variables that they use, so an agent needs no list of robots;
     - parameters and signals, which form one namespace;
     - the episode: reset, endings, truncation, and the `action_repeat`. A world is reset and stepped as a whole.
 
-    There is one policy, named `policy`. `augmented_signals` holds the names of the signals that policies may see. `engine` is the engine
+    There is one agent, named `policy`. `augmented_signals` holds the names of the signals that agents may see. `engine` is the engine
     that the scenario names, None for the default. `stored_signals` names the signals that the supervisor stores after each step, as
     `last_NAME`; only programs of `insight`, which explains episodes, have some. The compiler returns no `tests`: `deepbots test` adds
     those whose conditions the generated code computes.
@@ -67,7 +67,7 @@ class Program:
     timing: Timing
     parameters: tuple[Expression, ...]
     signals: tuple[Expression, ...]
-    policies: Mapping[str, Policy]
+    agents: Mapping[str, Agent]
     endings: tuple[Ending, ...]
     truncation: Truncation
     reset: Reset
@@ -84,37 +84,38 @@ class Program:
 
     def digest_fields(self) -> dict[str, object]:
         left_out = {"augmented_signals", "stored_signals", "tests"} | ({"engine"} if self.engine in (None, DEFAULT_ENGINE) else set())
-        return {name: value for name, value in vars(self).items() if name in self.__dataclass_fields__ and name not in left_out}
+        known = {name: value for name, value in vars(self).items() if name in self.__dataclass_fields__ and name not in left_out}
+        return known | {"policies": known.pop("agents")}
 
     @cached_property
-    def policy(self) -> Policy:
-        """The only policy."""
-        (policy,) = self.policies.values()
-        return policy
+    def agent(self) -> Agent:
+        """The only agent."""
+        (agent,) = self.agents.values()
+        return agent
 
-    def with_policies(self, **changes: Any) -> Program:
-        """The program with the same fields of every policy changed."""
-        return replace(self, policies={name: replace(policy, **changes) for name, policy in self.policies.items()})
+    def with_agents(self, **changes: Any) -> Program:
+        """The program with the same fields of every agent changed."""
+        return replace(self, agents={name: replace(agent, **changes) for name, agent in self.agents.items()})
 
     @property
     def python_functions(self) -> tuple[Foreign, ...]:
         """The functions of installed packages that rewards and endings call."""
-        named = (*self.policy.reward, *(ending.value for ending in self.endings))
+        named = (*self.agent.reward, *(ending.value for ending in self.endings))
         return tuple(value.foreign for value in named if value.foreign is not None)
 
     @property
     def computed_expressions(self) -> Iterator[Expression]:
         """The expressions of a step: conditions of choices, signals, observation, reward, endings, goal, scripts, messages."""
-        for part in self.policy.action:
+        for part in self.agent.action:
             if isinstance(part, Choices):
                 yield from (option.forbidden for option in part.options if option.forbidden is not None)
         yield from self.signals
-        yield from (entry.value for entry in self.policy.observation)
-        yield from self.policy.reward
+        yield from (entry.value for entry in self.agent.observation)
+        yield from self.agent.reward
         yield from (ending.value for ending in self.endings)
-        if self.policy.goal is not None:
-            yield from (self.policy.goal.achieved, self.policy.goal.desired)
-        for script in self.policy.scripts:
+        if self.agent.goal is not None:
+            yield from (self.agent.goal.achieved, self.agent.goal.desired)
+        for script in self.agent.scripts:
             for decided in script.parts:
                 yield from decided.values
         for robot in self.robots:
@@ -146,7 +147,7 @@ class Program:
     @property
     def defines_success(self) -> bool:
         """Whether an episode can be a success at all."""
-        return self.policy.goal is not None or any(ending.outcome == "success" for ending in self.endings)
+        return self.agent.goal is not None or any(ending.outcome == "success" for ending in self.endings)
 
     def case(self, name: str) -> EvaluationCase:
         """The case of the evaluation of that name.
@@ -162,7 +163,7 @@ class Program:
 
     def script(self, name: str) -> Script:
         """The script with that name."""
-        return self._named("script", name, self.policy.scripts)
+        return self._named("script", name, self.agent.scripts)
 
     def _named(self, what: str, name: str, known: Sequence[Entry]) -> Entry:
         found = next((entry for entry in known if entry.name == name), None)

@@ -77,7 +77,7 @@ class EpisodeDraws:
     @cached_property
     def entries(self) -> tuple[EpisodeDraw, ...]:
         """Every draw: those of the scenario's expressions, then words and positions that are looked for."""
-        copies = self.program.policy.copies
+        copies = self.program.agent.copies
         robot = copies.robot if copies else ""
         found: dict[str, EpisodeDraw] = {}
         for body, entry in self._found():
@@ -101,8 +101,8 @@ class EpisodeDraws:
 
     def _found(self) -> Iterator[tuple[str | None, EpisodeDraw]]:
         """Each draw with the body that it belongs to, if it belongs to one."""
-        reset, policy = self.program.reset, self.program.policy
-        robot = policy.copies.robot if policy.copies else None
+        reset, agent = self.program.reset, self.program.agent
+        robot = agent.copies.robot if agent.copies else None
         changing: set[str] = set()  # parameters with new values within an episode: their own, or those of what they depend on
         for value in self.program.parameters:
             if value.redraw is not None or _reads(value, changing):
@@ -116,8 +116,8 @@ class EpisodeDraws:
             for route in (spec.to_route, spec.from_route):
                 lasting = (value for _, value in route.settings if value.redraw is None and not _reads(value, changing))
                 yield from ((spec.name, entry) for value in lasting for entry in _draws(value))
-        noises = [value.noise for value in (*(entry.value for entry in policy.observation), *self.program.signals)]
-        noises += [policy.goal.achieved.noise] if policy.goal else []
+        noises = [value.noise for value in (*(entry.value for entry in agent.observation), *self.program.signals)]
+        noises += [agent.goal.achieved.noise] if agent.goal else []
         yield from ((robot, entry) for noise in noises if noise is not None for entry in _draws(noise.std))
         for variation in reset.variations:
             body = None if isinstance(variation.of, OfWorld | OfWalls) else variation.of[0]

@@ -23,14 +23,14 @@ from typing import Any
 from deepbots_cli.expressions.scalar import EngineRead, Scalar
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import MessageField, MessageLayout
-from deepbots_cli.program.task import ActionRange, Choices, Evaluation, ObservedNumber
+from deepbots_cli.program.task import ActionRange, Agent, Choices, Evaluation, ObservedNumber
 from deepbots_cli.program.world import Picture, WorldModel
 from deepbots_cli.robots.model import Mesh
 
 # Canonical JSON
 
 
-_NAMES: Mapping[type, str] = {EngineRead: "World"}
+_NAMES: Mapping[type, str] = {EngineRead: "World", Agent: "Policy"}
 
 
 def kind_name(kind: type) -> str:
@@ -55,7 +55,7 @@ def digest(program: Program) -> str:
 
 def task_digest(program: Program) -> str:
     """The digest of what makes an episode: the same for scenarios that differ in their names, training, evaluation or scripts alone."""
-    nameless = replace(program.with_policies(scripts=(), training=None), name="", summary="")
+    nameless = replace(program.with_agents(scripts=(), training=None), name="", summary="")
     return digest(replace(nameless, curriculum=(), evaluation=Evaluation(), cases=(), solved=None))
 
 
@@ -117,18 +117,18 @@ def _plain(value: object) -> object:
 def interface(program: Program) -> dict[str, str]:
     """The agreed items of a scenario in order: `observation.speed` to `-0.8 .. 0.8 m/s`."""
     items: dict[str, str] = {}
-    for observed in program.policy.numbers:
+    for observed in program.agent.numbers:
         items[f"observation.{observed.full_name}"] = _observed(observed)
-    for pictured in program.policy.images:
+    for pictured in program.agent.images:
         items[f"observation.{pictured.name}"] = f"picture of {' x '.join(map(str, pictured.shape))}, {pictured.history} in a row"
-    if program.policy.goal is not None:
+    if program.agent.goal is not None:
         for component, low, high in zip(
-            program.policy.goal.components or ("",), program.policy.goal.low, program.policy.goal.high, strict=True
+            program.agent.goal.components or ("",), program.agent.goal.low, program.agent.goal.high, strict=True
         ):
-            items[f"goal.{component}".rstrip(".")] = _range(low, high, program.policy.goal.unit)
-    if program.policy.frame_stack > 1:
-        items["agent.frame_stack"] = f"{program.policy.frame_stack} observations in a row"
-    for part in program.policy.action:
+            items[f"goal.{component}".rstrip(".")] = _range(low, high, program.agent.goal.unit)
+    if program.agent.frame_stack > 1:
+        items["agent.frame_stack"] = f"{program.agent.frame_stack} observations in a row"
+    for part in program.agent.action:
         items[f"action.{part.name}"] = _action(part)
     for robot in program.robots:
         for layout in (robot.to_robot, robot.from_robot):

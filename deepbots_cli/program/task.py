@@ -1,4 +1,4 @@
-"""Policies (action, observation, goal, reward, scripts, training), and what they share: endings, time limits and evaluation."""
+"""Agents (action, observation, goal, reward, scripts, training), and what they share: endings, time limits and evaluation."""
 
 from __future__ import annotations
 
@@ -463,15 +463,15 @@ class Training:
         return {name: value for name, value in vars(self).items() if name not in later or value != later[name]}
 
 
-# Policy
+# Agent
 
 
 @dataclass(frozen=True, eq=False)
-class Policy:
-    """The action, observation, goal and reward of one policy, and its training.
+class Agent:
+    """The action, observation, goal and reward of one agent, and its training.
 
-    The policy sees `stack` observations in a row, and the goal if there is one. `reward` holds the terms, whose sum is the reward. With
-    `copies`, the policy acts for each copy of a robot. `scripts` are hand-written policies for the same action.
+    The agent sees `stack` observations in a row, and the goal if there is one. `reward` holds the terms, whose sum is the reward. With
+    `copies`, the agent acts for each copy of a robot. `scripts` are hand-written policies for the same action.
     """
 
     action: tuple[ActionPart, ...]

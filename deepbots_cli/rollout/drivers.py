@@ -81,7 +81,7 @@ def zero_action(space: gym.Space[Any]) -> Any:
 def action_from_values(env: Supervisor, values: Mapping[str, float]) -> Any:
     """The action with these values by the names of action fields: the index of an option, or a number from -1 to 1; others are 0."""
     choices, ranges = [], []
-    for part in env.scenario.policy.action:
+    for part in env.scenario.agent.action:
         if isinstance(part, Choices):
             choices.append(int(values.get(part.name, 0)))
         else:

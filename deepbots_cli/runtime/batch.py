@@ -235,9 +235,9 @@ class BatchSupervisor(_BatchPart, ABC):
         self._episodes = [EpisodeHistory(0, []) for _ in singles]
         self._views = frame_indices(self.scenario)
         self.depth, self.newest = len(self._views), 0
-        self.frames = np.zeros((self.depth, len(self.scenario.policy.numbers), self.count), np.float32)
-        self._ranges = sum(max(1, len(part.components)) for part in self.scenario.policy.action if isinstance(part, ActionRange))
-        size = len(self.scenario.policy.goal.low) if self.scenario.policy.goal else 0
+        self.frames = np.zeros((self.depth, len(self.scenario.agent.numbers), self.count), np.float32)
+        self._ranges = sum(max(1, len(part.components)) for part in self.scenario.agent.action if isinstance(part, ActionRange))
+        size = len(self.scenario.agent.goal.low) if self.scenario.agent.goal else 0
         self.goal = np.zeros((2 * size, self.count), np.float32)
         self._size = size
         self._forget()
@@ -523,7 +523,7 @@ class BatchSupervisor(_BatchPart, ABC):
             worlds = np.flatnonzero(~np.isfinite(frame).all(axis=0) & ~self._lost)
             if len(worlds):
                 rows = np.flatnonzero(~np.isfinite(frame).all(axis=1))
-                names = ", ".join(dict.fromkeys(self.scenario.policy.numbers[row].name for row in rows))
+                names = ", ".join(dict.fromkeys(self.scenario.agent.numbers[row].name for row in rows))
                 raise self._no_value(int(worlds[0]), f"the observation {names}")
 
     def next_frame(self) -> None:
@@ -532,7 +532,7 @@ class BatchSupervisor(_BatchPart, ABC):
 
     def set_goal_observation(self, achieved: Any, desired: Any) -> tuple[Column, Column]:
         """See `Supervisor.set_goal_observation`."""
-        goal = self.scenario.policy.goal
+        goal = self.scenario.agent.goal
         assert goal is not None
         low, high = (np.array(ends * 2)[:, None] for ends in (goal.low, goal.high))
         middle, half = (high + low) / 2, (high - low) / 2

@@ -50,7 +50,7 @@ def make_environment(
     kind: type[Supervisor], scenario: Program, create: Callable[[WorldModel], Engine], render_mode: str | None = None
 ) -> Supervisor:
     """The environment of a scenario whose generated supervisor is `kind`."""
-    copies = scenario.policy.copies
+    copies = scenario.agent.copies
     if copies is None:
         return kind(scenario, create(scenario.world), render_mode)
     return CopiesSupervisor(kind, scenario, copies, create(world_with_copies(scenario.world, copies)), render_mode)

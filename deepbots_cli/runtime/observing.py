@@ -25,12 +25,12 @@ class Observer:
     """
 
     def __init__(self, program: Program) -> None:
-        policy = program.policy
-        self._inputs, self._goal = policy.inputs, policy.goal
+        agent = program.agent
+        self._inputs, self._goal = agent.inputs, agent.goal
         self._refused = self._reason(program)
         self._achieved: dict[str, Scalar] = {}
         sent = {f"{robot.name}.{field.name}" for robot in program.robots for field in robot.from_robot.fields}
-        texts = {number: entry.value.text for entry in policy.observation for number, _ in entry.value.numbers}
+        texts = {number: entry.value.text for entry in agent.observation for number, _ in entry.value.numbers}
         if self._goal is not None:
             names = [name.full_name for name in self._goal.names("achieved")]
             signals = {full: value for entry in program.signals for full, value in entry.numbers if entry.noise is None}
@@ -116,8 +116,8 @@ class Observer:
 
     def _reason(self, program: Program) -> str:
         """Why present values are not enough; empty if they are."""
-        if program.policy.images:
-            return f"this policy sees the image '{program.policy.images[0].key}'; take observations from the environment"
+        if program.agent.images:
+            return f"this policy sees the image '{program.agent.images[0].key}'; take observations from the environment"
         older = next((value.name for value in self._inputs if value.steps_ago), None)
         return f"this policy sees older values of {older}; take observations from the environment" if older else ""
 

@@ -125,7 +125,7 @@ def follows_robot(world: WorldModel) -> bool:
 
 def _robots(scenario: Program, places: dict[str, Placement], parameters: Parameters) -> Iterator[Bounds]:
     """Robots, wherever they may stand when an episode begins; of copies the two at the ends of their row."""
-    copies = scenario.policy.copies
+    copies = scenario.agent.copies
     shifts = [copy_offset(copies, number) for number in (1, copies.count)] if copies else [ZERO_VECTOR]
     for robot in scenario.world.robots:
         states = [state for start in scenario.reset.joint_starts if start.robot == robot.name for state in start.states]

@@ -197,7 +197,7 @@ def _why_not(name: str, scenario: Program, fixed: Collection[str]) -> str:
     hint = f"did you mean {near!r}? " if near else ""
     left = len(known) - _MAX_NAMES
     more = f" and {left} more, which `drawn` in the info of a reset lists" if left > 0 else ""
-    copies = scenario.policy.copies
+    copies = scenario.agent.copies
     of_copy = f"; `{copies.robot}#1.` to `{copies.robot}#{copies.count}.` before a name sets one copy" if copies else ""
     return f"{hint}{scenario.name} draws {', '.join(map(repr, known[:_MAX_NAMES])) or 'nothing that has a name'}{more}{of_copy}"
 

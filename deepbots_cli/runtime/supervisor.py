@@ -127,14 +127,14 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         self.views = frame_indices(scenario)
         self.depth = len(self.views)
         self.frame_stacks = {
-            entry.key: FrameStack(entry.shape, entry.ages(scenario.policy.frame_stack), self.depth) for entry in scenario.policy.images
+            entry.key: FrameStack(entry.shape, entry.ages(scenario.agent.frame_stack), self.depth) for entry in scenario.agent.images
         }
-        self.frames = np.zeros(self.depth * len(scenario.policy.numbers), np.float32)
+        self.frames = np.zeros(self.depth * len(scenario.agent.numbers), np.float32)
         self._buffer = self.frames.data
-        self._width = 4 * len(scenario.policy.numbers)
-        self._pack = Struct(f"{len(scenario.policy.numbers)}f").pack_into
-        self._ranges = sum(max(1, len(part.components)) for part in scenario.policy.action if isinstance(part, ActionRange))
-        self.goal = np.zeros(2 * len(scenario.policy.goal.low) if scenario.policy.goal else 0, np.float32)
+        self._width = 4 * len(scenario.agent.numbers)
+        self._pack = Struct(f"{len(scenario.agent.numbers)}f").pack_into
+        self._ranges = sum(max(1, len(part.components)) for part in scenario.agent.action if isinstance(part, ActionRange))
+        self.goal = np.zeros(2 * len(scenario.agent.goal.low) if scenario.agent.goal else 0, np.float32)
         self.physics = engine.step
         self.rebuild: Callable[[], Supervisor] | None = None
         self.fixed: tuple[str, ...] = ()  # parameters that no episode draws
@@ -387,7 +387,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
 
     def allowed(self) -> tuple[tuple[bool, ...], ...]:
         """Which options of each choice may be chosen next; all of them unless the scenario forbids some."""
-        return tuple((True,) * len(part.options) for part in self.scenario.policy.action if isinstance(part, Choices))
+        return tuple((True,) * len(part.options) for part in self.scenario.agent.action if isinstance(part, Choices))
 
     @abstractmethod
     def get_observations(self) -> Observation:
@@ -455,7 +455,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         Raises:
             FloatingPointError: A number is not a number.
         """
-        goal = self.scenario.policy.goal
+        goal = self.scenario.agent.goal
         assert goal is not None
         halves = [(high - low) / 2 for low, high in zip(goal.low, goal.high, strict=True)]
         middles = [(high + low) / 2 for low, high in zip(goal.low, goal.high, strict=True)]
@@ -503,14 +503,14 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
 
     def _fill_frames(self) -> None:
         """Let every frame be as the newest, which is in place 0: before an episode there was nothing else."""
-        width = len(self.scenario.policy.numbers)
+        width = len(self.scenario.agent.numbers)
         self.frames.reshape(self.depth, width)[1:] = self.frames[:width]
         for stack in self.frame_stacks.values():
             stack.frames[1:] = stack.frames[0]
 
     def _nothing_allowed(self, choice: str) -> None:
         """Called when every option of a choice is forbidden while the episode goes on."""
-        options = next(part.options for part in self.scenario.policy.action if part.name == choice and isinstance(part, Choices))
+        options = next(part.options for part in self.scenario.agent.action if part.name == choice and isinstance(part, Choices))
         names = ", ".join(option.name for option in options)
         raise EvaluationError(f"step {self.step_count}: every option of '{choice}' is forbidden: {names}")
 

@@ -114,7 +114,7 @@ class SourceState:
         """What may act, the default first."""
         if self.recording is not None:
             return (RECORDED,)
-        scripts = [script.name for script in self.program.policy.scripts] if self.program and not self.source.worlds else []
+        scripts = [script.name for script in self.program.agent.scripts] if self.program and not self.source.worlds else []
         return (*([POLICY] if self.run else []), *scripts, RANDOM, ZERO, HAND)
 
     def checked(self) -> api.Compiled:

@@ -163,9 +163,9 @@ class WorldFrame:
 
 def observation_fields(program: Program) -> tuple[PlottedField, ...]:
     """The numbers of the newest observation, then those of the goal."""
-    policy = program.policy
-    named = [PlottedField(n.full_name, n.name, 0.0 if n.is_truth else n.low, 1.0 if n.is_truth else n.high, n.unit) for n in policy.numbers]
-    goal = policy.goal
+    agent = program.agent
+    named = [PlottedField(n.full_name, n.name, 0.0 if n.is_truth else n.low, 1.0 if n.is_truth else n.high, n.unit) for n in agent.numbers]
+    goal = agent.goal
     for word in ("achieved", "desired") if goal else ():
         parts = goal.components or ("",) if goal else ()
         ends = zip(parts, goal.low, goal.high, strict=True) if goal else ()
@@ -176,7 +176,7 @@ def observation_fields(program: Program) -> tuple[PlottedField, ...]:
 def action_fields(program: Program) -> tuple[PlottedField, ...]:
     """A field for each choice and for each component of a range, choices and ranges in file order."""
     found = []
-    for part in program.policy.action:
+    for part in program.agent.action:
         if isinstance(part, Choices):
             names = tuple(option.name for option in part.options)
             found.append(PlottedField(part.name, part.name, 0.0, len(names) - 1.0, "", names))
@@ -222,7 +222,7 @@ class FrameReader:
     def __init__(self, env: Supervisor) -> None:
         self.env = env
         program, engine, world = env.scenario, env.engine, env.world
-        policy = program.policy
+        copies = program.agent.copies
         models = {robot.name: robot.model for robot in world.robots}
         self._poses = {(name, link.name): engine.pose(name, link.name) for name, model in models.items() for link in model.links}
         self._poses |= {(thing.name, thing.name): engine.pose(thing.name) for thing in world.objects}
@@ -236,7 +236,7 @@ class FrameReader:
 
         def called(body: str, agent: str) -> str:
             """What a body of an agent is called: a copy of a robot has the name of its agent."""
-            return agent if policy.copies and policy.copies.robot == body else body
+            return agent if copies and copies.robot == body else body
 
         controllers = {called(name, copy): each for copy, agent in env.agents.items() for name, each in agent.controllers.items()}
         devices = {f"{body}.{name}": device for body, each in controllers.items() for name, device in each.devices.items()}
@@ -257,7 +257,7 @@ class FrameReader:
             if sensor.beams and sensor.subjects[0] in {link.name for link in models[body].links}
         }
         self.layout = FrameLayout(
-            observation_fields(program), action_fields(program), tuple(term.name for term in policy.reward), models,
+            observation_fields(program), action_fields(program), tuple(term.name for term in program.agent.reward), models,
             {key: found for key, (found, _) in beams.items()}, {key: tap.fields for key, (_, tap) in self._message_recorders.items()},
         )  # fmt: skip
         self._rays = {key: engine.rays(found.part, rays, found.reach) for key, (found, rays) in beams.items()}
@@ -348,8 +348,8 @@ def value_of_row(value: Any, row: int) -> Any:
 
 def _newest(program: Program) -> tuple[NDArray[np.intp], list[bool]]:
     """Where the newest value of each number stands in the observation, and whether it is a truth value."""
-    numbers = program.policy.numbers
-    places = [at for at, (_, age) in enumerate(policy_inputs(numbers, program.policy.frame_stack)) if age == 0]
+    numbers = program.agent.numbers
+    places = [at for at, (_, age) in enumerate(policy_inputs(numbers, program.agent.frame_stack)) if age == 0]
     return np.array(places, np.intp), [number.is_truth for number in numbers]
 
 

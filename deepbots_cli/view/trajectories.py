@@ -104,10 +104,10 @@ def _extent(points: NDArray[np.float64]) -> float:
 
 def _subjects(program: Program, analysis: Analysis) -> list[_Subject]:
     """What the task reads, each once, in the order of the module's docstring."""
-    policy = program.policy
+    agent = program.agent
     endings = [(0 if ending.outcome == "success" else 2, ending.value) for ending in program.endings]
-    goals = [(0, policy.goal.achieved), (2, policy.goal.desired)] if policy.goal else []
-    values = [*goals, *endings, *((1, term) for term in policy.reward), *((2, entry.value) for entry in policy.observation)]
+    goals = [(0, agent.goal.achieved), (2, agent.goal.desired)] if agent.goal else []
+    values = [*goals, *endings, *((1, term) for term in agent.reward), *((2, entry.value) for entry in agent.observation)]
     found: dict[tuple[str, str], _Subject] = {}
     for rank, value in sorted(values, key=lambda ranked: ranked[0]):
         for both in _read_by(analysis, value):

@@ -123,10 +123,10 @@ def test_a_running_batch_is_restored_exactly(program: Program) -> None:
 def evaluated(name: str, worlds: int, seeds: list[int], overrides: tuple[str, ...] = ()) -> tuple[list[Episode] | None, list[Episode]]:
     """Episodes of an untrained policy in a batch, and in two single worlds."""
     program = api.compile(name, overrides=overrides).program
-    assert program.policy.training is not None
+    assert program.agent.training is not None
     singles = [api.build(program, engine="mujoco") for _ in range(2)]
     with closing(VectorEnvironment(singles, [0, 0])) as usual, closing(api.build_batch(program, worlds)) as many:
-        model = algorithms.create(program.policy.training, usual, seed=0, total_timesteps=100)
+        model = algorithms.create(program.agent.training, usual, seed=0, total_timesteps=100)
         return batch_rollout(model, many, seeds), rollout(model, singles, seeds, deterministic=True)
 
 

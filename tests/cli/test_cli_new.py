@@ -27,10 +27,10 @@ def test_what_a_template_makes_is_clean_runs_and_says_what_to_do_next(deepbots, 
     assert api.lint(tmp_path / "my_first.yaml", preview=True) == []
     compiled = api.compile(tmp_path / "my_first.yaml")
     assert compiled.program.name == "MyFirst"
-    assert compiled.program.policy.training is not None
+    assert compiled.program.agent.training is not None
     ran = deepbots("run", "my_first.yaml", "--episodes", "2")
     assert ran.code == 0, ran.err
-    for script in compiled.program.policy.scripts:
+    for script in compiled.program.agent.scripts:
         assert deepbots("run", "my_first.yaml", "--script", script.name, "--episodes", "1").code == 0
 
 

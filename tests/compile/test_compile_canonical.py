@@ -15,7 +15,7 @@ from tests.named import constant
 
 def test_minus_zero_and_infinity_are_told_apart() -> None:
     cartpole = api.compile("cartpole").program
-    one, *others = (digest(cartpole.with_policies(reward=(constant(value),))) for value in (0.0, -0.0, float("inf"), float("-inf")))
+    one, *others = (digest(cartpole.with_agents(reward=(constant(value),))) for value in (0.0, -0.0, float("inf"), float("-inf")))
     assert len({one, *others}) == 4
 
 

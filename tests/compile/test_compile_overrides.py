@@ -30,7 +30,7 @@ def test_a_joint_takes_range_and_limits_from_the_scenario(workshop, cartpole) ->
 
 def test_the_range_of_a_joint_bounds_what_its_sensor_can_read(workshop, cartpole) -> None:
     text = cartpole(with_cart("joints: {pole_hinge: {range: -30 .. 30 deg}}"), ("-20 .. 20 deg", "auto"))
-    lean = next(entry for entry in workshop.compile(text).program.policy.numbers if entry.name == "cart.pole_angle")
+    lean = next(entry for entry in workshop.compile(text).program.agent.numbers if entry.name == "cart.pole_angle")
     assert (lean.low, lean.high) == pytest.approx((-math.pi / 6, math.pi / 6))
 
 

@@ -145,7 +145,7 @@ def test_observations_share_no_memory(environment: Supervisor) -> None:
 def constant(scenario: Program, rollouts: list[list[Any]]) -> set[str]:
     """The numbers of the observation that never change; a bumper may well touch nothing in so short a time."""
     seen = np.array([numbers(observation) for one in rollouts for observation, *_ in one])
-    entries = [scenario.policy.numbers[index] for index, _ in policy_inputs(scenario.policy.numbers, scenario.policy.frame_stack)]
+    entries = [scenario.agent.numbers[index] for index, _ in policy_inputs(scenario.agent.numbers, scenario.agent.frame_stack)]
     spreads = np.ptp(seen, axis=0).reshape(-1, len(entries)).max(axis=0)
     return {entry.full_name for entry, spread in zip(entries, spreads, strict=True) if spread == 0.0 and not entry.is_truth}
 
@@ -153,14 +153,14 @@ def constant(scenario: Program, rollouts: list[list[Any]]) -> set[str]:
 def test_no_observation_is_constant(environment: Supervisor, rollouts: list[list[Any]]) -> None:
     """Under random actions, or under a script of the scenario: one whose world shows itself to skill alone has to name such a script."""
     scenario, still = environment.scenario, constant(environment.scenario, rollouts)
-    for script in scenario.policy.scripts if still else ():
+    for script in scenario.agent.scripts if still else ():
         still &= constant(scenario, [list(episode(environment, seed, 250, script.name)) for seed in range(2)])
     assert still == set()
 
 
 def test_scripts_give_actions_of_the_space_and_the_same_bytes_again(environment: Supervisor, make: Make) -> None:
     other = make()
-    for script in environment.scenario.policy.scripts:
+    for script in environment.scenario.agent.scripts:
         transitions = [[as_bytes(step) for step in episode(world, 5, 60, script.name)] for world in (environment, other)]
         assert transitions[0] == transitions[1]
         assert environment.action_space.contains(environment.script(script.name))
@@ -195,15 +195,15 @@ def test_an_episode_ends_for_one_reason(environment: Supervisor, rollouts: list[
         assert type(terminated) is bool
         assert type(truncated) is bool
         assert not (terminated and truncated)
-        assert set(info) - {"action_mask"} - ({"each"} if environment.scenario.policy.copies else set()) == {
+        assert set(info) - {"action_mask"} - ({"each"} if environment.scenario.agent.copies else set()) == {
             "is_success",
             "ended_by",
             "endings",
             "reward_terms",
         }
         assert (info["ended_by"] in known) if terminated or truncated else (info["ended_by"] is None)
-        assert not info["is_success"] or terminated or (truncated and environment.scenario.policy.goal is not None)
-        assert list(info["reward_terms"]) == [term.name for term in environment.scenario.policy.reward]
+        assert not info["is_success"] or terminated or (truncated and environment.scenario.agent.goal is not None)
+        assert list(info["reward_terms"]) == [term.name for term in environment.scenario.agent.reward]
 
 
 def test_the_reward_is_the_sum_of_its_terms(rollouts: list[list[Any]]) -> None:
@@ -307,7 +307,7 @@ def test_gymnasiums_checker_has_nothing_to_say_of_pictures() -> None:
 @pytest.mark.every_scenario
 def test_stable_baselines_checker_has_nothing_to_say(make: Make) -> None:
     environment = make()
-    if environment.scenario.policy.copies:
+    if environment.scenario.agent.copies:
         pytest.skip("a policy sees each copy of a team by itself, never the team")
     with warnings.catch_warnings():
         warnings.simplefilter("error")

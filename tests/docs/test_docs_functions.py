@@ -57,7 +57,7 @@ def test_the_examples_have_no_findings(checked: CheckedScenario):
 
 def test_the_examples_give_finite_values_in_every_step(checked: CheckedScenario):
     compiled = api.compile(checked)
-    fields = [entry.name for entry in compiled.program.policy.numbers]
+    fields = [entry.name for entry in compiled.program.agent.numbers]
     env = api.build(compiled.program)
     seen = [env.reset(seed=1)[0]]
     env.action_space.seed(1)

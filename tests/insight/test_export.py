@@ -32,7 +32,7 @@ def _made(scenario: str, algorithm: str, activation: str = "tanh", frame_stack: 
     """A program, and an untrained policy whose weights are spread, so that its actions differ."""
     program = api.compile(scenario).program
     training = Training(algorithm, 1000, network=Network((32, 32), activation))
-    program = program.with_policies(training=training, frame_stack=frame_stack)
+    program = program.with_agents(training=training, frame_stack=frame_stack)
     spaces = VectorEnvironment([_Spaces(program)], [0])
     model = algorithms.create(training, spaces, seed=0, total_timesteps=1, to_learn=False)
     with torch.no_grad():
@@ -97,7 +97,7 @@ def test_older_values_stand_where_the_environment_puts_them():
     program, model = _made("cartpole", "PPO", frame_stack=3)
     graph = export.networks(model, program)["policy.onnx"]
     assert _session(graph).get_inputs()[0].shape == ["batch", 12]
-    assert [entry.steps_ago for entry in program.policy.inputs][::4] == [2, 1, 0]
+    assert [entry.steps_ago for entry in program.agent.inputs][::4] == [2, 1, 0]
 
 
 def test_a_layer_that_is_not_known_is_named():

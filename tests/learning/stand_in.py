@@ -121,7 +121,7 @@ class CartPole(gym.Env[Any, Any]):
         self.program = program
         self.render_mode = render_mode
         self.observation_space = gym.spaces.Box(-1, 1, (4,), np.float32)
-        self.discrete = isinstance(program.policy.action[0], Choices)
+        self.discrete = isinstance(program.agent.action[0], Choices)
         self.action_space = gym.spaces.Discrete(2) if self.discrete else gym.spaces.Box(-1, 1, (1,), np.float32)
         self.closed = 0
 
@@ -147,7 +147,7 @@ class CartPole(gym.Env[Any, Any]):
 
     def _observation(self) -> Any:
         tip = self.v + self.w
-        raw = (self.x / 0.4, self.v / self.program.policy.numbers[1].high, self.angle / 0.35, tip / 2.0)
+        raw = (self.x / 0.4, self.v / self.program.agent.numbers[1].high, self.angle / 0.35, tip / 2.0)
         return np.clip(np.array(raw, np.float32), -1, 1)
 
     def _info(self, ended_by: str | None) -> dict[str, Any]:
@@ -178,7 +178,7 @@ class Failing(CartPole):
 
 def altered(base: api.Compiled, policy: Mapping[str, Any] | None = None, **changes: Any) -> api.Compiled:
     """The task with changes, also of its `policy`, that no file says; a run of it would be loaded without them."""
-    return replace(base, program=replace(base.program.with_policies(**policy or {}), **changes))
+    return replace(base, program=replace(base.program.with_agents(**policy or {}), **changes))
 
 
 def tree_digest(folder: Path) -> str:

@@ -264,7 +264,7 @@ def test_a_memory_is_of_one_episode_however_many_worlds_run_at_once(remembered: 
 
 
 def test_a_policy_with_a_memory_is_kept_whole_and_goes_on_learning(remembered: TrainingResult) -> None:
-    settings = Run.open(remembered.run).program.policy.training
+    settings = Run.open(remembered.run).program.agent.training
     assert settings is not None
     model = algorithms.create(settings, copies_of(stand_in.scenario(), Remember), seed=5, total_timesteps=100)
     models.load(remembered.run / "models" / "policy" / "last.zip", model)

@@ -188,8 +188,8 @@ def test_what_is_learned_does_not_depend_on_the_evaluations(
 def test_an_evaluation_stops_when_somebody_wants_the_training_to_end() -> None:
     task = stand_in.scenario(max_steps=50)
     world = stand_in.build(task)
-    assert task.policy.training is not None
-    model = algorithms.create(task.policy.training, VectorEnvironment([world] * 2, [0, 0]), seed=0, total_timesteps=100, longest_episode=50)
+    assert task.agent.training is not None
+    model = algorithms.create(task.agent.training, VectorEnvironment([world] * 2, [0, 0]), seed=0, total_timesteps=100, longest_episode=50)
     evaluator, interruption = Evaluator(stand_in.build, seed=0), Interruption()
     state = torch.get_rng_state()
     first, second = (evaluator.run_episodes(model, task, interruption) for _ in range(2))

@@ -97,7 +97,7 @@ def test_a_scenario_that_no_longer_fits_is_refused_field_by_field(trained: Train
 
 def test_reordered_observations_and_other_actions_are_refused(trained: TrainingResult) -> None:
     compiled = stand_in.compiled()
-    turned = stand_in.altered(compiled, policy={"observation": compiled.program.policy.observation[::-1]})
+    turned = stand_in.altered(compiled, policy={"observation": compiled.program.agent.observation[::-1]})
     with pytest.raises(RunError, match=r"order: run observation\.x"):
         evaluate(trained.run, scenario=turned, build=stand_in.build)
     with pytest.raises(RunError, match=r"action\.drive: run forward \(1\) \| backward \(-1\) sets drive, scenario -1 .. 1"):

@@ -243,7 +243,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import train
 from deepbots_cli.learning import algorithms, defaults
 program = api.compile("acme_spin").program
-print({entry.name: entry.value for entry in program.policy.training.hyperparameters}, algorithms.check(program.policy.training))
+print({entry.name: entry.value for entry in program.agent.training.hyperparameters}, algorithms.check(program.agent.training))
 print([entry.value for entry in defaults.effective_hyperparameters(program, 1000) if entry.name == "n_epochs"])
 try:
     train(api.compile("acme_spin", overrides=["train.algorithm=NoTensors"]), run="refused")

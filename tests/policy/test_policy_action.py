@@ -33,7 +33,7 @@ def test_choices_and_ranges_together_are_a_dict(small: Small) -> None:
 
 def test_the_previous_action_lists_both_as_numbers_in_file_order(small: Small) -> None:
     environment = small(REWARD, MIXED, "observation={previous_action: auto}")
-    names = [entry.component for entry in environment.scenario.policy.numbers]
+    names = [entry.component for entry in environment.scenario.agent.numbers]
     assert names == ["drive", "gear_low", "gear_high", "tilt"]
     assert environment.reset(seed=0)[0].tolist() == [0, 0, 0, 0]
     assert environment.step(act(1, 0.5, -0.25))[0].tolist() == [0.5, 0, 1, -0.25]

@@ -144,7 +144,7 @@ def asked_evaluation(scenario: str, training: Training, wanted: Evaluation) -> A
 def asked_baseline(scenario: str, wanted: Baseline) -> Asked:
     program = compiled(scenario)
     program = program if wanted.case is None else program.case(wanted.case).program
-    policy = {"scripts": program.policy.scripts if "--script" in wanted.options else (), "training": None}
+    policy = {"scripts": program.agent.scripts if "--script" in wanted.options else (), "training": None}
     found = digest(_with(program, policy, curriculum=(), cases=(), evaluation=EvaluationSettings()))
     return Asked(found, shlex.join(["deepbots", "run", scenario, *wanted.all_options]))
 
@@ -160,7 +160,7 @@ def _with(program: Program, policy: Mapping[str, Any], **changes: Any) -> Progra
     """The scenario with other fields, also of its policies, in its cases and stages too."""
     cases = tuple(replace(case, program=_with(case.program, policy, **changes)) for case in program.cases)
     curriculum = tuple(replace(stage, program=_with(stage.program, policy, **changes)) for stage in program.curriculum)
-    return replace(program.with_policies(**policy), **{"cases": cases, "curriculum": curriculum, **changes})
+    return replace(program.with_agents(**policy), **{"cases": cases, "curriculum": curriculum, **changes})
 
 
 def digest(program: Program) -> str:

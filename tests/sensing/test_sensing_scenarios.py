@@ -144,7 +144,7 @@ truncation: {max_steps: 10}
 def test_one_joint_of_a_sensor_of_several_is_not_observed_in_the_range_of_the_others(more: str, ranges: list[tuple[float, float]]) -> None:
     program = check(loads(ARM % more, base=Path.cwd())).program
     assert program is not None
-    ends = [pair for entry in program.policy.observation for pair in zip(entry.low, entry.high, strict=True)]
+    ends = [pair for entry in program.agent.observation for pair in zip(entry.low, entry.high, strict=True)]
     assert ends == [pytest.approx(pair) for pair in ranges]
 
 

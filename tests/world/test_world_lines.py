@@ -132,7 +132,7 @@ def scenario(tmp_path):
 
 def test_a_scenario_tells_the_place_beside_and_along_a_line_from_the_true_pose(scenario) -> None:
     compiled = api.compile(scenario)
-    assert [(entry.name, entry.low, entry.high) for entry in compiled.program.policy.numbers] == [
+    assert [(entry.name, entry.low, entry.high) for entry in compiled.program.agent.numbers] == [
         ("offset", -1.0, 1.0),
         ("driven", 0.0, 4.0),
     ]

@@ -63,7 +63,7 @@ def make(tmp_path: Path) -> Iterator[Callable[..., Supervisor]]:
 
 def seen(environment: Supervisor) -> dict[str, float]:
     """What the observation shows, in m and as truth values."""
-    entries = environment.scenario.policy.numbers
+    entries = environment.scenario.agent.numbers
     shown = environment.get_observations()
     return {
         f"{entry.name}{f'.{entry.component}' if entry.component else ''}": entry.low + (value + 1) / 2 * (entry.high - entry.low)

@@ -25,7 +25,7 @@ from deepbots_cli.expressions.scalar import Const, Draw, Scalar
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.resets import JointStart, RandomizedParameter, Reset
 from deepbots_cli.program.robots import Robot, Route
-from deepbots_cli.program.task import Network, Policy, Training, Truncation
+from deepbots_cli.program.task import Agent, Network, Training, Truncation
 from deepbots_cli.program.world import RobotBody, WorldModel
 from deepbots_cli.robots.model import RobotModel
 
@@ -194,7 +194,7 @@ _PATHS: tuple[tuple[str, str, Group], ...] = (
     (_POLICY + r"scripts/([^/]+)", r"scripts.\1", Group.training),
 )
 _AXES = {"rpy": ("roll", "pitch", "yaw")} | dict.fromkeys(("xyz", "size", "axis", "spacing", "scale", "gravity"), ("x", "y", "z"))
-_CONTAINER_RECORDS = (Program, WorldModel, RobotBody, RobotModel, Robot, Route, Policy, Truncation, Reset, JointStart, Training, Network)
+_CONTAINER_RECORDS = (Program, WorldModel, RobotBody, RobotModel, Robot, Route, Agent, Truncation, Reset, JointStart, Training, Network)
 """Records that only hold other records; their class is not compared."""
 _NAME = re.compile(r"[a-z_][a-z0-9_]*")
 _MAX_LISTED = 3

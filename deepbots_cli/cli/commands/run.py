@@ -203,7 +203,7 @@ def run_episodes(
 
 
 def _action(environment: Supervisor, text: str) -> Any:
-    parts = [width for part in environment.scenario.policy.action for width in _slots(part)]
+    parts = [width for part in environment.scenario.agent.action for width in _slots(part)]
     words = text.split(":")
     if len(words) != len(parts):
         raise UsageError(

@@ -164,7 +164,7 @@ def _names(given: list[str] | None) -> list[str] | None:
 
 def _announce(program: Program, seeds: str, timesteps: int | None, *, full: bool) -> None:
     """Say what is trained, when it ends, and how to end it earlier."""
-    training, solved = program.policy.training, program.solved
+    training, solved = program.agent.training, program.solved
     if training is not None:
         until = f", or until it is solved ({solved.description})" if solved and not full else ""
         terminal.note(f"training {program.name} with {training.algorithm} from {seeds}")
@@ -177,7 +177,7 @@ _MEASURED_FROM_STEPS = 20_000
 
 def _name_faster_engine(program: Program, timesteps: int | None, *, allow_code: bool) -> None:
     """Say which engine steps the world faster than the default one, before a long training."""
-    training = program.policy.training
+    training = program.agent.training
     if training is not None and (timesteps or training.total_timesteps) >= _MEASURED_FROM_STEPS:
         from deepbots_cli.cli import throughput
 
