@@ -17,8 +17,8 @@ errors.py     the exceptions, as a tree   files.py      files read up to a limit
 plugins.py    what other packages add     message_formats.py  how messages may be written
 processes.py  further processes of Python
 
-The documented Python API is `Scenario`, `load`, `compile`, `make`, `train`, `resume`, `evaluate`, `compare` and `load_policy`; each is
-imported when it is first asked for, so that importing this package costs nothing.
+The documented Python API is `Scenario`, `Permissions`, `load`, `compile`, `make`, `make_vec`, `train`, `resume`, `evaluate`, `compare` and
+`load_policy`; each is imported when it is first asked for, so that importing this package costs nothing.
 """
 
 from __future__ import annotations
@@ -27,13 +27,28 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from deepbots_cli.api import compile, load, make, make_vec
+    from deepbots_cli.document import Permissions
     from deepbots_cli.learning import compare, evaluate, load_policy, resume, train
     from deepbots_cli.scenario import Scenario
 
 __version__ = "0.1.0"
-__all__ = ["Scenario", "__version__", "compare", "compile", "evaluate", "load", "load_policy", "make", "make_vec", "resume", "train"]
+__all__ = [
+    "Permissions",
+    "Scenario",
+    "__version__",
+    "compare",
+    "compile",
+    "evaluate",
+    "load",
+    "load_policy",
+    "make",
+    "make_vec",
+    "resume",
+    "train",
+]
 
 _HOMES = {
+    "Permissions": "deepbots_cli.document",
     "Scenario": "deepbots_cli.scenario",
     "compile": "deepbots_cli.api",
     "load": "deepbots_cli.api",

@@ -13,7 +13,7 @@ neither simulator nor learner, and not the back end of the compiler either, whic
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -24,8 +24,8 @@ from deepbots_cli.compiler import CheckedScenario, check
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.nearest import nearest_word
+from deepbots_cli.document import Permissions, loads, shipped
 from deepbots_cli.document import load as read
-from deepbots_cli.document import loads, shipped
 from deepbots_cli.document.load import NO_DRAFTS, TESTS, Drafts
 from deepbots_cli.errors import MissingExtraError, ScenarioError, UsageError
 from deepbots_cli.lint import all_findings
@@ -44,9 +44,9 @@ class Compiled:
 
     `code` is printed, and `digest` computed, when first asked for. `inputs` maps a relative path for the copy of every file that was
     read to its bytes, the scenario first; `resolved` is the merged scenario as YAML, which compiles to the same beside a folder `inputs`
-    of those copies; `findings` is what `lint` says of it: warnings, and rules that failed (DB903); `allow_code` whether its terms
-    in Python may run; `fixed` are the parameters that no episode draws; `edited_code` is the module of an ejected project, which replaces
-    the printed one; `overrides` are the assignments of `--set`.
+    of those copies; `findings` is what `lint` says of it: warnings, and rules that failed (DB903); `permissions` are those that it was
+    read with; `fixed` are the parameters that no episode draws; `edited_code` is the module of an ejected project, which replaces the
+    printed one; `overrides` are the assignments of `--set`.
     """
 
     program: Program
@@ -54,7 +54,7 @@ class Compiled:
     inputs: Mapping[str, bytes]
     resolved: str
     findings: tuple[Finding, ...]
-    allow_code: bool = False
+    permissions: Permissions = Permissions()
     fixed: tuple[str, ...] = ()
     edited_code: str | None = None
     overrides: tuple[str, ...] = ()
@@ -104,8 +104,7 @@ def load(
     source: str | Path | Scenario,
     *,
     overrides: Sequence[str] = (),
-    allow_paths: Iterable[str | Path] = (),
-    allow_code: bool = False,
+    permissions: Permissions = Permissions(),
     drafts: Drafts = NO_DRAFTS,
     project: Path | None = None,
     tests: bool = False,
@@ -115,8 +114,8 @@ def load(
     Args:
         source: A path, the name of a shipped scenario, or a `Scenario`.
         overrides: Assignments `path=value`, as for `--set`.
-        allow_paths: Folders outside the project that the scenario may read from.
-        allow_code: Whether it may name functions of installed packages, which run when an environment is made of it.
+        permissions: Folders outside the project that it may read from, and whether it may name functions of installed packages, which
+            run when an environment is made of it.
         drafts: What to read in the place of files, by their absolute paths.
         project: The folder that the scenario may read from; by default the nearest one above that looks like a project.
         tests: Whether to read `tests` also with `overrides`, which may change what the tests name.
@@ -125,35 +124,32 @@ def load(
         UsageError: There is no such file.
     """
     if isinstance(source, Scenario):
-        document = loads(source.to_yaml(), f"<Scenario {source.name}>", overrides=overrides, allow_paths=allow_paths)
+        document = loads(source.to_yaml(), f"<Scenario {source.name}>", overrides=overrides, permissions=permissions)
     else:
         path, name = locate(source)
-        document = read(path, overrides, display=name, allow_paths=allow_paths, drafts=drafts, project=project)
+        document = read(path, overrides, display=name, permissions=permissions, drafts=drafts, project=project)
     root = document.root
     if overrides and not tests and root is not None:
         root = replace(root, entries={key: entry for key, entry in root.entries.items() if key != TESTS})
-    return check(replace(document, root=root, allow_code=allow_code))
+    return check(replace(document, root=root))
 
 
-def load_kept(
-    folder: Path, *, overrides: Sequence[str] = (), allow_paths: Iterable[str | Path] = (), allow_code: bool = True
-) -> CheckedScenario:
+def load_kept(folder: Path, *, overrides: Sequence[str] = (), permissions: Permissions = Permissions()) -> CheckedScenario:
     """The scenario that a run, a group or a recording keeps in its folder, which reads only files of this folder.
 
-    By default it may name functions of installed packages: building a world asks again whether they may run.
+    It may name functions of installed packages: building a world asks whether they may run.
 
     Raises:
         UsageError: The folder keeps no scenario.
     """
-    return load(folder / RESOLVED_NAME, overrides=overrides, allow_paths=allow_paths, allow_code=allow_code, project=folder)
+    return load(folder / RESOLVED_NAME, overrides=overrides, permissions=replace(permissions, code=True), project=folder)
 
 
 def lint(
     source: str | Path | Scenario,
     *,
     overrides: Sequence[str] = (),
-    allow_paths: Iterable[str | Path] = (),
-    allow_code: bool = False,
+    permissions: Permissions = Permissions(),
     preview: bool = False,
 ) -> list[Finding]:
     """All findings of a scenario, sorted; suppressed ones are left out, and those of rules in preview unless they are asked for.
@@ -161,7 +157,7 @@ def lint(
     Raises:
         UsageError: There is no such file.
     """
-    checked = load(source, overrides=overrides, allow_paths=allow_paths, allow_code=allow_code)
+    checked = load(source, overrides=overrides, permissions=permissions)
     try:
         return all_findings(checked, preview=preview)
     finally:
@@ -172,8 +168,7 @@ def compile(
     source: str | Path | Scenario | CheckedScenario,
     *,
     overrides: Sequence[str] = (),
-    allow_paths: Iterable[str | Path] = (),
-    allow_code: bool = False,
+    permissions: Permissions = Permissions(),
 ) -> Compiled:
     """Compile a scenario: text to intermediate representation to generated Python.
 
@@ -181,9 +176,7 @@ def compile(
         ScenarioError: The scenario has findings at error level.
         UsageError: There is no such file.
     """
-    checked = (
-        source if isinstance(source, CheckedScenario) else load(source, overrides=overrides, allow_paths=allow_paths, allow_code=allow_code)
-    )
+    checked = source if isinstance(source, CheckedScenario) else load(source, overrides=overrides, permissions=permissions)
     findings = all_findings(checked)
     if checked.program is None or any(finding.severity == "error" and not finding.is_internal_error for finding in findings):
         raise ScenarioError(findings)
@@ -196,7 +189,7 @@ def compile(
         inputs.contents(),
         inputs.resolved(),
         tuple(findings),
-        checked.document.allow_code,
+        checked.document.permissions,
         tuple(name for name in checked.spec.parameters if name not in drawn) if checked.spec else (),
         overrides=checked.document.overrides,
     )
@@ -206,8 +199,7 @@ def make(
     source: str | Path | Scenario | CheckedScenario | Compiled | Program,
     *,
     overrides: Sequence[str] = (),
-    allow_paths: Iterable[str | Path] = (),
-    allow_code: bool = False,
+    permissions: Permissions = Permissions(),
     engine: str | None = None,
     render_mode: str | None = None,
 ) -> Supervisor:
@@ -225,11 +217,11 @@ def make(
         EngineError: The engine cannot build this world.
     """
     if isinstance(source, (str, Path, Scenario, CheckedScenario)):
-        source = compile(source, overrides=overrides, allow_paths=allow_paths, allow_code=allow_code)
+        source = compile(source, overrides=overrides, permissions=permissions)
     if isinstance(source, Compiled):
-        allowed = allow_code or source.allow_code
-        return build(source.program, engine=engine, render_mode=render_mode, allow_code=allowed, fixed=source.fixed)
-    return build(source, engine=engine, render_mode=render_mode, allow_code=allow_code)
+        allowed = permissions if permissions.code else source.permissions
+        return build(source.program, engine=engine, render_mode=render_mode, permissions=allowed, fixed=source.fixed)
+    return build(source, engine=engine, render_mode=render_mode, permissions=permissions)
 
 
 def make_vec(
@@ -237,7 +229,7 @@ def make_vec(
     num_envs: int = 256,
     *,
     overrides: Sequence[str] = (),
-    allow_paths: Iterable[str | Path] = (),
+    permissions: Permissions = Permissions(),
     engine: str = "mujoco",
 ) -> BatchEnvironment:
     """Many worlds of a scenario as one `gymnasium.vector.VectorEnv`, stepped together on all cores.
@@ -259,7 +251,7 @@ def make_vec(
         MissingExtraError: The simulator is not installed.
     """
     if isinstance(source, (str, Path, Scenario, CheckedScenario)):
-        source = compile(source, overrides=overrides, allow_paths=allow_paths)
+        source = compile(source, overrides=overrides, permissions=permissions)
     program, fixed = (source.program, source.fixed) if isinstance(source, Compiled) else (source, ())
     batch = build_batch(program, num_envs, engine=engine, fixed=fixed)
     from deepbots_cli.runtime.vector import BatchEnvironment
@@ -302,12 +294,12 @@ class Builder:
     """
 
     program: Program
-    allow_code: bool
+    permissions: Permissions
     fixed: tuple[str, ...]
 
     def __call__(self, **options: Any) -> Supervisor:
         """The environment; `options` are the engine and the render mode."""
-        return build(self.program, allow_code=self.allow_code, fixed=self.fixed, **options)
+        return build(self.program, permissions=self.permissions, fixed=self.fixed, **options)
 
     def __repr__(self) -> str:
         from deepbots_cli.program.identity import digest
@@ -320,7 +312,7 @@ def build(
     *,
     engine: str | None = None,
     render_mode: str | None = None,
-    allow_code: bool = False,
+    permissions: Permissions = Permissions(),
     fixed: tuple[str, ...] = (),
 ) -> Supervisor:
     """The environment of a compiled scenario; see `make`.
@@ -328,9 +320,11 @@ def build(
     Args:
         fixed: The parameters that no episode draws.
     """
-    if program.python_functions and not allow_code:
+    if program.python_functions and not permissions.code:
         names = ", ".join(map(str, program.python_functions))
-        raise UsageError(f"{program.name} runs Python code ({names}); allow it with --allow-code (allow_code=True) if you trust it")
+        raise UsageError(
+            f"{program.name} runs Python code ({names}); allow it with --allow-code (permissions=Permissions(code=True)) if you trust it"
+        )
     try:
         from gymnasium.envs.registration import EnvSpec
 
@@ -347,7 +341,7 @@ def build(
     module = load_module(generate_module(program), f"deepbots_generated_{name}", f"<deepbots {name} {digest(program)[:12]}>")
     environment = make_environment(vars(module)[f"{name}Supervisor"], program, partial(engines.create, engine), render_mode)
     environment.fixed = fixed
-    builder = Builder(program, allow_code, fixed)
+    builder = Builder(program, permissions, fixed)
     environment.rebuild = partial(builder, engine=engine, render_mode=render_mode)
     environment.spec = EnvSpec(f"deepbots/{name}-v1", entry_point=builder, kwargs={"engine": engine, "render_mode": render_mode})
     return environment

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import ENGINES
 
 sys.path.insert(0, str(Path(__file__).parent / "exact"))
@@ -71,7 +72,7 @@ def simulated_here(monkeypatch: pytest.MonkeyPatch) -> None:
     from deepbots_cli.lint.rollouts import Simulator, compiled
     from deepbots_cli.lint.simulation import Limits, SimulationReport
 
-    def measure(inputs: Inputs, limits: Limits, *, allow_code: bool = False) -> SimulationReport:
+    def measure(inputs: Inputs, limits: Limits, permissions: Permissions) -> SimulationReport:
         report = SimulationReport()
 
         def write(entry: dict[str, object]) -> None:
@@ -82,7 +83,7 @@ def simulated_here(monkeypatch: pytest.MonkeyPatch) -> None:
 
         with tempfile.TemporaryDirectory() as folder:
             inputs.write(Path(folder))
-            Simulator(compiled(Path(folder), allow_code=allow_code), write, begin_step, allow_code=allow_code).run()
+            Simulator(compiled(Path(folder)), write, begin_step, permissions=permissions).run()
         report.add_line({"done": True})
         return report
 

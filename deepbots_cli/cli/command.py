@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Sequence
+from functools import wraps
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -215,7 +217,7 @@ class Commands(TyperGroup):
             ctx.fail(f"there is no command '{cmd_name}'; {hint}")
         module, _, function = COMMANDS[cmd_name][0].partition(".")
         app = typer.Typer(add_completion=False, rich_markup_mode=None, context_settings=_SETTINGS)
-        app.command(cmd_name)(getattr(import_module(f"deepbots_cli.cli.commands.{module}"), function))
+        app.command(cmd_name)(_with_permission_options(getattr(import_module(f"deepbots_cli.cli.commands.{module}"), function)))
         return typer.main.get_command(app)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
@@ -231,6 +233,27 @@ class Commands(TyperGroup):
         except KeyboardInterrupt:
             terminal.note("interrupted")
             raise typer.Exit(130) from None
+
+
+def _with_permission_options(command: Callable[..., None]) -> Callable[..., None]:
+    """The command with the options --allow-path and --allow-code in the place of its parameter `permissions`, if it has one."""
+    signature = inspect.signature(command, eval_str=True)
+    if "permissions" not in signature.parameters:
+        return command
+    from deepbots_cli.document import Permissions
+
+    @wraps(command)
+    def call(*, allow_paths: AllowPaths, allow_code: AllowCode, **given: Any) -> None:
+        command(**given, permissions=Permissions(allow_paths or (), allow_code))
+
+    options = {"allow_paths": (AllowPaths, None), "allow_code": (AllowCode, False)}
+    added = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
+        for name, (kind, default) in options.items()
+    ]
+    own = [parameter for parameter in signature.parameters.values() if parameter.name != "permissions"]
+    vars(call)["__signature__"] = signature.replace(parameters=[*own, *added])
+    return call
 
 
 def run_command(arguments: Sequence[str] | None) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.diagnostics import Finding, Findings, Source
 from deepbots_cli.diagnostics.nearest import nearest_word
-from deepbots_cli.document import MappingNode, Node, descend, files, inline_text, shipped
+from deepbots_cli.document import MappingNode, Node, Permissions, descend, files, inline_text, shipped
 from deepbots_cli.document.parse import parse
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import ScenarioError, UsageError
@@ -62,9 +62,7 @@ def text_at(root: Node | None, *path: str | int) -> str:
     return inline_text(node) if node is not None else ""
 
 
-def open_source(
-    source: str, overrides: Sequence[str], allow_paths: Iterable[Path], *, allow_code: bool, engine: str | None = None
-) -> OpenedSource:
+def open_source(source: str, overrides: Sequence[str], permissions: Permissions, engine: str | None = None) -> OpenedSource:
     """The scenario of a file or of a shipped name, checked for the engine if one is given, or that of the directory of a run or a group.
 
     Raises:
@@ -80,7 +78,7 @@ def open_source(
             return _compiled(api.load_kept(path))
         run, resolved = Run.open(path), path / RESOLVED_NAME
         return OpenedSource(run.program, parse(Source(str(resolved), resolved.read_text(encoding="utf-8-sig")), Findings()), run)
-    return _compiled(api.load(source, overrides=with_engine(overrides, engine), allow_paths=allow_paths, allow_code=allow_code))
+    return _compiled(api.load(source, overrides=with_engine(overrides, engine), permissions=permissions))
 
 
 def _compiled(checked: CheckedScenario) -> OpenedSource:

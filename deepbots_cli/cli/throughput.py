@@ -15,6 +15,7 @@ from deepbots_cli import api
 from deepbots_cli.api import Compiled
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.tables import table
+from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import ENGINES, chosen
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.program import Program
@@ -145,7 +146,9 @@ class FasterEngine:
         )
 
 
-def engine_speeds(program: Program, used: str, *, seconds: float = 0.05, seed: int = 0, allow_code: bool = False) -> dict[str, float]:
+def engine_speeds(
+    program: Program, used: str, *, seconds: float = 0.05, seed: int = 0, permissions: Permissions = Permissions()
+) -> dict[str, float]:
     """Steps of one world per second of CPU time in the engine `used`, and in our others that are installed and can hold the world.
 
     Each engine is measured for `seconds` of CPU time; the worlds are built in addition.
@@ -153,7 +156,7 @@ def engine_speeds(program: Program, used: str, *, seconds: float = 0.05, seed: i
     speeds: dict[str, float] = {}
     for name in dict.fromkeys((used, *(name for name, kind in ENGINES.own.items() if kind.is_installed))):
         try:
-            speeds[name] = _speed(program, name, seconds, seed, allow_code=allow_code)
+            speeds[name] = _speed(program, name, seconds, seed, permissions=permissions)
         except DeepbotsError:  # such as a world that the engine cannot hold
             if name == used:
                 raise
@@ -167,7 +170,7 @@ def faster_engine(speeds: Mapping[str, float], used: str) -> FasterEngine | None
     return found if found.ratio >= MIN_RATIO else None
 
 
-def note_faster_engine(program: Program, *, allow_code: bool = False) -> None:
+def note_faster_engine(program: Program, *, permissions: Permissions = Permissions()) -> None:
     """Measure for about 0.15 s of CPU time, and say in a line if another engine is faster than the default one.
 
     Nothing is measured for a scenario that names its engine.
@@ -176,13 +179,13 @@ def note_faster_engine(program: Program, *, allow_code: bool = False) -> None:
         return
     used = chosen(None)
     with suppress(DeepbotsError):  # which the command that makes the world reports
-        if found := faster_engine(engine_speeds(program, used, allow_code=allow_code), used):
+        if found := faster_engine(engine_speeds(program, used, permissions=permissions), used):
             terminal.note(f"note: {found.text}")
 
 
-def _speed(program: Program, engine: str, seconds: float, seed: int, *, allow_code: bool) -> float:
+def _speed(program: Program, engine: str, seconds: float, seed: int, permissions: Permissions) -> float:
     """Steps of one world per second of CPU time, resets included."""
-    with closing(api.make(program, engine=engine, allow_code=allow_code)) as world:
+    with closing(api.make(program, engine=engine, permissions=permissions)) as world:
         world.reset(seed=seed)
         world.action_space.seed(seed)
         steps, began = 0, time.process_time()

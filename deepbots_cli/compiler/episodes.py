@@ -347,7 +347,7 @@ def settling_time(namespace: Namespace, timestep: float) -> float:
 def python_term(name: str, given: PythonTerm, namespace: Namespace, *, boolean: bool) -> Expression:
     """A term of which nothing is known but whether it is a truth value."""
     values, text = namespace.values, namespace.values.field(given, "python")
-    if namespace.document.allow_code:
+    if namespace.document.permissions.code:
         headline = f"`{name}` runs Python code: {given.python}"
         values.findings.add("DB410", text.span, headline, help="write it as an expression, if the language has its functions")
     else:

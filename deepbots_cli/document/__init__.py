@@ -9,7 +9,7 @@ layout.py   nodes to text: the canonical layout, written trees, removed entries
 shipped.py  the scenarios and robots that come with deepbots
 """
 
-from deepbots_cli.document.load import Document, load, loads
+from deepbots_cli.document.load import Document, Permissions, load, loads
 from deepbots_cli.document.nodes import Entry, MappingNode, Node, NodePath, ScalarNode, SequenceNode, descend, inline_text, to_data, walk
 
 __all__ = [
@@ -18,6 +18,7 @@ __all__ = [
     "MappingNode",
     "Node",
     "NodePath",
+    "Permissions",
     "ScalarNode",
     "SequenceNode",
     "descend",

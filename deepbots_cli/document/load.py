@@ -36,6 +36,20 @@ TESTS = "tests"
 """The section that `extends` does not take over."""
 _MAX_LISTED = 20
 
+
+@dataclass(frozen=True)
+class Permissions:
+    """What a scenario may use besides shipped files and those of its project.
+
+    Attributes:
+        folders: Further folders that it may read from.
+        code: Whether it may call the Python functions that it names, of installed packages; only for packages that you trust.
+    """
+
+    folders: Texts[str | Path] = ()
+    code: bool = False
+
+
 Drafts = Table[Path, bytes]
 """Unsaved contents of files, by absolute path."""
 NO_DRAFTS: Drafts = {}
@@ -46,7 +60,7 @@ class Document:
     """The merged tree, every file that it came from, and their findings.
 
     `root` is None if a finding at error level left no tree. `files` maps the absolute path of each file to its text, the
-    main file first. The scenario may read from the folders `roots`, and name Python functions if `allow_code`. `overrides` are the
+    main file first. The scenario may read from the folders `roots`. `overrides` are the
     assignments of `--set` that were applied.
     """
 
@@ -56,7 +70,7 @@ class Document:
     findings: Findings
     roots: tuple[Path, ...]
     base: Path
-    allow_code: bool = False
+    permissions: Permissions = Permissions()
     overrides: tuple[str, ...] = ()
 
     @property
@@ -82,7 +96,7 @@ def load(
     overrides: Texts[str] = (),
     *,
     display: str | None = None,
-    allow_paths: Iterable[str | Path] = (),
+    permissions: Permissions = Permissions(),
     drafts: Drafts = NO_DRAFTS,
     project: Path | None = None,
 ) -> Document:
@@ -107,7 +121,7 @@ def load(
     except (OSError, ValueError, RuntimeError) as error:
         reason = error.strerror if isinstance(error, OSError) else None
         raise UsageError(f"{name} cannot be read: {(reason or 'not a usable file name').lower()}") from None
-    reader = _Reader(_roots(file.parent, overrides, allow_paths, project), drafts)
+    reader = _Reader(_roots(file.parent, overrides, permissions, project), permissions, drafts)
     source, readable = files.decode(data, name, reader.findings)
     reader.files[file] = source
     return reader.document(source, Path.cwd(), overrides, file.parent, (file,), readable=readable)
@@ -119,19 +133,19 @@ def loads(
     base: str | Path | None = None,
     overrides: Texts[str] = (),
     *,
-    allow_paths: Iterable[str | Path] = (),
+    permissions: Permissions = Permissions(),
 ) -> Document:
     """Read a scenario from a text; paths in it are relative to `base`, by default the working directory."""
     base = Path(base or Path.cwd()).resolve()
-    reader = _Reader(_roots(base, overrides, allow_paths))
+    reader = _Reader(_roots(base, overrides, permissions), permissions)
     source, readable = files.decode(text.encode("utf-8", "surrogatepass"), name, reader.findings)
     return reader.document(source, base, overrides, base, (), readable=readable)
 
 
-def _roots(folder: Path, overrides: Texts[str], allowed: Iterable[str | Path], project: Path | None = None) -> tuple[Path, ...]:
+def _roots(folder: Path, overrides: Texts[str], permissions: Permissions, project: Path | None = None) -> tuple[Path, ...]:
     # A path in an assignment is the user's own, and relative to the working directory.
     own = [project.resolve() if project else files.project_root(folder), *([files.project_root(Path.cwd())] if overrides else [])]
-    return tuple(dict.fromkeys((*own, *shipped.data_roots(), *allowed_folders(allowed))))
+    return tuple(dict.fromkeys((*own, *shipped.data_roots(), *allowed_folders(permissions.folders))))
 
 
 def allowed_folders(paths: Iterable[str | Path]) -> tuple[Path, ...]:
@@ -150,8 +164,9 @@ def allowed_folders(paths: Iterable[str | Path]) -> tuple[Path, ...]:
 class _Reader:
     """Reads each file once, within one budget for all of them."""
 
-    def __init__(self, roots: tuple[Path, ...], drafts: Drafts = NO_DRAFTS) -> None:
+    def __init__(self, roots: tuple[Path, ...], permissions: Permissions, drafts: Drafts = NO_DRAFTS) -> None:
         self.roots = roots
+        self.permissions = permissions
         self.drafts = drafts
         self.findings = Findings(MAX_FINDINGS)
         self.budget = Budget()
@@ -172,7 +187,7 @@ class _Reader:
         except TooManyFindings as too_many:
             root = None
             self.findings.report_limit(too_many)
-        return Document(root, source, self.files, self.findings, self.roots, base, overrides=tuple(overrides))
+        return Document(root, source, self.files, self.findings, self.roots, base, self.permissions, tuple(overrides))
 
     def scenario(self, source: Source, folder: Path, chain: tuple[Path, ...]) -> MappingNode | None:
         """The tree of one file; None, with findings, if the file or one that it extends cannot be used."""

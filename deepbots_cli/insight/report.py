@@ -24,6 +24,7 @@ import numpy as np
 
 import deepbots_cli
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
+from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, EngineError, MissingExtraError, RunError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.frames import Frame, Triple
@@ -186,12 +187,14 @@ class Report:
         labels = dict(zip((len(every) - 1, middle, 0), reversed(EPISODE_LABELS), strict=True))
         return [ReportEpisode(every[place].run, every[place].number, labels.get(place, "")) for place in sorted(places)]
 
-    def repeat_episodes(self, shown: Sequence[ReportEpisode], on_episode: OnEpisode, *, clips: bool, allow_code: bool = False) -> None:
+    def repeat_episodes(
+        self, shown: Sequence[ReportEpisode], on_episode: OnEpisode, *, clips: bool, permissions: Permissions = Permissions()
+    ) -> None:
         """Run episodes of the evaluation again, for their paths and clips."""
         self.episodes = shown
         ordered = sorted(shown, key=lambda each: self.runs.index(each.run))
         for member, mine in groupby(ordered, lambda each: each.run):
-            source = Source(str(member.run.path), engine=member.evaluation.engine, allow_code=allow_code)
+            source = Source(str(member.run.path), engine=member.evaluation.engine, permissions=permissions)
             with closing(source.open().player()) as player:
                 for each in mine:
                     frames = player.episode(member.evaluation.seed, each.number)

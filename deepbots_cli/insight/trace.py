@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli import api
+from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.insight.conditions import InstrumentedProgram, MeasuredComparison, StepValues, deciding_comparison, instrument_program
 from deepbots_cli.learning import failures
@@ -156,7 +157,7 @@ def trace_episodes(
     model: ModelName = "best",
     deterministic: bool = True,
     films: Mapping[int, Path] = MappingProxyType({}),
-    allow_code: bool = False,
+    permissions: Permissions = Permissions(),
 ) -> Iterator[Trace]:
     """Episodes of the evaluation of a run with this root seed; `films` are the MP4 files to write, by the number of the episode.
 
@@ -171,7 +172,7 @@ def trace_episodes(
     if not run.model(model).is_file():
         raise RunError(f"{run.path} holds no model '{model}'; train it first, with: deepbots train --resume {run.path}")
     watch = instrument_program(run.program)
-    with algorithms.torch_settings(), closing(_world(watch, run.engine_for(run.program), allow_code, draw=bool(films))) as world:
+    with algorithms.torch_settings(), closing(_world(watch, run.engine_for(run.program), permissions, draw=bool(films))) as world:
         policy = evaluation.load_model(run, model, world)
         for number in numbers:
             film, begin = films.get(number), Start.of_evaluation(seed, number)
@@ -184,8 +185,8 @@ def trace_episodes(
             yield trace
 
 
-def _world(watch: InstrumentedProgram, engine: str | None, allow_code: bool, *, draw: bool = False) -> TraceRecorder:
-    return TraceRecorder(api.build(watch.program, engine=engine, allow_code=allow_code, render_mode="rgb_array" if draw else None), watch)
+def _world(watch: InstrumentedProgram, engine: str | None, permissions: Permissions, *, draw: bool = False) -> TraceRecorder:
+    return TraceRecorder(api.build(watch.program, engine=engine, permissions=permissions, render_mode="rgb_array" if draw else None), watch)
 
 
 # Recordings and failures
@@ -200,7 +201,7 @@ def trace_recorded(opened: SourceState, episodes: Sequence[RecordedEpisode]) -> 
     """
     recording: Recording = opened.recording
     assert opened.program is not None  # a recording that does not compile is refused when it is opened
-    with closing(_world(instrument_program(opened.program), opened.source.engine, opened.source.allow_code)) as world:
+    with closing(_world(instrument_program(opened.program), opened.source.engine, opened.source.permissions)) as world:
         for recorded in episodes:
             again = steps(world, sequence_driver(actions(recording, recorded, world.action_space)), Start(recorded.seed))
             for place in range(len(recorded.steps)):
@@ -215,7 +216,7 @@ def trace_recorded(opened: SourceState, episodes: Sequence[RecordedEpisode]) -> 
             yield world.trace(f"episode {recorded.number} of {recording.path}")
 
 
-def trace_failure(path: Path, *, allow_code: bool = False) -> Trace:
+def trace_failure(path: Path, *, permissions: Permissions = Permissions()) -> Trace:
     """The episode of a file in the folder `failures` of a run.
 
     Raises:
@@ -223,7 +224,7 @@ def trace_failure(path: Path, *, allow_code: bool = False) -> Trace:
     """
     failure, run, program = failures.read_failure(path)
     error = ""
-    with closing(_world(instrument_program(program), run.record.engine, allow_code)) as world:
+    with closing(_world(instrument_program(program), run.record.engine, permissions)) as world:
         try:
             for _ in failures.repeat_steps(failure, program, world, path):
                 pass

@@ -20,6 +20,7 @@ import numpy as np
 from deepbots_cli import api
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME
 from deepbots_cli.diagnostics import Finding
+from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.insight.conditions import instrument_program
@@ -240,7 +241,9 @@ def lint_findings(run: Run) -> tuple[str, Sequence[Finding]]:
     overrides, folder = changed_settings(record.command), run.path / INPUTS_FOLDER
     own = folder / next(iter(record.inputs), RESOLVED_NAME)
     try:
-        compiled = api.compile(api.load(own, overrides=with_engine(overrides, record.engine), allow_code=True, project=folder))
+        compiled = api.compile(
+            api.load(own, overrides=with_engine(overrides, record.engine), permissions=Permissions(code=True), project=folder)
+        )
         if compiled.digest == run.digest:
             return join([str(own), "--allow-path", str(folder), *(f"--set={text}" for text in overrides)]), compiled.findings
     except DeepbotsError:
@@ -264,14 +267,16 @@ def read_training(run: Run) -> TrainingEvidence:
     return TrainingEvidence(run, episodes, evaluations, scalars_of(run.tensorboard), error, done, verdict, running)
 
 
-def run_probes(training: TrainingEvidence, *, allow_code: bool = False, on_episode: Callable[[int, int], object] | None = None) -> None:
+def run_probes(
+    training: TrainingEvidence, *, permissions: Permissions = Permissions(), on_episode: Callable[[int, int], object] | None = None
+) -> None:
     """Run the short episodes of a training, all from the same starts."""
     from deepbots_cli.learning import algorithms, evaluation
 
     run = training.run
     seeds = [derive_seed(run.record.seed, "diagnosis", number) for number in range(PROBE_EPISODES)]
     watch = instrument_program(training.program, include_observation=True)
-    world = TraceRecorder(api.build(watch.program, engine=run.record.engine, allow_code=allow_code), watch)
+    world = TraceRecorder(api.build(watch.program, engine=run.record.engine, permissions=permissions), watch)
     with algorithms.torch_settings(), closing(world):
         constant, still = _constant(world.world), _still(world.world)
         name: Any = next((name for name in ("last", "best") if run.model(name).is_file()), None)

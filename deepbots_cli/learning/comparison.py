@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
+from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.environments import WorldFactory, compiled_scenario
 from deepbots_cli.learning.episodes import Interval
@@ -149,7 +150,7 @@ def compare(
     scenario: Compiled | Scenario | str | Path | None = None,
     case: str | None = None,
     own: bool = False,
-    allow_code: bool = False,
+    permissions: Permissions = Permissions(),
     build: WorldFactory | None = None,
     on_run: OnRun | None = None,
 ) -> Comparison:
@@ -166,7 +167,7 @@ def compare(
         scenario: The scenario to evaluate in; by default that of the first run. Its interface must be that of every run.
         case: An evaluation case of this scenario.
         own: Whether each run is evaluated in its own scenario instead, such as variants with different observations.
-        allow_code: Whether terms in Python run.
+        permissions: With `code`, terms in Python run.
         build: Makes a world of the scenario in place of the generated supervisor.
         on_run: Is called after each run.
 
@@ -192,7 +193,9 @@ def compare(
     for group in members:
         results = []
         for run in group.runs:
-            found = evaluate(run, episodes=episodes, seed=seed, model=model, scenario=judged, case=case, allow_code=allow_code, build=build)
+            found = evaluate(
+                run, episodes=episodes, seed=seed, model=model, scenario=judged, case=case, permissions=permissions, build=build
+            )
             results.append(found)
             count += 1
             if on_run is not None:

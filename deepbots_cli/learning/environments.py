@@ -21,6 +21,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvO
 
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
+from deepbots_cli.document import Permissions
 from deepbots_cli.learning.failures import FailureRecorder
 from deepbots_cli.program import Program
 from deepbots_cli.rollout import Episode, EpisodeAccumulator
@@ -44,9 +45,9 @@ def compiled_scenario(scenario: Compiled | Scenario | str | Path) -> Compiled:
     return api.compile(scenario) if isinstance(scenario, (str, Path, Scenario)) else scenario
 
 
-def default_factory(engine: str, *, allow_code: bool = False) -> WorldFactory:
-    """The generated supervisor on `engine`; with `allow_code`, terms in Python run."""
-    return partial(api.build, engine=engine, allow_code=allow_code)
+def default_factory(engine: str, *, permissions: Permissions = Permissions()) -> WorldFactory:
+    """The generated supervisor on `engine`; terms in Python run with the permission `code`."""
+    return partial(api.build, engine=engine, permissions=permissions)
 
 
 class VectorEnvironment(VecEnv):

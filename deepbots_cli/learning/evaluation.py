@@ -26,6 +26,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from deepbots_cli.analysis import possible_returns
 from deepbots_cli.api import Compiled, build_batch
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
+from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.learning import algorithms, batch, models, video
 from deepbots_cli.learning.environments import VectorEnvironment, World, WorldFactory, compiled_scenario, default_factory, has_copies
@@ -120,7 +121,7 @@ def evaluate(
     video_to: str | Path | None = None,
     force: bool = False,
     copies: int | None = None,
-    allow_code: bool = False,
+    permissions: Permissions = Permissions(),
     engine: str | None = None,
     build: WorldFactory | None = None,
     on_episode: OnEpisode | None = None,
@@ -144,7 +145,7 @@ def evaluate(
         video_to: Where to write the first episode as mp4.
         force: Whether to overwrite a video that exists.
         copies: Single worlds at a time, 1 to 8. By default a batch of worlds if the engine has batches and the scenario fits one, else 8.
-        allow_code: Whether terms in Python run.
+        permissions: With `code`, terms in Python run.
         engine: The physics engine; by default that of the training, or of `scenario` if it names another.
         build: Makes a world of the scenario in place of the generated supervisor.
         on_episode: Is told after each episode how many are done, and of how many.
@@ -162,7 +163,7 @@ def evaluate(
     if video_to is not None:
         video.check_video_path(video_to, force=force)
     engine = engine or known.engine_for(program)
-    make = build or default_factory(engine, allow_code=allow_code)
+    make = build or default_factory(engine, permissions=permissions)
     seeds = [derive_seed(root, "evaluation", k) for k in range(count)]
     with algorithms.torch_settings(), ExitStack() as stack:
         done: list[Episode] | None = None
@@ -196,7 +197,7 @@ def evaluate_baselines(
     scenario: Compiled | Scenario | str | Path | None = None,
     case: str | None = None,
     stage: str | None = None,
-    allow_code: bool = False,
+    permissions: Permissions = Permissions(),
     engine: str | None = None,
     build: WorldFactory | None = None,
     on_episode: OnEpisode | None = None,
@@ -211,7 +212,7 @@ def evaluate_baselines(
     program, count, root = _evaluation_settings(known, episodes, seed, judged, case, stage)
     results = []
     engine = engine or known.engine_for(program)
-    with closing((build or default_factory(engine, allow_code=allow_code))(program)) as world:
+    with closing((build or default_factory(engine, permissions=permissions))(program)) as world:
         scripts = {f"script {script.name}": script.name for script in program.agent.scripts}
         for name, driver in {RANDOM: RANDOM, ZERO: ZERO, **scripts}.items():
             done = []

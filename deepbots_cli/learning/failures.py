@@ -22,6 +22,7 @@ import numpy as np
 from pydantic import BaseModel, NonNegativeInt, PositiveInt
 
 from deepbots_cli import api
+from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, EngineError, EvaluationError, RunError, UsageError
 from deepbots_cli.learning.curriculum import Curriculum
 from deepbots_cli.learning.episodes import Statistics
@@ -245,7 +246,7 @@ def repeat_steps(failure: Failure, program: Program, world: gym.Env[Any, Any], p
         yield step.number
 
 
-def reproduce(path: Path, *, allow_code: bool = False) -> tuple[Failure, str | None]:
+def reproduce(path: Path, *, permissions: Permissions = Permissions()) -> tuple[Failure, str | None]:
     """Repeat the episode of a file that `FailureRecorder` wrote; the failure, and the error of the repetition (None: it did not fail).
 
     If the episode ends earlier now, the actions of the failure are those that were repeated.
@@ -255,7 +256,7 @@ def reproduce(path: Path, *, allow_code: bool = False) -> tuple[Failure, str | N
     """
     failure, run, program = read_failure(path)
     done = 0
-    with closing(api.build(program, engine=run.record.engine, allow_code=allow_code)) as world:
+    with closing(api.build(program, engine=run.record.engine, permissions=permissions)) as world:
         try:
             for done in repeat_steps(failure, program, world, path):  # noqa: B007
                 pass

@@ -22,6 +22,7 @@ import deepbots_cli
 from deepbots_cli import api, engine_kinds
 from deepbots_cli.api import Compiled
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME, write_copies
+from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.learning.report import Reporter
 from deepbots_cli.learning.run import (
@@ -215,7 +216,7 @@ def resume_group(
     callbacks: Sequence[str] | None = None,
     loggers: Sequence[str] | None = None,
     progress: bool | Reporter = False,
-    allow_code: bool = False,
+    permissions: Permissions = Permissions(),
     on_seed: OnSeed | None = None,
     build: WorldFactory | None = None,
 ) -> GroupTraining:
@@ -238,7 +239,7 @@ def resume_group(
             known = Group(known.path, known.record.model_copy(update=followers))
             known.write()
         compiled = api.compile(api.load_kept(known.path))
-        compiled = replace(compiled, source=Path(known.record.source), allow_code=allow_code)
+        compiled = replace(compiled, source=Path(known.record.source), permissions=permissions)
         changes = followers | {name: value for name, value in given.items() if value is not None}
         return _train_seeds(known, compiled, changes, on_seed, progress=progress, build=build)
 
@@ -262,7 +263,7 @@ def _train_seeds(group: Group, compiled: Compiled, changes: Mapping[str, Any], o
             if on_seed is not None:
                 on_seed(seed, place + 1, len(seeds))
             if begun is not None:
-                result = resume(path, allow_code=compiled.allow_code, **changes, **each)
+                result = resume(path, permissions=compiled.permissions, **changes, **each)
             else:
                 result = train(compiled, run=path, seed=seed, **{**group.record.options, **changes}, **each)
             trained.append(result)

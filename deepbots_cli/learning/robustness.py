@@ -16,7 +16,7 @@ from deepbots_cli import api
 from deepbots_cli.api import Compiled
 from deepbots_cli.compiler import check
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
-from deepbots_cli.document import MappingNode, Node, ScalarNode, load
+from deepbots_cli.document import MappingNode, Node, Permissions, ScalarNode, load
 from deepbots_cli.errors import DeepbotsError, ScenarioError, UsageError
 from deepbots_cli.learning.evaluation import EvaluationResult, evaluate
 from deepbots_cli.learning.run import ModelName, Run
@@ -121,8 +121,7 @@ def evaluate_robustness(
     min_success: float | None = None,
     min_return: float | None = None,
     mass_of: str | None = None,
-    allow_paths: Sequence[str | Path] = (),
-    allow_code: bool = False,
+    permissions: Permissions = Permissions(),
     on_level: Callable[[int, int], object] | None = None,
     **options: Any,
 ) -> Robustness:
@@ -142,7 +141,7 @@ def evaluate_robustness(
         min_return: The bar of the mean return, in the place of the success rate.
         mass_of: What has its mass changed, `ROBOT.LINK` or an object; by default the heaviest link that can move.
         on_level: Is called after each evaluation with the number of those done and of all.
-        options: Further arguments of `evaluate`; `seed`, `model` and `allow_code` are as there.
+        options: Further arguments of `evaluate`; `seed`, `model` and `permissions` are as there.
 
     Raises:
         RunError: No run, a damaged one, or one that does not fit `scenario`.
@@ -151,16 +150,15 @@ def evaluate_robustness(
     known = run if isinstance(run, Run) else Run.open(run)
     base, project = (known.path / RESOLVED_NAME, known.path) if scenario is None else (api.locate(scenario)[0], None)
     base = base.resolve()
-
-    code = allow_code or scenario is None  # worlds that run the functions of a run ask again
+    reading = permissions if scenario is not None else replace(permissions, code=True)  # worlds that run the functions of a run ask again
 
     def changed(change: Change) -> Compiled:
-        return changed_scenario(base, change, overrides=overrides, allow_paths=allow_paths, allow_code=code, project=project)
+        return changed_scenario(base, change, overrides=overrides, permissions=reading, project=project)
 
     plain = changed({})
-    root = load(base, overrides, allow_paths=allow_paths, project=project).root
+    root = load(base, overrides, permissions=permissions, project=project).root
     count = min(EPISODES_PER_LEVEL, plain.program.evaluation.episodes) if episodes is None else episodes
-    given: dict[str, Any] = {"episodes": count, "seed": seed, "model": model, "allow_code": allow_code, **options}
+    given: dict[str, Any] = {"episodes": count, "seed": seed, "model": model, "permissions": permissions, **options}
     planned = list(plans(root, plain.program, mass_of)) if root is not None else []
     total = 1 + sum(len(levels) for _, levels in planned)
     done = 0
@@ -195,8 +193,7 @@ def changed_scenario(
     change: Change,
     *,
     overrides: Sequence[str] = (),
-    allow_paths: Sequence[str | Path] = (),
-    allow_code: bool = False,
+    permissions: Permissions = Permissions(),
     project: Path | None = None,
 ) -> Compiled:
     """The scenario in the file `base` with the keys of `change` and without its cases, compiled; `overrides` are applied last.
@@ -205,13 +202,13 @@ def changed_scenario(
         ScenarioError: The changed scenario has errors.
     """
     # A case may replace what a change modifies, such as the ground by a terrain.
-    cases = _node(load(base, allow_paths=allow_paths, project=project).root, "evaluation", "cases")
+    cases = _node(load(base, permissions=permissions, project=project).root, "evaluation", "cases")
     removed: Change = {"remove": ["evaluation.cases"]} if cases is not None else {}
     # A draft beside the scenario: nothing is written, and relative paths mean the same.
     path = base.with_name(f"{base.stem}.changed.yaml")
     text = json.dumps({"extends": base.name, **removed, **change})
-    document = load(path, overrides, allow_paths=allow_paths, drafts={path: text.encode()}, project=project)
-    return replace(api.compile(check(replace(document, allow_code=allow_code))), source=base)
+    document = load(path, overrides, permissions=permissions, drafts={path: text.encode()}, project=project)
+    return replace(api.compile(check(document)), source=base)
 
 
 def _level(label: str, result: EvaluationResult, metric: Metric, bar: float) -> RobustnessLevel:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from deepbots_cli import api
 from deepbots_cli.analysis.ranges import with_unit
+from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ExpectedResult, ScenarioTest
@@ -63,13 +64,13 @@ def run_tests(
     tests: Sequence[ScenarioTest],
     *,
     engine: str | None = None,
-    allow_code: bool = False,
+    permissions: Permissions = Permissions(),
     on_episode: OnEpisode | None = None,
 ) -> Iterator[TestResult]:
     """Yield the result of each test, those in the same case or stage together, which share an environment.
 
     Raises:
-        UsageError: There is no such engine, or the scenario calls functions of Python without `allow_code`.
+        UsageError: There is no such engine, or the scenario calls functions of Python without permission.
         MissingExtraError: The simulator is not installed.
         EngineError: The engine cannot build this world.
     """
@@ -80,7 +81,7 @@ def run_tests(
     for (case, stage), group in groupby(sorted(tests, key=setting), setting):
         together = tuple(group)
         chosen = program.case(case).program if case else program.stage(stage).program if stage else program
-        with closing(api.make(replace(chosen, tests=together), engine=engine, allow_code=allow_code)) as environment:
+        with closing(api.make(replace(chosen, tests=together), engine=engine, permissions=permissions)) as environment:
             for test in together:
                 yield _run(environment, test, on_episode)
 

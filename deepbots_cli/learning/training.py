@@ -24,6 +24,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 import deepbots_cli
 from deepbots_cli import engine_kinds
 from deepbots_cli.api import Compiled, build_batch
+from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, MissingExtraError, PluginError, RunError, UsageError
 from deepbots_cli.files import unwritable_message
 from deepbots_cli.learning import algorithms, batch, models, plugins
@@ -111,7 +112,7 @@ def train(
     if not 0 <= keep_checkpoints <= 10_000:
         raise UsageError(f"{keep_checkpoints} checkpoints cannot be kept; from 0 to 10000 are possible")
     engine = engine_kinds.chosen(engine or compiled.program.engine)
-    build = build or default_factory(engine, allow_code=compiled.allow_code)
+    build = build or default_factory(engine, permissions=compiled.permissions)
     Curriculum(compiled.program, stage)
     plugins.check(callbacks, loggers)
     source = None if initialize_from is None else Run.open(initialize_from)
@@ -161,7 +162,7 @@ def resume(
     callbacks: Sequence[str] | None = None,
     loggers: Sequence[str] | None = None,
     progress: bool | Reporter = False,
-    allow_code: bool = False,
+    permissions: Permissions = Permissions(),
     build: WorldFactory | None = None,
 ) -> TrainingResult:
     """Go on with a run from its last checkpoint, in the same directory.
@@ -176,7 +177,7 @@ def resume(
         callbacks: As for `train`, in the place of the run's own, from now on; () for none. Weights may then differ.
         loggers: As for `train`, in the place of the run's own, from now on; () for none.
         progress: As for `train`.
-        allow_code: Whether terms in Python run.
+        permissions: With `code`, terms in Python run.
         build: As for `train`.
 
     Raises:
@@ -219,7 +220,7 @@ def resume(
             "loggers": tuple(loggers),
         }
         known.record = record.model_copy(update=changes)  # written once the checkpoint is restored
-        build = build or default_factory(record.engine, allow_code=allow_code)
+        build = build or default_factory(record.engine, permissions=permissions)
         return _learn(known, training, checkpoints, build, reporter(progress), before=record)
 
 

@@ -128,7 +128,7 @@ class SimulationFindings:
     incomplete: str | None = None
 
 
-def simulate(checked: CheckedScenario, *, preview: bool = False, limits: Limits = Limits()) -> SimulationFindings:  # noqa: B008  # immutable
+def simulate(checked: CheckedScenario, *, preview: bool = False, limits: Limits = Limits()) -> SimulationFindings:  # immutable
     """Simulate a scenario without errors in a process of its own, and apply the simulated rules.
 
     If these find errors, warnings are dropped except `_CAUSES`: the behaviour would follow from the errors. A rule that raises an
@@ -137,7 +137,7 @@ def simulate(checked: CheckedScenario, *, preview: bool = False, limits: Limits 
     assert checked.program is not None  # it has no errors
     assert checked.namespace is not None
     source = checked.document.source
-    report = measure(checked.inputs, limits, allow_code=checked.document.allow_code)
+    report = measure(checked.inputs, limits, permissions=checked.document.permissions)
     if report.fault is not None:
         return SimulationFindings([internal_error_finding("the simulation", source, report.fault)])
     simulation = Simulation(checked, checked.program, checked.namespace, report)

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli import api, footprint, frames
+from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, EngineError, EvaluationError
 from deepbots_cli.frames import Triple
 from deepbots_cli.lint.simulation import (
@@ -62,21 +63,21 @@ class StoppedError(Exception):
     """The rest of the plan is impossible; the reason has been written."""
 
 
-def compiled(folder: Path, *, allow_code: bool) -> Program:
+def compiled(folder: Path) -> Program:
     """Compile the scenario whose files were copied into a folder."""
-    return api.compile(api.load_kept(folder, allow_code=allow_code)).program
+    return api.compile(api.load_kept(folder)).program
 
 
 class Simulator:
     """Carries out the plan of a scenario. `write` takes a result, `begin_step` the number of the next step."""
 
     def __init__(
-        self, program: Program, write: Callable[[dict[str, Any]], None], begin_step: Callable[[int], None], *, allow_code: bool
+        self, program: Program, write: Callable[[dict[str, Any]], None], begin_step: Callable[[int], None], permissions: Permissions
     ) -> None:
         self._program = program
         self._write = write
         self._begin_step = begin_step
-        self._allow_code = allow_code
+        self._permissions = permissions
         self._plan = simulation_plan(program)
         self._counters: dict[str, Counter] = {}
         self._rays = RayWatch(program)
@@ -103,7 +104,7 @@ class Simulator:
     def _build(self, program: Program) -> Supervisor:
         self._write({"at": ["build", 0]})
         try:
-            return api.build(program, allow_code=self._allow_code)
+            return api.build(program, permissions=self._permissions)
         except DeepbotsError as error:
             self._write({"stop": {"kind": "build", "text": str(error)}})
             raise StoppedError from None

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from deepbots_cli.compiler.inputs import Inputs
+from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.errors import MissingExtraError
 from deepbots_cli.processes import python_command, python_environment
@@ -317,7 +318,7 @@ def require_simulator() -> None:
         raise MissingExtraError("sim", "lint --deep")
 
 
-def measure(inputs: Inputs, limits: Limits, *, allow_code: bool = False) -> SimulationReport:
+def measure(inputs: Inputs, limits: Limits, *, permissions: Permissions = Permissions()) -> SimulationReport:
     """Simulate a scenario in a process of its own, which compiles it from copies of its files.
 
     Raises:
@@ -331,7 +332,7 @@ def measure(inputs: Inputs, limits: Limits, *, allow_code: bool = False) -> Simu
     environment = python_environment({"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"})
     with tempfile.TemporaryDirectory(prefix="deepbots-") as folder:
         inputs.write(Path(folder))
-        request = json.dumps({"folder": folder, "allow_code": allow_code}).encode()
+        request = json.dumps({"folder": folder, "allow_code": permissions.code}).encode()
         pipe, nowhere = subprocess.PIPE, subprocess.DEVNULL
         with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=nowhere, env=environment) as process:
             try:

@@ -18,6 +18,7 @@ from io import FileIO
 from pathlib import Path
 from typing import Any
 
+from deepbots_cli.document import Permissions
 from deepbots_cli.lint.simulation import OUT_OF_MEMORY, Limits
 
 _MIB = 2**20
@@ -53,12 +54,12 @@ def _simulate(request: dict[str, Any], out: FileIO, seconds: float) -> None:
     write(b"")
     from deepbots_cli.lint.rollouts import Simulator, compiled
 
-    program = compiled(Path(request["folder"]), allow_code=request["allow_code"])
+    permissions = Permissions(code=request["allow_code"])
     simulator = Simulator(
-        program,
+        compiled(Path(request["folder"])),
         write=lambda entry: write(json.dumps(entry).encode() + b"\n"),
         begin_step=lambda number: write(b"~%d\n" % number),
-        allow_code=request["allow_code"],
+        permissions=permissions,
     )
     simulator.run()
     write(b'{"done": true}\n')

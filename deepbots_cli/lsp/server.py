@@ -11,7 +11,7 @@ import logging
 import os
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from itertools import chain
@@ -26,6 +26,7 @@ import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.diagnostics import Edit, Finding
 from deepbots_cli.diagnostics.render import message, shortened
+from deepbots_cli.document import Permissions
 from deepbots_cli.document.layout import canonical_text
 from deepbots_cli.document.load import Drafts, allowed_folders
 from deepbots_cli.document.nodes import to_data
@@ -205,7 +206,7 @@ class CodeActions:
             return None
         known = analysis.checked.document
         try:
-            load = partial(api.load, allow_paths=known.roots, allow_code=known.allow_code)
+            load = partial(api.load, permissions=known.permissions)
             rewrites = Fixer([str(self._document.path)], load, wanted=analysis.selection.selects, drafts=self._workspace.drafts).fix()
         except UsageError:  # a file does not exist yet or has changed
             return None
@@ -352,14 +353,14 @@ class _Protocol(LanguageServerProtocol):
 class Server(LanguageServer):
     """Answers requests from the workspace, which the checker keeps up to date. The permissions are those of `deepbots lint`."""
 
-    def __init__(self, allow_paths: Sequence[Path] = (), allow_code: bool = False) -> None:
+    def __init__(self, permissions: Permissions = Permissions()) -> None:
         full = types.TextDocumentSyncKind.Full
         super().__init__("deepbots", deepbots_cli.__version__, text_document_sync_kind=full, protocol_cls=_Protocol)
         self.exit_code = 0  # the protocol wants 1 if the client exits without a shutdown request
         self._is_shut_down = False
         self.scenarios = Workspace()
         self._warned: set[str] = set()
-        run = partial(analyse, allow_paths=tuple(allow_paths), allow_code=allow_code)
+        run = partial(analyse, permissions=permissions)
         self.checker = Checker(self.scenarios, run, self._publish, self._warn)
         self._register(types.TEXT_DOCUMENT_DID_OPEN, self._opened)
         self._register(types.TEXT_DOCUMENT_DID_CHANGE, self._changed)
@@ -504,7 +505,7 @@ class Server(LanguageServer):
             self.window_show_message(types.ShowMessageParams(types.MessageType.Warning, sentence))
 
 
-def serve(port: int | None = None, *, allow_paths: Sequence[Path] = (), allow_code: bool = False) -> int:
+def serve(port: int | None = None, *, permissions: Permissions = Permissions()) -> int:
     """Serve one client over standard input and output or a local port until it exits; return the exit code.
 
     Raises:
@@ -519,7 +520,7 @@ def serve(port: int | None = None, *, allow_paths: Sequence[Path] = (), allow_co
     gc.disable()
     # The default of 5 ms doubles the time of an answer while an analysis runs.
     sys.setswitchinterval(0.001)
-    server = Server(allowed_folders(allow_paths), allow_code)
+    server = Server(Permissions(allowed_folders(permissions.folders), permissions.code))
     if port is not None:
         try:
             server.start_tcp("127.0.0.1", port)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import accumulate
 from pathlib import Path
@@ -24,7 +24,7 @@ from deepbots_cli.compiler import CheckedScenario, check
 from deepbots_cli.compiler.values import ScopedExpression
 from deepbots_cli.diagnostics import Finding, Findings, Source, Span
 from deepbots_cli.diagnostics.findings import Selection
-from deepbots_cli.document import MappingNode, descend, files, load, to_data
+from deepbots_cli.document import MappingNode, Permissions, descend, files, load, to_data
 from deepbots_cli.document.files import project_root
 from deepbots_cli.document.load import Drafts
 from deepbots_cli.document.nodes import Node, NodePath
@@ -192,7 +192,7 @@ class DocumentAnalysis:
         return tuple(reading for one in each if one.namespace is not None for reading in one.namespace.values.readings)
 
 
-def analyse(document: Document, drafts: Drafts, *, allow_paths: Iterable[Path] = (), allow_code: bool = False) -> DocumentAnalysis:
+def analyse(document: Document, drafts: Drafts, *, permissions: Permissions = Permissions()) -> DocumentAnalysis:
     """Load, check and lint a document. `drafts` replace files on the disk; the permissions are those of `deepbots lint`."""
     if not document.is_scenario:
         return DocumentAnalysis(document, drafts)  # scenarios that include the file report its findings
@@ -207,10 +207,10 @@ def analyse(document: Document, drafts: Drafts, *, allow_paths: Iterable[Path] =
     except UsageError as error:
         selection, settings_error = Selection(preview=preview), str(error)
     try:
-        read = load(document.path, display=str(document.path), allow_paths=allow_paths, drafts={**drafts, document.path: document.bytes})
+        read = load(document.path, display=str(document.path), permissions=permissions, drafts={**drafts, document.path: document.bytes})
     except UsageError:  # a folder, or a name that no file can have
         return DocumentAnalysis(document, drafts)
-    checked = check(replace(read, allow_code=allow_code))
+    checked = check(read)
     found = all_findings(checked, preview=preview)
     wanted = (*selection.inactive_rules(), *filter(selection.selects, found))
     return DocumentAnalysis(document, drafts, wanted, checked, settings_error, selection)

@@ -77,7 +77,7 @@ class Step(NamedTuple):
         return self.terminated or self.truncated
 
 
-def steps(world: gym.Env[Any, Any], driver: Driver, start: Start = Start()) -> Iterator[Step]:  # noqa: B008  # it is immutable
+def steps(world: gym.Env[Any, Any], driver: Driver, start: Start = Start()) -> Iterator[Step]:  # it is immutable
     """Run an episode; the caller may stop at any step.
 
     Raises:
@@ -96,7 +96,7 @@ def steps(world: gym.Env[Any, Any], driver: Driver, start: Start = Start()) -> I
         yield step
 
 
-def play(world: gym.Env[Any, Any], driver: Driver, start: Start = Start()) -> Episode:  # noqa: B008
+def play(world: gym.Env[Any, Any], driver: Driver, start: Start = Start()) -> Episode:
     """Run an episode to its end.
 
     Raises:

@@ -13,6 +13,7 @@ from gymnasium.vector.utils import batch_space
 from deepbots_cli import api
 from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.diagnostics import Finding
+from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import EngineError, MissingExtraError, RunError, ScenarioError, UsageError
 from deepbots_cli.learning.episodes import read_log
@@ -36,8 +37,7 @@ class Source:
 
     reference: str
     overrides: Sequence[str] = ()
-    allow_paths: Sequence[Path] = ()
-    allow_code: bool = False
+    permissions: Permissions = Permissions()
     engine: str | None = None
     case: str | None = None
     stage: str | None = None
@@ -62,7 +62,7 @@ class Source:
             checked, files = self._kept_scenario(Path(self.reference)), frozenset[Path]()
         else:
             overrides = with_engine(self.overrides, self.engine)
-            checked = api.load(self.reference, overrides=overrides, allow_paths=self.allow_paths, allow_code=self.allow_code)
+            checked = api.load(self.reference, overrides=overrides, permissions=self.permissions)
             files = frozenset({checked.document.path, *checked.document.files})
         try:
             compiled = api.compile(checked)
@@ -73,7 +73,7 @@ class Source:
         return SourceState(self._chosen(compiled.program), compiled.findings, files, self, run, compiled=compiled, parameters=parameters)
 
     def _kept_scenario(self, folder: Path) -> CheckedScenario:
-        return api.load_kept(folder, overrides=self.overrides, allow_paths=self.allow_paths)
+        return api.load_kept(folder, overrides=self.overrides, permissions=self.permissions)
 
     def _open_recording(self) -> SourceState:
         from deepbots_cli.view.recordings import Recording
@@ -230,7 +230,7 @@ class Player:
 
     def _make(self, program: Program) -> Supervisor:
         run, source = self.opened.run, self.opened.source
-        return api.build(program, engine=source.engine or (run.engine_for(program) if run else None), allow_code=source.allow_code)
+        return api.build(program, engine=source.engine or (run.engine_for(program) if run else None), permissions=source.permissions)
 
     def _reader(self) -> FrameReader:
         return FrameReader(self.env)

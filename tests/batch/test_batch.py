@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ pytest.importorskip("deepbots_cli.engines.mujoco")
 import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
+from deepbots_cli.document import Permissions
 from deepbots_cli.engines import ENGINES
 from deepbots_cli.errors import BatchError, UsageError
 from deepbots_cli.runtime import Supervisor
@@ -53,9 +54,9 @@ def assert_same(mine: Any, other: Any) -> None:
     np.testing.assert_array_equal(rows(mine), rows(other))
 
 
-def compare(name: str, worlds: int, steps: int, overrides: tuple[str, ...] = (), allow_paths: Sequence[Path] = ()) -> int:
+def compare(name: str, worlds: int, steps: int, overrides: tuple[str, ...] = (), permissions: Permissions = Permissions()) -> int:
     """Step a batch beside single worlds; the number of episodes that ended."""
-    compiled = api.compile(name, overrides=overrides, allow_paths=allow_paths)
+    compiled = api.compile(name, overrides=overrides, permissions=permissions)
     seeds = [100 + world for world in range(worlds)]
     singles = [api.make(compiled, engine="mujoco") for _ in seeds]
     ended = 0
@@ -134,7 +135,7 @@ def grip(tmp_path: Path) -> str:
 
 @pytest.mark.parametrize("engine", sorted(ENGINES))
 def test_a_finger_that_mimics_without_a_motor_moves_with_the_other(grip: str, engine: str) -> None:
-    with closing(api.make(grip, engine=engine, allow_paths=[HAND.parent])) as environment:
+    with closing(api.make(grip, engine=engine, permissions=Permissions([HAND.parent]))) as environment:
         seen, _ = environment.reset(seed=0)
         assert seen[0] > 0.0
         assert seen[0] + seen[1] == pytest.approx(-0.1, abs=1e-6)
@@ -145,7 +146,7 @@ def test_a_finger_that_mimics_without_a_motor_moves_with_the_other(grip: str, en
 
 
 def test_followers_live_the_same_episodes_in_a_batch(grip: str) -> None:
-    assert compare(grip, worlds=3, steps=45, allow_paths=[HAND.parent]) > 0
+    assert compare(grip, worlds=3, steps=45, permissions=Permissions([HAND.parent])) > 0
 
 
 @pytest.mark.slow

@@ -14,6 +14,7 @@ from deepbots_cli import api
 from deepbots_cli.cli.commands.bench import measure
 from deepbots_cli.cli.commands.train import _name_faster_engine as name_faster_engine
 from deepbots_cli.cli.throughput import faster_engine
+from deepbots_cli.document import Permissions
 from deepbots_cli.learning import defaults
 
 PLAIN = "train={algorithm: PPO, total_timesteps: 1000, policy: {activation: relu}}"
@@ -352,10 +353,10 @@ def test_the_engine_that_steps_a_world_fastest_is_named_with_its_ratio(deepbots)
 
 def test_a_training_that_is_long_names_the_faster_engine_unless_one_is_chosen(capfd):
     pytest.importorskip("pybullet")
-    name_faster_engine(api.compile("cartpole").program, None, allow_code=False)
+    name_faster_engine(api.compile("cartpole").program, None, permissions=Permissions())
     assert "note: mujoco steps this world" in capfd.readouterr().err
-    name_faster_engine(api.compile("cartpole").program, 600, allow_code=False)
-    name_faster_engine(api.compile("cartpole", overrides=["world.engine=pybullet"]).program, None, allow_code=False)
+    name_faster_engine(api.compile("cartpole").program, 600, permissions=Permissions())
+    name_faster_engine(api.compile("cartpole", overrides=["world.engine=pybullet"]).program, None, permissions=Permissions())
     assert "mujoco" not in capfd.readouterr().err
 
 

@@ -23,6 +23,7 @@ import pytest
 
 from deepbots_cli.cli import main
 from deepbots_cli.cli.commands.train import _page
+from deepbots_cli.document import Permissions
 from deepbots_cli.learning.run import RunRecord
 from deepbots_cli.learning.verdict import run_verdict
 from tests.cli.conftest import Ran
@@ -80,7 +81,7 @@ def test_a_run_is_never_overwritten(deepbots, trained):
 
 def test_the_address_of_the_page_of_a_training_is_shown_once_it_can_be_opened(trained, tmp_path, capfd):
     pytest.importorskip("viser")
-    with _page(wanted=True, allow_code=False) as show_page:
+    with _page(wanted=True, permissions=Permissions()) as show_page:
         show_page(tmp_path / "mine")
         found, end = None, time.monotonic() + 120
         while found is None and time.monotonic() < end:
@@ -95,7 +96,7 @@ def test_the_page_of_a_training_does_not_run_a_typer_py_of_the_working_directory
     pytest.importorskip("viser")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "typer.py").write_text("open(__file__ + '.ran', 'w').close()\n")
-    with _page(wanted=True, allow_code=False) as show_page:
+    with _page(wanted=True, permissions=Permissions()) as show_page:
         show_page(tmp_path / "missing")
         found, end = "", time.monotonic() + 60
         while "missing" not in found and time.monotonic() < end:

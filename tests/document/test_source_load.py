@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from deepbots_cli.document import Document, MappingNode, load, loads, shipped, to_data
+from deepbots_cli.document import Document, MappingNode, Permissions, load, loads, shipped, to_data
 from deepbots_cli.document.files import UnusableFile, project_root, resolve_reference
 from deepbots_cli.errors import UsageError
 
@@ -189,14 +189,14 @@ def test_an_allowed_path_may_be_read(tmp_path: Path) -> None:
     path = write(tmp_path / "project", main="extends: ../shared/base.yaml\n")
     write(tmp_path / "shared", base="a: 1\n")
     assert codes(load(path)) == ["DB204"]
-    assert data(load(path, allow_paths=[tmp_path / "shared"])) == {"a": 1}
+    assert data(load(path, permissions=Permissions([tmp_path / "shared"]))) == {"a": 1}
 
 
 def test_allowed_paths_may_be_text_and_a_single_one(tmp_path: Path) -> None:
     path = write(tmp_path / "project", main="extends: ../shared/base.yaml\n")
     write(tmp_path / "shared", base="a: 1\n")
     for allowed in ([str(tmp_path / "shared")], str(tmp_path / "shared"), tmp_path / "shared"):
-        assert data(load(str(path), allow_paths=allowed)) == {"a": 1}
+        assert data(load(str(path), permissions=Permissions(allowed))) == {"a": 1}
 
 
 def test_the_project_is_the_nearest_folder_with_a_marker(tmp_path: Path) -> None:
@@ -349,4 +349,4 @@ def test_extending_a_shipped_scenario_by_its_name_says_how_to_copy_it() -> None:
 def test_a_folder_to_be_allowed_that_is_not_there_is_wrong_usage(tmp_path: Path) -> None:
     file = write(tmp_path, a="deepbots: 1\n")
     with pytest.raises(UsageError, match="there is no folder"):
-        load(file, allow_paths=[tmp_path / "nowhere"])
+        load(file, permissions=Permissions([tmp_path / "nowhere"]))

@@ -17,6 +17,7 @@ from deepbots_cli.cli import main
 from deepbots_cli.cli.commands.diff import scenario_changes
 from deepbots_cli.cli.commands.eval import Gates
 from deepbots_cli.cli.sources import open_source
+from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import TrainingResult, compare, evaluate, evaluate_group, resume_group, train, train_group
 from deepbots_cli.learning.comparison import GroupDifference
@@ -39,11 +40,11 @@ def trained_group(tmp_path_factory: pytest.TempPathFactory) -> GroupTraining:
 
 
 def test_the_scenario_of_a_group_is_opened_like_that_of_its_runs(trained_group: GroupTraining) -> None:
-    group = open_source(str(trained_group.group), (), (), allow_code=False)
-    run = open_source(str(trained_group.group / "seed-0"), (), (), allow_code=False)
+    group = open_source(str(trained_group.group), (), Permissions())
+    run = open_source(str(trained_group.group / "seed-0"), (), Permissions())
     assert scenario_changes(group, run) == []
     with pytest.raises(UsageError, match="is a group, which stays as it was trained"):
-        open_source(str(trained_group.group), ("track=1 m",), (), allow_code=False)
+        open_source(str(trained_group.group), ("track=1 m",), Permissions())
 
 
 class InterruptsSeed(Reporter):

@@ -26,7 +26,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from deepbots_cli import api
 from deepbots_cli.cli.records import training_text
-from deepbots_cli.document import shipped
+from deepbots_cli.document import Permissions, shipped
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import checkpoints, evaluate, resume, train
 from deepbots_cli.learning.environments import VectorEnvironment, observation_digest
@@ -303,8 +303,8 @@ def test_the_generated_environment_is_brought_back_in_the_middle_of_an_episode(t
 @pytest.mark.parametrize("name", few(shipped.scenario_names(), ["find_and_avoid"]))
 def test_a_shipped_world_is_brought_back_in_the_middle_of_an_episode(name: str) -> None:
     """In a fresh world, from the states of its random generators as JSON and the actions of the episode."""
-    compiled = api.compile(name, allow_code=True)
-    with closing(VectorEnvironment([api.build(compiled.program, allow_code=True)], [7])) as env:
+    compiled = api.compile(name, permissions=Permissions(code=True))
+    with closing(VectorEnvironment([api.build(compiled.program, permissions=Permissions(code=True))], [7])) as env:
         env.reset()
         env.action_space.seed(1)
         ended, steps = 0, 0
@@ -315,7 +315,7 @@ def test_a_shipped_world_is_brought_back_in_the_middle_of_an_episode(name: str) 
         (history,) = env.histories()
         seen = observation_digest(env.last_observations)
     kept = EpisodeHistory(json.loads(json.dumps(history.start)), list(np.array(history.actions)))
-    with closing(VectorEnvironment([api.build(compiled.program, allow_code=True)], [8])) as env:
+    with closing(VectorEnvironment([api.build(compiled.program, permissions=Permissions(code=True))], [8])) as env:
         env.reset()
         assert observation_digest(env.repeat([kept])) == seen
 

@@ -17,7 +17,7 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.diagnostics import Finding
-from deepbots_cli.document import shipped
+from deepbots_cli.document import Permissions, shipped
 from deepbots_cli.lint import Limits, SimulationFindings, simulate
 from deepbots_cli.lint.simulation import measure
 
@@ -53,7 +53,7 @@ def checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     def make(function: str = "") -> CheckedScenario:
         text = CARTPOLE.replace("  alive: 1\n", f"  alive: 1\n  odd: {{python: 'hostile:{function}'}}\n" if function else "  alive: 1\n")
         (tmp_path / "cartpole.yaml").write_text(text)
-        return api.load(tmp_path / "cartpole.yaml", allow_code=True)
+        return api.load(tmp_path / "cartpole.yaml", permissions=Permissions(code=True))
 
     return make
 

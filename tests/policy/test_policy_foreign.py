@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from deepbots_cli import api
+from deepbots_cli.document import Permissions
 from deepbots_cli.errors import EvaluationError, ScenarioError, UsageError
 from deepbots_cli.runtime import Supervisor
 
@@ -63,13 +64,13 @@ def test_a_term_in_python_is_refused_at_its_place(written: Callable[[str], Path]
 
 
 def test_with_permission_it_is_a_warning_and_nothing_is_imported_to_compile(written: Callable[[str], Path]) -> None:
-    compiled = api.compile(written(TERMS), allow_code=True)
+    compiled = api.compile(written(TERMS), permissions=Permissions(code=True))
     assert {finding.code for finding in compiled.findings} >= {"DB410"}
     assert not [name for name in sys.modules if name.startswith("students")]
 
 
 def test_terms_in_python_are_called_with_the_supervisor(written: Callable[[str], Path]) -> None:
-    environment = api.make(written(TERMS), allow_code=True, engine="exact")
+    environment = api.make(written(TERMS), permissions=Permissions(code=True), engine="exact")
     environment.reset(seed=0)
     _, reward, terminated, _, info = environment.step(np.array([0.5], np.float32))
     truth = environment.engine.pose("cart", "cart")()[0][0]
@@ -82,23 +83,25 @@ def test_terms_in_python_are_called_with_the_supervisor(written: Callable[[str],
 
 
 def test_a_compiled_scenario_runs_no_code_unless_allowed(written: Callable[[str], Path]) -> None:
-    program = api.compile(written(TERMS), allow_code=True).program
+    program = api.compile(written(TERMS), permissions=Permissions(code=True)).program
     with pytest.raises(UsageError, match="--allow-code"):
         api.build(program, engine="exact")
     assert not [name for name in sys.modules if name.startswith("students")]
-    api.build(program, engine="exact", allow_code=True).close()
+    api.build(program, engine="exact", permissions=Permissions(code=True)).close()
 
 
 @pytest.mark.parametrize("place", ["students.none:height", "students.terms:none", "students.terms:thing", "students.bad:x"])
 def test_a_function_that_is_not_there_is_told_by_its_name(written: Callable[[str], Path], place: str) -> None:
-    compiled = api.compile(written(f"reward: {{tall: {{python: '{place}'}}}}\n"), allow_code=True)
+    compiled = api.compile(written(f"reward: {{tall: {{python: '{place}'}}}}\n"), permissions=Permissions(code=True))
     with pytest.raises(UsageError, match=f"reward term 'tall' in Python .{place}"):
         api.make(compiled, engine="exact")
 
 
 @pytest.mark.parametrize("function", ["word", "truth", "broken"])
 def test_what_goes_wrong_in_a_function_names_the_term(written: Callable[[str], Path], function: str) -> None:
-    environment = api.make(written(f"reward: {{tall: {{python: 'students.terms:{function}'}}}}\n"), allow_code=True, engine="exact")
+    environment = api.make(
+        written(f"reward: {{tall: {{python: 'students.terms:{function}'}}}}\n"), permissions=Permissions(code=True), engine="exact"
+    )
     environment.reset(seed=0)
     with pytest.raises(EvaluationError, match=f"step 1: the reward term 'tall' in Python .students.terms:{function}."):
         environment.step(np.zeros(1, np.float32))
@@ -108,4 +111,4 @@ def test_what_goes_wrong_in_a_function_names_the_term(written: Callable[[str], P
 @pytest.mark.parametrize("place", ["os.system", "os:system(1)", "../x:y", "a.b:c.d", ":f", "a:", "a b:c"])
 def test_only_dotted_names_are_places_of_functions(written: Callable[[str], Path], place: str) -> None:
     with pytest.raises(ScenarioError):
-        api.compile(written(f"reward: {{tall: {{python: '{place}'}}}}\n"), allow_code=True)
+        api.compile(written(f"reward: {{tall: {{python: '{place}'}}}}\n"), permissions=Permissions(code=True))

@@ -19,8 +19,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from deepbots_cli import api
 from deepbots_cli.cli import terminal, throughput
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Overrides, Scenario, Seed, integer, known_engine, option
+from deepbots_cli.cli.command import Json, Overrides, Scenario, Seed, integer, known_engine, option
 from deepbots_cli.cli.tables import row_as_lines
+from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError
 from deepbots_cli.scenario.fields import counted_noun
@@ -56,8 +57,7 @@ def command(
     ] = None,
     worlds: Annotated[str | None, option("--worlds N,N", "With batch, how many worlds; 1,16,64,256 by default.")] = None,
     as_json: Json = False,
-    allow_paths: AllowPaths = None,
-    allow_code: AllowCode = False,
+    permissions: Permissions = Permissions(),
 ) -> None:
     """Compare the time of a step with that of the physics.
 
@@ -83,7 +83,7 @@ def command(
         raise UsageError("--worlds goes with --engine batch")
     several = len(names) > 1 or throughput.BATCH in names
     changed = with_engine(overrides, None if several or not names else names[0])
-    compiled = api.compile(scenario, overrides=changed, allow_paths=allow_paths or (), allow_code=allow_code)
+    compiled = api.compile(scenario, overrides=changed, permissions=permissions)
     terminal.note_warnings(compiled.findings, scenario)
     if several:
         rounds = pairs or (1 if quick else 3)
@@ -95,7 +95,7 @@ def command(
     began, cpu_began = time.perf_counter(), time.process_time()
     with closing(api.make(compiled)) as environment, closing(api.make(compiled)) as bare:
         used = environment.engine.name
-        speeds = throughput.engine_speeds(compiled.program, used, seed=seed, allow_code=allow_code)
+        speeds = throughput.engine_speeds(compiled.program, used, seed=seed, permissions=permissions)
         faster = throughput.faster_engine(speeds, used)
         open_ended = not (steps or pairs or quick)
         pairs = pairs or (3 if quick else 5)

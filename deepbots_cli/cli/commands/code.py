@@ -11,7 +11,7 @@ import typer
 import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Force, Json, Overrides, Scenario, option
+from deepbots_cli.cli.command import AllowPaths, Force, Json, Overrides, Scenario, option
 from deepbots_cli.cli.commands.new import Files, modeline, write_new
 from deepbots_cli.codegen import generate_module
 from deepbots_cli.codegen.text import class_name
@@ -19,6 +19,7 @@ from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME
 from deepbots_cli.compiler.inventory import scenario_names
 from deepbots_cli.diagnostics.render import summary
+from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError, install_source
 from deepbots_cli.files import atomic_write, check_new_folder, check_output
 from deepbots_cli.program import identity
@@ -33,8 +34,7 @@ def compile_(
     program: Annotated[bool, option("--program", "Print the compiled scenario as canonical JSON instead of Python.")] = False,
     target: Annotated[str, option("--target TARGET", "scalar: one world; batch: many worlds, where each number is an array.")] = "scalar",
     as_json: Json = False,
-    allow_paths: AllowPaths = None,
-    allow_code: AllowCode = False,
+    permissions: Permissions = Permissions(),
 ) -> None:
     """Print the Python module that a scenario compiles to.
 
@@ -52,7 +52,7 @@ def compile_(
         raise UsageError("--program and --json exclude each other; --program prints JSON already")
     if target not in ("scalar", "batch"):
         raise UsageError(f"there is no target '{target}'; there are scalar and batch")
-    compiled = api.compile(scenario, overrides=overrides or (), allow_paths=allow_paths or (), allow_code=allow_code)
+    compiled = api.compile(scenario, overrides=overrides or (), permissions=permissions)
     if output is not None and output.is_file() and output.read_bytes() in compiled.inputs.values():
         raise UsageError(f"{output} is an input of the scenario; name another output file")
     terminal.note_warnings(compiled.findings, scenario)
@@ -71,8 +71,7 @@ def eject(
     overrides: Overrides = None,
     force: Force = False,
     as_json: Json = False,
-    allow_paths: AllowPaths = None,
-    allow_code: AllowCode = False,
+    permissions: Permissions = Permissions(),
 ) -> None:
     """Write a scenario as a Python project that you can edit.
 
@@ -84,7 +83,7 @@ def eject(
       cd my_cartpole && python run.py
     """
     check_new_folder(folder, force=force)
-    compiled = api.compile(scenario, overrides=overrides or (), allow_paths=allow_paths or (), allow_code=allow_code)
+    compiled = api.compile(scenario, overrides=overrides or (), permissions=permissions)
     terminal.note_warnings(compiled.findings, scenario)
     written = write_new(project_files(compiled), folder, force=force)
     further = [f"cd {quote(str(folder))} && python run.py"]
@@ -105,7 +104,7 @@ def project_files(compiled: api.Compiled) -> Files:
         "supervisor": f"{class_name(compiled.program.name)}Supervisor",
         "resolved": RESOLVED_NAME,
         "inputs": INPUTS_FOLDER,
-        "options": ", allow_code=True" if compiled.allow_code else "",
+        "code": compiled.permissions.code,
     }
     made = {name: templates.get_template(f"{name}.j2").render(words) for name in ("README.md", "task.py", "run.py", "train.py")}
     made |= {"environment.py": compiled.code, RESOLVED_NAME: compiled.resolved, "requirements.txt": _requirements()}
@@ -151,7 +150,7 @@ def schema(
     if scenario is None:
         _write(schema_text(), output, force=force)
         return
-    checked = api.load(scenario, allow_paths=allow_paths or ())
+    checked = api.load(scenario, permissions=Permissions(allow_paths or ()))
     if output is not None and _is_read(checked, output):
         raise UsageError(f"{output} is an input of the scenario; name another output file")
     _write(schema_text(scenario_names(checked)), output, force=force)

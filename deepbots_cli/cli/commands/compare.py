@@ -11,8 +11,9 @@ import typer
 
 from deepbots_cli import api, learning
 from deepbots_cli.cli import records, terminal
-from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Json, integer, option
+from deepbots_cli.cli.command import MAX_SEED, Json, integer, option
 from deepbots_cli.cli.tables import Row, table
+from deepbots_cli.document import Permissions
 from deepbots_cli.learning.run import RunRecord, changed_settings, short_settings
 
 if TYPE_CHECKING:
@@ -32,8 +33,7 @@ def command(
     case: Annotated[str | None, option("--case NAME", "Evaluate in this case of the scenario.")] = None,
     own: Annotated[bool, option("--own", "Evaluate each run in its own scenario, for runs with different observations.")] = False,
     as_json: Json = False,
-    allow_paths: AllowPaths = None,
-    allow_code: AllowCode = False,
+    permissions: Permissions = Permissions(),
 ) -> None:
     """Compare policies on the same starts.
 
@@ -54,7 +54,7 @@ def command(
     Next: `deepbots diff RUN RUN` shows how the scenarios of two runs differ.
     """
     if scenario is not None:
-        judged = api.compile(scenario, allow_paths=allow_paths or (), allow_code=allow_code)
+        judged = api.compile(scenario, permissions=permissions)
         terminal.note_warnings(judged.findings, scenario)
     with terminal.transient_line("loading the policies ..."):
         compare = learning.compare  # which imports torch
@@ -67,7 +67,7 @@ def command(
             scenario=None if scenario is None else judged,
             case=case,
             own=own,
-            allow_code=allow_code,
+            permissions=permissions,
             on_run=show,
         )
     terminal.show(_data(found), *_lines(found), as_json=as_json)

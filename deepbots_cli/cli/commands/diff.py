@@ -16,10 +16,11 @@ from typing import Annotated, Any, Literal
 import typer
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Overrides
+from deepbots_cli.cli.command import Json, Overrides
 from deepbots_cli.cli.exits import FAILED, WRONG_USAGE
 from deepbots_cli.cli.sources import OpenedSource, open_source
 from deepbots_cli.cli.tables import cell_text, formula_text
+from deepbots_cli.document import Permissions
 from deepbots_cli.errors import ScenarioError
 from deepbots_cli.expressions.scalar import Const, Draw, Scalar
 from deepbots_cli.program import Program, identity
@@ -63,8 +64,7 @@ def command(
     other: _Side,
     overrides: Overrides = None,
     as_json: Json = False,
-    allow_paths: AllowPaths = None,
-    allow_code: AllowCode = False,
+    permissions: Permissions = Permissions(),
 ) -> None:
     """Compare the meaning of two scenarios.
 
@@ -82,9 +82,7 @@ def command(
       deepbots diff runs/cartpole-0-1 cartpole.yaml
     """
     try:
-        sides = [
-            open_source(name, given, allow_paths or (), allow_code=allow_code) for name, given in ((one, ()), (other, overrides or ()))
-        ]
+        sides = [open_source(name, given, permissions) for name, given in ((one, ()), (other, overrides or ()))]
     except ScenarioError as error:
         terminal.show_findings(error.findings)
         raise typer.Exit(WRONG_USAGE) from None

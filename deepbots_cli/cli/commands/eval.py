@@ -16,8 +16,6 @@ from deepbots_cli.analysis import possible_returns
 from deepbots_cli.cli import records, terminal
 from deepbots_cli.cli.command import (
     MAX_SEED,
-    AllowCode,
-    AllowPaths,
     Force,
     Json,
     Overrides,
@@ -32,6 +30,7 @@ from deepbots_cli.cli.commands.insight import repeat_failed
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import table
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
+from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import check_output
@@ -126,8 +125,7 @@ def command(
     junit: Annotated[Path | None, option("--junit FILE", "Write the requirements as JUnit XML, a test case for each.")] = None,
     force: Force = False,
     as_json: Json = False,
-    allow_paths: AllowPaths = None,
-    allow_code: AllowCode = False,
+    permissions: Permissions = Permissions(),
 ) -> None:
     """Evaluate the policy of a run on held-out episodes.
 
@@ -173,16 +171,16 @@ def command(
     given = {name.replace("_", "-"): value for name, value in locals().items() if value is not None and value is not False}
     single = ("video", "robustness", "baselines", "details")
     if episodes == FAILED_EPISODES:
-        others = [name for name in given if name not in ("run", "episodes", "video", "force", "as-json", "allow-paths", "allow-code")]
+        others = [name for name in given if name not in ("run", "episodes", "video", "force", "as-json", "permissions")]
         _refuse("does not go with --episodes failed, which repeats the last evaluation as it was", given, others)
-        repeat_failed(Run.open(run), video, force=force, as_json=as_json, allow_code=allow_code)
+        repeat_failed(Run.open(run), video, force=force, as_json=as_json, permissions=permissions)
         return
     gates = Gates(min_success, min_return, require_solved)
     if mass_of is not None and not robustness:
         raise UsageError("--mass-of belongs to --robustness; add it")
     _check_files(csv, junit, video, gates, force=force)
     chosen: dict[str, Any] = {"episodes": episodes, "model": "last" if last else "best"}
-    chosen |= {"allow_code": allow_code, "deterministic": not stochastic}
+    chosen |= {"permissions": permissions, "deterministic": not stochastic}
     several: Sequence[str | None] = engine or [None]
     if len(several) > 1:
         _refuse("evaluates in one engine; name one with --engine", given, single)
@@ -190,14 +188,14 @@ def command(
         group = Group.open(run)
         one = f"evaluates a single run, and {run} is a group; name one of its runs, such as {group.runs[0] if group.runs else run}"
         _refuse(one, given, single)
-        scenarios = [evaluation_scenario(run, group.record.engine, scenario, overrides, name, allow_paths, allow_code) for name in several]
+        scenarios = [evaluation_scenario(run, group.record.engine, scenario, overrides, name, permissions) for name in several]
         chosen |= {"seed": seed or 0, "case": case, "stage": stage}
         _evaluate_group(run, scenarios, gates, csv=csv, junit=junit, as_json=as_json, **chosen)
         return
     known = Run.open(run)
     if robustness:
         _refuse("does not go with --robustness", given, ("video", "csv", "junit", "baselines", "details", "require-solved"))
-        chosen |= {"scenario": scenario, "overrides": with_engine(overrides, several[0]), "allow_paths": allow_paths or ()}
+        chosen |= {"scenario": scenario, "overrides": with_engine(overrides, several[0])}
         _robustness(known, gates, as_json=as_json, case=case, stage=stage, seed=seed, mass_of=mass_of, **chosen)
         return
     chosen |= {"seed": seed}
@@ -206,7 +204,7 @@ def command(
     found: list[_EngineEvaluations] = []
     requirements: list[Requirement] = []
     for name in several:
-        compiled = evaluation_scenario(run, known.record.engine, scenario, overrides, name, allow_paths, allow_code)
+        compiled = evaluation_scenario(run, known.record.engine, scenario, overrides, name, permissions)
         program = known.program if compiled is None else compiled.program
         gates.check(program)
         usual = program.evaluation.episodes if case is None else program.case(case).episodes
@@ -290,13 +288,12 @@ def evaluation_scenario(
     scenario: str | None,
     overrides: Sequence[str] | None,
     engine: str | None,
-    allow_paths: Sequence[Path] | None,
-    allow_code: bool,
+    permissions: Permissions,
 ) -> Compiled | None:
     """The scenario to evaluate in, where it is not that of the run or group in `folder`."""
     if scenario is None and not overrides and engine in (None, trained_in):
         return None
-    options: dict[str, Any] = {"overrides": with_engine(overrides, engine), "allow_paths": allow_paths or (), "allow_code": allow_code}
+    options: dict[str, Any] = {"overrides": with_engine(overrides, engine), "permissions": permissions}
     if scenario is None:
         return api.compile(api.load(folder / RESOLVED_NAME, project=folder, **options))
     compiled = api.compile(api.load(scenario, **options))

@@ -14,6 +14,7 @@ from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import AllowPaths, Force, Json, Overrides, option
 from deepbots_cli.cli.commands.new import write_new
 from deepbots_cli.cli.exits import FAILED
+from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.files import check_new_folder
 from deepbots_cli.learning.group import Group, is_group
@@ -53,7 +54,7 @@ def command(
     Next: the README.md of the bundle shows its inputs and outputs.
     """
     if check is not None:
-        _check(source, check, overrides or (), allow_paths or (), as_json=as_json, writes=out is not None or last)
+        _check(source, check, overrides or (), Permissions(allow_paths or (), code=True), as_json=as_json, writes=out is not None or last)
         return
     if overrides or allow_paths:
         raise UsageError("--set and --allow-path are for the scenario of --check; a run is exported as it was trained")
@@ -77,15 +78,13 @@ def command(
     terminal.show({"bundle": folder, **known.model_dump(mode="json")}, text, as_json=as_json, next_commands=next_commands)
 
 
-def _check(
-    folder: Path, scenario: str, overrides: list[str] | tuple[()], allow_paths: list[Path] | tuple[()], *, as_json: bool, writes: bool
-) -> None:
+def _check(folder: Path, scenario: str, overrides: list[str] | tuple[()], permissions: Permissions, *, as_json: bool, writes: bool) -> None:
     from deepbots_cli.insight import card
 
     if writes:
         raise UsageError("--check writes nothing; leave out --out and --last")
     known = card.read_card(folder)
-    compiled = api.compile(scenario, overrides=overrides, allow_paths=allow_paths, allow_code=True)
+    compiled = api.compile(scenario, overrides=overrides, permissions=permissions)
     words = ("bundle", "scenario")
     differ = identity.compare_interfaces(known.interface, identity.interface(compiled.program), words=words)
     given = "".join(f" --set {quote(text)}" for text in overrides)

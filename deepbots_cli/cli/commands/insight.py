@@ -11,6 +11,7 @@ import typer
 
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import MAX_SEED, AllowCode, Json, integer, option
+from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.verdict import last_episodes
@@ -55,14 +56,14 @@ def explain_episode(
     with terminal.transient_line("running the episode again ..."):
         from deepbots_cli.insight.episode import explain, explanation_json
 
-        trace = _trace(shown, episode, seed, last=last, allow_code=allow_code)
+        trace = _trace(shown, episode, seed, last=last, permissions=Permissions(code=allow_code))
         statements = explain(trace)
     for note in () if as_json else trace.notes:
         terminal.note(f"note: {note}")
     terminal.show(explanation_json(trace, statements), *(statement.text for statement in statements), as_json=as_json)
 
 
-def _trace(shown: str, episode: int | None, seed: int | None, *, last: bool, allow_code: bool) -> Trace:
+def _trace(shown: str, episode: int | None, seed: int | None, *, last: bool, permissions: Permissions) -> Trace:
     from deepbots_cli.insight import trace
     from deepbots_cli.view.episodes import Source
 
@@ -71,21 +72,21 @@ def _trace(shown: str, episode: int | None, seed: int | None, *, last: bool, all
         if seed is not None or last:
             raise UsageError("a recording or a failure has its own start and actions; leave out --seed and --last")
         if path.suffix == ".mcap":
-            opened = Source(shown, allow_code=allow_code).open()
+            opened = Source(shown, permissions=permissions).open()
             recorded = opened.recording.episodes[0] if episode is None else opened.recording.episode(episode)
             return next(trace.trace_recorded(opened, [recorded]))
         if episode is not None:
             raise UsageError(f"{shown} holds a single episode; leave out --episode")
-        return trace.trace_failure(path, allow_code=allow_code)
+        return trace.trace_failure(path, permissions=permissions)
     run = Run.open(path)
     found = last_episodes(run) if seed is None and not last else None
     if found is None:
         root = run.record.seed if seed is None else seed
-        return next(trace.trace_episodes(run, [episode or 0], seed=root, model="last" if last else "best", allow_code=allow_code))
+        return next(trace.trace_episodes(run, [episode or 0], seed=root, model="last" if last else "best", permissions=permissions))
     _, kept = found
     failed = kept.failed(run.program)
     number = episode if episode is not None else failed[0] if failed else 0
-    traced = next(trace.trace_episodes(run, [number], **kept.replay_options, allow_code=allow_code))
+    traced = next(trace.trace_episodes(run, [number], **kept.replay_options, permissions=permissions))
     if not failed:
         traced.notes = [*traced.notes, f"none of the {len(kept.outcomes):,} episodes of the last evaluation failed"]
     return traced
@@ -106,7 +107,7 @@ MAX_SHOWN = 10
 """Failed episodes of which `eval --episodes failed` prints the margin and makes a film."""
 
 
-def repeat_failed(run: Run, video: Path | None, *, force: bool, as_json: bool, allow_code: bool) -> None:
+def repeat_failed(run: Run, video: Path | None, *, force: bool, as_json: bool, permissions: Permissions) -> None:
     """Repeat the failed episodes of the last evaluation of a run, count their endings, and show the first; `video` names films."""
     from deepbots_cli.insight import trace
     from deepbots_cli.insight.episode import explain, explanation_json
@@ -125,7 +126,7 @@ def repeat_failed(run: Run, video: Path | None, *, force: bool, as_json: bool, a
         check_video_path(film, force=force)
     found = []
     with terminal.progress("episodes", always=False) as show:
-        again = trace.trace_episodes(run, failed, **kept.replay_options, films=films, allow_code=allow_code) if failed else ()
+        again = trace.trace_episodes(run, failed, **kept.replay_options, films=films, permissions=permissions) if failed else ()
         for number, traced in zip(failed, again, strict=True):
             statements = explain(traced)
             found.append({"number": number, "film": films.get(number), **explanation_json(traced, statements)})
@@ -180,7 +181,7 @@ def diagnose(
             training = read_training(Run.open(folder))
             if not only_logs and not has_learned(training):
                 with terminal.progress("short episodes", always=False) as show:
-                    run_probes(training, allow_code=allow_code, on_episode=show)
+                    run_probes(training, permissions=Permissions(code=allow_code), on_episode=show)
             causes = find_causes(training)
         except RunError as error:
             if folder == run:

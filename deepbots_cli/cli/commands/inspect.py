@@ -12,12 +12,12 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import inspection, terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Engine, Force, Json, Overrides, Stage, option, with_case_or_stage
+from deepbots_cli.cli.command import Case, Engine, Force, Json, Overrides, Stage, option, with_case_or_stage
 from deepbots_cli.cli.sources import is_robot, open_robot, open_source
 from deepbots_cli.cli.tables import row_as_lines, table
 from deepbots_cli.diagnostics import Source, Span
 from deepbots_cli.diagnostics.render import summary
-from deepbots_cli.document import MappingNode, shipped
+from deepbots_cli.document import MappingNode, Permissions, shipped
 from deepbots_cli.document.load import with_settings_at
 from deepbots_cli.engine_kinds import chosen
 from deepbots_cli.errors import EngineError, EvaluationError, MissingExtraError, UsageError
@@ -55,8 +55,7 @@ def command(
     force: Force = False,
     engine: Engine = None,
     as_json: Json = False,
-    allow_paths: AllowPaths = None,
-    allow_code: AllowCode = False,
+    permissions: Permissions = Permissions(),
 ) -> None:
     """Show a scenario, a run or a robot file as tables.
 
@@ -79,7 +78,7 @@ def command(
     if is_robot(scenario):
         _inspect_robot(scenario, picture, chosen(engine), as_json)
         return
-    side = open_source(scenario, overrides or (), allow_paths or (), allow_code=allow_code, engine=engine)
+    side = open_source(scenario, overrides or (), permissions, engine)
     terminal.note_warnings(side.findings, scenario)
     program = with_case_or_stage(side.program, case, stage)
     root = side.root if isinstance(side.root, MappingNode) else MappingNode(Span(Source(scenario, ""), 0, 0), {})
@@ -88,20 +87,20 @@ def command(
     elif stage is not None:
         root = with_settings_at(root, ("curriculum", [known.name for known in side.program.curriculum].index(stage)))
     engine = engine or (side.run.engine_for(program) if side.run else None)
-    tables = {**inspection.scenario_tables(program, root, side.run), **_start(program, picture, engine, allow_code=allow_code)}
+    tables = {**inspection.scenario_tables(program, root, side.run), **_start(program, picture, engine, permissions=permissions)}
     terminal.show(tables, *_lines(tables), as_json=as_json)
     if picture is not None:
         terminal.note(f"wrote a picture of the world to {picture}")
 
 
-def _start(program: Program, picture: Path | None, engine: str | None, *, allow_code: bool) -> inspection.Tables:
+def _start(program: Program, picture: Path | None, engine: str | None, permissions: Permissions) -> inspection.Tables:
     """The poses of end links at the start of an episode, if the simulator is installed; renders the world if `picture` is given."""
     links = inspection.end_links(program)
     if picture is None and not links:
         return {}
     try:
         mode = "rgb_array" if picture else None
-        with closing(api.make(program, engine=engine, render_mode=mode, allow_code=allow_code)) as environment:
+        with closing(api.make(program, engine=engine, render_mode=mode, permissions=permissions)) as environment:
             environment.reset(seed=0)
             if picture is not None:
                 _draw(environment.render(), picture)

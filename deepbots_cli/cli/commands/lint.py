@@ -15,13 +15,14 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Overrides, integer, option
+from deepbots_cli.cli.command import Overrides, integer, option
 from deepbots_cli.cli.commands import rewriting
 from deepbots_cli.cli.exits import FAILED, INTERNAL_ERROR
 from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.diagnostics import Edit, Finding, Severity, Source
 from deepbots_cli.diagnostics.findings import RuleSelectors, Selection, exception_finding
 from deepbots_cli.diagnostics.render import escape_log_commands, github, junit, render, sarif, summary
+from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
 from deepbots_cli.lint import all_findings, simulate
 from deepbots_cli.lint.fixes import Fixer
@@ -81,8 +82,7 @@ def lint(
     diff: Annotated[bool, option("--diff", "Show the changes of --fix, and write nothing.")] = False,
     stdin_name: Annotated[str | None, option("--stdin-filename FILE", "File name for standard input.")] = None,
     jobs: Annotated[int, integer("--jobs -j N", "Number of processes; useful for tens of files or more.")] = 1,
-    allow_paths: AllowPaths = None,
-    allow_code: AllowCode = False,
+    permissions: Permissions = Permissions(),
 ) -> None:
     """Check scenarios and report every problem.
 
@@ -114,7 +114,7 @@ def lint(
     )
     if deep:
         _check_simulator(fix or diff or unsafe_fixes)
-    look = LintOptions(tuple(overrides or ()), tuple(allow_paths or ()), allow_code, previewed, deep, stdin_name)
+    look = LintOptions(tuple(overrides or ()), permissions, previewed, deep, stdin_name)
     names = scenario_names(scenarios or ["."], project)
     if stdin_name and STDIN not in names:
         raise UsageError("--stdin-filename needs - (standard input) as a scenario")
@@ -170,7 +170,7 @@ def _check_fixing(fix: bool, diff: bool, overrides: list[str] | None, names: Seq
 
 def _fixed(names: Sequence[str], look: LintOptions, selection: Selection, *, unsafe: bool, show: bool) -> tuple[list[Finding], bool]:
     """The findings that are left after fixing, and whether a file changes; `show` prints the difference and writes nothing."""
-    load = partial(api.load, allow_paths=look.allow_paths, allow_code=look.allow_code)
+    load = partial(api.load, permissions=look.permissions)
     fixer = Fixer(names, load, unsafe=unsafe, wanted=selection.selects, preview=look.preview)
     rewrites = fixer.fix()
     for rewrite in rewrites:
@@ -240,8 +240,7 @@ class LintOptions:
     """How each scenario is read, and whether it is simulated (`deep`); `stdin_name` is the file name for standard input."""
 
     overrides: tuple[str, ...] = ()
-    allow_paths: tuple[Path, ...] = ()
-    allow_code: bool = False
+    permissions: Permissions = Permissions()
     preview: bool = False
     deep: bool = False
     stdin_name: str | None = None
@@ -250,21 +249,19 @@ class LintOptions:
         """The findings of one scenario."""
         if name == STDIN:
             return self._of_stdin()
-        checked = api.load(name, overrides=self.overrides, allow_paths=self.allow_paths, allow_code=self.allow_code)
+        checked = api.load(name, overrides=self.overrides, permissions=self.permissions)
         return self._reviewed(checked, self.called(name))
 
     def _of_stdin(self) -> list[Finding]:
         """Paths in the text are relative to the folder of `stdin_name`, and the project is that of this folder."""
-        from dataclasses import replace
-
         from deepbots_cli.compiler import check
         from deepbots_cli.document import files, load
 
         path = Path(self.stdin_name or _NAMELESS).resolve()
         data = sys.stdin.buffer.read(files.MAX_BYTES + 1) if sys.stdin else b""
         display = self.stdin_name or _NAMELESS
-        document = load(path, self.overrides, display=display, allow_paths=self.allow_paths, drafts={path: data})
-        return self._reviewed(check(replace(document, allow_code=self.allow_code)), display)
+        document = load(path, self.overrides, display=display, permissions=self.permissions, drafts={path: data})
+        return self._reviewed(check(document), display)
 
     def _reviewed(self, checked: CheckedScenario, called: str) -> list[Finding]:
         """The findings from the text and then from a simulation; a scenario with errors cannot be simulated."""
@@ -372,8 +369,7 @@ def lsp(
     port: Annotated[
         int | None, option("--tcp PORT", "Listen on this port; by default, use standard input and output.", min=1, max=65535)
     ] = None,
-    allow_paths: AllowPaths = None,
-    allow_code: AllowCode = False,
+    permissions: Permissions = Permissions(),
 ) -> None:
     """Run the language server: findings, completion, hover.
 
@@ -388,4 +384,4 @@ def lsp(
         raise MissingExtraError("editor", "the language server")
     from deepbots_cli.lsp.server import serve
 
-    raise typer.Exit(serve(port, allow_paths=allow_paths or (), allow_code=allow_code))
+    raise typer.Exit(serve(port, permissions=permissions))

@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Annotated
 
 from deepbots_cli.cli import records, terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Case, Force, Json, Overrides, Seed, Stage, integer, option
+from deepbots_cli.cli.command import Case, Force, Json, Overrides, Seed, Stage, integer, option
 from deepbots_cli.cli.commands.view import Driver, EngineOrRun, Episode, ScenarioOrRun
+from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
 
 
@@ -25,8 +26,7 @@ def command(
     stage: Stage = None,
     engine: EngineOrRun = None,
     as_json: Json = False,
-    allow_paths: AllowPaths = None,
-    allow_code: AllowCode = False,
+    permissions: Permissions = Permissions(),
 ) -> None:
     """Record episodes as an MCAP file.
 
@@ -49,7 +49,7 @@ def command(
 
     if shown.endswith(SUFFIX):
         raise UsageError(f"{shown} is already a recording; `deepbots clip {shown}` makes a video of it")
-    source = Source(shown, overrides or (), allow_paths or (), allow_code, engine, case, stage)
+    source = Source(shown, overrides or (), permissions, engine, case, stage)
     path = out or Path(f"{Path(shown).stem}-{seed}-{episode}{SUFFIX}")
     pictures.check_target(path, (SUFFIX,), force=force)
     with closing_player(source, driver) as world, terminal.progress(always=False) as show:

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import closing
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from deepbots_cli.cli import records, sources, terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Json, Overrides, option
+from deepbots_cli.cli.command import Json, Overrides, option
 from deepbots_cli.cli.commands.diff import Change, Group
 from deepbots_cli.cli.commands.diff import scenario_changes as changes_of_meaning
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.diagnostics import Findings, Source
+from deepbots_cli.document import Permissions
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import ScenarioError, UsageError
 from deepbots_cli.program import identity
@@ -32,8 +32,7 @@ def command(
     scenario: Annotated[str | None, option("--scenario SCENARIO", "With --verify, run the episodes in this scenario instead.")] = None,
     overrides: Overrides = None,
     as_json: Json = False,
-    allow_paths: AllowPaths = None,
-    allow_code: AllowCode = False,
+    permissions: Permissions = Permissions(),
 ) -> None:
     """Show a recording, or run it again and compare.
 
@@ -58,7 +57,7 @@ def command(
     from deepbots_cli.view.episodes import Source as Shown
     from deepbots_cli.view.replay import ReplayPlayer, verify, version_changes
 
-    opened = Shown(recording if recording.endswith(".mcap") else f"{recording}.mcap", allow_code=allow_code).open()
+    opened = Shown(recording if recording.endswith(".mcap") else f"{recording}.mcap", permissions=permissions).open()
     found, notes = opened.recording, version_changes(opened.recording)
     if not to_verify and (tolerance or scenario):
         raise UsageError("--tolerance and --scenario are for --verify")
@@ -75,7 +74,7 @@ def command(
         return
     shown = opened
     if scenario is not None:
-        shown, changed = _elsewhere(opened, scenario, overrides or (), allow_paths or (), allow_code=allow_code)
+        shown, changed = _elsewhere(opened, scenario, overrides or (), permissions)
         notes += changed
     elif opened.checked().digest != found.metadata.get("digest"):
         notes.append("the scenario in the recording means something else than when it was recorded; it or deepbots has changed")
@@ -96,9 +95,7 @@ def command(
         raise typer.Exit(FAILED)
 
 
-def _elsewhere(
-    opened: SourceState, scenario: str, overrides: Sequence[str], allow_paths: Sequence[Path], *, allow_code: bool
-) -> tuple[SourceState, list[str]]:
+def _elsewhere(opened: SourceState, scenario: str, overrides: Sequence[str], permissions: Permissions) -> tuple[SourceState, list[str]]:
     """Another scenario for the episodes of a recording, and a line for each setting that differs.
 
     Raises:
@@ -107,7 +104,7 @@ def _elsewhere(
     from deepbots_cli.view.episodes import Source as Shown
 
     recorded = opened.source
-    other = Shown(scenario, overrides, allow_paths, allow_code, recorded.engine, recorded.case, recorded.stage).open()
+    other = Shown(scenario, overrides, permissions, recorded.engine, recorded.case, recorded.stage).open()
     if other.program is None or opened.program is None:
         raise ScenarioError(other.findings)
     differ = identity.differences(opened.program, other.program, words=("recording", "scenario"))

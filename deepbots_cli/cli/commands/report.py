@@ -10,6 +10,7 @@ import typer
 
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import AllowCode, Force, Json, integer, option
+from deepbots_cli.document import Permissions
 from deepbots_cli.errors import MissingExtraError, UsageError
 
 
@@ -55,10 +56,11 @@ def command(
 
     if figures is not None and figures.is_dir():
         check_output(*(figures / f"{name}.png" for name in FIGURE_NAMES), force=force)
+    permissions = Permissions(code=allow_code)
     with terminal.transient_line("reading the run ..."):
         report = Report.read(run)
     with terminal.progress("episodes") as show:
-        report.repeat_episodes(report.choose_episodes(episodes), show or (lambda done, of: None), clips=clips, allow_code=allow_code)
+        report.repeat_episodes(report.choose_episodes(episodes), show or (lambda done, of: None), clips=clips, permissions=permissions)
     with terminal.transient_line("drawing ..."):
         with atomic_write(target) as draft:
             draft.write_text(report.html(), encoding="utf-8")

@@ -15,8 +15,6 @@ from deepbots_cli import api, rollout
 from deepbots_cli.analysis import possible_returns
 from deepbots_cli.cli import records, terminal
 from deepbots_cli.cli.command import (
-    AllowCode,
-    AllowPaths,
     Case,
     Engine,
     Json,
@@ -31,6 +29,7 @@ from deepbots_cli.cli.command import (
     with_case_or_stage,
 )
 from deepbots_cli.cli.tables import Row, table
+from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.episodes import Summary
@@ -73,8 +72,7 @@ def command(
     start: Start = None,
     engine: Engine = None,
     as_json: Json = False,
-    allow_paths: AllowPaths = None,
-    allow_code: AllowCode = False,
+    permissions: Permissions = Permissions(),
 ) -> None:
     """Run episodes without a policy, and show the reward terms.
 
@@ -104,17 +102,17 @@ def command(
     if len(given) > 1:
         raise UsageError(f"{' and '.join(given)} exclude each other")
     if scenario.endswith(".json") and Path(scenario).parent.name == "failures":
-        if given or any((overrides, case, stage, engine, allow_paths, steps, seed, start)) or episodes != EPISODES:
+        if given or any((overrides, case, stage, engine, permissions.folders, steps, seed, start)) or episodes != EPISODES:
             raise UsageError("the file of a failed episode keeps its scenario, start and actions; it takes only --json and --allow-code")
-        _reproduce(Path(scenario), allow_code=allow_code, as_json=as_json)
+        _reproduce(Path(scenario), permissions=permissions, as_json=as_json)
         return
     options = start_values(start)
-    compiled = api.compile(scenario, overrides=with_engine(overrides, engine), allow_paths=allow_paths or (), allow_code=allow_code)
+    compiled = api.compile(scenario, overrides=with_engine(overrides, engine), permissions=permissions)
     terminal.note_warnings(compiled.findings, scenario)
     program = with_case_or_stage(compiled.program, case, stage)
     if script is not None:
         program.script(script)
-    with closing(api.make(program, allow_code=allow_code)) as environment:
+    with closing(api.make(program, permissions=permissions)) as environment:
         name = environment.engine.name
         if actions is not None:
             driver = repeated_actions(environment, actions)
@@ -135,10 +133,10 @@ def command(
     terminal.show(data, *_lines(done), *([totals] if len(done) > 1 else []), as_json=as_json)
 
 
-def _reproduce(path: Path, *, allow_code: bool, as_json: bool) -> None:
+def _reproduce(path: Path, permissions: Permissions, as_json: bool) -> None:
     from deepbots_cli.learning import failures  # which imports gymnasium
 
-    failure, error = failures.reproduce(path, allow_code=allow_code)
+    failure, error = failures.reproduce(path, permissions=permissions)
     repeated = f"repeated {len(failure.actions):,} actions: {'the episode does not fail' if error is None else error}"
     terminal.show({**failure.model_dump(), "reproduced": error}, f"{path}: {failure.error}", repeated, as_json=as_json)
 

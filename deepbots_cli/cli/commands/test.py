@@ -13,11 +13,12 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import records, terminal
-from deepbots_cli.cli.command import AllowCode, AllowPaths, Engine, Force, Json, Overrides, option
+from deepbots_cli.cli.command import Engine, Force, Json, Overrides, option
 from deepbots_cli.cli.commands.lint import scenario_names
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.diagnostics import Finding
+from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import ScenarioError, UsageError
 from deepbots_cli.files import check_output
@@ -49,8 +50,7 @@ def command(
     junit: Annotated[Path | None, option("--junit FILE", "Write the results as JUnit XML.")] = None,
     force: Force = False,
     as_json: Json = False,
-    allow_paths: AllowPaths = None,
-    allow_code: AllowCode = False,
+    permissions: Permissions = Permissions(),
 ) -> None:
     """Run the tests of scenarios.
 
@@ -71,8 +71,7 @@ def command(
     began, names = time.perf_counter(), scenario_names(scenarios, settings())
     options: dict[str, Any] = {
         "overrides": with_engine(overrides, engine),
-        "allow_paths": allow_paths or (),
-        "allow_code": allow_code,
+        "permissions": permissions,
         "tests": True,
     }
     given = [f"--engine {engine}"] if engine else []
@@ -105,7 +104,7 @@ def _tested(name: str, only: str | None, engine: str | None, options: dict[str, 
     if tests:
         terminal.note_warnings(compiled.findings, name)
     with terminal.progress(f"episodes of {name}", always=False) as show:
-        found = run_tests(compiled.program, tests, engine=engine, allow_code=compiled.allow_code, on_episode=show)
+        found = run_tests(compiled.program, tests, engine=engine, permissions=compiled.permissions, on_episode=show)
         return _ScenarioResults(name, tuple(sorted(found, key=lambda result: tests.index(result.test))))
 
 

@@ -17,8 +17,9 @@ import typer
 
 from deepbots_cli import api, learning
 from deepbots_cli.cli import records, terminal
-from deepbots_cli.cli.command import MAX_SEED, AllowCode, AllowPaths, Engine, Json, Overrides, integer, option, seed_list
+from deepbots_cli.cli.command import MAX_SEED, Engine, Json, Overrides, integer, option, seed_list
 from deepbots_cli.cli.exits import FAILED, INTERRUPTED
+from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning import report
@@ -73,8 +74,7 @@ def command(
     ] = False,
     quiet: Annotated[bool, option("--quiet -q", "Print no progress.")] = False,
     as_json: Json = False,
-    allow_paths: AllowPaths = None,
-    allow_code: AllowCode = False,
+    permissions: Permissions = Permissions(),
 ) -> None:
     """Train a policy in a new run directory, and evaluate it.
 
@@ -106,19 +106,19 @@ def command(
     """
     progress = not quiet
     if resume is not None:
-        made_with = (scenario, overrides, seed, seeds, run, stage, engine, allow_paths, keep_checkpoints, initialize_from)
+        made_with = (scenario, overrides, seed, seeds, run, stage, engine, permissions.folders or None, keep_checkpoints, initialize_from)
         if any(option is not None for option in made_with):
             raise UsageError(
                 "a resumed run keeps its scenario and options;"
                 " --resume accepts only --timesteps, --full, --callback, --logger, --quiet, --allow-code and --json"
             )
-        changes: dict[str, Any] = {"total_timesteps": timesteps, "stop_when_solved": False if full else None, "allow_code": allow_code}
+        changes: dict[str, Any] = {"total_timesteps": timesteps, "stop_when_solved": False if full else None, "permissions": permissions}
         changes |= {"callbacks": _names(callbacks), "loggers": _names(loggers), "progress": progress}
         if is_group(resume):
             group = learning.resume_group(resume, on_seed=None if quiet else _announce_seed, **changes)
-            _finish_group(group, quiet=quiet, as_json=as_json, allow_code=allow_code)
+            _finish_group(group, quiet=quiet, as_json=as_json, permissions=permissions)
             return
-        with _page(wanted=to_view, allow_code=allow_code) as show_page:
+        with _page(wanted=to_view, permissions=permissions) as show_page:
             show_page(resume)
             result = learning.resume(resume, **changes)
     elif scenario is None:
@@ -129,7 +129,7 @@ def command(
         raise UsageError(f"--run: {run} already exists; choose another directory, because runs are not overwritten")
     else:
         listed = None if seeds is None else seed_list(seeds)
-        compiled = api.compile(scenario, overrides=with_engine(overrides, engine), allow_paths=allow_paths or (), allow_code=allow_code)
+        compiled = api.compile(scenario, overrides=with_engine(overrides, engine), permissions=permissions)
         terminal.note_warnings(compiled.findings, scenario)
         settings: dict[str, Any] = {
             "total_timesteps": timesteps,
@@ -147,14 +147,14 @@ def command(
         if progress:
             _announce(compiled.program, f"seeds {seeds}" if seeds else f"seed {seed or 0}", timesteps, full=full)
             if not as_json:
-                _name_faster_engine(compiled.program, timesteps, allow_code=allow_code)
+                _name_faster_engine(compiled.program, timesteps, permissions=permissions)
         if listed is not None:
             group = learning.train_group(compiled, listed, group=run, on_seed=None if quiet else _announce_seed, **settings)
-            _finish_group(group, quiet=quiet, as_json=as_json, allow_code=allow_code)
+            _finish_group(group, quiet=quiet, as_json=as_json, permissions=permissions)
             return
-        with _page(wanted=to_view, allow_code=allow_code) as show_page:
+        with _page(wanted=to_view, permissions=permissions) as show_page:
             result = train(compiled, run=run, seed=seed or 0, on_start=show_page, **settings)
-    _finish(result, quiet=quiet, as_json=as_json, allow_code=allow_code)
+    _finish(result, quiet=quiet, as_json=as_json, permissions=permissions)
 
 
 def _names(given: list[str] | None) -> list[str] | None:
@@ -175,17 +175,17 @@ _MEASURED_FROM_STEPS = 20_000
 """Timesteps from which on a training is long enough to measure first which engine is faster."""
 
 
-def _name_faster_engine(program: Program, timesteps: int | None, *, allow_code: bool) -> None:
+def _name_faster_engine(program: Program, timesteps: int | None, permissions: Permissions) -> None:
     """Say which engine steps the world faster than the default one, before a long training."""
     training = program.agent.training
     if training is not None and (timesteps or training.total_timesteps) >= _MEASURED_FROM_STEPS:
         from deepbots_cli.cli import throughput
 
-        throughput.note_faster_engine(program, allow_code=allow_code)
+        throughput.note_faster_engine(program, permissions=permissions)
 
 
 @contextmanager
-def _page(*, wanted: bool, allow_code: bool) -> Iterator[Callable[[Path], None]]:
+def _page(*, wanted: bool, permissions: Permissions) -> Iterator[Callable[[Path], None]]:
     """Yield a function that shows a run in the browser, where this is wanted; the page ends with the block.
 
     It is a process of its own, so that the training does not wait for it, and has a low priority once it serves its address: on a busy
@@ -197,7 +197,7 @@ def _page(*, wanted: bool, allow_code: bool) -> Iterator[Callable[[Path], None]]
 
     def show(run: Path) -> None:
         if wanted:
-            options = ["--fps", str(_PAGE_FRAME_RATE), *(["--allow-code"] if allow_code else [])]
+            options = ["--fps", str(_PAGE_FRAME_RATE), *(["--allow-code"] if permissions.code else [])]
             command = python_command("deepbots_cli", "view", *options, "--", str(run))
             nowhere, pipe = subprocess.DEVNULL, subprocess.PIPE
             process = subprocess.Popen(command, stdin=nowhere, stdout=pipe, text=True, env=python_environment())
@@ -249,11 +249,11 @@ def _evaluating(trained: Path, *, quiet: bool) -> Iterator[None]:
         raise typer.Exit(INTERRUPTED) from None
 
 
-def _finish_group(group: GroupTraining, *, quiet: bool, as_json: bool, allow_code: bool) -> None:
+def _finish_group(group: GroupTraining, *, quiet: bool, as_json: bool, permissions: Permissions) -> None:
     """Show the trainings of a group; unless it was interrupted, evaluate all of its runs and name the next commands."""
     _show_training(records.group_training_text(group), {"training": vars(group), "evaluation": None}, group.interrupted, as_json=as_json)
     with _evaluating(group.group, quiet=quiet), terminal.progress("runs", always=False) as show_run:
-        evaluation = learning.evaluate_group(group.group, allow_code=allow_code, on_run=show_run)
+        evaluation = learning.evaluate_group(group.group, permissions=permissions, on_run=show_run)
     for found in evaluation.evaluations:
         records.write_evaluation(Run.open(found.run), records.evaluation_json(found))
     path, data = quote(str(group.group)), {"training": vars(group), "evaluation": records.group_json(evaluation)}
@@ -264,13 +264,13 @@ def _finish_group(group: GroupTraining, *, quiet: bool, as_json: bool, allow_cod
         raise typer.Exit(FAILED)
 
 
-def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, allow_code: bool) -> None:
+def _finish(result: TrainingResult, *, quiet: bool, as_json: bool, permissions: Permissions) -> None:
     """Show the result of the training; unless it was interrupted, evaluate the policy and name the next commands."""
     _show_training(records.training_text(result), {"training": result, "evaluation": None}, result.stop_requested, as_json=as_json)
     trained = Run.open(result.run)
     with _evaluating(result.run, quiet=quiet), terminal.progress(always=False) as show_episode:
-        evaluation = learning.evaluate(trained, allow_code=allow_code, on_episode=show_episode)
-        cases = learning.evaluate_cases(trained, allow_code=allow_code, on_episode=show_episode)
+        evaluation = learning.evaluate(trained, permissions=permissions, on_episode=show_episode)
+        cases = learning.evaluate_cases(trained, permissions=permissions, on_episode=show_episode)
     found = records.evaluation_json(evaluation, cases)
     records.write_evaluation(trained, found)
     solved = run_verdict(trained.path, trained.record).solved

@@ -12,8 +12,6 @@ import typer
 
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import (
-    AllowCode,
-    AllowPaths,
     Case,
     Force,
     Overrides,
@@ -25,6 +23,7 @@ from deepbots_cli.cli.command import (
     option,
     start_values,
 )
+from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import atomic_write
 
@@ -105,8 +104,7 @@ def view(
     host: Host = "127.0.0.1",
     port: Port = None,
     open_: Open = False,
-    allow_paths: AllowPaths = None,
-    allow_code: AllowCode = False,
+    permissions: Permissions = Permissions(),
 ) -> None:
     """Show a scenario, a run or a recording in the browser.
 
@@ -135,7 +133,7 @@ def view(
         reason = f"a batch of {worlds} worlds has worlds 0 to {worlds - 1}" if worlds else "add --worlds N"
         raise UsageError(f"there is no world {world}; {reason}")
     engine = engine or ("mujoco" if worlds else None)
-    source = _source(shown, overrides, case, stage, engine, allow_paths, allow_code)
+    source = _source(shown, overrides, case, stage, engine, permissions)
     source = replace(source, worlds=worlds or 0, start=start_values(start))
     other = replace(source, reference=compare) if compare else None
     settings = {"driver": driver, "seed": seed, "episode": episode, "world": world, "watch": watch, "frame_rate": frame_rate}
@@ -153,8 +151,7 @@ def play(
     host: Host = "127.0.0.1",
     port: Port = None,
     open_: Open = False,
-    allow_paths: AllowPaths = None,
-    allow_code: AllowCode = False,
+    permissions: Permissions = Permissions(),
 ) -> None:
     """Drive the robot of a scenario in the browser.
 
@@ -168,7 +165,7 @@ def play(
 
     Next: `deepbots train SCENARIO` trains a policy.
     """
-    source = _source(shown, overrides, case, stage, engine, allow_paths, allow_code)
+    source = _source(shown, overrides, case, stage, engine, permissions)
     _serve(source, open_, host=host, port=port, seed=seed, episode=episode, playing=True)
 
 
@@ -178,12 +175,11 @@ def _source(
     case: Case,
     stage: Stage,
     engine: EngineOrRun,
-    allow_paths: AllowPaths,
-    allow_code: AllowCode,
+    permissions: Permissions,
 ) -> Source:
     from deepbots_cli.view.episodes import Source
 
-    return Source(shown, overrides or (), allow_paths or (), allow_code, engine, case, stage)
+    return Source(shown, overrides or (), permissions, engine, case, stage)
 
 
 def _serve(source: Source, open_: bool, **options: Any) -> None:
@@ -221,8 +217,7 @@ def picture(
     case: Case = None,
     stage: Stage = None,
     engine: EngineOrRun = None,
-    allow_paths: AllowPaths = None,
-    allow_code: AllowCode = False,
+    permissions: Permissions = Permissions(),
 ) -> None:
     """Draw a picture of a scenario.
 
@@ -244,7 +239,7 @@ def picture(
     from deepbots_cli.view.episodes import closing_player
 
     pictures.check_target(out, (".png",), force=force)
-    source = replace(_source(shown, overrides, case, stage, engine, allow_paths, allow_code), start=start_values(start))
+    source = replace(_source(shown, overrides, case, stage, engine, permissions), start=start_values(start))
     shot = pictures.Viewpoint(size[0], size[1], eye, target)
     with closing_player(source, driver) as world:
         trace = list(world.episode(seed, episode, None if path and not steps else steps))
@@ -272,8 +267,7 @@ def clip(
     case: Case = None,
     stage: Stage = None,
     engine: EngineOrRun = None,
-    allow_paths: AllowPaths = None,
-    allow_code: AllowCode = False,
+    permissions: Permissions = Permissions(),
 ) -> None:
     """Make a video of an episode: MP4, GIF or an offline page.
 
@@ -290,7 +284,7 @@ def clip(
     from deepbots_cli.view.episodes import closing_player
 
     pictures.check_target(out, pictures.SUFFIXES, force=force)
-    source = _source(shown, overrides, case, stage, engine, allow_paths, allow_code)
+    source = _source(shown, overrides, case, stage, engine, permissions)
     with closing_player(source, driver) as world, terminal.transient_line("running the episode ..."):
         frame = pictures.write_clip(
             world, out, pictures.Viewpoint(size[0], size[1], eye, target), seed=seed, episode=episode, seconds=seconds, speed=speed
