@@ -71,7 +71,7 @@ def test_each_condition_changes_what_it_says_and_nothing_else() -> None:
     ground = changed("friction of the ground", "x 0.5").world.ground
     assert ground is not None
     assert ground.friction == 0.5
-    noisy = changed("observation noise", "10% of the range").policy.numbers
+    noisy = changed("observation noise", "10% of the range").agent.numbers
     assert [number.std.value / (number.high - number.low) for number in noisy] == pytest.approx([0.1] * 4)  # type: ignore[union-attr]
 
 
