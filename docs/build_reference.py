@@ -97,7 +97,7 @@ class _Keys:
             "",
             doc,
             "",
-            "| key | value | unit | default | settled | example | meaning |",
+            "| key | value | unit | default | known | example | meaning |",
             "|---|---|---|---|---|---|---|",
         ]
         for key, owners in rows:
@@ -150,7 +150,7 @@ class _Key:
         default = "**required**" if part.model_fields[name].is_required() else f"`{written}`" if (written := default_of(part, name)) else ""
         example = found.text if (found := example_of(part, name)) else kind
         value = "a kind" if kind else _value(self.spec)
-        self.cells = f"| `{name}` | {value} | {unit_of(self.spec)} | {default} | {_settled(self.spec)} | `{_cell(example)}` |"
+        self.cells = f"| `{name}` | {value} | {unit_of(self.spec)} | {default} | {_known(self.spec)} | `{_cell(example)}` |"
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, _Key) and (self.cells, self.meaning) == (other.cells, other.meaning)
@@ -178,18 +178,18 @@ def _value(spec: Shape) -> str:
             return "mapping"
 
 
-def _settled(spec: Shape) -> str:
+def _known(spec: Shape) -> str:
     match spec:
-        case Quantity(stage=stage):
-            return stage
+        case Quantity(known=known):
+            return known
         case Expression(context="parameter" | "require"):
             return "episode"
         case Expression():
             return "step"
         case MappingOf(value=value):
-            return _settled(value)
+            return _known(value)
         case Forms(options=options):
-            return next((stage for stage in map(_settled, options) if stage), "")
+            return next((known for known in map(_known, options) if known), "")
         case _:
             return ""
 
@@ -212,8 +212,8 @@ _FAMILIES = {
     Family.STATEFUL: "With a memory",
     Family.DRAW: "Draws",
 }
-_SETTLED = {
-    Family.PURE: "The result has the latest stage of the arguments: with fixed arguments it is fixed.",
+_KNOWN = {
+    Family.PURE: "The result is known as late as its latest argument: with fixed arguments it is fixed.",
     Family.WORLD: "The present state of the world, which only the supervisor knows; new in every timestep (*step*).",
     Family.MESSAGE: "What the supervisor knows about the messages themselves; new in every timestep (*step*).",
     Family.STATEFUL: "They keep a value from timestep to timestep, and are new in every timestep (*step*). `start`, where it may be"
@@ -253,7 +253,7 @@ def _functions() -> str:
     ]
     lines += [f"| `{unit.text}` | {unit.dimension.description} | {unit.to_si(1.0):.10g} |" for unit in UNITS.values()]
     for family, title in _FAMILIES.items():
-        lines += ["", f"## {title}", "", _SETTLED[family], "", "| function | gives | unit | example |", "|---|---|---|---|"]
+        lines += ["", f"## {title}", "", _KNOWN[family], "", "| function | gives | unit | example |", "|---|---|---|---|"]
         lines += [_function_row(function) for function in FUNCTIONS.values() if function.family is family]
     lines += ["", "## Where they may be called", "", f"| place | {' | '.join(_FAMILIES.values())} |", f"|---|{'---|' * len(_FAMILIES)}"]
     for context, place in _PLACES.items():

@@ -22,7 +22,7 @@ from deepbots_cli.expressions.intervals import INF
 from deepbots_cli.expressions.lower import Lowering, Scalars
 from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State
 from deepbots_cli.expressions.scalar import children as parts
-from deepbots_cli.expressions.types import Constant, Invocation, Operation, Reference, Stage, Symbol, Type, Typed
+from deepbots_cli.expressions.types import Constant, Invocation, Known, Operation, Reference, Symbol, Type, Typed
 from deepbots_cli.program import Program
 from deepbots_cli.program.resets import Placement
 from deepbots_cli.program.robots import Sensor
@@ -331,13 +331,13 @@ def _goal_reached(goal: Goal) -> Expression:
     """The definition of `goal_reached`, as if it had been written out. It has no place in the scenario: its owner is empty."""
     distance_text, limit = "norm(achieved - desired)", f"{goal.tolerance:g} {goal.achieved.typed.type.dimension}".strip()
     text, end = f"{distance_text} <= {limit}", len(distance_text)
-    size = Type(goal.achieved.typed.type.dimension, stage=Stage.STEP)
+    size = Type(goal.achieved.typed.type.dimension, known=Known.STEP)
     whole = size._replace(components=goal.achieved.typed.type.components)
     sides = tuple(Reference(whole, 0, end, Symbol(name, whole)) for name in ("achieved", "desired"))
     difference = Operation(whole, 0, end, "sub", sides)
     distance = Invocation(size, 0, end, "norm" if whole.components else "abs", (), (difference,))
     within = Constant(size, end + 4, len(text), (goal.tolerance,))
-    typed = Operation(Type(boolean=True, stage=Stage.STEP), 0, len(text), "less_equal", (distance, within))
+    typed = Operation(Type(boolean=True, known=Known.STEP), 0, len(text), "less_equal", (distance, within))
     return Expression("goal_reached", goal.achieved.span, text, typed, "")
 
 

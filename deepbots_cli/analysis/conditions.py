@@ -10,7 +10,7 @@ from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.dimensions import Dimension
 from deepbots_cli.expressions.intervals import ALWAYS, INF, Interval
 from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Op, Scalar, State
-from deepbots_cli.expressions.types import Invocation, Operation, Reference, Stage, Typed
+from deepbots_cli.expressions.types import Invocation, Known, Operation, Reference, Typed
 from deepbots_cli.program.task import Ending
 from deepbots_cli.program.values import Expression
 
@@ -108,7 +108,7 @@ def thresholds(comparison: ConditionComparison, ranges: Ranges) -> Iterator[Thre
     for a, b in zip(left * (count // len(left)), right * (count // len(right)), strict=True):
         for side, other, typed, above in ((a, b, node.args[0], rising), (b, a, node.args[1], not rising)):
             bound = ranges.of(other)
-            if bound.is_finite and typed.type.stage is Stage.STEP:
+            if bound.is_finite and typed.type.known is Known.STEP:
                 yield from _derived(Threshold(side, above, bound, dimension), ranges)
 
 

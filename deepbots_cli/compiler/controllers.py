@@ -25,7 +25,7 @@ from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import LENGTH, TIME, Dimension
 from deepbots_cli.expressions.intervals import Interval, single
-from deepbots_cli.expressions.types import Components, Context, Invocation, Reference, Stage, Symbol, Type, walk
+from deepbots_cli.expressions.types import Components, Context, Invocation, Known, Reference, Symbol, Type, walk
 from deepbots_cli.program.resets import OfActuator
 from deepbots_cli.program.robots import Actuator, Cartesian, Command, CustomActuator, MessageField, Motor, Response, Robot, Route, Thrust
 from deepbots_cli.program.task import ActionPart, ActionRange
@@ -335,7 +335,7 @@ class RobotBuilder:
         if typed is None:
             return Symbol(full, None)
         self.fields[name] = Expression(name, text.span, text.text, typed, f"{self.robot.name}.emit.{name}")
-        return Symbol(full, typed.type._replace(stage=Stage.STEP))
+        return Symbol(full, typed.type._replace(known=Known.STEP))
 
     # What it receives and does
 
@@ -350,7 +350,7 @@ class RobotBuilder:
             symbols[name] = Symbol(name, None)
             if typed is not None:
                 self.received[name] = Expression(name, text.span, text.text, typed, f"{self.robot.name}.receive.{name}")
-                symbols[name] = Symbol(name, typed.type._replace(stage=Stage.STEP))
+                symbols[name] = Symbol(name, typed.type._replace(known=Known.STEP))
         return symbols
 
     def finish(self, timestep: float, action: Sequence[ActionPart], routes: tuple[Route, Route]) -> Robot:
@@ -404,7 +404,7 @@ class RobotBuilder:
         spec = self.robot.spec.actuators[name]
         own = f"{{type: {spec.type}, {'link' if isinstance(spec, specs.Thrust) else 'joint'}: {parts[0]}}}"
         help = f"one number drives all of them; for a number each, give each an actuator of its own: `{parts[0]}: {own}`"
-        typed = self.values.quantity(text, f"the target of `{name}`", scope, driven.dimension, driven.components, Stage.STEP, help)
+        typed = self.values.quantity(text, f"the target of `{name}`", scope, driven.dimension, driven.components, Known.STEP, help)
         if typed is None:
             return None
         return Command(driven.actuator, Expression(name, text.span, text.text, typed, f"{self.robot.name}.apply.{name}"), driven.opening)

@@ -24,8 +24,8 @@ from deepbots_cli.expressions.types import (
     Context,
     Invocation,
     Kind,
+    Known,
     Redraw,
-    Stage,
     Subject,
     Symbol,
     Type,
@@ -67,7 +67,7 @@ class Parameters:
             return Symbol(name, None)
         typed = checked.value
         unification.warn_of_degrees(typed, values.report(text))
-        if typed.type.stage is Stage.FIXED:
+        if typed.type.known is Known.FIXED:
             fixed = values.fixed(typed, text, f"`{name}`")
             return Symbol(name, typed.type if fixed is not None else None, fixed)
         self._drawn[name] = text.expression(typed, redraw=checked.redraw)
@@ -95,13 +95,13 @@ def _setting(spec: RouteSpec, name: str, namespace: Namespace) -> Expression | N
         return None
     values, text, what = namespace.values, namespace.values.field(spec, name), f"`{name}`"
     assert isinstance(text.kind, Quantity)  # as in the model
-    if text.kind.stage == "step" and text.kind.si is not None:
+    if text.kind.known == "step" and text.kind.si is not None:
         typed, redraw = values.redrawn(text, what, namespace.scope(Context.FIELD), text.kind.si)
     else:
         typed, redraw = namespace.typed(text), None
     if typed is None or not is_repeated_as_a_whole(typed, redraw, text, values):
         return None
-    if typed.type.stage is Stage.FIXED and values.fixed(typed, text, what) is None:
+    if typed.type.known is Known.FIXED and values.fixed(typed, text, what) is None:
         return None
     return Expression(name, text.span, text.text, typed, name, redraw=redraw)
 
@@ -117,7 +117,7 @@ def _check_burst(burst: float, loss: Expression, span: Span, values: ValueReader
 
 def is_repeated_as_a_whole(typed: Typed, redraw: Redraw | None, text: SourceText, values: ValueReader) -> bool:
     """Whether a value that changes within an episode says how often its own draws are repeated."""
-    if redraw is not None or typed.type.stage is not Stage.STEP or not contains_draw(typed):
+    if redraw is not None or typed.type.known is not Known.STEP or not contains_draw(typed):
         return _has_period(redraw, text, values)
     headline = "a random value combined with a value that changes within the episode"
     help = "add `every 5 s` or `each step` to repeat the draw, or define the random value under `parameters`"
@@ -150,7 +150,7 @@ def disturbances(namespace: Namespace) -> tuple[Disturbance, ...]:
 def _disturbance(name: str, spec: DisturbanceSpec, namespace: Namespace) -> Disturbance | None:
     pushed = _pushed(spec, namespace)
     keys = ("force", "torque", "at", "every", "duration")
-    force, torque, first, every, duration = found = [namespace.expression(spec, key, stage=Stage.STEP) for key in keys]
+    force, torque, first, every, duration = found = [namespace.expression(spec, key, known=Known.STEP) for key in keys]
     if every is not None and duration is not None:
         _check_overlap(every, duration, namespace)
     is_broken = any(value is None and getattr(spec, key) is not None for key, value in zip(keys, found, strict=True))
@@ -354,7 +354,7 @@ def python_term(name: str, given: PythonTerm, namespace: Namespace, *, boolean: 
         help = "write an expression, or allow it with --allow-code if you trust the package"
         values.findings.add("DB409", text.span, f"`{name}` would run Python code: {given.python}", help=help)
     module, _, function = given.python.partition(":")
-    kind = Type(boolean=boolean, interval=TRUTH if boolean else Interval(float("-inf"), float("inf")), stage=Stage.STEP)
+    kind = Type(boolean=boolean, interval=TRUTH if boolean else Interval(float("-inf"), float("inf")), known=Known.STEP)
     nothing = Constant(kind, 0, len(text.text), (False if boolean else 0.0,))
     return Expression(name, text.span, text.text, nothing, ".".join(map(str, given.path)), foreign=Foreign(module, function))
 
@@ -420,7 +420,7 @@ class Signals:
             return Symbol(name, None)
         added = self._namespace.noise(given, typed) if isinstance(given, Measured) else None
         self.valued[name] = text.expression(typed, name, noise=added)
-        return Symbol(name, typed.type._replace(interval=EVERYTHING, intervals=(), stage=Stage.STEP) if added else typed.type)
+        return Symbol(name, typed.type._replace(interval=EVERYTHING, intervals=(), known=Known.STEP) if added else typed.type)
 
     def ordered(self) -> tuple[Expression, ...]:
         """Augmentation and signals, each after those that it is made of."""

@@ -5,7 +5,7 @@ send (`cart.pole_angle`). Typing on demand makes the order of the file irrelevan
 while it is itself being typed closes a cycle, which is a finding.
 
 Fields of the scenario are read here, since their values may use names: `namespace.fixed(arena, "wall_height")` takes the path from the
-section, and dimension, components and stage from the annotation.
+section, and dimension, components and `known` from the annotation.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from deepbots_cli.expressions.types import (
     Context,
     Invocation,
     Kind,
+    Known,
     Scope,
-    Stage,
     Subject,
     Symbol,
     Type,
@@ -60,7 +60,7 @@ class FieldContext(TypedDict, total=False):
     dimension: Dimension | None
     components: Components | None
     scope: Scope
-    stage: Stage
+    known: Known
     per_component: Components | None
 
 
@@ -127,7 +127,7 @@ class Namespace:
         self.built_in.clear()
         self.values.readings.clear()
 
-    # Fields of the scenario: their annotations tell dimension, components and the stage by which they are settled
+    # Fields of the scenario: their annotations tell dimension, components and when they are known
 
     def scope(self, context: Context, own: Mapping[str, Symbol] | None = None) -> ParameterScope:
         return ParameterScope(self, context, own or {})
@@ -145,15 +145,15 @@ class Namespace:
     def numbers(self, section: Section, *steps: str | int, **context: Unpack[FieldContext]) -> tuple[float, ...] | None:
         """The SI values of a fixed field; None where none is given, and after a finding.
 
-        With a later `stage` the language lets the field vary, and a finding says that this does not run yet.
+        With a later `known` the language lets the field vary, and a finding says that this does not run yet.
         """
         text = self._text_of(section, steps)
         if text is None:
             return None
-        scope, dimension, components, stage = self._expected_type(text, {"stage": Stage.FIXED, **context})
+        scope, dimension, components, known = self._expected_type(text, {"known": Known.FIXED, **context})
         called = f"`{text.path[-1]}`"
-        typed = self.values.quantity(text, called, scope, dimension, components, stage)
-        if typed is not None and typed.type.stage is not Stage.FIXED:
+        typed = self.values.quantity(text, called, scope, dimension, components, known)
+        if typed is not None and typed.type.known is not Known.FIXED:
             self.values.findings.add("DB108", text.span, f"{called} that is drawn anew is not supported yet", help="give a fixed number")
             return None
         return self._si_values(typed, text, len(components or ("",))) if typed else None
@@ -197,15 +197,15 @@ class Namespace:
         if text is None:
             return None
         called, per_component = f"`{key}`", context.get("per_component")
-        scope, dimension, components, _ = self._expected_type(text, {"stage": Stage.EPISODE, **context})
+        scope, dimension, components, _ = self._expected_type(text, {"known": Known.EPISODE, **context})
         components = components or per_component
-        typed = self.values.quantity(text, called, scope, dimension, components, Stage.EPISODE)
+        typed = self.values.quantity(text, called, scope, dimension, components, Known.EPISODE)
         if typed is None or not self._is_bounded(typed, text):
             return None
         count = len(components or ("",))
         # A value that is given again, as for a link that two patterns mean, replaces what was to be drawn.
         self.variations[:] = [each for each in self.variations if (each.what, each.of) != (what, of)]
-        if typed.type.stage is Stage.FIXED:
+        if typed.type.known is Known.FIXED:
             return self._si_values(typed, text, count)
         value = replace(text.expression(typed, per_component=per_component), owner=_owner(text, of))
         self.variations.append(RandomizedParameter(what, of, value, count))
@@ -215,7 +215,7 @@ class Namespace:
     def _is_bounded(self, typed: Typed, text: SourceText) -> bool:
         """Whether a drawn value keeps the bounds of its field: a normal distribution has none."""
         reach, kind = typed.type.interval, text.kind
-        if not isinstance(kind, Quantity) or typed.type.stage is Stage.FIXED:
+        if not isinstance(kind, Quantity) or typed.type.known is Known.FIXED:
             return True
         end = "minimum" if kind.minimum is not None and reach.low == -math.inf else "maximum"
         if end == "maximum" and (kind.maximum is None or reach.high < math.inf):
@@ -257,7 +257,7 @@ class Namespace:
             ends = self.ends(spec, key, dimension=dimension)
             return (*ends.low, *ends.high) if ends else None
         text = self.values.field(spec, key)
-        typed = self.typed(text, dimension=dimension, stage=Stage.FIXED)
+        typed = self.typed(text, dimension=dimension, known=Known.FIXED)
         numbers = self.values.fixed(typed, text, f"`{key}`") if typed else None
         is_vector = isinstance(kind, Column) or kind.components
         return None if numbers is None else tuple(map(float, numbers)) if is_vector else float(numbers[0])
@@ -299,7 +299,7 @@ class Namespace:
             help = "it must be the same in every episode; give one colour"
             self.values.findings.add("DB407", text.span, "a random value for a colour that must be fixed", help=help)
         elif len(options) > 1 and of is not None:
-            single = Type(stage=Stage.EPISODE)
+            single = Type(known=Known.EPISODE)
             ends = tuple(Constant(single, 0, 0, (end,)) for end in (0.0, len(options) - 1.0))
             which = Invocation(single, 0, 0, "integer", (), ends, 0)
             shades = tuple(Constant(single, 0, 0, (share,)) for option in options for share in option[:3])
@@ -310,13 +310,13 @@ class Namespace:
     def _text_of(self, section: Section, steps: tuple[str | int, ...]) -> SourceText | None:
         return None if getattr(section, str(steps[0])) is None else self.values.field(section, *steps)
 
-    def _expected_type(self, text: SourceText, context: FieldContext) -> tuple[Scope, Dimension | None, Components | None, Stage]:
+    def _expected_type(self, text: SourceText, context: FieldContext) -> tuple[Scope, Dimension | None, Components | None, Known]:
         kind = text.kind
         assert isinstance(kind, (Quantity, Column))  # of nothing else numbers are asked for
-        axes, own = (kind.axes, kind.stage) if isinstance(kind, Quantity) else (ANY_SHAPE, "fixed")
-        stage = context.get("stage", Stage[own.upper()])
-        scope = context.get("scope") or self.scope(Context.FIELD if stage else Context.FIXED)
-        return scope, context.get("dimension") or measure_dimension(kind.dimension), context.get("components") or axes, stage
+        axes, own = (kind.axes, kind.known) if isinstance(kind, Quantity) else (ANY_SHAPE, "fixed")
+        known = context.get("known", Known[own.upper()])
+        scope = context.get("scope") or self.scope(Context.FIELD if known else Context.FIXED)
+        return scope, context.get("dimension") or measure_dimension(kind.dimension), context.get("components") or axes, known
 
     def is_randomized(self, what: Randomizable, of: Owner) -> bool:
         """Whether an episode draws this value."""
@@ -498,16 +498,16 @@ class SupervisorScope(_Scope):
 
     def _built_in(self, name: str) -> Symbol | None:
         if name == "time":
-            return Symbol(name, Type(TIME, interval=_NON_NEGATIVE, stage=Stage.STEP))
+            return Symbol(name, Type(TIME, interval=_NON_NEGATIVE, known=Known.STEP))
         if name == "step":
-            return Symbol(name, Type(NUMBER, interval=_NON_NEGATIVE, stage=Stage.STEP))
+            return Symbol(name, Type(NUMBER, interval=_NON_NEGATIVE, known=Known.STEP))
         if name in _PAST_REWARDS:
-            return Symbol(name, Type(NUMBER, stage=Stage.STEP))
+            return Symbol(name, Type(NUMBER, known=Known.STEP))
         if name in self.namespace.built_in:
             return self.namespace.built_in[name](self.context)
         if name in _END_FLAGS:
             refused = None if self.context is Context.REWARD else "it is settled after the endings, and seen by rewards only"
-            return Symbol(name, Type(boolean=True, stage=Stage.STEP) if refused is None else None, refusal=refused)
+            return Symbol(name, Type(boolean=True, known=Known.STEP) if refused is None else None, refusal=refused)
         if name == "goal_reached":
             return Symbol(name, None, refusal=None if self.namespace.is_invalid("goal") else "this scenario has no `goal`")
         return None
@@ -534,7 +534,7 @@ class RobotScope(_Scope):
         arrives = origin is Origin.ACTION or (resolved is not None and name in (resolved.spec.receive or {}))
         if origin is Origin.PARAMETER:
             symbol = self.namespace.symbol(name)
-            if symbol is None or symbol.type is None or symbol.type.stage is Stage.FIXED:
+            if symbol is None or symbol.type is None or symbol.type.known is Known.FIXED:
                 return symbol
             if not arrives:
                 return Symbol(name, None, refusal=f"the robot cannot know a drawn parameter; send it: `receive: {{{name}: {name}}}`")

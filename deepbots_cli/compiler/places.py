@@ -15,7 +15,7 @@ from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, Dimension
 from deepbots_cli.expressions.intervals import TURN, single
 from deepbots_cli.expressions.lower import constant_values
-from deepbots_cli.expressions.types import PLANE, SPACE, ComponentSelection, Constant, Context, Invocation, Stage, Type
+from deepbots_cli.expressions.types import PLANE, SPACE, ComponentSelection, Constant, Context, Invocation, Known, Type
 from deepbots_cli.footprint import Footprint, Patch
 from deepbots_cli.program.resets import MAX_SPOTS, Cells, Group, Layout, Placement, Region, Top
 from deepbots_cli.program.values import Expression
@@ -240,7 +240,7 @@ def _fixed(value: float, dimension: Dimension) -> Constant:
     return Constant(Type(dimension, interval=single(value)), 0, 0, (value,))
 
 
-_ANY_ANGLE = Invocation(Type(ANGLE, interval=TURN, stage=Stage.EPISODE), 0, 0, "uniform", (), (_fixed(-pi, ANGLE), _fixed(pi, ANGLE)), 0)
+_ANY_ANGLE = Invocation(Type(ANGLE, interval=TURN, known=Known.EPISODE), 0, 0, "uniform", (), (_fixed(-pi, ANGLE), _fixed(pi, ANGLE)), 0)
 """`any`: a turn drawn from the whole circle."""
 
 

@@ -17,7 +17,7 @@ from deepbots_cli.expressions.dimensions import NUMBER
 from deepbots_cli.expressions.functions import FUNCTIONS, Family
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import constant_values
-from deepbots_cli.expressions.types import Components, Context, Invocation, Reference, Scope, Stage, Symbol, Type, Typed, children
+from deepbots_cli.expressions.types import Components, Context, Invocation, Known, Reference, Scope, Symbol, Type, Typed, children
 from deepbots_cli.expressions.unification import ANY_SHAPE, expect_value
 from deepbots_cli.program.task import (
     MAX_CONDITIONS,
@@ -166,8 +166,8 @@ class Actions:
             return Symbol(name, None)
         components = action_names(parts)
         if all(isinstance(part, Choices) for part in parts):
-            return Symbol(name, Type(NUMBER, components, boolean=True, stage=Stage.STEP))
-        return Symbol(name, Type(NUMBER, components, interval=Interval(-1.0, 1.0), stage=Stage.STEP))
+            return Symbol(name, Type(NUMBER, components, boolean=True, known=Known.STEP))
+        return Symbol(name, Type(NUMBER, components, interval=Interval(-1.0, 1.0), known=Known.STEP))
 
     def _define_choices(self, name: str, part: DiscreteAction) -> None:
         """Each option sets the variable called like the action, or the variables that it lists."""
@@ -176,7 +176,7 @@ class Actions:
         rows = {option: self._numbers(part, option, variables, named=bool(named)) for option in part.choices}
         for index, variable in enumerate(variables):
             column = [row[index] for row in rows.values()]
-            known = Type(NUMBER, interval=Interval(min(column, default=0.0), max(column, default=0.0)), stage=Stage.STEP)
+            known = Type(NUMBER, interval=Interval(min(column, default=0.0), max(column, default=0.0)), known=Known.STEP)
             self._namespace.define(variable, Origin.ACTION, ("action", name), partial(Symbol, variable, known))
         self._parts[name] = Choices(name, variables, tuple(Option(option, row) for option, row in rows.items()))
 
@@ -212,7 +212,7 @@ class Actions:
             return Symbol(name, None)
         low, high = ends.low[0], ends.high[0]
         self._parts[name] = ActionRange(name, components, low, high, str(ends.dimension))
-        return Symbol(name, Type(ends.dimension, components or None, interval=Interval(low, high), stage=Stage.STEP))
+        return Symbol(name, Type(ends.dimension, components or None, interval=Interval(low, high), known=Known.STEP))
 
     def _group(self, reference: str, place: NodePath) -> Components | None:
         """The members of a group of joints or links, or the joints of an actuator; None after a finding."""
@@ -403,7 +403,7 @@ class Goals:
         if wanted:
             typed = typed._replace(type=typed.type._replace(components=wanted.components))
         self._valued[name] = text.expression(typed, noise=self._namespace.noise(spec, typed) if name == "achieved" else None)
-        return Symbol(name, typed.type._replace(stage=Stage.STEP))
+        return Symbol(name, typed.type._replace(known=Known.STEP))
 
     def _reached(self, context: Context) -> Symbol:
         name = "goal_reached"
@@ -413,7 +413,7 @@ class Goals:
             symbol = self._namespace.resolve(part)
             if symbol is None or symbol.type is None:
                 return Symbol(name, None)
-        return Symbol(name, Type(boolean=True, stage=Stage.STEP))
+        return Symbol(name, Type(boolean=True, known=Known.STEP))
 
 
 def _check_rewards(terms: Iterable[Expression], namespace: Namespace) -> None:

@@ -17,7 +17,7 @@ from deepbots_cli.document.nodes import MappingNode, descend
 from deepbots_cli.expressions import intervals, syntax
 from deepbots_cli.expressions.dimensions import ANGLE, FORCE, LENGTH, MASS, NUMBER, TIME, TORQUE, UNITS, Dimension, Unit
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval, single
-from deepbots_cli.expressions.types import Context, Kind, Scope, Stage, Subject, Symbol, Type, shortened_list
+from deepbots_cli.expressions.types import Context, Kind, Known, Scope, Subject, Symbol, Type, shortened_list
 from deepbots_cli.frames import IDENTITY_FRAME, Frame, compose
 from deepbots_cli.frames import frame as pose_frame
 from deepbots_cli.program.resets import OfJoint, OfLink
@@ -86,11 +86,13 @@ def rigid_root(model: RobotModel, link: str) -> tuple[str, Frame]:
     return link, frame
 
 
-Group = tuple[Kind, tuple[str, ...]]
+NameGroup = tuple[Kind, tuple[str, ...]]
 """Joints or links, and the short names of its members."""
 
 
-def expand_patterns(names: Sequence[str], patterns: str | Iterable[str], groups: Mapping[str, Group]) -> tuple[tuple[str, ...], list[str]]:
+def expand_patterns(
+    names: Sequence[str], patterns: str | Iterable[str], groups: Mapping[str, NameGroup]
+) -> tuple[tuple[str, ...], list[str]]:
     """The names that patterns and groups stand for, in order, without repeats; and what stood for nothing."""
     found: dict[str, None] = {}
     missing = []
@@ -226,7 +228,7 @@ class Overrides:
     """The changes that the scenario makes to a robot. A drawn value is drawn for each link or joint that a pattern means."""
 
     robot: str
-    groups: Mapping[str, Group]
+    groups: Mapping[str, NameGroup]
     namespace: Namespace
 
     @property
@@ -262,7 +264,7 @@ class Overrides:
 
     def _change_link(self, model: RobotModel, link: Link, change: LinkOverride) -> RobotModel:
         of = OfLink(self.robot, link.name)
-        factors = self.namespace.triple(change, "scale", stage=Stage.EPISODE)
+        factors = self.namespace.triple(change, "scale", known=Known.EPISODE)
         if factors:
             model = self._accepted(model, with_scale(model, link.name, factors), change, "scale")
         if change.density is not None:
@@ -281,7 +283,7 @@ class Overrides:
             span = self.values.key_span((*change.path, "density"))
             self.values.findings.add("DB202", span, "`mass` and `density` both set the mass", help="give one of the two")
             return model
-        density = self.namespace.fixed(change, "density", scope=self._scope(), stage=Stage.EPISODE)
+        density = self.namespace.fixed(change, "density", scope=self._scope(), known=Known.EPISODE)
         return self._accepted(model, with_density(model, link, density), change, "density") if density else model
 
     def _change_mass(self, model: RobotModel, link: Link, change: LinkOverride) -> RobotModel:
@@ -310,7 +312,7 @@ class Overrides:
 
         def fixed(key: str, urdf: float | None, dimension: Dimension) -> float | None:
             scope = self._scope(dimension, urdf)
-            found = self.namespace.fixed(change, key, dimension=dimension, scope=scope, stage=Stage.EPISODE)
+            found = self.namespace.fixed(change, key, dimension=dimension, scope=scope, known=Known.EPISODE)
             return urdf if found is None else found
 
         damping = drawn("damping", "joint_damping", joint.damping, effort * TIME / position)
@@ -341,7 +343,7 @@ class ResolvedRobot:
     spec: RobotSpec
     file: RobotFile
     model: RobotModel
-    groups: dict[str, Group]
+    groups: dict[str, NameGroup]
 
     @property
     def link_names(self) -> list[str]:
@@ -469,8 +471,8 @@ def locate_file(reference: str, span: Span, document: Document, values: ValueRea
     return None
 
 
-def _groups(model: RobotModel, spec: RobotSpec, values: ValueReader) -> dict[str, Group]:
-    groups: dict[str, Group] = {}
+def _groups(model: RobotModel, spec: RobotSpec, values: ValueReader) -> dict[str, NameGroup]:
+    groups: dict[str, NameGroup] = {}
     joints, links = [joint.name for joint in model.moving_joints], [link.name for link in model.links]
     for name, patterns in spec.groups.items():
         place = (*spec.path, "groups", name)

@@ -13,7 +13,7 @@ from deepbots_cli.compiler.values import ValueReader
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import LENGTH, NUMBER, TIME, Dimension
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
-from deepbots_cli.expressions.types import Components, Kind, Stage, Symbol, Type
+from deepbots_cli.expressions.types import Components, Kind, Known, Symbol, Type
 from deepbots_cli.program.resets import OfSensor
 from deepbots_cli.program.robots import MAX_SENSED_RAYS, MIN_RESOLUTION, CalibrationTable, CameraIntrinsics, NoiseModel, RayConfig, Sensor
 from deepbots_cli.program.task import MAX_OBSERVED_BYTES
@@ -74,7 +74,7 @@ class SensorsCompiler:
             sensor = self._with_ray_reach(sensor, spec, faults)
         unit = "" if known.boolean or known.picture else str(known.dimension)
         self._sensors[name] = replace(sensor, unit=unit, faults=faults, parameters=own)
-        self.symbols[name] = Symbol(name, known._replace(stage=Stage.STEP))
+        self.symbols[name] = Symbol(name, known._replace(known=Known.STEP))
 
     def _read(self, name: str, spec: SensorSpec) -> tuple[Sensor, Type] | None:
         """A sensor without errors, and the type of its readings; None after a finding."""
@@ -110,8 +110,8 @@ class SensorsCompiler:
             return None
         sensor = Sensor(name, spec.type, subjects, components, "", reader=spec.reader, world_function=spec.world_function, **more)
         if picture:
-            return sensor, Type(picture=picture, stage=Stage.STEP)
-        return sensor, Type(dimension, components or None, boolean=spec.boolean, stage=Stage.STEP).with_intervals(intervals)
+            return sensor, Type(picture=picture, known=Known.STEP)
+        return sensor, Type(dimension, components or None, boolean=spec.boolean, known=Known.STEP).with_intervals(intervals)
 
     def _with_ray_reach(self, sensor: Sensor, spec: RaySensor, faults: NoiseModel | None) -> Sensor:
         """The sensor with rays that go to the end of its range."""

@@ -20,9 +20,9 @@ from deepbots_cli.expressions.lower import constant_values
 from deepbots_cli.expressions.types import (
     Components,
     FindingReporter,
+    Known,
     Redraw,
     Scope,
-    Stage,
     Typed,
     TypedRange,
     is_bare_zero,
@@ -286,10 +286,10 @@ class ValueReader:
         scope: Scope,
         dimension: Dimension | None,
         components: Components | None = None,
-        stage: Stage = Stage.FIXED,
+        known: Known = Known.FIXED,
         shape_help: str | None = None,
     ) -> Typed | None:
-        """A value of the dimension (None: any) and components that a field declares, settled by `stage`.
+        """A value of the dimension (None: any) and components that a field declares, known by then.
 
         `what` is how findings call the field, such as "the timestep"; `shape_help` as in `expect_value`.
         """
@@ -297,14 +297,14 @@ class ValueReader:
         if typed is None:
             return None
         value = expect_value(
-            typed, self.report(text), what, dimension=dimension, components=components, stage=stage, unit=text.unit, shape_help=shape_help
+            typed, self.report(text), what, dimension=dimension, components=components, known=known, unit=text.unit, shape_help=shape_help
         )
         return value if value and self._is_vector(value, text, what) and self._is_within(value, text, what) else None
 
     def _is_vector(self, value: Typed, text: SourceText, what: str) -> bool:
         """Whether what has a direction has all its components; a size or a factor, which is fixed, may be one for all axes."""
         kind = text.kind
-        if not isinstance(kind, Quantity) or not kind.components or kind.stage == "fixed" or value.type.components is not None:
+        if not isinstance(kind, Quantity) or not kind.components or kind.known == "fixed" or value.type.components is not None:
             return True
         help = f"write `vector(x, y, z)`, or draw three: `uniform(-1 -1 0 .. 1 1 0 {value.type.dimension})`"
         self.findings.add("DB404", text.span, f"{what} must be a vector; this is a single value", help=help)

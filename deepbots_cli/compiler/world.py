@@ -17,7 +17,7 @@ from deepbots_cli.expressions.dimensions import LENGTH
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import fold_operation, lower
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
-from deepbots_cli.expressions.types import PLANE, Context, Stage, Symbol, Type
+from deepbots_cli.expressions.types import PLANE, Context, Known, Symbol, Type
 from deepbots_cli.files import MAX_PICTURE_BYTES, picture_problem, read_at_most
 from deepbots_cli.program.resets import Group, OfLink, OfWalls, OfWorld
 from deepbots_cli.program.world import (
@@ -254,10 +254,10 @@ def _relief(given: world_spec.Terrain, namespace: Namespace) -> TerrainShape | N
 
 def _formula(given: world_spec.Formula, size: tuple[float, float], namespace: Namespace) -> Formula | None:
     values = namespace.values
-    sides = {name: Type(LENGTH, interval=Interval(-side / 2, side / 2), stage=Stage.STEP) for name, side in zip(PLANE, size, strict=True)}
+    sides = {name: Type(LENGTH, interval=Interval(-side / 2, side / 2), known=Known.STEP) for name, side in zip(PLANE, size, strict=True)}
     scope = namespace.scope(Context.FIXED, {name: Symbol(name, known) for name, known in sides.items()})
     text = values.field(given, "heights")
-    typed = values.quantity(text, "`heights`", scope, LENGTH, None, Stage.STEP)
+    typed = values.quantity(text, "`heights`", scope, LENGTH, None, Known.STEP)
     if typed is None:
         return None
     (heights,) = lower(typed, text.owner)
@@ -338,8 +338,8 @@ def _variant(kind: str, given: world_spec.ShapedBody, thing: world_spec.VariedOb
     massive, rough, painted, still = (
         given if getattr(given, key) is not None else thing for key in ("mass", "friction", "colour", "fixed")
     )
-    weight = namespace.fixed(massive, "mass", stage=Stage.EPISODE)
-    grip = namespace.fixed(rough, "friction", stage=Stage.EPISODE)
+    weight = namespace.fixed(massive, "mass", known=Known.EPISODE)
+    grip = namespace.fixed(rough, "friction", known=Known.EPISODE)
     stays = bool(still.fixed)
     return Variant(
         kind,
@@ -375,7 +375,7 @@ def _mass(thing: world_spec.Material, made: Shape, of: OfLink, namespace: Namesp
     if thing.mass is None:
         return _usual_mass(made, thing, namespace, still=still)
     if still:  # there is nothing that a drawn mass would change
-        return namespace.fixed(thing, "mass", stage=Stage.EPISODE) or 0.0
+        return namespace.fixed(thing, "mass", known=Known.EPISODE) or 0.0
     return namespace.scalar_or_randomized(thing, "mass", "mass", of, 0.0)
 
 

@@ -28,11 +28,11 @@ from deepbots_cli.expressions.types import (
     FindingReporter,
     Invocation,
     Kind,
+    Known,
     Operation,
     Redraw,
     Reference,
     Scope,
-    Stage,
     Subject,
     Type,
     Typed,
@@ -132,7 +132,7 @@ def check_drawn(tree: syntax.Node, scope: Scope, report: FindingReporter) -> Typ
     if not checker.draws:
         help = "`every` and `each step` repeat draws such as `uniform(a .. b)`"
         report("DB401", tree.value.end, tree.end, "a repetition without a draw", help)
-    return TypedExpression(value._replace(type=value.type._replace(stage=Stage.STEP)), Redraw(periods[0] if periods else None))
+    return TypedExpression(value._replace(type=value.type._replace(known=Known.STEP)), Redraw(periods[0] if periods else None))
 
 
 @none_after_finding
@@ -328,7 +328,7 @@ class _Checker:
         items = self.each(self.visit, node.items)
         require_kind(items, self._report)
         components = self._gathered(items)
-        result = Type(dimension_of(items, node, self._report), components, stage=max(item.type.stage for item in items))
+        result = Type(dimension_of(items, node, self._report), components, known=max(item.type.known for item in items))
         return Vector(result.with_intervals(item.type.interval for item in items), node.start, node.end, tuple(items))
 
     def _gathered(self, values: Sequence[Typed]) -> Components:
@@ -364,8 +364,8 @@ class _Checker:
         require_kind([condition], self._report, boolean=True)
         components = components_of((value, condition), node, self._report)
         nothing = Constant(Type(interval=single(0.0)), node.end, node.end, (0.0,))
-        stage = max(value.type.stage, condition.type.stage)
-        result = _ranged(Type(value.type.dimension, components, stage=stage), lambda known: hull((known, single(0.0))), (value.type,))
+        known = max(value.type.known, condition.type.known)
+        result = _ranged(Type(value.type.dimension, components, known=known), lambda known: hull((known, single(0.0))), (value.type,))
         return Invocation(result, node.start, node.end, "where", (), (condition, value, nothing))
 
     def _unary(self, node: syntax.Unary, operand: Typed) -> Typed:
@@ -380,10 +380,10 @@ class _Checker:
     def _binary(self, node: syntax.Binary, left: Typed, right: Typed) -> Typed:
         both = (left, right)
         components = components_of(both, node, self._report)
-        stage = max(left.type.stage, right.type.stage)
+        known = max(left.type.known, right.type.known)
         if operator := _ARITHMETIC.get(node.operator):
             require_kind(both, self._report)
-            result = Type(self._result_dimension(node, left, right), components, stage=stage)
+            result = Type(self._result_dimension(node, left, right), components, known=known)
             self._warn_of_domain(node.operator, left, right, node)
             result = _ranged(result, OPERATORS[operator].interval, (left.type, right.type))
             # A division by zero gives an interval that is not single.
@@ -398,7 +398,7 @@ class _Checker:
             if dimension_of(both, node, self._report) == ANGLE:
                 warn_of_degrees(left, self._report)
                 warn_of_degrees(right, self._report)
-        truth = Type(components=components, boolean=True, interval=TRUTH, stage=stage)
+        truth = Type(components=components, boolean=True, interval=TRUTH, known=known)
         return Operation(truth, node.start, node.end, COMPARISONS.get(node.operator, node.operator), both)
 
     def _result_dimension(self, node: syntax.Binary, left: Typed, right: Typed) -> Dimension:
@@ -500,7 +500,7 @@ class _Checker:
         raise self._fault("DB401", arg, f"`{function.name}` needs `{param}` here", _usage(function))
 
     def _result(self, node: syntax.Call, function: Function, subjects: tuple[Subject, ...], bound: list[tuple[Param, Typed]]) -> Type:
-        """Dimension, shape, interval and stage of the value of a call."""
+        """The type of the value of a call."""
         values = [value for _, value in bound]
         truths, others = [value for param, value in bound if param.boolean], [value for param, value in bound if not param.boolean]
         any_truth = function.accepts_truths and any(value.type.boolean for value in others)
@@ -518,12 +518,12 @@ class _Checker:
         count = len(values[0].type.components or ()) if values else 0
         reduction = function.reduction if components is None and count else None
 
-        stage = max((value.type.stage for value in values), default=Stage.FIXED)
+        known = max((value.type.known for value in values), default=Known.FIXED)
         if function.family is Family.DRAW:
-            stage = max(stage, Stage.EPISODE)
+            known = max(known, Known.EPISODE)
         elif function.family is not Family.PURE:
-            stage = Stage.STEP
-        result = Type(NUMBER if boolean else function.result(measured), components, boolean, TRUTH, stage)
+            known = Known.STEP
+        result = Type(NUMBER if boolean else function.result(measured), components, boolean, TRUTH, known)
         if boolean:
             return result
         if reduction:

@@ -22,7 +22,7 @@ class GroupComponents(tuple[str, ...]):
     """The components of a value that has one per copy of a group. Names do not tell them: a joint may be called `hip#1`, too."""
 
 
-class Stage(IntEnum):
+class Known(IntEnum):
     """When a value is known: in the file, at a reset, or in every step."""
 
     FIXED = 0
@@ -35,7 +35,7 @@ class Stage(IntEnum):
 
 
 class Type(NamedTuple):
-    """Dimension, components (None for a single value), interval in SI units and stage of a number, truth value or picture.
+    """Dimension, components (None for a single value) and interval in SI units of a number, truth value or picture, and when it is known.
 
     The interval of a vector covers all its components; `intervals` are those of each, where they differ. The interval of a truth value
     has no meaning.
@@ -45,7 +45,7 @@ class Type(NamedTuple):
     components: Components | None = None
     boolean: bool = False
     interval: Interval = EVERYTHING
-    stage: Stage = Stage.FIXED
+    known: Known = Known.FIXED
     picture: Shape | None = None
     intervals: tuple[Interval, ...] = ()
 

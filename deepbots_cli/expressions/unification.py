@@ -18,9 +18,9 @@ from deepbots_cli.expressions.types import (
     Constant,
     FindingReporter,
     Invocation,
+    Known,
     Operation,
     Reference,
-    Stage,
     Typed,
     TypedRange,
     is_bare_number,
@@ -223,7 +223,7 @@ def expect_value(
     dimension: Dimension | None = None,
     components: Components | None = None,
     boolean: bool = False,
-    stage: Stage = Stage.STEP,
+    known: Known = Known.STEP,
     unit: str | None = None,
     shape_help: str | None = None,
 ) -> Typed:
@@ -234,7 +234,7 @@ def expect_value(
         dimension: None takes any. A bare number counts as SI where a length or a mass is due, a bare zero everywhere.
         components: None takes a single value only, a tuple takes those components or a single value for all of them,
             `ANY_SHAPE` takes everything.
-        stage: The latest at which the value may be settled.
+        known: When the value must be known at the latest.
         unit: The probable unit of a bare number.
         shape_help: What to write instead of a vector of x, y and z where the components have other names.
     """
@@ -244,11 +244,11 @@ def expect_value(
             require_dimension(value, dimension, what, report, unit)
         value = value._replace(type=value.type._replace(dimension=dimension))
     _require_shape(value, components, what, report, shape_help)
-    if value.type.stage > stage:
-        allowed = "may be drawn once per episode, but must not change during the episode" if stage is Stage.EPISODE else "must be fixed"
-        raise report_at(report, "DB407", value, f"{what} is {value.type.stage.description}", f"it {allowed}")
+    if value.type.known > known:
+        allowed = "may be drawn once per episode, but must not change during the episode" if known is Known.EPISODE else "must be fixed"
+        raise report_at(report, "DB407", value, f"{what} is {value.type.known.description}", f"it {allowed}")
     if value.type.interval.is_finite and not boolean:
-        _require_size(value, stage, what, report)
+        _require_size(value, known, what, report)
     return value
 
 
@@ -260,7 +260,7 @@ def expect_range(
     *,
     dimension: Dimension | None = None,
     components: Components | None = None,
-    stage: Stage = Stage.FIXED,
+    known: Known = Known.FIXED,
     unit: str | None = None,
 ) -> TypedRange:
     """As `expect_value`, for both ends of a range."""
@@ -268,8 +268,8 @@ def expect_range(
     if dimension and needs_unit and is_bare_number(found.low) and is_bare_number(found.high) and not is_bare_zero(found.high):
         raise missing_unit(found, dimension, report, unit)  # one unit is missing, behind both ends
     # The right end first: the unit of both stands there.
-    high = expect_value(found.high, report, what, dimension=dimension, components=components, stage=stage)
-    low = expect_value(found.low, report, what, dimension=dimension, components=components, stage=stage) if high else None
+    high = expect_value(found.high, report, what, dimension=dimension, components=components, known=known)
+    low = expect_value(found.low, report, what, dimension=dimension, components=components, known=known) if high else None
     if low is None or high is None:
         raise StopChecking
     return found._replace(low=low, high=high)
@@ -291,14 +291,14 @@ def _require_shape(value: Typed, components: Components | None, what: str, repor
     raise _differing(components, found, value, report)
 
 
-def _require_size(value: Typed, stage: Stage, what: str, report: FindingReporter) -> None:
-    """Warn of implausible values; refuse values beyond an engine's precision that are settled before the episode."""
+def _require_size(value: Typed, known: Known, what: str, report: FindingReporter) -> None:
+    """Warn of implausible values; refuse values beyond an engine's precision that are known before the episode."""
     dimension, interval = value.type.dimension, value.type.interval
     farthest = max(interval, key=abs)
     largest, is_or_reaches = abs(farthest), "is" if interval.is_single else "reaches"
     plausible = physical_quantity(dimension).plausible_limit
     limit = _MAX_VALUE if plausible == math.inf else _PLAUSIBLE_LIMIT_FACTOR * plausible
-    if largest > limit and stage is not Stage.STEP:
+    if largest > limit and known is not Known.STEP:
         unit = "" if dimension == NUMBER else f" {dimension}"
         help = f"give at most {limit:g}{unit}" if farthest > 0.0 else f"give at least {-limit:g}{unit}"
         raise report_at(report, "DB105", value, f"{what} {is_or_reaches} {farthest:g}{unit}", help)

@@ -11,7 +11,7 @@ from deepbots_cli.diagnostics import Finding
 from deepbots_cli.document.layout import removal_fix
 from deepbots_cli.expressions.dimensions import ANGLE
 from deepbots_cli.expressions.scalar import EngineRead, Op, Scalar
-from deepbots_cli.expressions.types import Constant, Invocation, Kind, Operation, Reference, Stage, Typed, children, referenced_names, walk
+from deepbots_cli.expressions.types import Constant, Invocation, Kind, Known, Operation, Reference, Typed, children, referenced_names, walk
 from deepbots_cli.lint.context import RuleContext
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Robot
@@ -142,7 +142,7 @@ def _written(program: Program) -> Iterator[Expression]:
 
 
 def _equal_by_chance(analysis: Analysis, value: Expression, measure: Typed, other: Typed) -> bool:
-    is_settled = other.type.stage is not Stage.STEP
+    is_settled = other.type.known is not Known.STEP
     return is_settled and all(_is_measurement(analysis, part, {}) for part in analysis.lowered(measure, value.owner))
 
 
@@ -231,7 +231,7 @@ class _AngleWrapping:
         return self._wraps(heading) and (self._wraps(other) or (known.is_finite and max(-known.low, known.high) > pi / 2 + 1e-9))
 
     def _wraps(self, node: Typed) -> bool:
-        if node.type.dimension != ANGLE or node.type.stage is not Stage.STEP:
+        if node.type.dimension != ANGLE or node.type.known is not Known.STEP:
             return False
         match node:
             case Invocation(function=function):

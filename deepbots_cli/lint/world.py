@@ -19,7 +19,7 @@ from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, MASS
 from deepbots_cli.expressions.functions import contains_draw
 from deepbots_cli.expressions.intervals import ALWAYS, single
 from deepbots_cli.expressions.scalar import EngineRead
-from deepbots_cli.expressions.types import Stage, referenced_names
+from deepbots_cli.expressions.types import Known, referenced_names
 from deepbots_cli.lint.context import RuleContext, Simulation
 from deepbots_cli.lint.observations import may_be_noisy
 from deepbots_cli.lint.simulation import MeasuredOverlap
@@ -368,7 +368,7 @@ def requirement_not_redrawn(context: RuleContext) -> Iterator[Finding]:
     if require is None:
         return
     (node,) = analysis.scalars(require)
-    drawn = {value.name for value in program.parameters if value.typed.type.stage is not Stage.FIXED}
+    drawn = {value.name for value in program.parameters if value.typed.type.known is not Known.FIXED}
     facts = [fact for fact in analysis.walk_definitions(node) if isinstance(fact, EngineRead)]
     bodies = {subject.partition(".")[0].partition("#")[0] for fact in facts for subject in fact.subjects}
     places = [place for place in analysis.placements if place.body in bodies]

@@ -293,7 +293,7 @@ def _scope_of(analysis: DocumentAnalysis, field: FieldType, path: NodePath) -> S
     if checked is None or checked.namespace is None:
         return None
     if not isinstance(field, Expression):
-        drawn = isinstance(field, Quantity) and field.stage != "fixed"
+        drawn = isinstance(field, Quantity) and field.known != "fixed"
         return ParameterScope(checked.namespace, Context.FIELD if drawn else Context.FIXED)
     if field.context in _CONTEXTS:
         return ParameterScope(checked.namespace, _CONTEXTS[field.context])

@@ -549,7 +549,7 @@ def describe_function(function: Function) -> str:
 
 
 def describe_type(known: Type) -> str:
-    """The dimension, components, interval and stage of a type: `a length (m), from 0 to 2.7 m, fixed`."""
+    """The dimension, components and interval of a type, and when it is known: `a length (m), from 0 to 2.7 m, fixed`."""
     if known.picture is not None:
         rows, columns, channels = known.picture
         return f"a picture of {columns} x {rows} pixels with {channels} channel{'s' if channels > 1 else ''}"
@@ -558,7 +558,7 @@ def describe_type(known: Type) -> str:
         words.append(f"with the components {shortened_list(known.components)}")
     if not known.boolean and known.interval != EVERYTHING:
         words.append(_interval(known.interval, str(known.dimension)))
-    return ", ".join([*words, known.stage.description])
+    return ", ".join([*words, known.known.description])
 
 
 def _interval(interval: Interval, dimension: str) -> str:

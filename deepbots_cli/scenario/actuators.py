@@ -31,9 +31,9 @@ from deepbots_cli.scenario.fields import (
     Scalar,
 )
 
-MaxTorque = Annotated[Scalar, Quantity("torque or force", stage="episode", minimum=0)]
-Stiffness = Annotated[Scalar, Quantity("stiffness", stage="episode", minimum=0)]
-Damping = Annotated[Scalar, Quantity("damping", stage="episode", minimum=0)]
+MaxTorque = Annotated[Scalar, Quantity("torque or force", known="episode", minimum=0)]
+Stiffness = Annotated[Scalar, Quantity("stiffness", known="episode", minimum=0)]
+Damping = Annotated[Scalar, Quantity("damping", known="episode", minimum=0)]
 JointSpeed = Annotated[Scalar, Quantity("angular speed or speed", minimum=0)]
 JointAcceleration = Annotated[Scalar, Quantity("angular acceleration or acceleration", minimum=0, exclusive=True)]
 JointPosition = Annotated[Scalar, Quantity("angle or length")]

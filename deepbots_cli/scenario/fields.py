@@ -24,7 +24,6 @@ from deepbots_cli.expressions import parser, syntax
 from deepbots_cli.expressions.dimensions import NUMBER, UNITS, Dimension
 from deepbots_cli.expressions.types import PLANE, SPACE, Components, shortened_list
 
-Stage = Literal["fixed", "episode", "step"]
 Scalar = str | int | float
 JsonSchema = dict[str, object]
 
@@ -425,12 +424,12 @@ class Parsed(FieldType):
 
 @dataclass(frozen=True)
 class Quantity(Parsed):
-    """A number with a unit, a parameter, or an expression up to `stage`.
+    """A number with a unit, a parameter, or an expression that is known by then.
 
     Args:
         dimension: A key of `MEASURES`.
         components: The length of a vector.
-        stage: When the value may change.
+        known: When the value may change.
         minimum, maximum: Bounds in SI units; with `exclusive` the minimum itself is refused.
         urdf: Whether `urdf` may stand for the value of the robot file.
         words: Texts that are accepted as they are.
@@ -442,7 +441,7 @@ class Quantity(Parsed):
 
     dimension: str
     components: int | None = None
-    stage: Stage = "fixed"
+    known: Literal["fixed", "episode", "step"] = "fixed"
     minimum: float | None = None
     maximum: float | None = None
     exclusive: bool = False
@@ -847,12 +846,12 @@ Area = Annotated[Scalar, Quantity("length", components=2, minimum=1e-4)]
 Point = Annotated[Scalar, Quantity("length", components=2)]
 Scale = Annotated[Scalar, Quantity("number", components=3)]
 
-RandomizableFactor = Annotated[Scalar, Quantity("number", stage="episode", minimum=0)]
-RandomizableShare = Annotated[Scalar, Quantity("number", stage="episode", minimum=0, maximum=1)]
-RandomizableDelay = Annotated[Scalar, Quantity("time", stage="episode", minimum=0, maximum=60, usual_unit="ms")]
-RandomizableCoordinate = Annotated[Scalar, Quantity("length", stage="episode")]
-RandomizableAngle = Annotated[Scalar, Quantity("angle", stage="episode", words=("any",))]
-RandomizableCount = Annotated[Scalar, Quantity("number", stage="episode", minimum=0, whole=True)]
+RandomizableFactor = Annotated[Scalar, Quantity("number", known="episode", minimum=0)]
+RandomizableShare = Annotated[Scalar, Quantity("number", known="episode", minimum=0, maximum=1)]
+RandomizableDelay = Annotated[Scalar, Quantity("time", known="episode", minimum=0, maximum=60, usual_unit="ms")]
+RandomizableCoordinate = Annotated[Scalar, Quantity("length", known="episode")]
+RandomizableAngle = Annotated[Scalar, Quantity("angle", known="episode", words=("any",))]
+RandomizableCount = Annotated[Scalar, Quantity("number", known="episode", minimum=0, whole=True)]
 
 Colour = Annotated[str, Color()]
 SharedName = Annotated[str, Name(shared=True)]

@@ -51,13 +51,13 @@ from deepbots_cli.scenario.world import AnyObject, Pose, World
 class LinkOverride(Section):
     """Overrides of a link; `urdf` stands for the value in the robot file."""
 
-    mass: Annotated[Scalar, Quantity("mass", stage="episode", minimum=0, urdf=True)] | None = None
+    mass: Annotated[Scalar, Quantity("mass", known="episode", minimum=0, urdf=True)] | None = None
     """Mass, kg; it also scales the inertia. `urdf * 1.2` is 1.2 times the mass in the robot file."""
     density: Annotated[Scalar, Quantity("density", minimum=0, exclusive=True)] | None = None
     """In place of `mass`: mass, centre and inertia of a homogeneous body of the shape of the link."""
     scale: Annotated[Scalar, Quantity("number", components=3, minimum=0, exclusive=True)] | None = None
     """Factors along x, y and z on shapes, centre of mass and child joints; the mass scales with the volume."""
-    friction: Annotated[Scalar, Quantity("number", stage="episode", minimum=0)] | None = None
+    friction: Annotated[Scalar, Quantity("number", known="episode", minimum=0)] | None = None
     """Coulomb's coefficient of friction."""
     spinning_friction: RandomizableFactor | None = None
     """Friction against spinning on the spot."""
@@ -72,9 +72,9 @@ class LinkOverride(Section):
 class JointOverride(Section):
     """Overrides of a joint; `urdf` stands for the value in the robot file."""
 
-    damping: Annotated[Scalar, Quantity("damping", stage="episode", minimum=0, urdf=True)] | None = None
+    damping: Annotated[Scalar, Quantity("damping", known="episode", minimum=0, urdf=True)] | None = None
     """Viscous damping, N*m*s/rad or N*s/m."""
-    friction: Annotated[Scalar, Quantity("torque or force", stage="episode", minimum=0, urdf=True)] | None = None
+    friction: Annotated[Scalar, Quantity("torque or force", known="episode", minimum=0, urdf=True)] | None = None
     """Dry friction, N*m or N."""
     range: Annotated[str, Range("angle or length")] | None = None
     """Lower and upper limit, such as `-90 .. 90 deg`."""
@@ -123,13 +123,13 @@ class Robot(Section):
 class Route(Section):
     """Transmission of messages in one direction."""
 
-    latency: Annotated[Scalar, Quantity("time", stage="step", minimum=0, maximum=60, usual_unit="ms")] = "0 ms"
+    latency: Annotated[Scalar, Quantity("time", known="step", minimum=0, maximum=60, usual_unit="ms")] = "0 ms"
     """Time from sending to arrival."""
-    loss: Annotated[Scalar, Quantity("number", stage="step", minimum=0, maximum=1)] = 0
+    loss: Annotated[Scalar, Quantity("number", known="step", minimum=0, maximum=1)] = 0
     """Share of messages that never arrive."""
     burst: Annotated[Scalar, Quantity("number", minimum=1)] | None = None
     """Mean number of messages that are lost in a row; without it, losses are independent of each other."""
-    range: Annotated[Scalar, Quantity("length", stage="episode", minimum=0)] | None = None
+    range: Annotated[Scalar, Quantity("length", known="episode", minimum=0)] | None = None
     """Maximum distance from the origin of the world to the robot's root link; beyond it no message arrives."""
     order: Literal["sent", "arrival", "newest"] = "sent"
     """Which message counts when several are on their way: in the order sent, as they arrive, or only the newest."""
@@ -154,7 +154,7 @@ class Messages(Section):
 
 PYTHON_PATH = Text("the place of a function", r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", "package.module:function")
 Choice = Annotated[Scalar, Quantity("any")]
-Noise = Annotated[Scalar, Quantity("any", stage="episode", relative=True, minimum=0)]
+Noise = Annotated[Scalar, Quantity("any", known="episode", relative=True, minimum=0)]
 
 
 class PythonTerm(Section):
@@ -375,8 +375,8 @@ Observation = dict[Annotated[str, Reference("value")], Annotated[Observed | Anno
 
 # The beginning of an episode
 
-JointRate = Annotated[Scalar, Quantity("angular speed or speed", stage="episode")]
-JointAngle = Annotated[Scalar, Quantity("angle or length", stage="episode")]
+JointRate = Annotated[Scalar, Quantity("angular speed or speed", known="episode")]
+JointAngle = Annotated[Scalar, Quantity("angle or length", known="episode")]
 
 
 class JointState(Section):
@@ -479,11 +479,11 @@ class Disturbance(Section):
     """Force in the world frame, drawn anew for each push."""
     torque: Annotated[Scalar, Quantity("torque", 3, "step")] | None = None
     """Torque in the world frame, drawn anew for each push."""
-    every: Annotated[Scalar, Quantity("time", stage="step", minimum=0, exclusive=True)] | None = None
+    every: Annotated[Scalar, Quantity("time", known="step", minimum=0, exclusive=True)] | None = None
     """Time from the beginning of one push to the beginning of the next; also the time before the first push, unless `at` is given."""
-    at: Annotated[Scalar, Quantity("time", stage="episode", minimum=0)] | None = None
+    at: Annotated[Scalar, Quantity("time", known="episode", minimum=0)] | None = None
     """Time of the first push, which is the only one without `every`."""
-    duration: Annotated[Scalar, Quantity("time", stage="step", minimum=0)]
+    duration: Annotated[Scalar, Quantity("time", known="step", minimum=0)]
     """How long a push acts."""
 
 

@@ -78,11 +78,11 @@ class Sensor(Section):
     """Time between two readings, a multiple of the timestep; by default one timestep."""
     latency: RandomizableDelay = "0 ms"
     """Age of a reading when the robot gets it."""
-    noise: Annotated[Scalar, Quantity("reading", stage="episode", minimum=0, relative=True)] = 0
+    noise: Annotated[Scalar, Quantity("reading", known="episode", minimum=0, relative=True)] = 0
     """Standard deviation of each reading: in the unit of the sensor, or as `2 %` of the value."""
-    bias: Annotated[Scalar, Quantity("reading", stage="episode", relative=True)] = 0
+    bias: Annotated[Scalar, Quantity("reading", known="episode", relative=True)] = 0
     """Constant error in an episode."""
-    drift: Annotated[Scalar, Quantity("any", stage="episode")] = 0
+    drift: Annotated[Scalar, Quantity("any", known="episode")] = 0
     """Growth of the bias per second."""
     resolution: Annotated[Scalar, Quantity("reading", minimum=0)] = 0
     """Smallest difference between two readings; readings are rounded to a multiple of it."""

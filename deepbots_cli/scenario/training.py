@@ -43,7 +43,7 @@ class Hindsight(Section):
     """Where the sampled goals come from: later in the episode, its end, or anywhere in it."""
 
 
-class Policy(Section):
+class PolicyNetwork(Section):
     """The network of the policy."""
 
     hidden: Many[Annotated[int, WholeNumber(1, 8192)]] = (64, 64)
@@ -69,7 +69,7 @@ class Training(Section):
     """Steps of the agent to train for, summed over all environments."""
     environments: Annotated[int, WholeNumber(1, 1024)] = 1
     """Copies of the environment that are trained in at once."""
-    policy: Policy = Field(default_factory=Policy)
+    policy: PolicyNetwork = Field(default_factory=PolicyNetwork)
     """The network of the policy."""
     normalize: Literal["reward"] | None = None
     """`reward` divides rewards by a running standard deviation of the return, for learning only; logs show rewards as they are."""

@@ -236,7 +236,7 @@ class Pose(Section):
 class Material(Section):
     """Material of a body; a variant of `one_of` overrides it."""
 
-    mass: Annotated[Scalar, Quantity("mass", stage="episode", minimum=0, exclusive=True)] | None = None
+    mass: Annotated[Scalar, Quantity("mass", known="episode", minimum=0, exclusive=True)] | None = None
     """Mass, kg; by default the mass of water in this shape. A mesh that can move needs a mass."""
     colour: Colour | None = None
     """Colour: a word, `'#rrggbb'`, or `choice(red | green)`."""

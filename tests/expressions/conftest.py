@@ -15,12 +15,12 @@ from deepbots_cli.expressions.intervals import EVERYTHING, Interval
 from deepbots_cli.expressions.lower import lower, to_python
 from deepbots_cli.expressions.parser import parse
 from deepbots_cli.expressions.scalar import Draw, EngineRead, Name, State
-from deepbots_cli.expressions.types import SPACE, Context, Kind, Stage, Subject, Symbol, Type, Typed
+from deepbots_cli.expressions.types import SPACE, Context, Kind, Known, Subject, Symbol, Type, Typed
 from deepbots_cli.runtime import formulas
 
 
-def symbol(name, dimension=NUMBER, components=None, boolean=False, interval=EVERYTHING, stage=Stage.STEP, value=None, refused=None):
-    return Symbol(name, Type(dimension, components, boolean, interval, stage), value, refused)
+def symbol(name, dimension=NUMBER, components=None, boolean=False, interval=EVERYTHING, known=Known.STEP, value=None, refused=None):
+    return Symbol(name, Type(dimension, components, boolean, interval, known), value, refused)
 
 
 SYMBOLS = (
@@ -32,9 +32,9 @@ SYMBOLS = (
     symbol("turn", interval=Interval(-1.0, 1.0)),
     symbol("flag", boolean=True),
     symbol("time", TIME),
-    symbol("home", LENGTH, SPACE, stage=Stage.FIXED, value=(0.0, 0.0, 1.0)),
-    symbol("track", LENGTH, stage=Stage.FIXED, value=(0.39,), interval=Interval(0.39, 0.39)),
-    symbol("wind", SPEED, stage=Stage.EPISODE),
+    symbol("home", LENGTH, SPACE, known=Known.FIXED, value=(0.0, 0.0, 1.0)),
+    symbol("track", LENGTH, known=Known.FIXED, value=(0.39,), interval=Interval(0.39, 0.39)),
+    symbol("wind", SPEED, known=Known.EPISODE),
     symbol("cart.pole_angle", ANGLE),
     symbol("cart.gyro", ANGULAR_VELOCITY, SPACE),
     symbol("cart.accel", ACCELERATION, SPACE),

@@ -7,7 +7,7 @@ from deepbots_cli.expressions.dimensions import ANGLE, ANGULAR_VELOCITY, FORCE, 
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import constant_values
-from deepbots_cli.expressions.types import SPACE, Context, Kind, Stage, Subject
+from deepbots_cli.expressions.types import SPACE, Context, Kind, Known, Subject
 from deepbots_cli.expressions.unification import ANY_SHAPE, expect_range, expect_value
 
 
@@ -173,23 +173,23 @@ def test_functions_stand_only_where_their_knowledge_is(bench, text, context, cod
 
 
 @pytest.mark.parametrize(
-    ("text", "stage"),
+    ("text", "known"),
     [
-        ("track * 2", Stage.FIXED),
-        ("wind + 1 m/s", Stage.EPISODE),
-        ("x", Stage.STEP),
-        ("position(cart).x", Stage.STEP),
-        ("previous(track)", Stage.STEP),
+        ("track * 2", Known.FIXED),
+        ("wind + 1 m/s", Known.EPISODE),
+        ("x", Known.STEP),
+        ("position(cart).x", Known.STEP),
+        ("previous(track)", Known.STEP),
     ],
 )
-def test_an_expression_is_as_late_as_its_latest_part(bench, text, stage):
-    assert bench.clean(text).type.stage == stage
+def test_an_expression_is_as_late_as_its_latest_part(bench, text, known):
+    assert bench.clean(text).type.known == known
 
 
 def test_a_draw_is_settled_once_per_episode_unless_it_is_repeated(bench):
-    assert bench.clean("uniform(0 .. 1)", Context.PARAMETER).type.stage == Stage.EPISODE
+    assert bench.clean("uniform(0 .. 1)", Context.PARAMETER).type.known == Known.EPISODE
     drawn = check_drawn(bench.read("uniform(0 .. 1 m/s) every 5 s"), bench.scope.__class__(Context.PARAMETER), bench.report)
-    assert drawn.value.type.stage == Stage.STEP
+    assert drawn.value.type.known == Known.STEP
     assert constant_values(drawn.redraw.period) == (5.0,)
     stepped = check_drawn(bench.read("normal(0 +- 0.1 m) each step"), bench.scope.__class__(Context.PARAMETER), bench.report)
     assert stepped.redraw.period is None
@@ -256,7 +256,7 @@ def test_a_field_takes_the_shape_and_stage_that_it_declares(bench):
     assert [said.code for said in bench.said] == ["DB106"]
     assert expect_value(bench.clean("1 2 3 m"), bench.report, "the field", components=ANY_SHAPE) is not None
     assert expect_value(bench.clean("gas"), bench.report, "the motors", components=("hip", "knee")) is not None
-    assert expect_value(bench.clean("wind"), bench.report, "the gravity", stage=Stage.FIXED) is None
+    assert expect_value(bench.clean("wind"), bench.report, "the gravity", known=Known.FIXED) is None
     assert [said.code for said in bench.said] == ["DB407"]
 
 

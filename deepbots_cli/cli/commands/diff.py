@@ -34,8 +34,8 @@ Kind = Literal["changed", "added", "removed"]
 APPEARANCE_PREFIX = "look of "
 
 
-class Group(StrEnum):
-    """The consequence of a difference, the most serious first."""
+class Effect(StrEnum):
+    """The effect of a difference, the most serious first."""
 
     policy = "policy"
     task = "task"
@@ -45,11 +45,11 @@ class Group(StrEnum):
 
 
 _HEADINGS = {
-    Group.policy: "a policy trained in one scenario does not fit the other",
-    Group.task: "sensors, actuators, rewards or endings differ",
-    Group.world: "world, messages or starts differ, so the difficulty differs",
-    Group.training: "training or evaluation differs",
-    Group.cosmetic: "the meaning is the same: names of the scenario or a robot, summary, unseen colours, order of keys, rounding",
+    Effect.policy: "a policy trained in one scenario does not fit the other",
+    Effect.task: "sensors, actuators, rewards or endings differ",
+    Effect.world: "world, messages or starts differ, so the difficulty differs",
+    Effect.training: "training or evaluation differs",
+    Effect.cosmetic: "the meaning is the same: names of the scenario or a robot, summary, unseen colours, order of keys, rounding",
 }
 _Side = Annotated[
     str,
@@ -90,12 +90,12 @@ def command(
     data = {
         "one": one,
         "other": other,
-        "same_meaning": all(change.group is Group.cosmetic for change in found),
-        "policy_fits": all(change.group is not Group.policy for change in found),
+        "same_meaning": all(change.group is Effect.cosmetic for change in found),
+        "policy_fits": all(change.group is not Effect.policy for change in found),
         "differences": found,
     }
     terminal.show(data, *_lines(found, one, other), as_json=as_json)
-    if any(change.group is not Group.cosmetic for change in found):
+    if any(change.group is not Effect.cosmetic for change in found):
         raise typer.Exit(FAILED)
 
 
@@ -119,7 +119,7 @@ class Change:
     """
 
     path: str
-    group: Group
+    group: Effect
     kind: Kind
     one: str
     other: str
@@ -144,52 +144,52 @@ class Change:
 
 _LOOKS_PATH = r"(?=/(?:.*/)?(?:colour|visuals)\b)"
 _POLICY = r"policies/[^/]+/"
-_PATHS: tuple[tuple[str, str, Group], ...] = (
+_PATHS: tuple[tuple[str, str, Effect], ...] = (
     # the path of a value in a compiled scenario, the first that matches; its path in the language; its group
-    (_POLICY + r"observation/([^/]+)/noise", r"observation.\1.noise", Group.task),
-    (_POLICY + r"observation/([^/]+)", r"observation.\1", Group.task),
-    (_POLICY + r"action/([^/]+)/options(?=/.*/forbidden)", r"action.\1.forbid", Group.task),
-    (_POLICY + r"action/([^/]+)", r"action.\1", Group.policy),
-    (_POLICY + r"copies/([^/]+)", r"robots.\1.count", Group.world),
-    (rf"(?:{_POLICY})?(action_repeat|frame_stack)", r"agent.\1", Group.world),
-    (_POLICY + r"goal/achieved/noise", "goal.noise", Group.task),
-    (_POLICY + r"goal/(?:low|high)", "goal.range", Group.policy),
-    (_POLICY + r"goal/(\w+)", r"goal.\1", Group.task),
-    (r"signals/([^/]+)", r"signals.\1", Group.task),
-    (_POLICY + r"reward/([^/]+)", r"reward.\1", Group.task),
-    (r"endings/(\w+)/([^/]+)", r"termination.\1.\2", Group.task),
-    (r"truncation/(\w+)", r"truncation.\1", Group.task),
-    (r"robots/[^/]+/(to|from)_route", r"messages.\1_robot", Group.world),
-    (r"robots/([^/]+)/commands/([^/]+)", r"robots.\1.apply.\2", Group.task),
-    (r"robots/([^/]+)/variables/([^/]+)", r"robots.\1.receive.\2", Group.task),
-    (r"robots/([^/]+)/(\w+)/([^/]+)", r"robots.\1.\2.\3", Group.task),
-    (r"(name|summary)", r"\1", Group.cosmetic),
-    (r"world/robots/([^/]+)/model/links/([^/]+)" + _LOOKS_PATH, APPEARANCE_PREFIX + r"robots.\1.links.\2", Group.cosmetic),
-    (r"world/objects/([^/#]+)[^/]*" + _LOOKS_PATH, APPEARANCE_PREFIX + r"objects.\1", Group.cosmetic),
-    (r"world/lines/([^/]+)" + _LOOKS_PATH, APPEARANCE_PREFIX + r"world.lines.\1", Group.cosmetic),
-    (r"world/(\w+)" + _LOOKS_PATH, APPEARANCE_PREFIX + r"world.\1", Group.cosmetic),
-    (r"world/(?!robots|objects|lines)(\w+)", r"world.\1", Group.world),
-    (r"world/robots/([^/]+)/model/name", r"name of robots.\1.urdf", Group.cosmetic),
-    (r"world/robots/([^/]+)/model/root", r"robots.\1.urdf", Group.world),
-    (r"world/robots/([^/]+)/model/(\w+)/([^/]+)", r"robots.\1.\2.\3", Group.world),
-    (r"world/robots/([^/]+)/fixed_base", r"robots.\1.base", Group.world),
-    (r"world/robots/([^/]+)/(\w+)", r"robots.\1.\2", Group.world),
-    (r"world/objects/([^/#]+)[^/]*", r"objects.\1", Group.world),
-    (r"world/lines/([^/]+)", r"world.lines.\1", Group.world),
-    (r"(format|timing)", r"messages.\1", Group.world),
-    (r"(parameters|disturbances)/([^/]+)", r"\1.\2", Group.world),
-    (r"reset/variations/([^/]+)", r"\1", Group.world),
-    (r"reset/placements/([^/]+)", r"reset.place.\1", Group.world),
-    (r"reset/joint_starts/([^/]+)/states/([^/]+)", r"reset.set.\1.\2", Group.world),
-    (r"reset/groups/([^/]+)", r"objects.\1.count", Group.world),
-    (r"reset/layouts/([^/]+)", r"reset.layouts.\1", Group.world),
-    (r"reset/(\w+)", r"reset.\1", Group.world),
-    (r"(solved)", r"\1", Group.training),
-    (r"evaluation/(\w+)", r"evaluation.\1", Group.training),
-    (_POLICY + r"training/(algorithm|total_timesteps|environments|action_noise|replay|normalize|device)", r"train.\1", Group.training),
-    (_POLICY + r"training/network/(\w+)", r"train.policy.\1", Group.training),
-    (_POLICY + r"training/hyperparameters/([^/]+)", r"train.\1", Group.training),
-    (_POLICY + r"scripts/([^/]+)", r"scripts.\1", Group.training),
+    (_POLICY + r"observation/([^/]+)/noise", r"observation.\1.noise", Effect.task),
+    (_POLICY + r"observation/([^/]+)", r"observation.\1", Effect.task),
+    (_POLICY + r"action/([^/]+)/options(?=/.*/forbidden)", r"action.\1.forbid", Effect.task),
+    (_POLICY + r"action/([^/]+)", r"action.\1", Effect.policy),
+    (_POLICY + r"copies/([^/]+)", r"robots.\1.count", Effect.world),
+    (rf"(?:{_POLICY})?(action_repeat|frame_stack)", r"agent.\1", Effect.world),
+    (_POLICY + r"goal/achieved/noise", "goal.noise", Effect.task),
+    (_POLICY + r"goal/(?:low|high)", "goal.range", Effect.policy),
+    (_POLICY + r"goal/(\w+)", r"goal.\1", Effect.task),
+    (r"signals/([^/]+)", r"signals.\1", Effect.task),
+    (_POLICY + r"reward/([^/]+)", r"reward.\1", Effect.task),
+    (r"endings/(\w+)/([^/]+)", r"termination.\1.\2", Effect.task),
+    (r"truncation/(\w+)", r"truncation.\1", Effect.task),
+    (r"robots/[^/]+/(to|from)_route", r"messages.\1_robot", Effect.world),
+    (r"robots/([^/]+)/commands/([^/]+)", r"robots.\1.apply.\2", Effect.task),
+    (r"robots/([^/]+)/variables/([^/]+)", r"robots.\1.receive.\2", Effect.task),
+    (r"robots/([^/]+)/(\w+)/([^/]+)", r"robots.\1.\2.\3", Effect.task),
+    (r"(name|summary)", r"\1", Effect.cosmetic),
+    (r"world/robots/([^/]+)/model/links/([^/]+)" + _LOOKS_PATH, APPEARANCE_PREFIX + r"robots.\1.links.\2", Effect.cosmetic),
+    (r"world/objects/([^/#]+)[^/]*" + _LOOKS_PATH, APPEARANCE_PREFIX + r"objects.\1", Effect.cosmetic),
+    (r"world/lines/([^/]+)" + _LOOKS_PATH, APPEARANCE_PREFIX + r"world.lines.\1", Effect.cosmetic),
+    (r"world/(\w+)" + _LOOKS_PATH, APPEARANCE_PREFIX + r"world.\1", Effect.cosmetic),
+    (r"world/(?!robots|objects|lines)(\w+)", r"world.\1", Effect.world),
+    (r"world/robots/([^/]+)/model/name", r"name of robots.\1.urdf", Effect.cosmetic),
+    (r"world/robots/([^/]+)/model/root", r"robots.\1.urdf", Effect.world),
+    (r"world/robots/([^/]+)/model/(\w+)/([^/]+)", r"robots.\1.\2.\3", Effect.world),
+    (r"world/robots/([^/]+)/fixed_base", r"robots.\1.base", Effect.world),
+    (r"world/robots/([^/]+)/(\w+)", r"robots.\1.\2", Effect.world),
+    (r"world/objects/([^/#]+)[^/]*", r"objects.\1", Effect.world),
+    (r"world/lines/([^/]+)", r"world.lines.\1", Effect.world),
+    (r"(format|timing)", r"messages.\1", Effect.world),
+    (r"(parameters|disturbances)/([^/]+)", r"\1.\2", Effect.world),
+    (r"reset/variations/([^/]+)", r"\1", Effect.world),
+    (r"reset/placements/([^/]+)", r"reset.place.\1", Effect.world),
+    (r"reset/joint_starts/([^/]+)/states/([^/]+)", r"reset.set.\1.\2", Effect.world),
+    (r"reset/groups/([^/]+)", r"objects.\1.count", Effect.world),
+    (r"reset/layouts/([^/]+)", r"reset.layouts.\1", Effect.world),
+    (r"reset/(\w+)", r"reset.\1", Effect.world),
+    (r"(solved)", r"\1", Effect.training),
+    (r"evaluation/(\w+)", r"evaluation.\1", Effect.training),
+    (_POLICY + r"training/(algorithm|total_timesteps|environments|action_noise|replay|normalize|device)", r"train.\1", Effect.training),
+    (_POLICY + r"training/network/(\w+)", r"train.policy.\1", Effect.training),
+    (_POLICY + r"training/hyperparameters/([^/]+)", r"train.\1", Effect.training),
+    (_POLICY + r"scripts/([^/]+)", r"scripts.\1", Effect.training),
 )
 _AXES = {"rpy": ("roll", "pitch", "yaw")} | dict.fromkeys(("xyz", "size", "axis", "spacing", "scale", "gravity"), ("x", "y", "z"))
 _CONTAINER_RECORDS = (Program, WorldModel, RobotBody, RobotModel, Robot, Route, Agent, Truncation, Reset, JointStart, Training, Network)
@@ -203,9 +203,9 @@ def scenario_changes(one: OpenedSource, other: OpenedSource) -> list[Change]:
     found = [*_of_interface(one, other), *_of_values(one, other), *_of_variants(one, other), *_of_orders(one.program, other.program)]
     if not found and identity.digest(one.program) != identity.digest(other.program):
         path = "last digits" if list(values(one.program)) == list(values(other.program)) else "order of keys"
-        found = [Change(path, Group.cosmetic, "changed", "", "")]
+        found = [Change(path, Effect.cosmetic, "changed", "", "")]
     by_path: dict[str, Change] = {}
-    for change in sorted(found, key=lambda change: list(Group).index(change.group)):
+    for change in sorted(found, key=lambda change: list(Effect).index(change.group)):
         # Components of an observation replace the entry of the whole observation.
         parts = [known for path, known in by_path.items() if path.startswith(f"{change.path}.") and known.group is not change.group]
         if change.path not in by_path and not parts:
@@ -221,12 +221,12 @@ def _of_interface(one: OpenedSource, other: OpenedSource) -> Iterator[Change]:
             path = "goal.range" if name.startswith("goal") else re.sub(r"^message to robot ([^.]+)\.", r"robots.\1.receive.", name)
             path = re.sub(r"^message from robot ([^.]+)\.", r"robots.\1.emit.", path)
             old, new = ({"": side[name]} if name in side else {} for side in (before, after))
-            yield _change(path, Group.policy, old, new, one, other)
+            yield _change(path, Effect.policy, old, new, one, other)
 
 
 def _of_values(one: OpenedSource, other: OpenedSource) -> Iterator[Change]:
     before, after = values(one.program), values(other.program)
-    items: dict[tuple[int, str, Group], tuple[dict[str, str], dict[str, str]]] = {}
+    items: dict[tuple[int, str, Effect], tuple[dict[str, str], dict[str, str]]] = {}
     for raw in dict.fromkeys((*before, *after)):
         item, rest = _translated(raw, one.program, other.program)
         for side, there in zip(items.setdefault(item, ({}, {})), (before, after), strict=True):
@@ -237,15 +237,15 @@ def _of_values(one: OpenedSource, other: OpenedSource) -> Iterator[Change]:
             yield _change(path, group, old, new, one, other)
 
 
-def _translated(raw: str, *scenarios: Program) -> tuple[tuple[int, str, Group], str]:
+def _translated(raw: str, *scenarios: Program) -> tuple[tuple[int, str, Effect], str]:
     """The rank, the path in the language and the group of the item that a value belongs to, and its path from there."""
     for rank, (pattern, template, group) in enumerate(_PATHS):
         if match := re.match(pattern, raw):
             path = match.expand(template)
             if path.startswith(APPEARANCE_PREFIX) and any(_is_seen(path, scenario) for scenario in scenarios):
-                group = Group.world
+                group = Effect.world
             return (rank, path, group), raw[match.end() :].strip("/").replace("/", ".")
-    return (len(_PATHS), raw.replace("/", "."), Group.task), ""
+    return (len(_PATHS), raw.replace("/", "."), Effect.task), ""
 
 
 def _is_seen(path: str, scenario: Program) -> bool:
@@ -256,7 +256,7 @@ def _is_seen(path: str, scenario: Program) -> bool:
     return shapeless or any(sensor.optics for robot in scenario.robots for sensor in robot.sensors)
 
 
-def _change(path: str, group: Group, old: Mapping[str, str], new: Mapping[str, str], one: OpenedSource, other: OpenedSource) -> Change:
+def _change(path: str, group: Effect, old: Mapping[str, str], new: Mapping[str, str], one: OpenedSource, other: OpenedSource) -> Change:
     """The change at a path: the texts of both scenarios, or the compiled values that differ where the texts do not."""
     section, _, name = path.partition(".")
     if section == "signals" and any(name in side.keys_at("augment") for side in (one, other)):
@@ -305,7 +305,7 @@ def _of_variants(one: OpenedSource, other: OpenedSource) -> Iterator[Change]:
         for name in dict.fromkeys((*before, *after)):
             if before.get(name) != after.get(name):
                 path = f"{section}.{name}"
-                yield Change(path, Group.training, _kind(name in before, name in after), one.text_at(path), other.text_at(path))
+                yield Change(path, Effect.training, _kind(name in before, name in after), one.text_at(path), other.text_at(path))
 
 
 def _variants(scenario: Program, entries: Iterable[Any]) -> dict[str, object]:
@@ -327,12 +327,12 @@ def _of_orders(one: Program, other: Program) -> Iterator[Change]:
             yield Change(path, group, "changed", ", ".join(names), ", ".join(there))
 
 
-def _orders(scenario: Program) -> Iterator[tuple[tuple[str, Group], list[str]]]:
-    yield ("order of what is observed, done and sent", Group.policy), list(identity.interface(scenario))
-    yield ("order of endings", Group.task), [ending.name for ending in scenario.endings]
-    yield ("order of reset.place", Group.world), [place.body for place in scenario.reset.placements]
-    yield ("order of evaluation.cases", Group.training), [case.name for case in scenario.cases]
-    yield ("order of curriculum", Group.training), [stage.name for stage in scenario.curriculum]
+def _orders(scenario: Program) -> Iterator[tuple[tuple[str, Effect], list[str]]]:
+    yield ("order of what is observed, done and sent", Effect.policy), list(identity.interface(scenario))
+    yield ("order of endings", Effect.task), [ending.name for ending in scenario.endings]
+    yield ("order of reset.place", Effect.world), [place.body for place in scenario.reset.placements]
+    yield ("order of evaluation.cases", Effect.training), [case.name for case in scenario.cases]
+    yield ("order of curriculum", Effect.training), [stage.name for stage in scenario.curriculum]
 
 
 # Values by path

@@ -10,7 +10,7 @@ import typer
 
 from deepbots_cli.cli import records, sources, terminal
 from deepbots_cli.cli.command import Json, Overrides, option
-from deepbots_cli.cli.commands.diff import Change, Group
+from deepbots_cli.cli.commands.diff import Change, Effect
 from deepbots_cli.cli.commands.diff import scenario_changes as changes_of_meaning
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.diagnostics import Findings, Source
@@ -114,7 +114,7 @@ def _elsewhere(opened: SourceState, scenario: str, overrides: Sequence[str], per
         sources.OpenedSource(program, parse(Source("resolved.yaml", text), Findings()))
         for program, text in ((opened.program, opened.checked().resolved), (other.program, other.checked().resolved))
     )
-    found = [change for change in changes_of_meaning(one, now) if change.group not in (Group.cosmetic, Group.training)]
+    found = [change for change in changes_of_meaning(one, now) if change.group not in (Effect.cosmetic, Effect.training)]
     return other, [line for change in found for line in _told(change, one, now)]
 
 

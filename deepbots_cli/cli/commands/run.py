@@ -46,7 +46,7 @@ FIRST_EPISODES = 5
 EPISODES = 3
 
 
-class Policy(StrEnum):
+class PlainPolicy(StrEnum):
     random = "random"
     zero = "zero"
 
@@ -57,7 +57,7 @@ def command(
     case: Case = None,
     stage: Stage = None,
     policy: Annotated[
-        Policy | None,
+        PlainPolicy | None,
         option(
             "--policy", "`random` (default) samples actions; `zero` takes the middle of each range and the first option of each choice."
         ),
@@ -117,7 +117,7 @@ def command(
         if actions is not None:
             driver = repeated_actions(environment, actions)
         else:
-            driver = named_driver(environment, script or (policy or Policy.random).value)
+            driver = named_driver(environment, script or (policy or PlainPolicy.random).value)
         running = run_episodes(environment, driver, count=episodes, seed=seed, max_steps=steps, options=options)
         done: list[Episode] = []
         with terminal.progress() as show:

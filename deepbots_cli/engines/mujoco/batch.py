@@ -19,7 +19,7 @@ from deepbots_cli import frames
 from deepbots_cli.engines.mujoco import cameras, motors
 from deepbots_cli.engines.mujoco.engine import MuJoCoEngine, _link
 from deepbots_cli.engines.mujoco.model import HIDDEN_GROUP, Body, ModelBuilder, finite_limit
-from deepbots_cli.engines.mujoco.state import World
+from deepbots_cli.engines.mujoco.state import MujocoWorld
 from deepbots_cli.engines.objects import Pool
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ class BatchMember(MuJoCoEngine):
     """One world of a batch, from a model that was compiled once for all of them."""
 
     def __init__(self, world: WorldModel, model: Any, pools: Sequence[Pool[Body]]) -> None:
-        self._world = World(model, world, pools)
+        self._world = MujocoWorld(model, world, pools)
         self._motors = motors.Motors(self._world)
         self._contact_monitor = None
         self._substep_callbacks = []
@@ -64,9 +64,9 @@ class MuJoCoBatch:
         """Of arrays of all worlds, whose memory stays where it is."""
         self._on_begin: list[Callable[[Sequence[int]], object]] = []
         """Called with the worlds that have begun an episode."""
-        self._derivation: Callable[[World], object] | None = None
+        self._derivation: Callable[[MujocoWorld], object] | None = None
         """Computes what readers need beside the state; `_last_derivation` is what was computed in all worlds since they changed."""
-        self._last_derivation: Callable[[World], object] | None = None
+        self._last_derivation: Callable[[MujocoWorld], object] | None = None
         self.write_mask: Column | None = None
         """The worlds that motors are written in, as truth values; None for all."""
 
@@ -120,7 +120,7 @@ class MuJoCoBatch:
         """An array of MuJoCo's data, flat, with a column per world; made anew after each step, so that what was read stays."""
         return self._gather(name, lambda world: getattr(world.data, name))
 
-    def _gather(self, name: str, part: Callable[[World], Column]) -> Column:
+    def _gather(self, name: str, part: Callable[[MujocoWorld], Column]) -> Column:
         found = self._gathered_arrays.get(name)
         if found is None:
             parts = self._views.get(name)
@@ -169,7 +169,7 @@ class MuJoCoBatch:
             places, turns, index = "mocap_pos", "mocap_quat", form.mocap_index
         else:
             places, turns, index = "xpos", "xquat", number
-            self._derivation = self._derivation or World.update_positions
+            self._derivation = self._derivation or MujocoWorld.update_positions
 
         def read() -> Any:
             if places == "xpos":
@@ -192,7 +192,7 @@ class MuJoCoBatch:
                 return tuple(numbers[:3]), frames.rotate(pose()[1], tuple(numbers[3:]))
 
             return read_free
-        self._derivation = World.update_velocities
+        self._derivation = MujocoWorld.update_velocities
         root = int(self._worlds[0].model.body_rootid[number])
 
         def read() -> Any:
@@ -238,7 +238,7 @@ class MuJoCoBatch:
 
         begun(range(len(self._worlds)))
         self._on_begin.append(begun)
-        self._derivation = self._derivation or World.update_positions
+        self._derivation = self._derivation or MujocoWorld.update_positions
 
         def read() -> Column:
             self._require_derived()

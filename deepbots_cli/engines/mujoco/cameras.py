@@ -23,7 +23,7 @@ from deepbots_cli.port import CAMERA_RANGE_M, CameraImage
 from deepbots_cli.program.world import GROUND
 
 if TYPE_CHECKING:
-    from deepbots_cli.engines.mujoco.state import World
+    from deepbots_cli.engines.mujoco.state import MujocoWorld
     from deepbots_cli.frames import Frame, Triple
     from deepbots_cli.port import Image, PoseReader, View
     from deepbots_cli.program.world import WorldModel
@@ -73,7 +73,7 @@ def _opens_context() -> bool:
 class WorldRenderer:
     """Draws one world; nothing is built before the first picture."""
 
-    def __init__(self, world: WorldModel, state: World) -> None:
+    def __init__(self, world: WorldModel, state: MujocoWorld) -> None:
         self._world, self._state = world, state
         self._model: Any = None
         self._renderers: dict[tuple[int, int], Any] = {}

@@ -12,7 +12,7 @@ from deepbots_cli.engines.kinematics import Chain
 from deepbots_cli.engines.mujoco import cameras, motors, surfaces
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.model import Body, ModelBuilder
-from deepbots_cli.engines.mujoco.state import World, WorldSnapshot
+from deepbots_cli.engines.mujoco.state import MujocoWorld, WorldSnapshot
 from deepbots_cli.engines.objects import Pool, find
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import ZERO_VECTOR, Overlap
@@ -50,7 +50,7 @@ class MuJoCoEngine:
 
     def __init__(self, world: WorldModel) -> None:
         built = ModelBuilder(world)
-        self._world = World(built.compile(), world, built.pools)
+        self._world = MujocoWorld(built.compile(), world, built.pools)
         self._motors = motors.Motors(self._world)
         self._contact_monitor: surfaces.ContactMonitor | None = None
         self._substep_callbacks: list[Callable[[], object]] = []

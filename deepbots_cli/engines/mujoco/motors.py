@@ -13,7 +13,7 @@ from deepbots_cli.engines.mujoco.model import finite_limit
 from deepbots_cli.port import SERVO_TIME, ZERO_VECTOR
 
 if TYPE_CHECKING:
-    from deepbots_cli.engines.mujoco.state import World
+    from deepbots_cli.engines.mujoco.state import MujocoWorld
     from deepbots_cli.frames import Triple
     from deepbots_cli.port import MotorWriter, Pusher, TorqueReader
 
@@ -29,7 +29,7 @@ class Motors:
     The torque of an actuator is `ctrl - stiffness * position - damping * velocity`, limited.
     """
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: MujocoWorld) -> None:
         self.world = world
         self._motor_of_joint: dict[int, Motor] = {}
         self.gain_updates: dict[Motor, Callable[[], None]] = {}
@@ -219,7 +219,7 @@ def array_reader(array: Any, numbers: Any) -> Callable[[], list[float]]:
     return lambda: array[index].tolist()
 
 
-def pusher(world: World, link: int, frame: Literal["world", "link"]) -> Pusher:
+def pusher(world: MujocoWorld, link: int, frame: Literal["world", "link"]) -> Pusher:
     """MuJoCo's forces act at the centre of mass, in the axes of the world."""
     model, data = world.model, world.data
     applied, turned = data.xfrc_applied[link], data.xquat[link]

@@ -58,7 +58,7 @@ class WorldSnapshot(NamedTuple):
     memory: tuple[Any, ...]
 
 
-class World:
+class MujocoWorld:
     """A model with its state. `has_positions` and `has_velocities` say whether positions and velocities of links are those of the state."""
 
     def __init__(self, model: Any, world: WorldModel, pools: Sequence[Pool[Body]]) -> None:
@@ -155,7 +155,7 @@ class World:
             self._update_contact_pairs()
         self._mass_changed = self._friction_changed = self.is_stale = False
 
-    def require_open(self) -> World:
+    def require_open(self) -> MujocoWorld:
         if self.closed:
             raise EngineError("this world was closed")
         return self

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from deepbots_cli.engines.mujoco.model import Body
-    from deepbots_cli.engines.mujoco.state import World
+    from deepbots_cli.engines.mujoco.state import MujocoWorld
     from deepbots_cli.frames import Frame
     from deepbots_cli.port import ClearanceReader, ContactReader, ForceReader, RayReader
 
@@ -30,7 +30,7 @@ MEETING_TOLERANCE_M = 1e-9  # m; by how much lines that meet in a point may miss
 class ContactMonitor:
     """Looks after every engine step at what touches, for all contact readers of a world."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: MujocoWorld) -> None:
         self._data, self._contacts = world.data, world.data.contact  # which stays that of the last engine step
         self._readers_by_pair: dict[tuple[int, int], list[int]] = {}
         self._touched: list[bool] = []
@@ -66,13 +66,13 @@ class ContactMonitor:
         return lambda: touched[place]
 
 
-def force(world: World, geoms: Iterable[int]) -> ForceReader:
+def force(world: MujocoWorld, geoms: Iterable[int]) -> ForceReader:
     """The sum of normal forces on geoms."""
     own = frozenset(geoms)
     return lambda: float(sum(force for one, other, force in world.forces if one in own or other in own))
 
 
-def clearance(world: World, ones: Sequence[int], others: Sequence[int]) -> ClearanceReader:
+def clearance(world: MujocoWorld, ones: Sequence[int], others: Sequence[int]) -> ClearanceReader:
     """Tyres, which are within their wheels, are left out."""
     model, data = world.model, world.data
     pairs = [(one, other) for one in ones for other in others if ELLIPSOID not in (model.geom_type[one], model.geom_type[other])]
@@ -91,7 +91,7 @@ def clearance(world: World, ones: Sequence[int], others: Sequence[int]) -> Clear
     return distance
 
 
-def penetrations(world: World) -> Iterable[tuple[int, int, float]]:
+def penetrations(world: MujocoWorld) -> Iterable[tuple[int, int, float]]:
     """Geoms within each other and by how much (m), as the world stands; looked for in a state of its own, so that nothing changes."""
     model, data, spare = world.model, world.data, world.scratch_data
     for name in ("qpos", "mocap_pos", "mocap_quat"):
@@ -107,7 +107,7 @@ def penetrations(world: World) -> Iterable[tuple[int, int, float]]:
 # Rays
 
 
-def rays(world: World, body: Body, link: int, ray_frames: Sequence[Frame], reach: float) -> RayReader:
+def rays(world: MujocoWorld, body: Body, link: int, ray_frames: Sequence[Frame], reach: float) -> RayReader:
     """Rays whose lines meet in a point are cast from there in one call, which costs a quarter of a call for each."""
     model, data = world.model, world.data
     own = body.geoms_of(None)
