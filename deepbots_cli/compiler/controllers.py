@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple, Unpack
 
-from deepbots_cli.compiler.namespace import Default, FieldContext, Namespace, Origin, RobotScope, SupervisorScope
+from deepbots_cli.compiler.namespace import Default, FieldContext, Namespace, NamespaceReader, Origin, RobotScope, SupervisorScope
 from deepbots_cli.compiler.robots import (
     ResolvedRobot,
     effort_dimension,
@@ -59,13 +59,12 @@ def driven_parts(robot: ResolvedRobot, spec: specs.Actuator) -> Components | Non
     return found or None
 
 
-class Actuators:
+class Actuators(NamespaceReader):
     """Reads the actuators of one robot."""
 
     def __init__(self, robot: ResolvedRobot, namespace: Namespace) -> None:
+        super().__init__(namespace)
         self._robot = robot
-        self._namespace = namespace
-        self._values = namespace.values
 
     def read(self, name: str) -> ResolvedActuator | None:
         """The actuator called `name`; None after a finding. One without a command varies nothing."""
@@ -104,11 +103,8 @@ class Actuators:
                 stiffness = self._scalar_or_randomized(spec, "stiffness", None, dimension=effort / dimension, per_component=names)
                 damping = self._scalar_or_randomized(spec, "damping", None, dimension=effort * TIME / dimension, per_component=names)
                 if spec.damping is not None and spec.stiffness is None:
-                    span, help = (
-                        self._values.key_span((*spec.path, "damping")),
-                        "give `stiffness` too, or leave both to the servo of the engine",
-                    )
-                    self._values.findings.add("DB102", span, "a damping without a stiffness", help=help)
+                    help = "give `stiffness` too, or leave both to the servo of the engine"
+                    self._values.add("DB102", self._values.key_span((*spec.path, "damping")), "a damping without a stiffness", help)
                 motor = Motor(name, spec.type, names, max_torque, max_velocity, stiffness, damping, response=self._response(spec, names))
             case specs.TorqueMotor():
                 motor = Motor(name, spec.type, names, max_torque, max_velocity, response=self._response(spec, names))
@@ -132,7 +128,7 @@ class Actuators:
         idle = [joint.name for joint in joints if not joint_moves_link(model, joint, spec.link)]
         if idle:
             headline, help = f"the joint `{idle[0]}` does not move `{spec.link}`", "name the joints between the base and the link"
-            self._values.findings.add("DB203", self._values.span((*spec.path, "joints")), headline, help=help)
+            self._values.add("DB203", (*spec.path, "joints"), headline, help)
             return None
         names = tuple(joint.name for joint in joints)
         limits = self._max_torque(spec, joints), self._max_velocity(spec, joints)
@@ -192,7 +188,7 @@ class Actuators:
         open_ = [link for link in links if link not in senses]
         if open_ and not unknown:
             span, headline = self._values.key_span((*spec.path, "spin")), f"no spin for `{open_[0]}`"
-            self._values.findings.add("DB102", span, headline, help="give 1 or -1 for each link")
+            self._values.add("DB102", span, headline, "give 1 or -1 for each link")
         found_all = [sense for link in links if (sense := senses.get(link)) is not None]
         return tuple(found_all) if len(found_all) == len(links) else None
 
@@ -265,7 +261,7 @@ def _pose(name: str, robot: ResolvedRobot, namespace: Namespace) -> Symbol:
     dimensions = {joint_dimension(robot.model.joint(joint)) for joint in positions}
     if len(dimensions) > 1:
         span = values.key_span((*robot.spec.path, "poses", name))
-        values.findings.add("DB404", span, "turning and sliding joints in one pose", help="make a pose of each")
+        values.add("DB404", span, "turning and sliding joints in one pose", "make a pose of each")
     if not sound or len(dimensions) != 1:
         return Symbol(name, None)
     known = tuple(positions.values())

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
-from deepbots_cli.compiler.namespace import Namespace, Origin, ParameterScope, SupervisorScope
+from deepbots_cli.compiler.namespace import Namespace, NamespaceReader, Origin, ParameterScope, SupervisorScope
 from deepbots_cli.compiler.places import Layouts, PlacementChecker, Places
 from deepbots_cli.compiler.robots import joint_dimension, report_follower, warn_beyond_limits
 from deepbots_cli.compiler.values import SourceText, ValueReader
@@ -46,12 +46,11 @@ from deepbots_cli.scenario.scenario import Reset as ResetSpec
 from deepbots_cli.scenario.scenario import Route as RouteSpec
 
 
-class Parameters:
+class Parameters(NamespaceReader):
     """The parameters: those that are fixed are folded into expressions, the others are drawn."""
 
     def __init__(self, namespace: Namespace) -> None:
-        self._spec = namespace.scenario
-        self._namespace = namespace
+        super().__init__(namespace)
         self._drawn: dict[str, Expression] = {}
         for name in namespace.scenario.parameters:
             namespace.define(name, Origin.PARAMETER, ("parameters", name), partial(self._parameter, name))
@@ -61,7 +60,7 @@ class Parameters:
         return tuple(self._drawn[name] for name in self._namespace.order if name in self._drawn)
 
     def _parameter(self, name: str) -> Symbol:
-        values, text = self._namespace.values, self._namespace.values.field(self._spec, "parameters", name)
+        values, text = self._values, self._values.field(self._spec, "parameters", name)
         checked = values.drawn(text, self._namespace.scope(Context.PARAMETER))
         if checked is None or not is_repeated_as_a_whole(checked.value, checked.redraw, text, values):
             return Symbol(name, None)
@@ -80,7 +79,7 @@ def route(direction: Direction, namespace: Namespace) -> Route:
     values = namespace.values
     if namespace.scenario.messages.format == "none" and spec.model_fields_set:
         help = "choose a format, such as `struct`: without messages the supervisor acts on the robot directly"
-        values.findings.add("DB407", values.key_span(spec.path), f"`{direction}` without messages", help=help)
+        values.add_at_key("DB407", spec.path, f"`{direction}` without messages", help)
         return Route()
     latency, loss, range_ = (_setting(spec, name, namespace) for name in ("latency", "loss", "range"))
     burst = namespace.fixed(spec, "burst", scope=namespace.scope(Context.FIELD))
@@ -112,16 +111,15 @@ def _check_burst(burst: float, loss: Expression, span: Span, values: ValueReader
     if burst / (burst + 1.0) < min(highest, 1.0) < 1.0:
         least = f"{highest / (1.0 - highest):.3g}"
         headline = f"a loss of {100.0 * highest:g} % needs bursts of at least {least} messages on average; `burst` is {burst:g}"
-        values.findings.add("DB105", span, headline, help=f"give a `burst` of at least {least}")
+        values.add("DB105", span, headline, f"give a `burst` of at least {least}")
 
 
 def is_repeated_as_a_whole(typed: Typed, redraw: Redraw | None, text: SourceText, values: ValueReader) -> bool:
     """Whether a value that changes within an episode says how often its own draws are repeated."""
     if redraw is not None or typed.type.known is not Known.STEP or not contains_draw(typed):
         return _has_period(redraw, text, values)
-    headline = "a random value combined with a value that changes within the episode"
     help = "add `every 5 s` or `each step` to repeat the draw, or define the random value under `parameters`"
-    values.findings.add("DB407", text.span, headline, help=help)
+    values.add("DB407", text.span, "a random value combined with a value that changes within the episode", help)
     return False
 
 
@@ -170,10 +168,10 @@ def _pushed(spec: DisturbanceSpec, namespace: Namespace) -> tuple[str, str | Non
         return None
     body, _, link = called.partition(".")
     if subject.kind not in _PUSHABLE_KINDS:
-        values.findings.add("DB203", span, f"`{called}` is {subject.kind.description}", help="a push acts on a robot, a link or an object")
+        values.add("DB203", span, f"`{called}` is {subject.kind.description}", "a push acts on a robot, a link or an object")
         return None
     if _is_fixed(body, link, namespace):
-        values.findings.add("DB203", span, f"`{called}` does not move", help="push a body that is not fixed")
+        values.add("DB203", span, f"`{called}` does not move", "push a body that is not fixed")
         return None
     return body, link or None
 
@@ -192,7 +190,7 @@ def _check_overlap(every: Expression, duration: Expression, namespace: Namespace
     longest, soonest = duration.typed.type.interval.high, every.typed.type.interval.low
     if longest > soonest * (1 + 1e-9):
         headline = f"a push may last {longest:g} s, and the next may begin after {soonest:g} s"
-        namespace.values.findings.add("DB105", duration.span, headline, help="make it shorter than `every`")
+        namespace.values.add("DB105", duration.span, headline, "make it shorter than `every`")
 
 
 # How an episode begins
@@ -216,7 +214,7 @@ def _joint_start(key: str, spec: ResetSpec, namespace: Namespace, poses: Mapping
     if not part:
         movable = [*(name for name, (kind, _) in robot.groups.items() if kind in _JOINTS), *robot.drivable_joints]
         help = choices_help(key, [f"{key}.{name}" for name in movable]) if movable else "no joint of this robot can move"
-        namespace.values.findings.add("DB203", text.span, f"the robot `{key}` where a joint or a group of joints is needed", help=help)
+        namespace.values.add("DB203", text.span, f"the robot `{key}` where a joint or a group of joints is needed", help)
         return None
     subject = robot.subject(part, _JOINTS)
     if subject is None or subject.kind not in _JOINTS:
@@ -306,7 +304,7 @@ def _require_places(namespace: Namespace) -> None:
     for name, group in namespace.groups.items():
         if name not in mentioned and namespace.origin(name) is Origin.OBJECT and not namespace.values.is_invalid(name):
             help = f"write where they start, as in `{name}: {{region: arena}}`"
-            namespace.values.findings.add("DB102", group.count.span, f"`reset.place` has no entry for the copies of `{name}`", help=help)
+            namespace.values.add("DB102", group.count.span, f"`reset.place` has no entry for the copies of `{name}`", help)
 
 
 def _requirement(namespace: Namespace) -> Expression | None:
@@ -321,10 +319,9 @@ def _requirement(namespace: Namespace) -> Expression | None:
     for call in walk(typed):
         if isinstance(call, Invocation) and call.function in _HELP_BEFORE_FIRST_STEP:
             span = text.part(call.start, call.start + len(call.function))
-            headline = f"`{call.function}` in a requirement on the start"
-            values.findings.add("DB407", span, headline, help=_HELP_BEFORE_FIRST_STEP[call.function])
+            values.add("DB407", span, f"`{call.function}` in a requirement on the start", _HELP_BEFORE_FIRST_STEP[call.function])
     if constant_values(typed) == (False,):
-        values.findings.add("DB105", text.span, "no start can meet this requirement", help="use a condition on positions or distances")
+        values.add("DB105", text.span, "no start can meet this requirement", "use a condition on positions or distances")
     return text.expression(typed)
 
 
@@ -334,10 +331,10 @@ def settling_time(namespace: Namespace, timestep: float) -> float:
     span = values.field(namespace.scenario.reset, "settle").span
     if abs(settle - round(settle / timestep) * timestep) > 1e-9 * settle and not values.is_invalid("world.timestep"):
         headline = f"the settling time of {settle:g} s is not a multiple of the timestep of {timestep:g} s"
-        values.findings.add("DB308", span, headline, help="write a multiple of the timestep")
+        values.add("DB308", span, headline, "write a multiple of the timestep")
     if settle / timestep * namespace.scenario.world.substeps > MAX_SETTLING_STEPS:
         headline = f"the settling time of {settle:g} s takes more than {MAX_SETTLING_STEPS:,} physics steps in every reset"
-        values.findings.add("DB105", span, headline, help="a few seconds are usual")
+        values.add("DB105", span, headline, "a few seconds are usual")
     return settle
 
 
@@ -349,10 +346,10 @@ def python_term(name: str, given: PythonTerm, namespace: Namespace, *, boolean: 
     values, text = namespace.values, namespace.values.field(given, "python")
     if namespace.document.permissions.code:
         headline = f"`{name}` runs Python code: {given.python}"
-        values.findings.add("DB410", text.span, headline, help="write it as an expression, if the language has its functions")
+        values.add("DB410", text.span, headline, "write it as an expression, if the language has its functions")
     else:
         help = "write an expression, or allow it with --allow-code if you trust the package"
-        values.findings.add("DB409", text.span, f"`{name}` would run Python code: {given.python}", help=help)
+        values.add("DB409", text.span, f"`{name}` would run Python code: {given.python}", help)
     module, _, function = given.python.partition(":")
     kind = Type(boolean=boolean, interval=TRUTH if boolean else Interval(float("-inf"), float("inf")), known=Known.STEP)
     nothing = Constant(kind, 0, len(text.text), (False if boolean else 0.0,))
@@ -365,13 +362,12 @@ MAX_ENDINGS = 200
 NO_SUCCESS_DEFINED = "a success rate, but the scenario defines no success"
 
 
-class Signals:
+class Signals(NamespaceReader):
     """Augmentation, signals and endings: named values of the supervisor, typed when first asked for."""
 
     def __init__(self, namespace: Namespace) -> None:
-        spec = namespace.scenario
-        self._namespace = namespace
-        self._values = namespace.values
+        super().__init__(namespace)
+        spec = self._spec
         self.valued: dict[str, Expression] = {}
         if isinstance(spec.augment, dict):
             for name, given in spec.augment.items():
@@ -386,8 +382,7 @@ class Signals:
             ("failure", spec.termination.failure),
         )
         if len(spec.termination.success) + len(spec.termination.failure) > MAX_ENDINGS:
-            help = "join conditions with `or`"
-            self._values.findings.add("DB005", self._values.key_span(("termination",)), f"more than {MAX_ENDINGS} endings", help=help)
+            self._values.add_at_key("DB005", ("termination",), f"more than {MAX_ENDINGS} endings", "join conditions with `or`")
             for name in (*spec.termination.success, *spec.termination.failure):
                 self._values.mark_invalid(name)
             outcomes = ()
@@ -468,9 +463,7 @@ def truncation(namespace: Namespace) -> Truncation:
     if limits is None:
         if not values.is_invalid("truncation"):
             span = values.key_span(("termination",) if "termination" in namespace.scenario.model_fields_set else ("reward",))
-            values.findings.add(
-                "DB803", span, "no condition is certain to end an episode", help="add `truncation: {max_steps: 1000}`, or a `max_time`"
-            )
+            values.add("DB803", span, "no condition is certain to end an episode", "add `truncation: {max_steps: 1000}`, or a `max_time`")
         return Truncation()
     steps = namespace.fixed(limits, "max_steps")
     return Truncation(None if steps is None else int(steps), namespace.fixed(limits, "max_time"))
@@ -485,7 +478,7 @@ def solved(namespace: Namespace) -> Solved | None:
     known = spec.termination.success or spec.goal or any(map(values.is_invalid, ("success", "termination", "goal")))
     if rate is not None and not known:
         help = "add a condition under `termination.success`, or require a `mean_return`"
-        values.findings.add("DB407", values.field(spec.solved, "success_rate").span, NO_SUCCESS_DEFINED, help=help)
+        values.add("DB407", values.field(spec.solved, "success_rate").span, NO_SUCCESS_DEFINED, help)
     mean_return = None if spec.solved.mean_return is None else float(spec.solved.mean_return)
     return Solved(spec.solved.episodes, mean_return, rate)
 

@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
 from deepbots_cli.compiler.episodes import NO_SUCCESS_DEFINED
-from deepbots_cli.compiler.namespace import Namespace, SupervisorScope
+from deepbots_cli.compiler.namespace import Namespace, NamespaceReader, SupervisorScope
 from deepbots_cli.compiler.policy import Decisions
 from deepbots_cli.diagnostics import Findings, Label, Span
 from deepbots_cli.document import Document, Entry, MappingNode, descend
@@ -76,7 +76,7 @@ def training(namespace: Namespace, action: Action, copies: RobotCopies | None, l
             hyperparameters.append(Hyperparameter(name, Schedule(*ramp) if ramp else given))
             if name == "learning_rate" and isinstance(rate := max(ramp) if ramp else given, int | float) and rate > _MAX_LEARNING_RATE:
                 headline = f"a learning rate of {rate:g}, at which a network rarely learns"
-                values.findings.add("DB505", values.span(("train", name)), headline, help="usual rates are 1e-5 to 1e-2, such as `3e-4`")
+                values.add("DB505", ("train", name), headline, "usual rates are 1e-5 to 1e-2, such as `3e-4`")
     replay = _hindsight(own.get("replay"), namespace)
     starts = own.get("learning_starts")
     if replay is not None and starts is not None and longest_episode is not None:
@@ -86,7 +86,7 @@ def training(namespace: Namespace, action: Action, copies: RobotCopies | None, l
                 f"learning begins after {starts:,} steps, and possibly no episode is complete by then:"
                 " hindsight samples goals from complete episodes"
             )
-            values.findings.add("DB105", values.span(("train", "learning_starts")), headline, help=f"give at least {longest:_}")
+            values.add("DB105", ("train", "learning_starts"), headline, f"give at least {longest:_}")
     return Training(
         spec.train.algorithm,
         spec.train.total_timesteps,
@@ -113,7 +113,7 @@ def _hindsight(given: HindsightSpec | str | None, namespace: Namespace) -> Hinds
     values = namespace.values
     if namespace.scenario.goal is None and not values.is_invalid("goal"):
         help = "add a `goal` with `achieved` and `desired`, or remove `replay`"
-        values.findings.add("DB102", values.span(("train", "replay")), "hindsight replay without a `goal`", help=help)
+        values.add("DB102", ("train", "replay"), "hindsight replay without a `goal`", help)
     return Hindsight(given.n_sampled_goal, given.goal_selection_strategy) if isinstance(given, HindsightSpec) else Hindsight()
 
 
@@ -132,7 +132,7 @@ def _check_algorithm(train: TrainingSpec, action: Action, namespace: Namespace) 
         headline, help = f"{algorithm} ignores `forbid`", "use MaskablePPO, or remove `forbid`"
     else:
         return
-    namespace.values.findings.add("DB612", namespace.values.span(("train", "algorithm")), headline, help=help)
+    namespace.values.add("DB612", ("train", "algorithm"), headline, help)
 
 
 MAX_VARIANTS = 64
@@ -271,11 +271,10 @@ class _VariantCompiler:
             self._findings.add("DB407", here, f"the {word} `{name}` changes `world.engine`", help=help)
             return False
         if lines:
-            headline = f"the {word} `{name}` changes the interface of the policy"
             timestep = "the timestep, " if word == "stage" else ""
             kept = f"{timestep}the observation, the action or the messages"
             help = f"a {word} may change the world, but not {kept}: they must not depend on its `set`"
-            self._findings.add("DB613", here, headline, help=help, notes=tuple(lines[:5]))
+            self._findings.add("DB613", here, f"the {word} `{name}` changes the interface of the policy", help=help, notes=tuple(lines[:5]))
         return not lines
 
 
@@ -296,18 +295,16 @@ def scenario_tests(namespace: Namespace, program: Program) -> tuple[ScenarioTest
     """The tests without findings, compiled in the namespace of `program`."""
     given, values = namespace.scenario.tests, namespace.values
     if len(given) > MAX_TESTS:
-        values.findings.add("DB005", values.key_span(("tests",)), f"more than {MAX_TESTS} tests", help="join tests, or write another file")
+        values.add_at_key("DB005", ("tests",), f"more than {MAX_TESTS} tests", "join tests, or write another file")
         return ()
     reader = _Reader(namespace, program)
     found = [reader.test(name, spec) for name, spec in given.items()]
     return tuple(test for test in found if test is not None)
 
 
-class _Reader:
+class _Reader(NamespaceReader):
     def __init__(self, namespace: Namespace, program: Program) -> None:
-        self._namespace = namespace
-        self._scenario = namespace.scenario
-        self._values = namespace.values
+        super().__init__(namespace)
         self._program = program
         self._decisions = Decisions(namespace, program.agent.action, namespace.scope(Context.FIXED))
         self._scope = SupervisorScope(namespace, Context.TEST)
@@ -316,7 +313,7 @@ class _Reader:
         """The test; None after an error."""
         known = len(self._values.findings.errors)
         policy = self._actions(spec) if spec.actions is not None else self._policy(spec)
-        cases, stages = self._scenario.evaluation.cases, [stage.name for stage in self._scenario.curriculum]
+        cases, stages = self._spec.evaluation.cases, [stage.name for stage in self._spec.curriculum]
         for word, section, given, others in (("case", "cases", spec.case, list(cases)), ("stage", "curriculum", spec.stage, stages)):
             if given is not None and given not in others and not self._values.is_invalid(section):
                 self._values.report_unknown(self._values.field(spec, word).span, word, given, others)
@@ -330,7 +327,7 @@ class _Reader:
     # Who acts, for how long
 
     def _policy(self, spec: TestSpec) -> str | None:
-        name, known = spec.policy or "", [*self._scenario.scripts, *PLAIN_POLICIES]
+        name, known = spec.policy or "", [*self._spec.scripts, *PLAIN_POLICIES]
         if name not in known and not (self._values.is_invalid("scripts") or self._values.is_invalid(name)):
             self._values.report_unknown(self._values.field(spec, "policy").span, "script", name, known)
         return name
@@ -341,11 +338,11 @@ class _Reader:
         return made if len(made) == len(found) else None
 
     def _action(self, place: NodePath, given: object) -> FixedAction | None:
-        names = list(self._scenario.action)
+        names = list(self._spec.action)
         if not isinstance(given, dict):
             if len(names) > 1:
                 help = f"write `{{{': ..., '.join(names)}: ...}}`"
-                self._values.findings.add("DB103", self._values.span(place), f"one value for an action of {len(names)} parts", help=help)
+                self._values.add("DB103", place, f"one value for an action of {len(names)} parts", help)
                 return None
             given = dict.fromkeys(names, given)
         return self._fixed(place, self._decisions.read(place, given, "the action"))
@@ -361,11 +358,8 @@ class _Reader:
             elif isinstance(part, ActionRange) and isinstance(decision, ScriptedRange):
                 numbers = [number for value in decision.values for number in constant_values(value.typed) or (math.nan,)]
                 if not all(map(math.isfinite, numbers)):
-                    headline, help = (
-                        f"`{part.name}` is not the same in every episode",
-                        "give fixed values, or write a script under `scripts`",
-                    )
-                    self._values.findings.add("DB407", self._values.span(place), headline, help=help)
+                    help = "give fixed values, or write a script under `scripts`"
+                    self._values.add("DB407", place, f"`{part.name}` is not the same in every episode", help)
                     return None
                 middle, half = (part.high + part.low) / 2, (part.high - part.low) / 2
                 shares = [min(max((number - middle) / half, -1.0), 1.0) for number in numbers]
@@ -382,15 +376,14 @@ class _Reader:
         total = steps * self._program.action_repeat * spec.episodes
         if total > MAX_STEPS and self._program.truncation != Truncation():
             help = "give fewer `episodes`, or a smaller `max_steps` or `max_time`"
-            headline = f"a test of {total:_} timesteps, which is more than {MAX_STEPS:_}"
-            self._values.findings.add("DB105", self._values.key_span(spec.path), headline, help=help)
+            self._values.add_at_key("DB105", spec.path, f"a test of {total:_} timesteps, which is more than {MAX_STEPS:_}", help)
         return steps
 
     # What is expected
 
     def _expected(self, spec: Expectation) -> Iterator[ExpectedResult]:
-        ends = self._scenario.termination
-        endings = {"success_rate": ends.success or self._scenario.goal, "failure_rate": ends.failure}
+        ends = self._spec.termination
+        endings = {"success_rate": ends.success or self._spec.goal, "failure_rate": ends.failure}
         for key in _RATE_KEYS:
             if getattr(spec, key) is not None:
                 text = self._values.field(spec, key)
@@ -398,7 +391,7 @@ class _Reader:
                 if not endings.get(key, True) and not any(map(self._values.is_invalid, ("success", "failure", "termination", "goal"))):
                     headline = NO_SUCCESS_DEFINED if key == "success_rate" else "a failure rate, but the scenario defines no failure"
                     help = f"add a condition under `termination.{key.removesuffix('_rate')}`, or expect something else, such as `ends_by`"
-                    self._values.findings.add("DB407", text.span, headline, help=help)
+                    self._values.add("DB407", text.span, headline, help)
                 if bounds is not None:
                     yield ExpectedResult(key, text.span, text.text, *bounds)
         if spec.ends_by is not None:
@@ -426,12 +419,12 @@ class _Reader:
         low, high = (*known, math.inf)[:2]
         if key != "mean_return" and not (0 <= low <= 1 and (high == math.inf or 0 <= high <= 1)):
             help = "a rate is from 0 to 1, or from 0 to 100 %"
-            self._values.findings.add("DB105", text.span, f"{called} is {text.text}, which no episodes can reach", help=help)
+            self._values.add("DB105", text.span, f"{called} is {text.text}, which no episodes can reach", help)
             return None
         return low, high
 
     def _ends_by(self, spec: Expectation) -> Iterator[ExpectedResult]:
-        termination, limits = self._scenario.termination, self._scenario.truncation
+        termination, limits = self._spec.termination, self._spec.truncation
         cuts = [name for name in ("max_steps", "max_time") if getattr(limits, name, None) is not None]
         known = [*termination.success, *termination.failure, *cuts]
         several = isinstance(spec.ends_by, tuple)

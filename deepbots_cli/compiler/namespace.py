@@ -154,7 +154,7 @@ class Namespace:
         called = f"`{text.path[-1]}`"
         typed = self.values.quantity(text, called, scope, dimension, components, known)
         if typed is not None and typed.type.known is not Known.FIXED:
-            self.values.findings.add("DB108", text.span, f"{called} that is drawn anew is not supported yet", help="give a fixed number")
+            self.values.add("DB108", text.span, f"{called} that is drawn anew is not supported yet", "give a fixed number")
             return None
         return self._si_values(typed, text, len(components or ("",))) if typed else None
 
@@ -221,7 +221,7 @@ class Namespace:
         if end == "maximum" and (kind.maximum is None or reach.high < math.inf):
             return True
         help = "keep it within bounds, as in `clamp(normal(2 +- 1), 1 .. 3)`"
-        self.values.findings.add("DB105", text.span, f"`{text.path[-1]}` is drawn without a {end}", help=help)
+        self.values.add("DB105", text.span, f"`{text.path[-1]}` is drawn without a {end}", help)
         return False
 
     def ends(
@@ -272,7 +272,7 @@ class Namespace:
         text = self.values.field(section, "noise")
         if of.type.boolean or of.type.picture:
             help = "remove it, or put the noise on the number from which the value is computed"
-            self.values.findings.add("DB403", text.span, f"noise on {of.type.description}", help=help)
+            self.values.add("DB403", text.span, f"noise on {of.type.description}", help)
             return None
         components = of.type.components
         std = self.typed(text, "the noise", components=components)
@@ -297,7 +297,7 @@ class Namespace:
             self.colours[:] = [each for each in self.colours if each.of != of]  # as for a link that two patterns mean
         if len(options) > 1 and of is None:
             help = "it must be the same in every episode; give one colour"
-            self.values.findings.add("DB407", text.span, "a random value for a colour that must be fixed", help=help)
+            self.values.add("DB407", text.span, "a random value for a colour that must be fixed", help)
         elif len(options) > 1 and of is not None:
             single = Type(known=Known.EPISODE)
             ends = tuple(Constant(single, 0, 0, (end,)) for end in (0.0, len(options) - 1.0))
@@ -367,15 +367,13 @@ class Namespace:
         again = definition.origin in (Origin.AUGMENT, Origin.SIGNAL)
         help = "define one of these values without the others" + (", or use `previous(...)`, the value of the step before" if again else "")
         headline = f"`{definition.name}` depends on itself"
-        notes = (f"the circle is {way}",) if len(cycle) > 1 else ()
-        self.values.findings.add("DB207", self.values.key_span(definition.path), headline, help=help, notes=notes)
+        self.values.add_at_key("DB207", definition.path, headline, help, notes=(f"the circle is {way}",) if len(cycle) > 1 else ())
         definition.symbol = Symbol(definition.name, None)
 
     def _report_too_deep(self, definition: Definition) -> None:
         """More names build on each other than can be followed: none of them is looked at again."""
         headline = f"`{definition.name}` is made of more than {len(self._being_resolved) // 2} definitions, one upon the other"
-        help = "write some of them out in the others"
-        self.values.findings.add("DB005", self.values.key_span(definition.path), headline, help=help)
+        self.values.add_at_key("DB005", definition.path, headline, "write some of them out in the others")
         for entry in self._being_resolved:
             entry.symbol = entry.symbol or Symbol(entry.name, None)
         self._being_resolved.clear()
@@ -425,6 +423,15 @@ class Namespace:
         """Whether the definition of `name` had a finding, or that of the robot it belongs to."""
         head = name.partition(".")[0]
         return self.values.is_invalid(name) or self.values.is_invalid(ANY_NAME) or (head in self.robots and self.robots[head] is None)
+
+
+class NamespaceReader:
+    """Reads a part of a scenario, with the names in it."""
+
+    def __init__(self, namespace: Namespace) -> None:
+        self._namespace = namespace
+        self._values = namespace.values
+        self._spec = namespace.scenario
 
 
 def _owner(text: SourceText, of: tuple[str, ...]) -> str:

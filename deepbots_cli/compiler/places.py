@@ -8,7 +8,7 @@ from dataclasses import replace
 from math import atan2, degrees, hypot, pi
 
 from deepbots_cli import footprint
-from deepbots_cli.compiler.namespace import Namespace, Origin
+from deepbots_cli.compiler.namespace import Namespace, NamespaceReader, Origin
 from deepbots_cli.compiler.values import SourceText
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.document.nodes import NodePath
@@ -35,12 +35,11 @@ def has_top(thing: ObjectBody) -> bool:
     return thing.solid and not thing.pooled and not thing.variants and isinstance(thing.shape, (Box, Cylinder))
 
 
-class PlacementChecker:
+class PlacementChecker(NamespaceReader):
     """Checks that there is room for the bodies of a world where they are placed."""
 
     def __init__(self, namespace: Namespace, world: WorldModel) -> None:
-        self._namespace = namespace
-        self._values = namespace.values
+        super().__init__(namespace)
         self._world = world
 
     def check_region(self, place: Placement, region: Region, path: NodePath) -> None:
@@ -58,20 +57,18 @@ class PlacementChecker:
         if arena is not None and needed > min(arena.size):
             size = f"{needed:.3g} m{'' if is_fixed else ' with its clearance'}"
             headline = f"`{place.body}` needs {size}, and the arena is {min(arena.size):.3g} m wide"
-            self._values.findings.add("DB105", span, headline, help="give a larger arena, or less clearance")
+            self._values.add("DB105", span, headline, "give a larger arena, or less clearance")
         elif arena is not None and any(
             region.low[axis] > arena.size[axis] / 2 - needed / 2 or region.high[axis] < needed / 2 - arena.size[axis] / 2 for axis in (0, 1)
         ):
             headline = f"no position in the region is far enough from the walls of the arena for `{place.body}`"
-            self._values.findings.add("DB105", span, headline, help="move the region into the arena, whose centre is the origin")
+            self._values.add("DB105", span, headline, "move the region into the arena, whose centre is the origin")
         elif region.mesh and (cells := int(width / region.mesh + 1e-9) * int(depth / region.mesh + 1e-9)) < copies:
             headline = f"the grid has {cells} cells for {'one body' if copies == 1 else f'up to {copies} copies'}"
-            self._values.findings.add(
-                "DB105", self._values.key_span((*path, "grid")), headline, help="give a larger region, or a smaller `grid`"
-            )
+            self._values.add_at_key("DB105", (*path, "grid"), headline, "give a larger region, or a smaller `grid`")
         elif arena is not None and copies * (area := min(kind.area for kind in kinds)) > arena.size[0] * arena.size[1]:
             headline = f"{copies} copies of {area:.3g} m^2 cannot stand in {arena.size[0] * arena.size[1]:.3g} m^2"
-            self._values.findings.add("DB105", span, headline, help="give a larger arena, or fewer copies")
+            self._values.add("DB105", span, headline, "give a larger arena, or fewer copies")
 
     def check_surroundings(self, common: Sequence[Placement], layouts: Sequence[Layout]) -> None:
         """What stands around leaves no room in any layout: the top that a body shall stand on, or a body that covers its region."""
@@ -87,7 +84,7 @@ class PlacementChecker:
 
     def _check_top(self, place: Placement, spot: Top, standing: Mapping[str, Placement], path: NodePath) -> None:
         """DB207 for bodies that stand on each other, DB203 for a top that is not level, DB105 for one that is too small or elsewhere."""
-        add, span = self._values.findings.add, self._values.span((*path, "on"))
+        span = self._values.span((*path, "on"))
         support, stack = standing[spot.of], [place.body]
         below: Placement | None = support
         while below is not None and below.body not in stack:
@@ -97,10 +94,10 @@ class PlacementChecker:
             return  # the circle is reported once, of the first of its bodies
         if below is not None and below.body == place.body:
             notes = (f"the circle is {' -> '.join((*stack, place.body))}",) if len(stack) > 1 else ()
-            add("DB207", span, f"`{place.body}` stands on itself", help="place one of them on the ground", notes=notes)
+            self._values.add("DB207", span, f"`{place.body}` stands on itself", "place one of them on the ground", notes=notes)
             return
         if any(_coordinate(support, turn) != 0.0 for turn in ("roll", "pitch")):
-            add("DB203", span, f"the top of `{spot.of}` is not level", help="place it upright, without `roll` and `pitch`")
+            self._values.add("DB203", span, f"the top of `{spot.of}` is not level", "place it upright, without `roll` and `pitch`")
             return
         kinds = self._footprints(place)
         top = footprint.shape_footprint(next(thing.shape for thing in self._world.objects if thing.name == spot.of))
@@ -118,15 +115,15 @@ class PlacementChecker:
             help = " or ".join(["give a larger top", *ways])
             if min(kind.area for kind in kinds) > _MAX_AREA_RATIO * top.area:
                 help = f"check the size of `{place.body}`: a length without a unit is in metres"
-            add("DB105", span, f"{covers} does not fit on the top of `{spot.of}` ({_size(top)}){turned}", help=help)
+            self._values.add("DB105", span, f"{covers} does not fit on the top of `{spot.of}` ({_size(top)}){turned}", help)
         elif kinds and not _is_tilted(place) and copies * (area := min(kind.area for kind in kinds)) > top.area:
             headline = f"{copies} copies of {area:.3g} m^2 cannot stand on the {top.area:.3g} m^2 of `{spot.of}`"
-            add("DB105", span, headline, help="give a larger top, or fewer copies")
+            self._values.add("DB105", span, headline, "give a larger top, or fewer copies")
         elif spot.region is not None and (patch := _patch(support, top)) is not None and _misses(spot.region, patch):
             (reach_x, reach_y), span = patch.half_extents, self._values.key_span((*path, "region"))
             sides = f"x = {patch.x - reach_x:g} .. {patch.x + reach_x:g} m and y = {patch.y - reach_y:g} .. {patch.y + reach_y:g} m"
             help = f"leave out `region` to use the whole top, which covers {sides}"
-            add("DB105", span, f"no position in the region is on the top of `{spot.of}`", help=help)
+            self._values.add("DB105", span, f"no position in the region is on the top of `{spot.of}`", help)
 
     def _check_covered(self, place: Placement, region: Region, standing: Mapping[str, Placement], path: NodePath) -> None:
         """DB105 where a body that stands at known coordinates covers the whole region, so that no spot of it is ever free.
@@ -147,9 +144,7 @@ class PlacementChecker:
             if patch is not None and all(patch.distance(*corner) < needed - 1e-6 for corner in corners):
                 headline = f"the region has no free position for `{place.body}`: `{thing.name}` covers it"
                 onto = f"write `on: {thing.name}` to put it on the top of `{thing.name}`, or " if has_top(thing) and other else ""
-                self._values.findings.add(
-                    "DB105", self._values.key_span((*path, "region")), headline, help=f"{onto}move the region away from it"
-                )
+                self._values.add_at_key("DB105", (*path, "region"), headline, f"{onto}move the region away from it")
                 return
 
     def copies(self, place: Placement) -> int:
@@ -244,14 +239,12 @@ _ANY_ANGLE = Invocation(Type(ANGLE, interval=TURN, known=Known.EPISODE), 0, 0, "
 """`any`: a turn drawn from the whole circle."""
 
 
-class Places:
+class Places(NamespaceReader):
     """Reads placements in the scope of a reset, where values may be drawn."""
 
     def __init__(self, namespace: Namespace, world: WorldModel, room: PlacementChecker) -> None:
+        super().__init__(namespace)
         self._room = room
-        self._spec = namespace.scenario
-        self._namespace = namespace
-        self._values = namespace.values
         self._world = world
         self._scope = namespace.scope(Context.RESET)
 
@@ -293,7 +286,7 @@ class Places:
             place = replace(place, spot=self._region(pose))
         elif pose.grid is not None:
             span = self._values.key_span((*pose.path, "grid"))
-            self._values.findings.add("DB102", span, "a grid without a region", help="give the region of the grid: `region: arena`")
+            self._values.add("DB102", span, "a grid without a region", "give the region of the grid: `region: arena`")
         self._check_spots(place.spot, pose.path)
         if isinstance(place.spot, Region) and used:
             self._room.check_region(place, place.spot, pose.path)
@@ -347,8 +340,7 @@ class Places:
             self._values.report_unknown(span, "object", name, flat)
         elif name not in flat and not self._values.is_invalid(name):
             headline = f"`{name}` has no flat top that a body could stand on"
-            help = f"name a single, solid box or cylinder{f', such as `{flat[0]}`' if flat else ''}"
-            self._values.findings.add("DB203", span, headline, help=help)
+            self._values.add("DB203", span, headline, f"name a single, solid box or cylinder{f', such as `{flat[0]}`' if flat else ''}")
         if name not in flat or (pose.region is not None and (region := self._region(pose)) is None):
             return None
         return Top(name, region if pose.region is not None else None, self._namespace.fixed(pose, "grid"))
@@ -365,8 +357,7 @@ class Places:
             self._values.report_unknown(span, "region", str(pose.region), ["arena"])
         elif self._spec.world.arena is None:
             if not self._values.is_invalid("world.arena"):
-                help = "give the region as `{x: -1 .. 1 m, y: -1 .. 1 m}`"
-                self._values.findings.add("DB201", span, "the world has no arena", help=help)
+                self._values.add("DB201", span, "the world has no arena", "give the region as `{x: -1 .. 1 m, y: -1 .. 1 m}`")
         elif arena is not None:
             half_x, half_y = arena.size[0] / 2, arena.size[1] / 2
             return Region((-half_x, -half_y), (half_x, half_y), mesh)
@@ -378,7 +369,7 @@ class Places:
             spot = Region((-reach, -reach), (reach, reach), spot.mesh)
         if isinstance(spot, Region) and spot.spots > MAX_SPOTS:
             headline = f"the region has {spot.spots:,.0f} cells; the limit is {MAX_SPOTS:,}"
-            self._values.findings.add("DB005", self._values.span((*path, "grid")), headline, help="give a coarser grid")
+            self._values.add("DB005", (*path, "grid"), headline, "give a coarser grid")
 
     def _check_copies(self, place: Placement, path: NodePath, *, used: bool) -> None:
         """Keys that only groups know; copies of a group that would stand within each other."""
@@ -390,8 +381,7 @@ class Places:
         for key, spec in (("at_most", place.at_most is not None), ("spacing", any(place.spacing))):
             if spec and not self._values.is_invalid(place.body):
                 headline = f"`{key}` applies to groups only, and `{place.body}` is a single body"
-                help = "groups are bodies with a `count`"
-                self._values.findings.add("DB203", self._values.key_span((*path, key)), headline, help=help)
+                self._values.add_at_key("DB203", (*path, key), headline, "groups are bodies with a `count`")
 
     def _check_spread(self, place: Placement, copies: int, path: NodePath) -> None:
         """DB105 where up to so many `copies` stand at the same coordinates."""
@@ -400,9 +390,8 @@ class Places:
         known = [place.coordinates[axis] for axis in PLANE if axis in place.coordinates]
         is_fixed = all(constant_values(coordinate.typed) is not None for coordinate in known)
         if copies > 1 and is_fixed and place.spot is None and not any(place.spacing):
-            headline = f"up to {copies} copies of `{place.body}` at one position"
             help = "draw their positions with `region`, place them in a row with `spacing`, or place `at_most: 1`"
-            self._values.findings.add("DB105", self._values.key_span(path), headline, help=help)
+            self._values.add_at_key("DB105", path, f"up to {copies} copies of `{place.body}` at one position", help)
 
 
 def draws_owner(path: NodePath) -> str:
@@ -415,13 +404,11 @@ _WALL_CELL = "wall"
 _MAX_CELLS = 250_000
 
 
-class Layouts:
+class Layouts(NamespaceReader):
     """The layouts that episodes use. `walls` are the bodies that stand in cells of walls, absent in other layouts."""
 
     def __init__(self, namespace: Namespace, places: Places, world: WorldModel) -> None:
-        self._spec = namespace.scenario
-        self._namespace = namespace
-        self._values = namespace.values
+        super().__init__(namespace)
         self._places = places
         self._world = world
         self.walls: list[ObjectBody] = []
@@ -432,7 +419,7 @@ class Layouts:
         shares = self._shares() if isinstance(spec, dict) else {spec: 1.0} if spec is not None else dict.fromkeys(list(layouts)[:1], 1.0)
         if spec is None and len(layouts) > 1:
             help = f"name one layout, as in `layout: {next(iter(layouts))}`, or give several with their shares"
-            self._values.findings.add("DB102", self._values.key_span(("reset", "layouts")), "missing key `layout`", help=help)
+            self._values.add_at_key("DB102", ("reset", "layouts"), "missing key `layout`", help)
         for name in shares:
             if name not in layouts:
                 path: NodePath = ("reset", "layout", name) if isinstance(spec, dict) else ("reset", "layout")
@@ -455,7 +442,7 @@ class Layouts:
         shares = {name: share for name, share in read.items() if share is not None}
         if len(shares) == len(read) and abs(sum(shares.values()) - 1.0) > 1e-6:
             headline = f"the shares add up to {100 * sum(shares.values()):g} %"
-            self._values.findings.add("DB105", self._values.key_span(("reset", "layout")), headline, help="make the shares add up to 100 %")
+            self._values.add_at_key("DB105", ("reset", "layout"), headline, "make the shares add up to 100 %")
         return shares
 
     # Maps
@@ -494,14 +481,14 @@ class Layouts:
     def _is_small(self, text: SourceText) -> bool:
         if len(text.text.split()) <= _MAX_CELLS:
             return True
-        self._values.findings.add("DB005", text.span, f"the map has more than {_MAX_CELLS:,} cells", help="use larger cells")
+        self._values.add("DB005", text.span, f"the map has more than {_MAX_CELLS:,} cells", "use larger cells")
         return False
 
     def _is_even(self, rows: list[list[tuple[str, Span]]]) -> bool:
         for row in rows[1:]:
             if len(row) != len(rows[0]):
                 headline = f"this row has {len(row)} cells, and the first row has {len(rows[0])}"
-                self._values.findings.add("DB106", row[0][1], headline, help="write a dot for each empty cell, and blanks between cells")
+                self._values.add("DB106", row[0][1], headline, "write a dot for each empty cell, and blanks between cells")
                 return False
         return True
 
@@ -509,7 +496,7 @@ class Layouts:
         arena = self._world.arena
         if arena is not None and (width > arena.size[0] + 1e-9 or depth > arena.size[1] + 1e-9):
             headline = f"the map is {width:g} by {depth:g} m, and the arena is {arena.size[0]:g} by {arena.size[1]:g} m"
-            self._values.findings.add("DB105", self._values.key_span(path), headline, help="give smaller cells, or a larger arena")
+            self._values.add_at_key("DB105", path, headline, "give smaller cells, or a larger arena")
 
     def _standing(
         self, layout: str, body: str, cell: float, spots: tuple[tuple[float, float], ...], path: NodePath, *, used: bool
@@ -531,7 +518,7 @@ class Layouts:
         bodies = len(self._world.robots) + sum(thing.bodies for thing in self._world.objects) + len(self.walls) + count
         if bodies > MAX_BODIES:
             headline = f"the world has {bodies:,} bodies, including the walls of maps; the limit is {MAX_BODIES}"
-            self._values.findings.add("DB005", span, headline, help="write long walls under `world.walls`, or use larger cells")
+            self._values.add("DB005", span, headline, "write long walls under `world.walls`, or use larger cells")
             return
         group = Group(name, count, Expression("count", span, "", _fixed(float(count), NUMBER), name))
         self._namespace.groups[name] = group

@@ -9,7 +9,7 @@ from dataclasses import replace
 from functools import partial
 
 from deepbots_cli.compiler.controllers import driven_parts
-from deepbots_cli.compiler.namespace import AFTER_SIGNALS, GOAL_AFTER_SIGNALS_MESSAGE, Namespace, Origin, SupervisorScope
+from deepbots_cli.compiler.namespace import AFTER_SIGNALS, GOAL_AFTER_SIGNALS_MESSAGE, Namespace, NamespaceReader, Origin, SupervisorScope
 from deepbots_cli.compiler.values import SourceText
 from deepbots_cli.document.nodes import MappingNode, NodePath
 from deepbots_cli.expressions import syntax
@@ -56,9 +56,8 @@ def copies(namespace: Namespace) -> RobotCopies | None:
     name, values = spec.agent.each, namespace.values
     for robot, given in spec.robots.items():
         if "count" in given.model_fields_set and robot != name and not values.is_invalid("each"):
-            headline = f"copies of `{robot}` need `agent: {{each: {robot}}}`"
             help = f"write `agent: {{each: {robot}}}`: one policy then acts for every copy"
-            values.findings.add("DB108", values.key_span(("robots", robot, "count")), headline, help=help)
+            values.add_at_key("DB108", ("robots", robot, "count"), f"copies of `{robot}` need `agent: {{each: {robot}}}`", help)
     if name is None:
         return None
     if name not in spec.robots:
@@ -71,13 +70,13 @@ def copies(namespace: Namespace) -> RobotCopies | None:
         return None
     if robot_spec.spacing is None:
         help = f"give the distance between copies, as in `robots.{name}.spacing: 0 0.5 0 m`"
-        values.findings.add("DB102", values.span(("agent", "each")), f"the copies of `{name}` have no `spacing`", help=help)
+        values.add("DB102", ("agent", "each"), f"the copies of `{name}` have no `spacing`", help)
         return None
     spacing = namespace.triple(robot_spec, "spacing")
     if count is None or spacing is None:
         return None
     if not 1 <= count <= MAX_BODIES:
-        values.findings.add("DB105", values.field(robot_spec, "count").span, f"{count:g} copies", help=f"give 1 to {MAX_BODIES}")
+        values.add("DB105", values.field(robot_spec, "count").span, f"{count:g} copies", f"give 1 to {MAX_BODIES}")
         return None
     return RobotCopies(name, int(count), spacing)
 
@@ -94,18 +93,14 @@ def _refuse_others(name: str, namespace: Namespace) -> None:
     paths += [(("reset", "place", name, key), f"`{key}`") for key in ("region", "line", "grid")]
     for path, what in paths:
         if values.is_present(path):
-            values.findings.add(
-                "DB108", values.key_span(path), f"{what} together with copies of `{name}` is not supported yet", help=_NOT_YET
-            )
+            values.add_at_key("DB108", path, f"{what} together with copies of `{name}` is not supported yet", _NOT_YET)
 
 
-class Actions:
+class Actions(NamespaceReader):
     """The parts of the action, and the variables that they set."""
 
     def __init__(self, namespace: Namespace) -> None:
-        self._spec = namespace.scenario
-        self._namespace = namespace
-        self._values = namespace.values
+        super().__init__(namespace)
         self._parts: dict[str, Choices | ActionRange | None] = {}
         for name, part in namespace.scenario.action.items():
             if isinstance(part, DiscreteAction):
@@ -145,9 +140,7 @@ class Actions:
             always = {option for part, option, condition in found if part == name and constant_values(condition.typed) == (True,)}
             if always == set(part.choices):
                 span = self._values.key_span((*part.path, "forbid"))
-                self._values.findings.add(
-                    "DB105", span, f"every option of `{name}` is always forbidden", help="leave one that may be chosen"
-                )
+                self._values.add("DB105", span, f"every option of `{name}` is always forbidden", "leave one that may be chosen")
         return found
 
     def _last_action_symbol(self, context: Context) -> Symbol:
@@ -187,16 +180,14 @@ class Actions:
         if not isinstance(given, dict):
             if named:
                 help = f"assign the variables, as in `{{{variables[0]}: 1}}`"
-                self._values.findings.add(
-                    "DB103", self._values.span(place), "this option is a number, but other options assign variables", help=help
-                )
+                self._values.add("DB103", place, "this option is a number, but other options assign variables", help)
                 self._values.mark_invalid(str(place[1]))
                 return (0.0,) * len(variables)
             return (number() or 0.0,)
         missing = [variable for variable in variables if variable not in given]
         if missing:
             headline = f"the option `{place[-1]}` does not assign `{missing[0]}`, and other options do"
-            self._values.findings.add("DB102", self._values.key_span(place), headline, help=f"add `{missing[0]}: 0`, or another value")
+            self._values.add_at_key("DB102", place, headline, f"add `{missing[0]}: 0`, or another value")
         found = {variable: number(variable) for variable in given}
         return tuple(found.get(variable) or 0.0 for variable in variables)
 
@@ -236,13 +227,8 @@ MIN_IMAGE_SIDE = 36
 """Pixels: filters of 8, 4 and 3 with strides of 4, 2 and 1 leave one of them."""
 
 
-class Observations:
+class Observations(NamespaceReader):
     """Reads the entries of the observation."""
-
-    def __init__(self, namespace: Namespace) -> None:
-        self._spec = namespace.scenario
-        self._namespace = namespace
-        self._values = namespace.values
 
     def entries(self) -> tuple[Observation, ...]:
         found = tuple(entry for key, spec in self._spec.observation.items() if (entry := self._entry(key, spec)) is not None)
@@ -273,11 +259,8 @@ class Observations:
         if tree is None:
             return None
         if not isinstance(tree, syntax.Name):
-            self._values.findings.add(
-                "DB103",
-                text.span,
-                "an expression where a name is needed",
-                help="name the expression under `augment`, and observe that name",
+            self._values.add(
+                "DB103", text.span, "an expression where a name is needed", "name the expression under `augment`, and observe that name"
             )
             return None
         return self._values.expression(text, SupervisorScope(self._namespace, Context.OBSERVATION))
@@ -286,20 +269,18 @@ class Observations:
         count = len(typed.type.components or ("",))
         if typed.type.picture:
             if text.text != "auto":
-                self._values.findings.add(
-                    "DB403", text.span, "a range for a picture", help="write `auto`: a pixel is a number from 0 to 255"
-                )
+                self._values.add("DB403", text.span, "a range for a picture", "write `auto`: a pixel is a number from 0 to 255")
                 return None
             return (), ()
         if typed.type.boolean:
             if text.text != "auto":
-                self._values.findings.add("DB403", text.span, "a range for a truth value", help="write `auto`: it is seen as 0 or 1")
+                self._values.add("DB403", text.span, "a range for a truth value", "write `auto`: it is seen as 0 or 1")
                 return None
             return (0.0,) * count, (1.0,) * count
         if text.text == "auto":
             low, high = typed.type.interval.low, typed.type.interval.high
             if not (math.isfinite(low) and math.isfinite(high) and low < high):
-                self._values.findings.add("DB102", text.span, "the range of this value is not known", help="give it: `lo .. hi unit`")
+                self._values.add("DB102", text.span, "the range of this value is not known", "give it: `lo .. hi unit`")
                 return None
             return (low,) * count, (high,) * count
         scope, components = self._namespace.scope(Context.FIXED), typed.type.components or None
@@ -313,8 +294,7 @@ class Observations:
         for found, limit, what in ((seen, MAX_OBSERVED_NUMBERS, "numbers"), (pixels, MAX_OBSERVED_BYTES, "bytes of pictures")):
             if found > limit:
                 headline = f"the observation has {found:,} {what}; the limit is {limit:,}"
-                help = "shorten its histories, or the stack of the agent"
-                self._values.findings.add("DB105", self._values.key_span(("observation",)), headline, help=help)
+                self._values.add_at_key("DB105", ("observation",), headline, "shorten its histories, or the stack of the agent")
 
     def _check_pictures(self, entries: tuple[Observation, ...]) -> None:
         """Whether the network that is trained can see the pictures: its three layers of filters must fit in.
@@ -328,10 +308,10 @@ class Observations:
             rows, columns, channels = picture[0], picture[1], picture[2] * entry.history * self._spec.agent.frame_stack
             if min(rows, columns) < MIN_IMAGE_SIDE:
                 headline = f"pictures of {columns} x {rows} pixels, where the network needs {MIN_IMAGE_SIDE} x {MIN_IMAGE_SIDE}"
-                self._values.findings.add("DB612", entry.value.span, headline, help="raise the `resolution` of the camera")
+                self._values.add("DB612", entry.value.span, headline, "raise the `resolution` of the camera")
             elif channels >= min(rows, columns):
                 headline = f"pictures of {columns} x {rows} pixels with {channels} channels in all, more than the sides have pixels"
-                self._values.findings.add("DB612", entry.value.span, headline, help="shorten the history, or raise the `resolution`")
+                self._values.add("DB612", entry.value.span, headline, "shorten the history, or raise the `resolution`")
 
     def _check_keys(self, entries: tuple[Observation, ...]) -> None:
         """Pictures stand under keys of their own, in which a dot is an underscore."""
@@ -340,20 +320,18 @@ class Observations:
             key = entry.value.name.replace(".", "_")
             if entry.value.typed.type.picture and key in taken:
                 headline = f"the picture `{entry.value.name}` would stand under the key `{key}`, which is taken"
-                self._values.findings.add("DB202", entry.value.span, headline, help="send it under another name")
+                self._values.add("DB202", entry.value.span, headline, "send it under another name")
             taken |= {key} if entry.value.typed.type.picture else set()
 
 
 _RECOMPUTED = ("achieved", "desired", "goal_reached")
 
 
-class Goals:
+class Goals(NamespaceReader):
     """Reads `goal`, and gives the names in it their meaning."""
 
     def __init__(self, namespace: Namespace) -> None:
-        self._spec = namespace.scenario
-        self._namespace = namespace
-        self._values = namespace.values
+        super().__init__(namespace)
         self._valued: dict[str, Expression] = {}
         if namespace.scenario.goal is not None:
             namespace.built_in["goal_reached"] = self._reached
@@ -384,7 +362,7 @@ class Goals:
         if self._spec.agent.action_repeat > 1:
             span = self._values.field(self._spec.agent, "action_repeat").span
             help = "remove `action_repeat`, and make the timestep longer"
-            self._values.findings.add("DB709", span, "a reward over several timesteps, which hindsight cannot recompute", help=help)
+            self._values.add("DB709", span, "a reward over several timesteps, which hindsight cannot recompute", help)
 
     def _part(self, spec: GoalSpec, name: str) -> Symbol:
         """The achieved or the desired goal; both have the same dimension and components."""
@@ -421,12 +399,12 @@ def _check_rewards(terms: Iterable[Expression], namespace: Namespace) -> None:
     for term in terms:
         if term.foreign is not None:
             help = "write an expression of `achieved` and `desired`"
-            namespace.values.findings.add("DB709", term.span, "a reward in Python, which hindsight cannot recompute", help=help)
+            namespace.values.add("DB709", term.span, "a reward in Python, which hindsight cannot recompute", help)
         for odd in _parts_besides_goal(term.typed):
             text = namespace.values.text(tuple(term.owner.split(".", 1)), term.text)
             headline = f"the term `{term.name}` depends on values other than the goal"
             help = "use `achieved`, `desired`, `goal_reached` and fixed values: hindsight recomputes the reward for other goals"
-            namespace.values.findings.add("DB709", text.part(odd.start, odd.end), headline, help=help)
+            namespace.values.add("DB709", text.part(odd.start, odd.end), headline, help)
             break
 
 
@@ -452,15 +430,14 @@ def scripts(namespace: Namespace, action: tuple[Choices | ActionRange, ...]) -> 
     return tuple(Script(name, parts) for name, parts in found if parts is not None)
 
 
-class Decisions:
+class Decisions(NamespaceReader):
     """Reads decisions for every part of an action; `action` has the parts without findings, `scope` is that of the expressions."""
 
     def __init__(self, namespace: Namespace, action: tuple[ActionPart, ...], scope: Scope) -> None:
-        self._namespace = namespace
-        self._values = namespace.values
+        super().__init__(namespace)
         self._scope = scope
         self._parts = {part.name: part for part in action}
-        self._names = list(namespace.scenario.action)
+        self._names = list(self._spec.action)
         self._called = ""
 
     def read(self, place: NodePath, given: Mapping[str, object], description: str) -> tuple[ScriptedChoice | ScriptedRange, ...] | None:
@@ -471,8 +448,7 @@ class Decisions:
             self._values.report_unknown(self._values.key_span((*place, part)), "action", part, self._names)
         for part in self._names:
             if part not in given and not strange and not self._values.is_invalid(part):
-                headline = f"{description} does not decide `{part}`"
-                self._values.findings.add("DB102", self._values.key_span(place), headline, help=self._example(part))
+                self._values.add_at_key("DB102", place, f"{description} does not decide `{part}`", self._example(part))
         decided = {part: self._decision((*place, part), self._parts[part], given[part]) for part in self._parts if part in given}
         parts = [decided.get(part) for part in self._names]
         return tuple(part for part in parts if part is not None) if all(parts) else None
@@ -499,9 +475,7 @@ class Decisions:
         """A value for each component by its name."""
         key = self._values.key_span(place)
         if not part.components:
-            self._values.findings.add(
-                "DB103", key, f"several values for `{part.name}`, which is a single value", help=self._example(part.name)
-            )
+            self._values.add("DB103", key, f"several values for `{part.name}`, which is a single value", self._example(part.name))
             return None
         strange = [name for name in given if name not in part.components]
         for name in strange:
@@ -509,7 +483,7 @@ class Decisions:
         for name in part.components:
             if name not in given and not strange:  # otherwise it probably stands there under another name
                 headline = f"{self._called} does not decide `{name}` of `{part.name}`"
-                self._values.findings.add("DB102", key, headline, help="give a value for each component, or one for all")
+                self._values.add("DB102", key, headline, "give a value for each component, or one for all")
         aims = [self._aim((*place, name), part, given[name], None) for name in part.components if name in given]
         found = tuple(aim for aim in aims if aim is not None)
         return ScriptedRange(found, len(part.components)) if len(found) == len(part.components) else None
@@ -530,7 +504,7 @@ class Decisions:
         span, options = self._values.span(place), [option.name for option in part.options]
         if not _WORD.fullmatch(word):
             help = f"name one option, or write a condition for each: `{{{options[0]}: x > 0 m, {options[-1]}: true}}`"
-            self._values.findings.add("DB103", span, f"an expression where an option of `{part.name}` is needed", help=help)
+            self._values.add("DB103", span, f"an expression where an option of `{part.name}` is needed", help)
         elif word not in options and self._values.is_invalid("action"):
             return None  # it may be an option of the action that has a finding
         elif word not in options:
@@ -542,7 +516,7 @@ class Decisions:
     def _pick(self, place: NodePath, part: Choices, given: Mapping[str, object]) -> ScriptedChoice | None:
         """The first option whose condition holds; one of the conditions must hold always, and nothing stands behind it."""
         if len(given) > MAX_CONDITIONS:
-            self._values.findings.add("DB005", self._values.key_span(place), f"more than {MAX_CONDITIONS} conditions")
+            self._values.add_at_key("DB005", place, f"more than {MAX_CONDITIONS} conditions")
             return None
         options, branches, broken = [option.name for option in part.options], [], False
         for option, condition in given.items():
@@ -557,15 +531,12 @@ class Decisions:
         always = next((index for index, (_, holds) in enumerate(branches) if constant_values(holds.typed) == (True,)), None)
         if always is None:
             headline = f"the script can leave `{part.name}` without an option: no condition is always true"
-            help = f"make the last condition true: `{branches[-1][0]}: true`"
-            self._values.findings.add("DB102", self._values.key_span(place), headline, help=help)
+            self._values.add_at_key("DB102", place, headline, f"make the last condition true: `{branches[-1][0]}: true`")
             return None
         otherwise = branches[always][0]
         for option, _ in branches[always + 1 :]:
             headline = f"`{option}` is never chosen: the condition of `{otherwise}` before it is always true"
-            self._values.findings.add(
-                "DB205", self._values.key_span((*place, option)), headline, help=f"remove it, or move it before `{otherwise}`"
-            )
+            self._values.add_at_key("DB205", (*place, option), headline, f"remove it, or move it before `{otherwise}`")
         return ScriptedChoice(tuple(branches[:always]), otherwise)
 
     def _condition(self, place: NodePath, given: object) -> Expression | None:

@@ -115,7 +115,7 @@ def report_unmatched(values: ValueReader, span: Span, pattern: str, what: str, n
     if not set(pattern) & set("*?["):
         values.report_unknown(span, what, pattern, names, "DB302" if what == "joint" else "DB201")
     else:
-        values.findings.add("DB206", span, f"`{pattern}` matches no {what}", help=choices_help(pattern, names))
+        values.add("DB206", span, f"`{pattern}` matches no {what}", choices_help(pattern, names))
 
 
 def report_missing_joint(values: ValueReader, span: Span, pattern: str, model: RobotModel, known: Sequence[str]) -> None:
@@ -133,13 +133,13 @@ def report_follower(values: ValueReader, span: Span, joint: str, model: RobotMod
     """DB303 for a joint that follows another one where one is moved on its own."""
     leader = model.followers[joint].joint
     help = f"name `{leader}`, which moves both; a pattern or a group leaves `{joint}` out"
-    values.findings.add("DB303", span, f"the joint `{joint}` follows `{leader}`, and is not moved on its own", help=help)
+    values.add("DB303", span, f"the joint `{joint}` follows `{leader}`, and is not moved on its own", help)
 
 
 def report_motionless_joint(values: ValueReader, span: Span, joint: Joint, known: Sequence[str]) -> None:
     names = ", ".join(f"`{name}`" for name in known)
     help = f"joints that move are {names}" if names else "no joint of this robot can move"
-    values.findings.add("DB303", span, f"the joint `{joint.name}` cannot move: it is {joint.type}", help=help)
+    values.add("DB303", span, f"the joint `{joint.name}` cannot move: it is {joint.type}", help)
 
 
 # Limits of the robot file
@@ -163,7 +163,7 @@ def warn_beyond_limits(
 
     limits = allowed if allowed.low > -math.inf else single(allowed.high)
     headline = f"{what} {in_unit(found)} {unit.text}, where the robot file allows {in_unit(limits)}"
-    values.findings.add("DB304", text.span, headline, help=help, fix=_within(text, numbers, allowed))
+    values.add("DB304", text.span, headline, help, fix=_within(text, numbers, allowed))
 
 
 def _within(text: SourceText, numbers: list[syntax.Number], allowed: Interval) -> Fix | None:
@@ -281,7 +281,7 @@ class Overrides:
     def _change_density(self, model: RobotModel, link: str, change: LinkOverride) -> RobotModel:
         if change.mass is not None:
             span = self.values.key_span((*change.path, "density"))
-            self.values.findings.add("DB202", span, "`mass` and `density` both set the mass", help="give one of the two")
+            self.values.add("DB202", span, "`mass` and `density` both set the mass", "give one of the two")
             return model
         density = self.namespace.fixed(change, "density", scope=self._scope(), known=Known.EPISODE)
         return self._accepted(model, with_density(model, link, density), change, "density") if density else model
@@ -292,14 +292,13 @@ class Overrides:
         of, scope = OfLink(self.robot, link.name), self._scope(MASS, link.inertial.mass if link.inertial else None)
         mass = self.namespace.scalar_or_randomized(change, "mass", "mass", of, None, scope=scope)
         if mass == 0 and not self.namespace.is_randomized("mass", of):
-            span = self.values.field(change, "mass").span
-            self.values.findings.add("DB105", span, "`mass` is 0 kg", help="give more than 0 kg")
+            self.values.add("DB105", self.values.field(change, "mass").span, "`mass` is 0 kg", "give more than 0 kg")
         return self._accepted(model, with_mass(model, link.name, mass), change, "mass") if mass else model
 
     def _accepted(self, old: RobotModel, new: RobotModel | str, change: LinkOverride, key: str) -> RobotModel:
         """The changed model, or the old one and a finding that says why it cannot be changed so."""
         if isinstance(new, str):
-            self.values.findings.add("DB105", self.values.field(change, key).span, new)
+            self.values.add("DB105", self.values.field(change, key).span, new)
             return old
         return new
 
@@ -327,7 +326,7 @@ class Overrides:
         """`limit` with both ends as the scenario gives them."""
         if joint.type == "continuous":
             span, headline = self.values.field(change, "range").span, "a range for a joint that the robot file calls continuous"
-            self.values.findings.add("DB203", span, headline, help="make it revolute in the robot file")
+            self.values.add("DB203", span, headline, "make it revolute in the robot file")
             return limit
         scope, dimension = self.namespace.scope(Context.FIELD), joint_dimension(joint)
         ends = self.namespace.ends(change, "range", what="the range of a joint", dimension=dimension, scope=scope)
@@ -384,7 +383,7 @@ class ResolvedRobot:
         names = self._named(spec, key, known, values)
         joints = tuple(self.model.joint(name) for name in names)
         if len({joint_dimension(joint) for joint in joints}) > 1:
-            values.findings.add("DB404", values.span((*spec.path, key)), "turning and sliding joints together", help="name them apart")
+            values.add("DB404", (*spec.path, key), "turning and sliding joints together", "name them apart")
             return ()
         return joints
 
@@ -454,8 +453,7 @@ def locate_file(reference: str, span: Span, document: Document, values: ValueRea
     if reference.startswith("package://"):
         found = meshes.package_file(reference)
         if found is None:
-            help = "the package must be installed and contain this file"
-            values.findings.add("DB204", span, f"`{reference}` does not exist", help=help)
+            values.add("DB204", span, f"`{reference}` does not exist", "the package must be installed and contain this file")
         return found
     beside = files.resolve_reference(reference, document.directory_of(span), document.roots)
     if isinstance(beside, FilePath):
@@ -466,8 +464,7 @@ def locate_file(reference: str, span: Span, document: Document, values: ValueRea
     notes = (f"shipped robots are {shortened_list(shipped.robot_names())}",) if robot else ()
     library = meshes.library_reference(reference)
     fix = Fix.replacing(span, reference, library, safe=False) if library else None
-    help = f"did you mean `{library}`?" if library else beside.help
-    values.findings.add("DB204", span, beside.headline, help=help, notes=notes, fix=fix)
+    values.add("DB204", span, beside.headline, f"did you mean `{library}`?" if library else beside.help, notes=notes, fix=fix)
     return None
 
 
@@ -478,15 +475,12 @@ def _groups(model: RobotModel, spec: RobotSpec, values: ValueReader) -> dict[str
         place = (*spec.path, "groups", name)
         if name in joints or name in links:
             what = "joint" if name in joints else "link"
-            values.findings.add("DB202", values.key_span(place), f"`{name}` is already a {what}", help="choose another name")
+            values.add_at_key("DB202", place, f"`{name}` is already a {what}", "choose another name")
         as_joints, not_joints = expand_patterns(joints, patterns, groups)
         as_links, not_links = expand_patterns(links, patterns, groups)
         if not not_joints and len({joint_dimension(model.joint(joint)) for joint in as_joints}) > 1:
-            values.findings.add(
-                "DB404",
-                values.span(place),
-                "turning and sliding joints in one group",
-                help="make one group of turning joints, and one of sliding joints",
+            values.add(
+                "DB404", place, "turning and sliding joints in one group", "make one group of turning joints, and one of sliding joints"
             )
         elif not not_joints:
             groups[name] = (Kind.JOINTS, as_joints)
@@ -501,8 +495,6 @@ def _groups(model: RobotModel, spec: RobotSpec, values: ValueReader) -> dict[str
             else:
                 report_unmatched(values, span, odd[0], "joint or link", list(dict.fromkeys([*joints, *links])))
         else:
-            values.findings.add(
-                "DB203", values.span(place), "joints and links in one group", help="make one group of joints, and one of links"
-            )
+            values.add("DB203", place, "joints and links in one group", "make one group of joints, and one of links")
         values.mark_invalid(name)
     return groups

@@ -7,7 +7,7 @@ from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
-from deepbots_cli.compiler.namespace import Namespace
+from deepbots_cli.compiler.namespace import Namespace, NamespaceReader
 from deepbots_cli.compiler.robots import ResolvedRobot, joint_dimension, joint_interval
 from deepbots_cli.compiler.values import ValueReader
 from deepbots_cli.document.nodes import NodePath
@@ -28,13 +28,12 @@ _LINKS = frozenset({Kind.LINK})
 _CONTACT_KINDS = frozenset({Kind.GROUND, Kind.ROBOT, Kind.OBJECT, Kind.OBJECTS, Kind.LINK, Kind.LINKS, Kind.WALL, Kind.WALLS})
 
 
-class SensorsCompiler:
+class SensorsCompiler(NamespaceReader):
     """The sensors of one robot. Those with findings are missing, and their names have no type."""
 
     def __init__(self, robot: ResolvedRobot, namespace: Namespace) -> None:
+        super().__init__(namespace)
         self._robot = robot
-        self._namespace = namespace
-        self._values = namespace.values
         self.symbols: dict[str, Symbol] = {}
         self._sensors: dict[str, Sensor] = {}
         for name, spec in robot.spec.sensors.items():
@@ -58,7 +57,7 @@ class SensorsCompiler:
             if count > limit:
                 span = self._values.key_span((*self._robot.spec.path, "sensors"))
                 headline = f"the sensors of `{self._robot.name}` have {count:,} {what}; the limit is {limit:,}"
-                self._values.findings.add("DB005", span, headline, help="use fewer: the robot reads all of them in every timestep")
+                self._values.add("DB005", span, headline, "use fewer: the robot reads all of them in every timestep")
 
     def _add(self, name: str, spec: SensorSpec) -> None:
         made = self._read(name, spec)
@@ -117,11 +116,11 @@ class SensorsCompiler:
         """The sensor with rays that go to the end of its range."""
         if "range" not in spec.model_fields_set and not self._values.is_invalid("range"):
             headline = f"the range of `{sensor.name}` is not known"
-            self._values.findings.add("DB102", self._values.key_span(spec.path), headline, help="give its `range: 0 .. 1 m`, or a `lookup`")
+            self._values.add_at_key("DB102", spec.path, headline, "give its `range: 0 .. 1 m`, or a `lookup`")
         reach = max(faults.high) if faults and faults.high else 0.0
         if faults and faults.high and reach <= 0.0:
             span, headline = self._values.span((*spec.path, "range")), f"a range that ends at {reach:g} m"
-            self._values.findings.add("DB105", span, headline, help="end the range above 0 m: distances are positive")
+            self._values.add("DB105", span, headline, "end the range above 0 m: distances are positive")
         return replace(sensor, beams=replace(sensor.beams, reach=reach) if sensor.beams else None)
 
     def _against(self, spec: Touch) -> tuple[str, ...]:
@@ -166,14 +165,13 @@ def _intrinsics(namespace: Namespace, spec: Camera) -> CameraIntrinsics | None:
     if spec.range is not None:
         if spec.channels != "depth":
             span, help = values.key_span((*spec.path, "range")), "write `channels: depth`, or remove `range`"
-            values.findings.add("DB203", span, "`range` applies to depth cameras only", help=help)
+            values.add("DB203", span, "`range` applies to depth cameras only", help)
         ends = namespace.ends(spec, "range", what="the range of a camera", dimension=LENGTH)
         if ends is None:
             return None
         (near,), (far,) = ends.low, ends.high
     if fov is not None and fov >= math.pi:
-        span, headline = values.span((*spec.path, "fov")), f"the angle of view is {math.degrees(fov):g} deg"
-        values.findings.add("DB105", span, headline, help="give less than 180 deg")
+        values.add("DB105", values.span((*spec.path, "fov")), f"the angle of view is {math.degrees(fov):g} deg", "give less than 180 deg")
         return None
     return CameraIntrinsics(int(size[0]), int(size[1]), fov, spec.channels, near, far) if size and fov else None
 
@@ -204,16 +202,14 @@ def _rays(namespace: Namespace, spec: RayScan) -> dict[str, Pose] | None:
     values = namespace.values
     if isinstance(spec.rays, dict):
         if spec.angle_range is not None:
-            span, headline = values.key_span((*spec.path, "angle_range")), "`angle_range` does not apply to rays with names"
             help = "remove it, or write a number of rays, as in `rays: 5`, to spread them over the range"
-            values.findings.add("DB101", span, headline, help=help)
+            values.add("DB101", values.key_span((*spec.path, "angle_range")), "`angle_range` does not apply to rays with names", help)
         return {name: _frame(namespace, ray) for name, ray in spec.rays.items()}
     count = spec.rays or 1
     if spec.angle_range is None:
         if count > 1 and not values.is_invalid("angle_range"):
-            headline = f"{count} rays have no directions"
             help = "add `angle_range: 90 .. -90 deg`, or give each ray by name, as in `rays: {left: {yaw: 30 deg}}`"
-            values.findings.add("DB102", values.span((*spec.path, "rays")), headline, help=help)
+            values.add("DB102", (*spec.path, "rays"), f"{count} rays have no directions", help)
         if count > 1:
             return None
         return {"": Pose()} if spec.rays is None else {"r0": Pose()}
@@ -244,19 +240,18 @@ def _lookup(namespace: Namespace, spec: TableSpec) -> tuple[CalibrationTable, Di
     for key, column in columns.items():
         if len(column) != len(distance):
             headline = f"`{key}` has {len(column)} numbers, and `distance` has {len(distance)}"
-            values.findings.add("DB106", values.span((*spec.path, key)), headline, help="give one for each distance")
+            values.add("DB106", (*spec.path, key), headline, "give one for each distance")
     falling = [(a, b) for a, b in pairwise(distance) if b <= a]
     distances, noises = values.span((*spec.path, "distance")), columns.get("noise", ())
     if falling:
         before, after = falling[0]
         headline = f"the distances must increase: {after:g} m follows {before:g} m"
-        values.findings.add("DB105", distances, headline, help="sort the distances, and their values with them")
+        values.add("DB105", distances, headline, "sort the distances, and their values with them")
     elif distance[0] < 0.0 or distance[-1] <= 0.0:
         headline = f"the distance {min(distance[0], distance[-1]):g} m is not allowed"
-        help = "give distances of at least 0; the last one must be greater than 0"
-        values.findings.add("DB105", distances, headline, help=help)
+        values.add("DB105", distances, headline, "give distances of at least 0; the last one must be greater than 0")
     elif noises and min(noises) < 0.0:
-        values.findings.add("DB105", values.span((*spec.path, "noise")), f"the noise is {min(noises):g}", help="give 0 or more")
+        values.add("DB105", (*spec.path, "noise"), f"the noise is {min(noises):g}", "give 0 or more")
     return (CalibrationTable(distance, columns["value"], noises), dimension) if len(values.findings) == found else None
 
 
@@ -293,7 +288,7 @@ def _refuse_errors(values: ValueReader, spec: SensorSpec, known: Type) -> None:
     tells, keys = ("takes pictures", _NUMERIC_SENSOR_KEYS[:-2]) if known.picture else ("reads true or false", _NUMERIC_SENSOR_KEYS)
     for key in keys:
         if key in spec.model_fields_set:
-            values.findings.add("DB403", values.key_span((*spec.path, key)), f"a sensor that {tells} has no `{key}`", help="remove it")
+            values.add_at_key("DB403", (*spec.path, key), f"a sensor that {tells} has no `{key}`", "remove it")
 
 
 def _latency(namespace: Namespace, spec: SensorSpec) -> float:
@@ -321,8 +316,7 @@ def _resolution(namespace: Namespace, spec: SensorSpec, known: Type) -> tuple[fl
     steps = namespace.numbers(spec, "resolution", dimension=known.dimension, components=known.components)
     if steps and any(0.0 < step < MIN_RESOLUTION for step in steps):
         values, headline = namespace.values, f"`resolution` is {min(step for step in steps if step > 0.0):g}"
-        help = f"give at least {MIN_RESOLUTION:g}, or remove it"
-        values.findings.add("DB105", values.span((*spec.path, "resolution")), headline, help=help)
+        values.add("DB105", (*spec.path, "resolution"), headline, f"give at least {MIN_RESOLUTION:g}, or remove it")
     return steps if steps and all(steps) else ()
 
 
@@ -345,7 +339,7 @@ def _with_period(faults: NoiseModel | None, namespace: Namespace, spec: SensorSp
     ticks, span = round(seconds / timestep), values.span((*spec.path, "period"))
     if ticks < 1 or abs(seconds - ticks * timestep) > 1e-9 * seconds:
         headline = f"the period of {seconds:g} s is not a multiple of the timestep of {timestep:g} s"
-        values.findings.add("DB308", span, headline, help="write a multiple of the timestep")
+        values.add("DB308", span, headline, "write a multiple of the timestep")
     elif ticks > MAX_TICKS:
-        values.findings.add("DB105", span, f"the period is {ticks:,} timesteps", help=f"give at most {MAX_TICKS:,} timesteps")
+        values.add("DB105", span, f"the period is {ticks:,} timesteps", f"give at most {MAX_TICKS:,} timesteps")
     return replace(faults or NoiseModel(), period=ticks) if ticks > 1 else faults

@@ -177,12 +177,31 @@ class ValueReader:
         key = descend(self.root, path)[1]
         return SourceText(key.text, key.part, None, path) if key else self.text(path, path[-1])
 
+    def add(
+        self,
+        code: str,
+        place: Span | NodePath,
+        headline: str,
+        help: str | None = None,
+        *,
+        labels: tuple[Label, ...] = (),
+        notes: tuple[str, ...] = (),
+        fix: Fix | None = None,
+    ) -> None:
+        """Add a finding at a span, or at the value at a path."""
+        span = place if isinstance(place, Span) else self.span(place)
+        self.findings.add(code, span, headline, help=help, labels=labels, notes=notes, fix=fix)
+
+    def add_at_key(self, code: str, path: NodePath, headline: str, help: str | None = None, *, notes: tuple[str, ...] = ()) -> None:
+        """Add a finding at the last key of a path."""
+        self.add(code, self.key_span(path), headline, help, notes=notes)
+
     # Names
 
     def report_duplicate(self, path: NodePath, name: str, what: str, first: NodePath) -> None:
         """A finding that the key at `path` defines a `name` that is already `what`, since `first`."""
         also = (Label(self.key_span(first), "first defined here"),)
-        self.findings.add("DB202", self.key_span(path), f"`{name}` is already {what}", help="choose another name", labels=also)
+        self.add("DB202", self.key_span(path), f"`{name}` is already {what}", "choose another name", labels=also)
 
     def mark_invalid(self, name: str) -> None:
         """Note that the definition of `name` had a finding."""
@@ -199,10 +218,9 @@ class ValueReader:
     def report_unknown(self, span: Span, what: str, name: str, known: Sequence[str], code: str = "DB201") -> None:
         """A finding that `name` is none of the `known`, unless its definition had one."""
         if not self.is_invalid(name):
-            help = choices_help(name, known) if known else f"no {what} is defined"
             near = suggest_replacement(name, known)
             fix = Fix.replacing(span, name, near.text, safe=near.safe) if near else None
-            self.findings.add(code, span, f"there is no {what} `{name}`", help=help, fix=fix)
+            self.add(code, span, f"there is no {what} `{name}`", choices_help(name, known) if known else f"no {what} is defined", fix=fix)
 
     def report(self, text: SourceText) -> FindingReporter:
         """A function that takes findings at offsets of `text`."""
@@ -230,7 +248,7 @@ class ValueReader:
             fix = Fix.replacing(span, piece, replacement.text, safe=replacement.safe) if replacement else None
             written = [("parameters", name) for name in names if self.is_present(("parameters", name))]
             labels = tuple(Label(self.span(path), f"`{path[1]}` is set here") for path in written)
-            self.findings.add(code, span, headline, help=help, labels=labels, fix=fix)
+            self.add(code, span, headline, help, labels=labels, fix=fix)
 
         return report
 
@@ -307,7 +325,7 @@ class ValueReader:
         if not isinstance(kind, Quantity) or not kind.components or kind.known == "fixed" or value.type.components is not None:
             return True
         help = f"write `vector(x, y, z)`, or draw three: `uniform(-1 -1 0 .. 1 1 0 {value.type.dimension})`"
-        self.findings.add("DB404", text.span, f"{what} must be a vector; this is a single value", help=help)
+        self.add("DB404", text.span, f"{what} must be a vector; this is a single value", help)
         return False
 
     def _is_within(self, value: Typed, text: SourceText, what: str) -> bool:
@@ -327,7 +345,7 @@ class ValueReader:
         else:
             return True
         verb = "can be" if known is None else "is" if len(known) == 1 else "holds"
-        self.findings.add("DB105", text.span, f"{what} {verb} {_with_unit(odd, unit)}", help=help)
+        self.add("DB105", text.span, f"{what} {verb} {_with_unit(odd, unit)}", help)
         return False
 
     def fixed(self, value: Typed, text: SourceText, what: str) -> tuple[float | bool, ...] | None:
@@ -335,7 +353,7 @@ class ValueReader:
         values = constant_values(value)
         if values is None:
             help = "it divides by zero, leaves the domain of a function, or is too large"
-            self.findings.add("DB105", text.span, f"{what} cannot be computed", help=help)
+            self.add("DB105", text.span, f"{what} cannot be computed", help)
         return values
 
     def ends(
@@ -357,7 +375,7 @@ class ValueReader:
         count = len(components) if components else 1
         lows, highs = (tuple(map(float, ends * count if len(ends) == 1 else ends)) for ends in (low, high))
         if not falling and any(high <= low for low, high in zip(lows, highs, strict=True)):
-            self.findings.add("DB105", text.span, "an empty range", help="give two different ends")
+            self.add("DB105", text.span, "an empty range", "give two different ends")
             return None
         return RangeEnds((bounds.high if is_bare_zero(bounds.low) else bounds.low).type.dimension, lows, highs)
 

@@ -77,16 +77,16 @@ def _group(name: str, thing: world_spec.PlacedBody, namespace: Namespace) -> Gro
 
     There are as many bodies as the greatest count asks for, and one at least; an episode without copies leaves them absent.
     """
-    findings, count = namespace.values.findings, namespace.expression(thing, "count")
+    values, count = namespace.values, namespace.expression(thing, "count")
     if count is None:
         return None
     highest = count.typed.type.interval.high
     if not math.isfinite(highest):
-        findings.add("DB105", count.span, "a count without a maximum", help="draw it from a range: `integer(1 .. 10)`")
+        values.add("DB105", count.span, "a count without a maximum", "draw it from a range: `integer(1 .. 10)`")
         return None
     if highest > MAX_BODIES:
         help = "use fewer: an engine would take minutes to build this world"
-        findings.add("DB005", count.span, f"the count can be {highest:,.0f}; the limit is {MAX_BODIES}", help=help)
+        values.add("DB005", count.span, f"the count can be {highest:,.0f}; the limit is {MAX_BODIES}", help)
         return None
     return Group(name, max(1, int(highest)), count)
 
@@ -104,12 +104,10 @@ def mesh(namespace: Namespace, spec: world_spec.Mesh | world_spec.MeshTerrain) -
         return None
     loaded = meshes.MeshReader(lambda _reference: found).load(reference)
     if isinstance(loaded, meshes.UnusableMesh):
-        values.findings.add("DB301", values.span(place), loaded.headline, help=loaded.help)
+        values.add("DB301", place, loaded.headline, loaded.help)
         return None
     if 0.0 in factors:
-        values.findings.add(
-            "DB105", values.span((*spec.path, "scale")), "a mesh that is scaled to nothing", help="give factors other than 0"
-        )
+        values.add("DB105", (*spec.path, "scale"), "a mesh that is scaled to nothing", "give factors other than 0")
         return None
     namespace.files[place] = found
     made = Mesh(str(loaded[0]), loaded[1], factors)
@@ -118,19 +116,18 @@ def mesh(namespace: Namespace, spec: world_spec.Mesh | world_spec.MeshTerrain) -
 
 def _is_sensible(namespace: Namespace, place: NodePath, file: FilePath, mesh: Mesh) -> bool:
     """Whether an engine can hold so many triangles; a size that is hardly meant is a warning."""
-    findings, span = namespace.values.findings, namespace.values.span(place)
+    values = namespace.values
     measured = mesh_size(file.suffix.lower(), file.read_bytes())
     if measured is None:
         return True
     if measured.triangles > MAX_TRIANGLES:
-        headline = f"the mesh has {measured.triangles:,} triangles; the limit is {MAX_TRIANGLES:,}"
-        findings.add("DB005", span, headline, help="simplify it")
+        values.add("DB005", place, f"the mesh has {measured.triangles:,} triangles; the limit is {MAX_TRIANGLES:,}", "simplify it")
         return False
     size = [abs(factor) * (high - low) for factor, low, high in zip(mesh.scale, measured.lower, measured.upper, strict=True)]
     code = None if _SMALL_MESH_M <= max(size) <= _LARGE_MESH_M else "DB505" if _MIN_MESH_M <= max(size) <= _MAX_MESH_M else "DB105"
     if code is not None:
         shown = " x ".join(f"{side:.3g}" for side in size)
-        findings.add(code, span, f"the mesh is {shown} m in size", help="a mesh in millimetres needs `scale: 0.001 0.001 0.001`")
+        values.add(code, place, f"the mesh is {shown} m in size", "a mesh in millimetres needs `scale: 0.001 0.001 0.001`")
     return code != "DB105"
 
 
@@ -143,8 +140,7 @@ def picture(namespace: Namespace, path: NodePath, reference: str) -> tuple[str, 
     data = read_at_most(found, MAX_PICTURE_BYTES + 1)
     wrong = picture_problem(data)
     if wrong is not None:
-        help = "save it as a grey PNG of 8 or 16 bits, without interlacing"
-        namespace.values.findings.add("DB103", span, wrong, help=help)
+        namespace.values.add("DB103", span, wrong, "save it as a grey PNG of 8 or 16 bits, without interlacing")
         return None
     namespace.files[path] = found
     return str(found), hashlib.sha256(data).hexdigest()
@@ -156,7 +152,7 @@ def lines(namespace: Namespace) -> tuple[Line, ...]:
     known = tuple(line for line in found if line is not None)
     if sum(len(line.points) for line in known) > MAX_POINTS:
         headline = f"the lines together have more than {MAX_POINTS:,} points"
-        namespace.values.findings.add("DB005", namespace.values.key_span(("world", "lines")), headline, help="leave out points")
+        namespace.values.add_at_key("DB005", ("world", "lines"), headline, "leave out points")
     namespace.lengths |= {line.name: line.length for line in known}
     return known
 
@@ -181,8 +177,7 @@ def _points(spec: world_spec.Line | world_spec.Wall, namespace: Namespace) -> tu
             after = (index + 1) % len(points)
             headline = "two points in a row are the same" if after else "the last point repeats the first point"
             help = "leave one of them out" if after else "leave it out; `closed: true` joins the ends"
-            span = namespace.values.span((*spec.path, "points", after or index))
-            namespace.values.findings.add("DB105", span, headline, help=help)
+            namespace.values.add("DB105", namespace.values.span((*spec.path, "points", after or index)), headline, help)
             return None
     return tuple(points)
 
@@ -238,8 +233,7 @@ def _relief(given: world_spec.Terrain, namespace: Namespace) -> TerrainShape | N
             return None if height is None or radius is None or noise is None else Pit(height, radius, noise)
         case world_spec.MeshTerrain():
             if given.file.lower().endswith(".dae"):
-                headline = "ground from a COLLADA file"
-                values.findings.add("DB104", values.span((*given.path, "file")), headline, help="convert it to STL or OBJ")
+                values.add("DB104", (*given.path, "file"), "ground from a COLLADA file", "convert it to STL or OBJ")
                 return None
             return mesh(namespace, given)
         case world_spec.Heightfield():
@@ -271,7 +265,7 @@ def _formula(given: world_spec.Formula, size: tuple[float, float], namespace: Na
             else:
                 headline = f"the ground has no height {place}"
                 help = "correct `heights`: it divides by zero, leaves the domain of a function, or is too large"
-            values.findings.add("DB105", text.span, headline, help=help)
+            values.add("DB105", text.span, headline, help)
             return None
     return Formula(heights, size)
 
@@ -331,7 +325,7 @@ def _variant(kind: str, given: world_spec.ShapedBody, thing: world_spec.VariedOb
     for key in _OF_ALL:
         if getattr(given, key) is not None:
             span, help = namespace.values.key_span((*given.path, key)), f"give `{key}` for all variants, beside `one_of`"
-            namespace.values.findings.add("DB108", span, f"`{key}` of one variant is not supported yet", help=help)
+            namespace.values.add("DB108", span, f"`{key}` of one variant is not supported yet", help)
     made = shape(given, namespace)
     if made is None:
         return None
@@ -382,8 +376,7 @@ def _mass(thing: world_spec.Material, made: Shape, of: OfLink, namespace: Namesp
 def _usual_mass(made: Shape, thing: world_spec.Material, namespace: Namespace, *, still: bool) -> float:
     """The mass (kg) of the same volume of water; a mesh that can move needs a mass of its own."""
     if isinstance(made, Mesh) and not still:
-        help = "give its `mass`, or write `fixed: true`"
-        namespace.values.findings.add("DB102", namespace.values.key_span(thing.path), "a mesh that can move has no `mass`", help=help)
+        namespace.values.add_at_key("DB102", thing.path, "a mesh that can move has no `mass`", "give its `mass`, or write `fixed: true`")
     return _WATER_DENSITY * (volume(made) or 0.0)
 
 
@@ -404,7 +397,7 @@ def world(namespace: Namespace, robots: list[ResolvedRobot], painted: tuple[Line
     if gravity is not None and gravity[2] > 0:
         span, downwards = values.field(given, "gravity").span, f"{gravity[0]:g} {gravity[1]:g} {-gravity[2]:g} m/s^2"
         fix = None if "(" in span.text else Fix((Edit(span, downwards),), safe=False)  # a draw says more
-        values.findings.add("DB505", span, "gravity that pulls upwards", help=f"z points up: write `{downwards}`", fix=fix)
+        values.add("DB505", span, "gravity that pulls upwards", f"z points up: write `{downwards}`", fix=fix)
     objects = [body for name, thing in namespace.scenario.objects.items() for body in bodies(name, thing, namespace)]
     pieces = walls(namespace)
     _check_bodies(len(robots), sum(thing.bodies for thing in objects), len(pieces), namespace)
@@ -438,7 +431,7 @@ def _check_timestep(timestep: float, spec: world_spec.World, namespace: Namespac
     )
     if code:
         span = namespace.values.field(spec, "timestep").span
-        namespace.values.findings.add(code, span, f"the timestep is {timestep:g} s", help="10 to 100 ms are usual")
+        namespace.values.add(code, span, f"the timestep is {timestep:g} s", "10 to 100 ms are usual")
 
 
 def _check_bodies(robots: int, objects: int, pieces: int, namespace: Namespace) -> None:
@@ -447,7 +440,7 @@ def _check_bodies(robots: int, objects: int, pieces: int, namespace: Namespace) 
     if sum(counts.values()) > MAX_BODIES:
         span = namespace.values.key_span(max(counts, key=lambda section: counts[section]))
         headline = f"the world has {sum(counts.values()):,} robots, objects and pieces of walls; the limit is {MAX_BODIES}"
-        namespace.values.findings.add("DB005", span, headline, help="use fewer: an engine would take minutes to build this world")
+        namespace.values.add("DB005", span, headline, "use fewer: an engine would take minutes to build this world")
 
 
 def _ground(spec: world_spec.Ground, namespace: Namespace) -> Ground:
