@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Literal
 from deepbots_cli.compiler.episodes import NO_SUCCESS_DEFINED
 from deepbots_cli.compiler.namespace import Namespace, NamespaceReader, SupervisorScope
 from deepbots_cli.compiler.policy import Decisions
+from deepbots_cli.compiler.values import ValueReader
 from deepbots_cli.diagnostics import Findings, Label, Span
 from deepbots_cli.document import Document, Entry, MappingNode, descend
 from deepbots_cli.document.load import apply_setting
@@ -153,13 +154,13 @@ def compile_variants(
     """Check every case and stage of a scenario that is sound itself: what came of each, and the task with those that are sound too."""
     if document.root is None:
         return (), program
-    compiler = _VariantCompiler(document, document.root, program, findings, check)
+    values = ValueReader(document.root, findings, {})
+    compiler = _VariantCompiler(document, values, program, check)
     count, size = len(spec.evaluation.cases) + len(spec.curriculum), count_and_depth(document.root)[0]
     if count > MAX_VARIANTS or count * size > MAX_VALUES:
-        many = f"more than {MAX_VARIANTS} cases and stages"
-        if count <= MAX_VARIANTS:
-            many = f"{count} cases and stages of a scenario with {size:,} values"
-        compiler.report("DB005", ("curriculum",) if spec.curriculum else ("evaluation", "cases"), many)
+        many = f"more than {MAX_VARIANTS}" if count > MAX_VARIANTS else str(count)
+        scenario = "" if count > MAX_VARIANTS else f" of a scenario with {size:,} values"
+        values.add_at_key("DB005", ("curriculum",) if spec.curriculum else ("evaluation", "cases"), f"{many} cases and stages{scenario}")
         return (), program
     compiler.check_order(spec)
     cases = [
@@ -182,83 +183,74 @@ def _criterion(text: str | None) -> Criterion | None:
 class _VariantCompiler:
     """Checks the scenario under one group of settings after the other."""
 
-    def __init__(self, document: Document, root: MappingNode, program: Program, findings: Findings, check: Check) -> None:
+    def __init__(self, document: Document, values: ValueReader, program: Program, check: Check) -> None:
         self.checked: list[CheckedScenario] = []
         self._document = document
-        self._root = root
+        self._values = values
         self._base = program
-        self._known = {found.sort_key for found in findings}
-        self._findings = findings
+        self._known = {found.sort_key for found in values.findings}
         self._check = check
-
-    def report(self, code: str, path: NodePath, headline: str, help: str | None = None) -> None:
-        node, key, _ = descend(self._root, path)
-        self._findings.add(code, key.span if key else node.span, headline, help=help)
 
     def check_order(self, spec: Scenario) -> None:
         """Every stage but the last says when it ends, and no two are called the same."""
-        first: dict[str, Span] = {}
+        values, first = self._values, dict[str, NodePath]()
         for index, stage in enumerate(spec.curriculum):
             path: NodePath = ("curriculum", index)
-            here = descend(self._root, (*path, "name"))[0].span
+            here: NodePath = (*path, "name")
             if stage.name in first:
-                also = (Label(first[stage.name], "first defined here"),)
-                self._findings.add("DB202", here, f"`{stage.name}` is already a stage", help="choose another name", labels=also)
+                also = (Label(values.span(first[stage.name]), "first defined here"),)
+                values.add("DB202", here, f"`{stage.name}` is already a stage", "choose another name", labels=also)
             first.setdefault(stage.name, here)
             last = index == len(spec.curriculum) - 1
             found = read_until(stage.until)
             if found and found[0] == "success_rate" and not (spec.termination.success or spec.goal):
                 help = "add a condition under `termination.success`, or require a `mean_return`"
-                self.report("DB407", (*path, "until"), NO_SUCCESS_DEFINED, help)
+                values.add_at_key("DB407", (*path, "until"), NO_SUCCESS_DEFINED, help)
             if stage.until is None and not last:
                 help = "add `until: success_rate >= 0.7 over 40 episodes`"
-                self._findings.add("DB102", here, f"the stage `{stage.name}` never ends, so the next stage never begins", help=help)
+                values.add("DB102", here, f"the stage `{stage.name}` never ends, so the next stage never begins", help)
             elif stage.until is not None and last:
                 help = "remove it; `solved` determines when the training ends"
-                self.report("DB407", (*path, "until"), "the last stage has an `until`", help)
+                values.add_at_key("DB407", (*path, "until"), "the last stage has an `until`", help)
 
     def program(self, word: VariantKind, name: str, path: NodePath) -> Program | None:
         """The task under the `set` at `path`; None after a finding."""
-        settings = descend(self._root, (*path, "set"))
+        settings = descend(self._values.root, (*path, "set"))
         entries = settings[0].entries.values() if settings[2] > len(path) and isinstance(settings[0], MappingNode) else ()
         if [entry for entry in entries if self._is_fixed(entry, word)]:
             return None
         findings = Findings(self._document.findings.limit)
-        root = without_paths(self._root, (*_VARIANT_SECTIONS, *self._tests(word, name)))
+        root = without_paths(self._values.root, (*_VARIANT_SECTIONS, *self._tests(word, name)))
         assert isinstance(root, MappingNode)  # as it was
         for entry in entries:
             root = apply_setting(root, entry, findings)
         checked = self._check(replace(self._document, root=root, findings=findings))
         self.checked.append(checked)
-        here = self._place(word, path)
+        here = self._values.key_span(path) if word == "case" else self._values.span((*path, "name"))
         written = [Span(entry.key.span.source, entry.key.span.start, entry.value.span.end) for entry in entries]
         for found in checked.findings:
             if found.sort_key not in self._known:
                 inside = any(span.source is found.span.source and span.start <= found.span.start <= span.end for span in written)
                 also = found.labels if inside else (*found.labels, Label(here, f"in this {word}"))
-                self._findings.append(replace(found, labels=also))
+                self._values.findings.append(replace(found, labels=also))
         return checked.program if checked.program is not None and self._admits_same_policy(checked.program, word, name, here) else None
 
     def _tests(self, word: VariantKind, name: str) -> Iterator[NodePath]:
         """The paths that a variant leaves out of `tests`: all other tests, and the keys that name the variant."""
-        tests = self._root.get("tests")
+        tests = self._values.root.get("tests")
         for test, entry in tests.entries.items() if isinstance(tests, MappingNode) else ():
             named = entry.value.get(word) if isinstance(entry.value, MappingNode) else None
             yield ("tests", test, word) if isinstance(named, ScalarNode) and named.text == name else ("tests", test)
 
-    def _place(self, word: VariantKind, path: NodePath) -> Span:
-        node, key, _ = descend(self._root, path if word == "case" else (*path, "name"))
-        return key.span if key and word == "case" else node.span
-
     def _is_fixed(self, entry: Entry, word: VariantKind) -> bool:
         """Whether a setting speaks of what a policy is made for, after a finding that says so."""
-        steps, _, rest = follow_dotted(self._root, entry.key.text.strip())
+        steps, _, rest = follow_dotted(self._values.root, entry.key.text.strip())
         head = str(steps[0]) if steps else rest.split(".")[0]
-        parameters = self._root.get("parameters")
+        parameters = self._values.root.get("parameters")
         if head not in _FIXED_SECTIONS or (isinstance(parameters, MappingNode) and entry.key.text in parameters.entries):
             return False
         help = "it may change the world, the reset, the reward, the endings and the parameters"
-        self._findings.add("DB407", entry.key.span, f"a {word} that changes `{head}`", help=help)
+        self._values.add("DB407", entry.key.span, f"a {word} that changes `{head}`", help)
         return True
 
     def _admits_same_policy(self, program: Program, word: VariantKind, name: str, here: Span) -> bool:
@@ -268,13 +260,13 @@ class _VariantCompiler:
             lines.append(f"timestep: elsewhere {self._base.world.timestep:g} s, here {program.world.timestep:g} s")
         if program.engine != self._base.engine:
             help = "`deepbots eval RUN --engine mujoco,pybullet` evaluates a policy in both"
-            self._findings.add("DB407", here, f"the {word} `{name}` changes `world.engine`", help=help)
+            self._values.add("DB407", here, f"the {word} `{name}` changes `world.engine`", help)
             return False
         if lines:
             timestep = "the timestep, " if word == "stage" else ""
             kept = f"{timestep}the observation, the action or the messages"
             help = f"a {word} may change the world, but not {kept}: they must not depend on its `set`"
-            self._findings.add("DB613", here, f"the {word} `{name}` changes the interface of the policy", help=help, notes=tuple(lines[:5]))
+            self._values.add("DB613", here, f"the {word} `{name}` changes the interface of the policy", help, notes=tuple(lines[:5]))
         return not lines
 
 

@@ -120,9 +120,9 @@ def decode(data: bytes, name: str, findings: Findings, included_from: Span | Non
         source = Source(name, "", included_from)
         if len(data) > MAX_BYTES:
             help = "split it with `include`, or check that it is a scenario"
-            findings.add("DB005", Span(source, 0, 0), f"the file is larger than {MAX_BYTES >> 20} MiB", help=help)
+            findings.add("DB005", Span(source, 0, 0), f"the file is larger than {MAX_BYTES >> 20} MiB", help)
         else:
-            findings.add("DB001", Span(source, 0, 0), "the file is in UTF-16", help="save it as UTF-8")
+            findings.add("DB001", Span(source, 0, 0), "the file is in UTF-16", "save it as UTF-8")
         return source, False
     data = data.removeprefix(b"\xef\xbb\xbf")
     source = Source(name, data.decode("utf-8", "replace"), included_from)
@@ -131,7 +131,7 @@ def decode(data: bytes, name: str, findings: Findings, included_from: Span | Non
     except UnicodeDecodeError as error:
         if "\0" not in source.text:
             at = len(data[: error.start].decode("utf-8"))
-            findings.add("DB001", Span(source, at, at + 1), "the file is not UTF-8 text", help="save it as UTF-8")
+            findings.add("DB001", Span(source, at, at + 1), "the file is not UTF-8 text", "save it as UTF-8")
             return source, False
     return source, check_characters(source, findings)
 
@@ -150,5 +150,5 @@ def check_characters(source: Source, findings: Findings) -> bool:
     else:
         headline = f"the character {number} is not allowed in YAML"
         help = 'remove it, or write it as an escape in double quotes, such as "\\x1b"'
-    findings.add("DB001", Span(source, *found.span()), headline, help=help)
+    findings.add("DB001", Span(source, *found.span()), headline, help)
     return False

@@ -252,7 +252,7 @@ def report_values_cut_by_commas(scalars: Iterable[ScalarNode], findings: Finding
         if draw := _DRAW.fullmatch(text):
             better = f"{draw[1]}({draw[2]} {_DRAW_SIGNS[draw[1]]} {draw[3]})"
             help, fix = f"a draw needs no comma: `{better}`", Fix((Edit(span, better),), safe=True)
-        findings.add("DB001", span, "a comma inside brackets cuts this value in two", help=help, fix=fix)
+        findings.add("DB001", span, "a comma inside brackets cuts this value in two", help, fix=fix)
     return cut
 
 
@@ -276,7 +276,7 @@ def report_empty_value(key: ScalarNode, value: ScalarNode, findings: Findings, *
             fix = Fix((Edit(Span(key.span.source, *hidden.span(1)), f'"{hidden[1]}"'),), safe=True)
     elif not is_flow and following and len(following[1]) == key.span.start_position.column - 1:
         help = "give it a value, or indent the lines that belong to it"
-    findings.add("DB107", key.span, f"`{key.text}` has no value", help=help, fix=fix)
+    findings.add("DB107", key.span, f"`{key.text}` has no value", help, fix=fix)
 
 
 def help_for_key(key: ScalarNode) -> str:
@@ -313,13 +313,13 @@ def report_unusual_value(scalar: ScalarNode, findings: Findings) -> None:
         help = f"write {_YAML11[text]}, or put it in quotes if you mean text"
         headline = f"`{text}` is text, but YAML 1.1 reads it as {_YAML11[text]}"
         # Where a truth value is needed, a later pass reports an error, whose fix comes first.
-        findings.add("DB003", span, headline, help=help, fix=Fix((Edit(span, f'"{text}"'),), safe=True))
+        findings.add("DB003", span, headline, help, fix=Fix((Edit(span, f'"{text}"'),), safe=True))
     elif (odd := _odd_number(text)) is not None:
         headline, help, number = odd
         if isinstance(scalar.value, str):
             help = f"{help}, or put it in quotes if you mean text"
             number = f'"{text}"'  # where a number is needed, a later pass reports an error with its own fix
-        findings.add("DB004", span, headline, help=help, fix=Fix((Edit(span, number),), safe=True) if number else None)
+        findings.add("DB004", span, headline, help, fix=Fix((Edit(span, number),), safe=True) if number else None)
 
 
 def number_fix(span: Span) -> Fix | None:

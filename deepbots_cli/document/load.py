@@ -195,7 +195,7 @@ class _Reader:
         if root is None:
             return None
         if not isinstance(root, MappingNode):
-            self.findings.add("DB103", root.span, "the file is not a mapping", help="write keys with values, such as `name: CartPole`")
+            self.findings.add("DB103", root.span, "the file is not a mapping", "write keys with values, such as `name: CartPole`")
             return None
         has_includes = "include" in source.text or "\\" in source.text  # an escape may spell the key
         tree = self.expanded(root, folder, chain, 1) if has_includes else root
@@ -239,29 +239,28 @@ class _Reader:
             headline = f"included values are nested more than {MAX_DEPTH} deep"
         else:
             return True
-        self.findings.add("DB005", entry.value.span, headline, help="simplify the files; scenarios are far below this limit")
+        self.findings.add("DB005", entry.value.span, headline, "simplify the files; scenarios are far below this limit")
         return False
 
     def referenced(self, entry: Entry, folder: Path, chain: tuple[Path, ...]) -> MappingNode | None:
         """The tree of the file that `extends` or `include` names."""
         word, value = entry.key.text, entry.value
         if not isinstance(value, ScalarNode) or not isinstance(value.value, str):
-            self.findings.add("DB103", value.span, f"`{word}` takes the path of one file", help=f"write `{word}: file.yaml`")
+            self.findings.add("DB103", value.span, f"`{word}` takes the path of one file", f"write `{word}: file.yaml`")
             return None
         path = files.resolve_reference(value.text, folder, self.roots)
         if isinstance(path, files.UnusableFile):
             found = shipped.scenario_path(value.text) if word == "extends" else None
             copied = f"`deepbots copy {value.text}` puts a copy beside this file, to be named as `{value.text}.yaml`"
-            self.findings.add("DB204", value.span, path.headline, help=copied if found else path.help)
+            self.findings.add("DB204", value.span, path.headline, copied if found else path.help)
             return None
         if path in chain:
             circle = " -> ".join(step.name for step in (*chain[chain.index(path) :], path))
-            help = "remove one of these references"
-            self.findings.add("DB204", value.span, f"`{value.text}` includes itself", help=help, notes=(circle,))
+            self.findings.add("DB204", value.span, f"`{value.text}` includes itself", "remove one of these references", notes=(circle,))
             return None
         if len(chain) >= MAX_INCLUSION_DEPTH:
             self.findings.add(
-                "DB204", value.span, f"files include each other more than {MAX_INCLUSION_DEPTH} levels deep", help="merge some of them"
+                "DB204", value.span, f"files include each other more than {MAX_INCLUSION_DEPTH} levels deep", "merge some of them"
             )
             return None
         if path not in self.trees:
@@ -273,12 +272,12 @@ class _Reader:
             data = self.drafts[path] if path in self.drafts else files.read(path)
         except OSError as error:
             help = f"the error of the system: {(error.strerror or 'no reason').lower()}"
-            self.findings.add("DB204", by, f"`{path.name}` cannot be read", help=help)
+            self.findings.add("DB204", by, f"`{path.name}` cannot be read", help)
             return None
         self.size += len(data)
         if self.size > files.MAX_TOTAL_BYTES:
             headline = f"the files of the scenario are larger than {files.MAX_TOTAL_BYTES >> 20} MiB together"
-            self.findings.add("DB005", by, headline, help="check that every file is part of a scenario")
+            self.findings.add("DB005", by, headline, "check that every file is part of a scenario")
             return None
         source, readable = files.decode(data, files.display_path(path), self.findings, included_from=by)
         self.files[path] = source
@@ -288,12 +287,12 @@ class _Reader:
         """The tree without the paths listed under `remove`; DB205 where a path is in `own`, the tree of the same file."""
         example = "write `remove: [observation.speed]`"
         if not isinstance(remove, SequenceNode):
-            self.findings.add("DB103", remove.span, "`remove` takes a list of paths", help=example)
+            self.findings.add("DB103", remove.span, "`remove` takes a list of paths", example)
             return tree
         paths: list[NodePath] = []
         for item in remove.items:
             if not isinstance(item, ScalarNode) or not isinstance(item.value, str):
-                self.findings.add("DB103", item.span, "a path to remove must be text", help=example)
+                self.findings.add("DB103", item.span, "a path to remove must be text", example)
                 continue
             steps, reached, rest = follow_dotted(tree, item.text)
             if not rest and steps:
@@ -302,11 +301,11 @@ class _Reader:
                 if found == len(steps) and key is not None and key.span.source is item.span.source:
                     headline = f"`{item.text}` is defined here, and removed by `remove`"
                     help = "remove one of the two; a new value replaces the old one without `remove`"
-                    self.findings.add("DB205", key.span, headline, help=help, labels=(Label(item.span, "removed here"),))
+                    self.findings.add("DB205", key.span, headline, help, labels=(Label(item.span, "removed here"),))
             else:
                 here = item.part(len(item.text) - len(rest), len(item.text))
                 help = _listed(reached) if isinstance(reached, MappingNode) else "remove a path that exists"
-                self.findings.add("DB201", here, f"there is no `{item.text}` to remove", help=help)
+                self.findings.add("DB201", here, f"there is no `{item.text}` to remove", help)
         pruned = without_paths(tree, paths)
         return pruned if isinstance(pruned, MappingNode) else tree
 
@@ -362,10 +361,10 @@ def apply_assignment(root: MappingNode, assignment: str, findings: Findings, bud
     path, equals, text = assignment.partition("=")
     whole = Span(source, 0, len(assignment))
     if not path.strip():
-        findings.add("DB102", whole, "there is no path before the `=`", help="write --set path=value")
+        findings.add("DB102", whole, "there is no path before the `=`", "write --set path=value")
     elif not equals or _BLANK_OR_COMMENT.fullmatch(text):
         help = "put a value that starts with `#` in quotes" if "#" in text else "write --set path=value"
-        findings.add("DB107", whole, f"`{path}` is set to nothing", help=help)
+        findings.add("DB107", whole, f"`{path}` is set to nothing", help)
     else:
         value = parse(source, findings, budget, text=" " * (len(path) + 1) + text)
         return _set(root, ScalarNode(Span(source, 0, len(path)), path, path), value, whole, findings)
@@ -394,7 +393,7 @@ def _set(root: MappingNode, path: ScalarNode, value: Node | None, whole: Span, f
     for step in reversed(inner):
         value = MappingNode(whole, {step.text: Entry(step, value)})
     if isinstance(value, ScalarNode) and value.value is None:
-        findings.add("DB107", key.span, f"`{key.text}` is set to nothing", help="the language has no null; write a value")
+        findings.add("DB107", key.span, f"`{key.text}` is set to nothing", "the language has no null; write a value")
         return root
     changed = nodes.with_entry(root, steps, Entry(key, value))
     return changed if isinstance(changed, MappingNode) else root
@@ -410,7 +409,7 @@ def _target(root: MappingNode, path: ScalarNode, findings: Findings) -> tuple[No
     end = start + len(dotted)
     if dotted.count(".") >= MAX_DEPTH:
         help = "name a value of the scenario, such as `world.timestep`"
-        findings.add("DB005", path.part(start, end), f"a path of more than {MAX_DEPTH} steps", help=help)
+        findings.add("DB005", path.part(start, end), f"a path of more than {MAX_DEPTH} steps", help)
         return None
     parameters = root.get("parameters")
     if isinstance(parameters, MappingNode) and "." not in dotted:
@@ -419,7 +418,7 @@ def _target(root: MappingNode, path: ScalarNode, findings: Findings) -> tuple[No
         if dotted not in root.entries and (near := nearest_word(dotted, parameters.entries, _CUTOFF)):
             span = path.part(start, end)
             fix = Fix.replacing(span, dotted, near, safe=False)
-            findings.add("DB201", span, f"there is no parameter `{dotted}`", help=f"did you mean `{near}`?", fix=fix)
+            findings.add("DB201", span, f"there is no parameter `{dotted}`", f"did you mean `{near}`?", fix=fix)
             return None
     steps, reached, rest = follow_dotted(root, dotted)
     if not rest:
@@ -429,7 +428,7 @@ def _target(root: MappingNode, path: ScalarNode, findings: Findings) -> tuple[No
     here = path.part(at, at + max(1, len(name)))
     inside = f" in `{dotted[: at - start - 1]}`" if at > start else ""
     if not isinstance(reached, MappingNode):
-        findings.add("DB201", here, f"there is no `{name}`{inside}, which holds no keys", help="set the whole value instead")
+        findings.add("DB201", here, f"there is no `{name}`{inside}, which holds no keys", "set the whole value instead")
         return None
     near = nearest_word(name, reached.entries, _CUTOFF)
     if name and not below:
@@ -440,7 +439,7 @@ def _target(root: MappingNode, path: ScalarNode, findings: Findings) -> tuple[No
             keys.append(_key(path, at, at + len(step)))
             at += len(step) + 1
         return (name,), keys
-    findings.add("DB201", here, f"there is no `{name}`{inside}", help=f"did you mean `{near}`?" if near else _listed(reached))
+    findings.add("DB201", here, f"there is no `{name}`{inside}", f"did you mean `{near}`?" if near else _listed(reached))
     return None
 
 

@@ -62,7 +62,7 @@ def parse(source: Source, findings: Findings, budget: Budget | None = None, *, t
     text = source.text if text is None else text
     if directive := _TAG_DIRECTIVE.search(text):
         help = "remove it, or put it in quotes if it belongs to a text"
-        findings.add("DB001", Span(source, *directive.span()), "a line cannot start with `%`", help=help)
+        findings.add("DB001", Span(source, *directive.span()), "a line cannot start with `%`", help)
         return None
     noticed = Findings(findings.limit)
     broken: Finding | None = None
@@ -101,13 +101,13 @@ class _Builder:
         next(self.events)  # the stream
         if isinstance(next(self.events), StreamEndEvent):
             help = "start from a shipped scenario: deepbots copy cartpole"
-            self.findings.add("DB107", Span(self.source, 0, 0), "the file is empty", help=help)
+            self.findings.add("DB107", Span(self.source, 0, 0), "the file is empty", help)
             return None
         root = self.node(next(self.events), 0)
         next(self.events)  # the end of the document
         after = next(self.events)
         if not isinstance(after, StreamEndEvent):
-            self.findings.add("DB001", self.span(after), "a second document begins here", help="write one document per file")
+            self.findings.add("DB001", self.span(after), "a second document begins here", "write one document per file")
             return None
         return root
 
@@ -131,7 +131,7 @@ class _Builder:
             mark = _TAG.search(self.text, event.start_mark.index)
             span = Span(self.source, *mark.span()) if mark else self.span(event)
             help = "put text that starts with `!` in quotes; `not` negates a condition"
-            self.findings.add("DB005", span, f"the tag `{span.text}` is not part of the language", help=help)
+            self.findings.add("DB005", span, f"the tag `{span.text}` is not part of the language", help)
             node = None
         if event.anchor is not None:
             self.anchors[event.anchor] = node
@@ -144,7 +144,7 @@ class _Builder:
             name = span.text
             help = f'a leading `*` refers to an anchor; for a pattern, write "{name}" in quotes'
             fix = Fix((Edit(span, f'"{name}"'),), safe=True) if _PATTERN.fullmatch(name) else None
-            self.findings.add("DB001", span, f"there is no anchor for `{name}` before it", help=help, fix=fix)
+            self.findings.add("DB001", span, f"there is no anchor for `{name}` before it", help, fix=fix)
             return None
         node = self.anchors[event.anchor]
         # Measuring takes no longer than the budget for expansion allows.
@@ -159,7 +159,7 @@ class _Builder:
     def value(self, event: Event) -> ScalarNode | None:
         scalar = self.scalar(event)
         if scalar.value in (math.inf, -math.inf):
-            self.findings.add("DB105", scalar.span, "the number is too large", help="write a smaller number")
+            self.findings.add("DB105", scalar.span, "the number is too large", "write a smaller number")
             return None
         if scalar.style == "plain":
             hints.report_unusual_value(scalar, self.findings)
@@ -190,7 +190,7 @@ class _Builder:
         cut = hints.report_values_cut_by_commas(scalars, self.findings) if start.flow_style else []
         empty = [item for item in scalars if item.value is None]
         for item in empty:
-            self.findings.add("DB107", item.span, "a list item is empty", help="give it a value, or remove it")
+            self.findings.add("DB107", item.span, "a list item is empty", "give it a value, or remove it")
         kept = tuple(item for item in items if item is not None)
         return None if cut or empty or len(kept) < len(items) else SequenceNode(span, kept)
 
@@ -207,12 +207,12 @@ class _Builder:
                 continue
             if not isinstance(key.value, str):
                 headline = f"a key must be text, but this one is {_KINDS[type(key.value)]}"
-                self.findings.add("DB103", key.span, headline, help=hints.help_for_key(key))
+                self.findings.add("DB103", key.span, headline, hints.help_for_key(key))
                 continue
             first = seen.setdefault(key.text, key)
             if first is not key:
                 also = (Label(first.span, "first defined here"),)
-                self.findings.add("DB002", key.span, f"the key `{key.text}` is given twice", help="keep one of the two", labels=also)
+                self.findings.add("DB002", key.span, f"the key `{key.text}` is given twice", "keep one of the two", labels=also)
             elif isinstance(value, ScalarNode) and value.value is None:
                 hints.report_empty_value(key, value, self.findings, is_flow=start.flow_style)
                 keys_without_value.append(key)
@@ -227,7 +227,7 @@ class _Builder:
             if not isinstance(event, AliasEvent):
                 self.node(event, depth + 1)
                 span = self.close(event)
-            self.findings.add("DB001", span, "a key must be a name", help="write `name: value`")
+            self.findings.add("DB001", span, "a key must be a name", "write `name: value`")
             return None
         self.count(event)
         key = self.scalar(event)
@@ -235,7 +235,7 @@ class _Builder:
             return None
         if key.style == "plain" and key.text == "<<":
             help = "use `extends` for a whole file, or `include` for a part of one"
-            self.findings.add("DB101", key.span, "the merge key `<<` is not part of the language", help=help)
+            self.findings.add("DB101", key.span, "the merge key `<<` is not part of the language", help)
             return None
         return key
 
@@ -266,7 +266,7 @@ class _Builder:
             self.stop(event, f"the scenario has more than {MAX_NODES:,} values")
 
     def stop(self, event: Event, headline: str) -> NoReturn:
-        self.findings.add("DB005", self.span(event), headline, help="simplify the file; ordinary scenarios are far below this limit")
+        self.findings.add("DB005", self.span(event), headline, "simplify the file; ordinary scenarios are far below this limit")
         raise _OverLimitError
 
 

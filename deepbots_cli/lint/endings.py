@@ -55,10 +55,10 @@ def never_true(context: RuleContext) -> Iterator[Finding]:
         if all(ending.value.name in names for names in silent):
             headline = f"`{ending.value.name}` can never hold"
             notes = tuple(_reasons(context.analysis, ending))
-            yield Finding("DB801", ending.value.span, headline, help="correct the condition, or remove the ending", notes=notes)
+            yield Finding("DB801", ending.value.span, headline, "correct the condition, or remove the ending", notes=notes)
         elif own := [] if ending.foreign else context.analysis.own_contacts(context.analysis.scalars(ending.value)[0]):
             headline = f"`{own[0]}` is never true: links of one robot do not touch each other"
-            yield Finding("DB801", ending.value.span, headline, help="compare `clearance(...)` of the two links with a distance")
+            yield Finding("DB801", ending.value.span, headline, "compare `clearance(...)` of the two links with a distance")
 
 
 def _truth_over_episode(analysis: Analysis, ending: Ending) -> Interval:
@@ -108,7 +108,7 @@ def always_true(context: RuleContext) -> Iterator[Finding]:
     for ending in context.program.endings:
         if _truth_over_episode(context.analysis, ending) == ALWAYS:
             headline = f"`{ending.value.name}` holds in every step"
-            yield Finding("DB802", ending.value.span, headline, help="write a condition that does not always hold")
+            yield Finding("DB802", ending.value.span, headline, "write a condition that does not always hold")
 
 
 def shadowed_limit(context: RuleContext) -> Iterator[Finding]:
@@ -139,13 +139,13 @@ def shadowed_limit(context: RuleContext) -> Iterator[Finding]:
             headline = f"`{ending.value.name}` cannot hold before {limit}"
             help = "raise the limit under `truncation`, or remove the ending"
             yield Finding(
-                "DB804", ending.value.span, headline, help=help, labels=(Label(context.values.key_span(("truncation",)), "the truncation"),)
+                "DB804", ending.value.span, headline, help, labels=(Label(context.values.key_span(("truncation",)), "the truncation"),)
             )
         elif not _leaves(analysis, node) <= _CLOCK_NAMES and last > 1 and _with_return(analysis, last - 1, last - 1).of(node) == ALWAYS:
             headline = f"`{ending.value.name}` ends every episode before {limit}"
             help = "remove this ending: `truncation` ends the episode, and the section `solved` defines a good result"
             yield Finding(
-                "DB804", ending.value.span, headline, help=help, labels=(Label(context.values.key_span(("truncation",)), "never reached"),)
+                "DB804", ending.value.span, headline, help, labels=(Label(context.values.key_span(("truncation",)), "never reached"),)
             )
 
 
@@ -169,7 +169,7 @@ def _later_limit(context: RuleContext) -> Iterator[Finding]:
         other = "max_steps" if name == "max_time" else "max_time"
         headline = f"`{name}` has no effect: `{other}` always ends the episode first"
         also = (Label(context.values.span(("truncation", other)), "ends the episode first"),)
-        yield Finding("DB804", context.values.span(("truncation", name)), headline, help="remove one of the two", labels=also)
+        yield Finding("DB804", context.values.span(("truncation", name)), headline, "remove one of the two", labels=also)
 
 
 def _later(program: Program) -> str:
@@ -188,7 +188,7 @@ def _later_ending(context: RuleContext) -> Iterator[Finding]:
         if all(late.value.name in names for names in later):
             headline = f"`{late.value.name}` has no effect: `{first.value.name}` always ends the episode first"
             help = "write a limit that is reached first" if late.outcome != first.outcome else "remove one of the two"
-            yield Finding("DB804", late.value.span, headline, help=help, labels=(Label(first.value.span, "ends the episode first"),))
+            yield Finding("DB804", late.value.span, headline, help, labels=(Label(first.value.span, "ends the episode first"),))
 
 
 def _leaves(analysis: Analysis, node: Scalar) -> set[str]:
@@ -223,7 +223,7 @@ def timeout_as_termination(context: RuleContext) -> Iterator[Finding]:
         if names and names <= _CLOCK_NAMES and not analysis.ranges.of(analysis.scalars(ending.value)[0]).is_single:
             headline = f"`{ending.value.name}` depends only on the time, which the policy does not observe"
             kept = " or ".join(f"`{'max_time: 5 s' if name == 'time' else 'max_steps: 200'}`" for name in sorted(names))
-            yield Finding("DB805", ending.value.span, headline, help=f"limit the episode under `truncation`: {kept}")
+            yield Finding("DB805", ending.value.span, headline, f"limit the episode under `truncation`: {kept}")
 
 
 def ends_at_reset(context: RuleContext) -> Iterator[Finding]:
@@ -240,11 +240,10 @@ def ends_at_reset(context: RuleContext) -> Iterator[Finding]:
     analysis, start = context.analysis, context.analysis.start
     for ending in context.program.endings:
         if ending.foreign is None and start.of(analysis.scalars(ending.value)[0]) == ALWAYS != _truth_over_episode(analysis, ending):
-            headline = f"`{ending.value.name}` already holds when an episode begins"
             sides = [side for entry in comparisons(analysis, ending.value) for side in _sides(entry, start)]
             notes = tuple(f"`{text}` begins {words}" for text, known, words in sides if known.is_finite)
             help = "change the initial state under `reset`, widen the limit, or reverse the comparison"
-            yield Finding("DB806", ending.value.span, headline, help=help, notes=notes)
+            yield Finding("DB806", ending.value.span, f"`{ending.value.name}` already holds when an episode begins", help, notes=notes)
 
 
 def sometimes_ends_at_reset(simulation: Simulation) -> Iterator[Finding]:
@@ -255,8 +254,7 @@ def sometimes_ends_at_reset(simulation: Simulation) -> Iterator[Finding]:
             headline = f"`{ending.value.name}` already holds at the start of {len(seeds)} of {simulation.plan.resets} episodes"
             more = ", ..." if len(seeds) > _MAX_SEEDS else ""
             notes = (f"with seed{'s' if len(seeds) > 1 else ''} {', '.join(map(str, seeds[:_MAX_SEEDS]))}{more}",)
-            help = "change the initial state under `reset`, or widen the limit"
-            yield Finding("DB806", ending.value.span, headline, help=help, notes=notes)
+            yield Finding("DB806", ending.value.span, headline, "change the initial state under `reset`, or widen the limit", notes=notes)
 
 
 def undefined_value(simulation: Simulation) -> Iterator[Finding]:
@@ -264,7 +262,7 @@ def undefined_value(simulation: Simulation) -> Iterator[Finding]:
     stop, failed = simulation.report.stop or {}, simulation.failed
     if failed is not None and failed.section == "other":
         help = "write an expression that is always defined; keep divisors away from zero, as in `1 / max(d, 1 cm)` for a length `d`"
-        yield Finding("DB808", failed.span, f"`{failed.name}` has no value", help=help, notes=failed.notes)
+        yield Finding("DB808", failed.span, f"`{failed.name}` has no value", help, notes=failed.notes)
     elif failed is None and stop.get("kind") == "value":
         span = simulation.values.key_span(("reset",) if simulation.report.where.activity == "reset" else ("robots",))
         headline = "an episode cannot begin" if simulation.report.where.activity == "reset" else "an episode cannot continue"
@@ -293,7 +291,7 @@ def after_the_end(context: RuleContext) -> Iterator[Finding]:
     for what, time, path in _delays(context.analysis):
         if time >= end and all(known.get(path, time) >= end for known in times):
             headline = f"{what} {with_unit(time, TIME)} or more, and no episode lasts longer than {with_unit(end, TIME)}"
-            yield Finding("DB811", context.values.span(path), headline, help="write a shorter time, or longer episodes under `truncation`")
+            yield Finding("DB811", context.values.span(path), headline, "write a shorter time, or longer episodes under `truncation`")
 
 
 def _delays(analysis: Analysis) -> Iterator[tuple[str, float, NodePath]]:
@@ -375,7 +373,7 @@ def unreachable_goal(context: RuleContext) -> Iterator[Finding]:
             if reason is not None:
                 words, help = reason
                 also = () if entry.value is ending.value else (Label(entry.value.span, f"`{ending.value.name}` depends on it"),)
-                yield Finding("DB807", ending.value.span, f"`{ending.value.name}` {words}", help=help, labels=also)
+                yield Finding("DB807", ending.value.span, f"`{ending.value.name}` {words}", help, labels=also)
                 break
 
 
@@ -499,7 +497,7 @@ def idle_test(context: RuleContext) -> Iterator[Finding]:
                 if outcome:
                     headline = f"`{expected.key}` of the test `{test.name}` checks nothing: it holds whatever happens"
                 help = "expect a result that a wrong scenario does not reach" if outcome else "expect a result that can be reached"
-                yield Finding("DB813", expected.span, headline, help=help)
+                yield Finding("DB813", expected.span, headline, help)
 
 
 def _only_outcome(analysis: Analysis, test: ScenarioTest, expected: ExpectedResult) -> bool | None:

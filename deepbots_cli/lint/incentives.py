@@ -88,14 +88,14 @@ def rewards_early_death(context: RuleContext) -> Iterator[Finding]:
         if share >= _MIN_BREAK_EVEN:
             headline = f"an episode to the time limit costs at least {whole}, `{ending.value.name}` {price}"
             headline += f", and `{success.value.name}` pays {prize:.3g}"
-            yield Finding("DB705", dearest.span, headline, help=_LIVING_HELP, notes=_share_notes(reward, share, success), labels=also)
+            yield Finding("DB705", dearest.span, headline, _LIVING_HELP, notes=_share_notes(reward, share, success), labels=also)
         return
     headline = f"continuing an episode costs at least {whole}, and `{ending.value.name}` {price}"
     help = "pay for a good step instead, such as `alive: 1`, or make a failure cost more than all steps together"
     if program.agent.goal is not None:
         headline = f"an episode that misses the goal costs at least {whole}, and one that ends by `{ending.value.name}` {price} or less"
         help = f"pay for the goal instead, as in `1 when goal_reached`, or remove `{ending.value.name}`"
-    yield Finding("DB705", dearest.span, headline, help=help, labels=also)
+    yield Finding("DB705", dearest.span, headline, help, labels=also)
 
 
 _LIVING_HELP = "make a failure cost more than all steps together, or a step cost less"
@@ -198,8 +198,7 @@ def measured_early_death(simulation: Simulation) -> Iterator[Finding]:
         dearest = min(totals[cheapest], key=lambda entry: entry[1])[0]
         headline = f"a step costs {-pay:.3g}, `{ending.value.name}` {_price(cost)}, and `{success.value.name}` pays {prize:.3g}"
         notes = (f"measured in {rows[cheapest].steps} steps of {cheapest}", *_share_notes(reward, share, success))
-        also = (Label(ending.value.span, "the cheaper ending"),)
-        yield Finding("DB705", dearest.span, headline, help=_LIVING_HELP, notes=notes, labels=also)
+        yield Finding("DB705", dearest.span, headline, _LIVING_HELP, notes=notes, labels=(Label(ending.value.span, "the cheaper ending"),))
 
 
 # Staying short of the success
@@ -275,7 +274,7 @@ def hovering_pays(context: RuleContext) -> Iterator[Finding]:
             headline = f"an episode that avoids `{success.value.name}` can collect up to {pay:.3g} per step, {pay * steps:.4g} in all"
             headline += f", and `{success.value.name}` pays {prize:.3g} once"
             best = max(ordinary, key=lambda term: waiting.of(term[1]).high)[0]
-            yield Finding("DB708", best.span, headline, help=_PROGRESS_HELP, labels=(Label(success.value.span, "ends these payments"),))
+            yield Finding("DB708", best.span, headline, _PROGRESS_HELP, labels=(Label(success.value.span, "ends these payments"),))
             return
 
 
@@ -332,7 +331,7 @@ def other_policy_pays_more(simulation: Simulation) -> Iterator[Finding]:
             f"the return of {success.policy}, which succeeds, is {success.discounted_return:.3g}"
         )
         notes = (f"both are discounted returns of the episode with seed {best.seed}",)
-        yield Finding("DB708", _most_paid(simulation, best.policy).span, headline, help=_PROGRESS_HELP, notes=notes, labels=also)
+        yield Finding("DB708", _most_paid(simulation, best.policy).span, headline, _PROGRESS_HELP, notes=notes, labels=also)
     elif len(successes) == 1:
         is_reached = any(episode.end == "success" for episode in simulation.report.episodes)
         idle = [] if is_reached else _idle_pays(simulation, successes[0])
@@ -376,7 +375,7 @@ def _place_pays(simulation: Simulation, success: Ending) -> list[Finding]:
     headline = f"`{best.name}` pays up to {pay:.3g} in a step, {pay * steps:.4g} in an episode that stays there"
     headline += f", and `{success.value.name}` pays {prize:.3g} once"
     also = (Label(success.value.span, "ends these payments"),)
-    return [Finding("DB708", best.span, headline, help=_PROGRESS_HELP, notes=(simulation.summary,), labels=also)]
+    return [Finding("DB708", best.span, headline, _PROGRESS_HELP, notes=(simulation.summary,), labels=also)]
 
 
 def _is_progress(analysis: Analysis, node: Scalar) -> bool:
@@ -408,7 +407,7 @@ def _idle_pays(simulation: Simulation, success: Ending) -> list[Finding]:
             f"measured in {row.steps} steps; about {steps:.0f} steps count, given the discount factor of the training and the time limit",
         )
         also = (Label(success.value.span, "ends these payments"),)
-        return [Finding("DB708", _most_paid(simulation, IDLE).span, headline, help=_PROGRESS_HELP, notes=notes, labels=also)]
+        return [Finding("DB708", _most_paid(simulation, IDLE).span, headline, _PROGRESS_HELP, notes=notes, labels=also)]
     return []
 
 

@@ -55,7 +55,7 @@ def _unused_names(context: RuleContext) -> Iterator[Finding]:
         if definition.origin in _COUNTED_ORIGINS and definition.uses == 0 and name not in used:
             headline = f"`{name}` is {definition.origin.value} that nothing uses"
             fix = removal_fix(context.values.root, definition.path)
-            yield Finding("DB205", context.values.key_span(definition.path), headline, help="use it, or remove it", fix=fix)
+            yield Finding("DB205", context.values.key_span(definition.path), headline, "use it, or remove it", fix=fix)
 
 
 def _unused_parts(context: RuleContext) -> Iterator[Finding]:
@@ -90,7 +90,7 @@ def _unused_parts(context: RuleContext) -> Iterator[Finding]:
             path = ("robots", robot.name, *place)
             span = context.values.key_span(path)
             if span.source is context.checked.document.source:  # an included robot file may offer more than the task needs
-                yield Finding("DB205", span, f"`{path[-1]}` is {what}", help=help, fix=removal_fix(context.values.root, path))
+                yield Finding("DB205", span, f"`{path[-1]}` is {what}", help, fix=removal_fix(context.values.root, path))
 
 
 # Equality of measurements
@@ -132,7 +132,7 @@ def equality_of_measures(context: RuleContext) -> Iterator[Finding]:
                 is_zero = isinstance(pair[1], Constant) and not any(pair[1].values)
                 difference = measure if is_zero else f"{measure} - {constant}"
                 help = f"compare with a tolerance, as in `abs({difference}) {sign} ...`"
-                yield Finding("DB411", text.part(node.start, node.end), f"`{written}` {outcome}", help=help)
+                yield Finding("DB411", text.part(node.start, node.end), f"`{written}` {outcome}", help)
 
 
 def _written(program: Program) -> Iterator[Expression]:
@@ -195,9 +195,7 @@ def angle_jumps(context: RuleContext) -> Iterator[Finding]:
         for node in _AngleWrapping(context.analysis, on, known).jumps(value.typed):
             text = context.text(f"robots.{value.owner}" if on else value.owner)
             written, place = text.text[node.start : node.end], text.part(node.start, node.end)
-            yield Finding(
-                "DB506", place, f"`{written}` jumps by a full turn at 180 deg", help=f"take the shorter way round: `wrap({written})`"
-            )
+            yield Finding("DB506", place, f"`{written}` jumps by a full turn at 180 deg", f"take the shorter way round: `wrap({written})`")
 
 
 class _AngleWrapping:

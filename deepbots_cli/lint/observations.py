@@ -112,7 +112,7 @@ def privileged_observation(context: RuleContext) -> Iterator[Finding]:
             )
             what = Origin.SIGNAL.value if origin is Origin.SIGNAL else Origin.PARAMETER.value
             headline = f"the observation holds `{observed.value.name}`, {what} that is not listed under `augment`"
-            yield Finding("DB609", observed.value.span, headline, help=helps)
+            yield Finding("DB609", observed.value.span, headline, helps)
 
 
 def _privileged(program: Program) -> set[str]:
@@ -169,7 +169,7 @@ def goal_in_observation(context: RuleContext) -> Iterator[Finding]:
             headline = f"`{entry.value.name}` depends on the goal, but hindsight replay replaces only `desired`"
             help = "remove it: the policy sees `achieved` and `desired` in addition to the observation"
             also = (Label(program.agent.goal.desired.span, f"also depends on `{min(shared)}`"),)
-            yield Finding("DB614", entry.value.span, headline, help=help, labels=also)
+            yield Finding("DB614", entry.value.span, headline, help, labels=also)
 
 
 class SeenNumber(NamedTuple):
@@ -224,8 +224,7 @@ def noise_without_effect(context: RuleContext) -> Iterator[Finding]:
             reported.add(id(noises[0]))
             headline = f"`{number.name}` has noise, and the policy sees its exact value in `{shown.name}`"
             help = "declare the noise once, under `augment`, as `{value: ..., noise: ...}`, and use this name in both places"
-            also = (Label(shown.span, "exact value"),)
-            yield Finding("DB616", noises[0].std.span, headline, help=help, labels=also)
+            yield Finding("DB616", noises[0].std.span, headline, help, labels=(Label(shown.span, "exact value"),))
 
 
 def may_be_noisy(program: Program) -> tuple[Expression, ...]:
@@ -323,8 +322,7 @@ def observation_unbounded(context: RuleContext) -> Iterator[Finding]:
     for entry in {id(number.entry): number.entry for number in loose}.values():
         headline = f"`{entry.value.name}` is not clipped to its range, and can be arbitrarily large"
         fix = removal_fix(context.values.root, ("observation", entry.value.name, "clip"))
-        help = "remove `clip: false`, or `clamp` the value under `augment`"
-        yield Finding("DB601", context.range_span(entry), headline, help=help, fix=fix)
+        yield Finding("DB601", context.range_span(entry), headline, "remove `clip: false`, or `clamp` the value under `augment`", fix=fix)
 
 
 def bounds_mismatch(context: RuleContext) -> Iterator[Finding]:
@@ -349,7 +347,7 @@ def bounds_mismatch(context: RuleContext) -> Iterator[Finding]:
             is_known = known.is_finite and not known.is_single
             help = "write the range of the value" + (f": `{range_text(known, number.dimension)}`" if is_known else "")
             fix = replace_range(context, number, known, number.dimension) if is_known else None
-            yield Finding("DB602", context.range_span(number.entry), headline, help=help, fix=fix)
+            yield Finding("DB602", context.range_span(number.entry), headline, help, fix=fix)
 
 
 # Measured in a simulation
@@ -363,13 +361,11 @@ def outside_space(simulation: Simulation) -> Iterator[Finding]:
             names = [name for name in map(str, stop["entries"]) if name.partition(".")[0] == entry.value.name or name == entry.value.name]
             if names:
                 headline = f"`{names[0]}` is outside of the observation space"
-                yield Finding(
-                    "DB607", entry.value.span, headline, help="`clamp` the value, or remove `clip: false`", notes=(simulation.when(),)
-                )
+                yield Finding("DB607", entry.value.span, headline, "`clamp` the value, or remove `clip: false`", notes=(simulation.when(),))
     failed = simulation.failed
     if failed is not None and failed.section == "observation":
         help = "write an expression that is always defined; keep divisors away from zero, as in `1 / max(d, 1 cm)` for a length `d`"
-        yield Finding("DB607", failed.span, f"`{failed.name}` in the observation has no value", help=help, notes=failed.notes)
+        yield Finding("DB607", failed.span, f"`{failed.name}` in the observation has no value", help, notes=failed.notes)
 
 
 def constant_observation(simulation: Simulation) -> Iterator[Finding]:
@@ -390,14 +386,12 @@ def constant_observation(simulation: Simulation) -> Iterator[Finding]:
         value = with_unit(_in_units(simulation, numbers[0]), entry.value.typed.type.dimension)
         headline = f"`{name}` never changes" + (f": it is {value} in every step" if len(numbers) == 1 else "")
         help = ("remove it" if is_whole else "observe only the other components") + ", or add a script under `scripts` that changes it"
-        yield Finding("DB608", entry.value.span, headline, help=help, notes=(simulation.summary,))
+        yield Finding("DB608", entry.value.span, headline, help, notes=(simulation.summary,))
     pictures = [entry for entry in simulation.program.agent.observation if entry.value.typed.type.picture]
     for place, entry in enumerate(pictures, start=len(simulation.numbers)):
         if place in simulation.report.constant_numbers:
             help = "check the place and the view of its camera, or add a script under `scripts` that changes it"
-            yield Finding(
-                "DB608", entry.value.span, f"the picture `{entry.value.name}` never changes", help=help, notes=(simulation.summary,)
-            )
+            yield Finding("DB608", entry.value.span, f"the picture `{entry.value.name}` never changes", help, notes=(simulation.summary,))
 
 
 def _constant(simulation: Simulation, number: MeasuredNumber) -> float:
@@ -429,8 +423,7 @@ def often_saturated(simulation: Simulation) -> Iterator[Finding]:
                 at = with_unit(end, entry.value.typed.type.dimension)
                 headline = f"`{number.name}` is at the end of its range, {at}, in most of the simulated steps"
                 notes = tuple(f"{100 * share:.0f} % of the steps of {by}" for by, share in shares.items())
-                help = "widen the range to the usual values"
-                yield Finding("DB611", simulation.range_span(entry), headline, help=help, notes=notes)
+                yield Finding("DB611", simulation.range_span(entry), headline, "widen the range to the usual values", notes=notes)
                 break
 
 
@@ -472,7 +465,7 @@ def range_of_other_parts(context: RuleContext) -> Iterator[Finding]:
             joint, known = entry.value.components[place], range_text(own[place], dimension)
             whole = range_text(Interval(entry.low[0], entry.high[0]), dimension)
             headline = f"`auto` gives `{joint}` the range {whole} of all joints; its own is {known}"
-            yield Finding("DB318", span, headline, help=f"observe each joint by itself, as in `{entry.value.name}.{joint}: auto`")
+            yield Finding("DB318", span, headline, f"observe each joint by itself, as in `{entry.value.name}.{joint}: auto`")
 
 
 def _limits_of_parts(program: Program, entry: Observation) -> list[Interval]:

@@ -66,9 +66,9 @@ def _unbounded(context: RuleContext, term: Expression, found: Singularity) -> Fi
     if found.is_divisor:
         headline = f"`{term.name}` grows without bound as `{part}` approaches zero"
         help = "keep the divisor away from zero, or use an exponential; for a length `d`: `max(d, 1 cm)` or `exp(-d / 10 cm)`"
-        return Finding("DB701", place, headline, help=help, labels=also)
+        return Finding("DB701", place, headline, help, labels=also)
     headline = f"`{term.name}` grows with the exponential of `{part}`, which has no upper bound"
-    return Finding("DB701", place, headline, help="bound the argument, as in `min(x, 3)`", labels=also)
+    return Finding("DB701", place, headline, "bound the argument, as in `min(x, 3)`", labels=also)
 
 
 class _PoleSearch:
@@ -160,7 +160,7 @@ def term_dominates(context: RuleContext) -> Iterator[Finding]:
             headline += f", and the absolute reward of an ending is at most {prize:.4g}"
             also = tuple(Label(paid.span, "paid at the end") for paid, _ in final)
             yield Finding(
-                "DB702", term.span, headline, help=f"scale `{term.name}` down, or increase the absolute rewards of the endings", labels=also
+                "DB702", term.span, headline, f"scale `{term.name}` down, or increase the absolute rewards of the endings", labels=also
             )
 
 
@@ -198,7 +198,7 @@ def dominating_term(simulation: Simulation) -> Iterator[Finding]:
             )
         if min(ratios) > _DOMINANCE_RATIO:
             headline = f"`{term.name}` adds up to at least {min(ratios):.3g} times all other terms together"
-            yield Finding("DB702", term.span, headline, help=f"scale `{term.name}` down, or the other terms up", notes=tuple(notes))
+            yield Finding("DB702", term.span, headline, f"scale `{term.name}` down, or the other terms up", notes=tuple(notes))
 
 
 def inactive_term(context: RuleContext) -> Iterator[Finding]:
@@ -221,11 +221,10 @@ def inactive_term(context: RuleContext) -> Iterator[Finding]:
     for term in context.program.agent.reward:
         if touching.get(term.name):
             headline = f"`{touching[term.name][0]}` is never true: links of one robot do not touch each other"
-            yield Finding("DB704", term.span, headline, help="compare `clearance(...)` of the two links with a distance")
+            yield Finding("DB704", term.span, headline, "compare `clearance(...)` of the two links with a distance")
             continue
         if all(term.name in names for names in inactive) and not _is_turned_off(term.typed, context.analysis):
-            headline = f"`{term.name}` is zero in every step"
-            yield Finding("DB704", term.span, headline, help="remove the term, or correct its condition")
+            yield Finding("DB704", term.span, f"`{term.name}` is zero in every step", "remove the term, or correct its condition")
 
 
 def _always_zero(analysis: Analysis) -> set[str]:
@@ -269,7 +268,7 @@ def silent_term(simulation: Simulation) -> Iterator[Finding]:
         if not _is_turned_off(term.typed, analysis) and not _is_conditional(term.typed, analysis, set()):
             headline = f"`{term.name}` was zero in all {simulation.steps} simulated steps"
             help = "correct the term, or add a script under `scripts` that earns it"
-            yield Finding("DB704", term.span, headline, help=help, notes=(simulation.summary,))
+            yield Finding("DB704", term.span, headline, help, notes=(simulation.summary,))
 
 
 def _is_conditional(node: Typed, analysis: Analysis, met: set[str]) -> bool:
@@ -288,7 +287,7 @@ def non_finite_reward(simulation: Simulation) -> Iterator[Finding]:
     failed = simulation.failed
     if failed is not None and failed.section == "reward":
         help = "against a division by zero, write `1 / max(d, 1 cm)` for a length `d`; against an overflow, `exp(min(n, 3))` for a number"
-        yield Finding("DB707", failed.span, f"`{failed.name}` is not finite", help=help, notes=failed.notes)
+        yield Finding("DB707", failed.span, f"`{failed.name}` is not finite", help, notes=failed.notes)
 
 
 # Returns
@@ -320,7 +319,7 @@ def nothing_to_learn(context: RuleContext) -> Iterator[Finding]:
         help += ", or add a failure that ends a bad episode early"
     elif worth < 0.0:  # a failure would end the costs (DB705)
         help += ", or add a success that ends a good episode early"
-    yield Finding("DB711", context.program.agent.reward[0].span, headline, help=help)
+    yield Finding("DB711", context.program.agent.reward[0].span, headline, help)
 
 
 def return_out_of_reach(context: RuleContext) -> Iterator[Finding]:
@@ -342,12 +341,10 @@ def return_out_of_reach(context: RuleContext) -> Iterator[Finding]:
         known = return_range(analysis)
         if wanted > known.high + _ROUNDING * abs(known.high):
             headline = f"no episode reaches the required return of {wanted:g}: the highest possible return is {known.high:.4g}"
-            help = "require a smaller return"
-            yield Finding("DB810", context.values.span(path), headline, help=help)
+            yield Finding("DB810", context.values.span(path), headline, "require a smaller return")
         elif wanted <= known.low:
             headline = f"every episode reaches the required return of {wanted:g}: the lowest possible return is {known.low:.4g}"
-            help = "require a larger return"
-            yield Finding("DB810", context.values.span(path), headline, help=help)
+            yield Finding("DB810", context.values.span(path), headline, "require a larger return")
 
 
 def _wanted_returns(context: RuleContext) -> Iterator[tuple[Analysis, float, NodePath]]:

@@ -81,7 +81,7 @@ def command_cut_off(context: RuleContext) -> Iterator[Finding]:
                 dimension = command.target.typed.type.dimension
                 able = f"receives commands of {range_text(asked, dimension)}, and its limits are {range_text(limits, dimension)}"
                 help = "scale the action to the limits of the actuator"
-                yield Finding("DB312", command.target.span, f"`{command.actuator.name}` {able}", help=help)
+                yield Finding("DB312", command.target.span, f"`{command.actuator.name}` {able}", help)
 
 
 def _limits(actuator: Actuator, model: RobotModel) -> Interval | None:
@@ -145,7 +145,7 @@ def joint_driven_twice(context: RuleContext) -> Iterator[Finding]:
             if shared is not None:
                 first, second = (_joints_span(context.values, robot.name, called) for called in (driving[shared], name))
                 headline = f"`{name}` drives the joint `{shared}`, which `{driving[shared]}` already drives"
-                yield Finding("DB313", second, headline, help="give each joint one motor", labels=(Label(first, "driven here"),))
+                yield Finding("DB313", second, headline, "give each joint one motor", labels=(Label(first, "driven here"),))
             driving |= dict.fromkeys(joints, name)
 
 
@@ -222,7 +222,7 @@ def limp_at_start(context: RuleContext) -> Iterator[Finding]:
                 help = "hold the joint with a `position_motor`, or shorten the delay of the first command"
                 late = ("messages", "to_robot", "latency")
                 also = (Label(values.span(late), "delays the first command"),) if values.is_present(late) else ()
-                yield Finding("DB314", values.key_span(("robots", robot.name, "actuators", motor.name)), headline, help=help, labels=also)
+                yield Finding("DB314", values.key_span(("robots", robot.name, "actuators", motor.name)), headline, help, labels=also)
 
 
 def _is_limp(actuator: Actuator) -> TypeGuard[Motor]:
@@ -306,7 +306,7 @@ def _missed(simulation: Simulation, miss: UnreachedPose) -> Finding:
     )
     headline = f"`{miss.actuator}` is commanded to a pose that its inverse kinematics misses by {by}"
     help = f"{remedy}; `deepbots inspect` prints the pose of the link at the start of an episode"
-    return Finding("DB315", span, headline, help=help, notes=tuple(notes))
+    return Finding("DB315", span, headline, help, notes=tuple(notes))
 
 
 def _turned_in_place(simulation: Simulation, miss: UnreachedPose) -> Finding:
@@ -320,7 +320,7 @@ def _turned_in_place(simulation: Simulation, miss: UnreachedPose) -> Finding:
         simulation.when(SimulationPosition(miss.policy, miss.seed, miss.step)),
         "the joints may move far before the link reaches the pose",
     )
-    return Finding("DB315", span, headline, help=help, notes=notes)
+    return Finding("DB315", span, headline, help, notes=notes)
 
 
 # Limits of the robot file
@@ -353,7 +353,7 @@ def unlimited_motor(context: RuleContext) -> Iterator[Finding]:
             headline = f"`{actuator.name}` has unlimited {what}: the robot file gives no effort for {shown}"
             help = f"write `max_torque` with the {what} of the motor, such as `max_torque: 10 {unit}`"
             notes = ('an effort of 0 in a robot file is read as "not stated"',)
-            yield Finding("DB319", _joints_span(context.values, robot.name, actuator.name), headline, help=help, notes=notes)
+            yield Finding("DB319", _joints_span(context.values, robot.name, actuator.name), headline, help, notes=notes)
 
 
 def limits_in_degrees(context: RuleContext) -> Iterator[Finding]:
@@ -410,7 +410,7 @@ def limits_in_degrees(context: RuleContext) -> Iterator[Finding]:
                 headline = f"the limits {low:g} and {high:g} rad of joint `{joint.name}` are {(high - low) / (2 * pi):.3g} turns apart"
                 help = f'if they are degrees, write lower="{radians(low):.5g}" upper="{radians(high):.5g}" in the robot file'
                 help += f", or `range: {low:g} .. {high:g} deg` under `joints`"
-                yield Finding("DB317", resolved.file.limit_spans[joint.name], headline, help=help)
+                yield Finding("DB317", resolved.file.limit_spans[joint.name], headline, help)
 
 
 # Rays
@@ -660,14 +660,14 @@ def _passing_over(values: ValueReader, robot: str, sensor: str, clearance: Clear
     headline = (
         f"the rays of `{sensor}` meet nothing: they are at least {height} above the ground, and the tallest body, {named}, ends at {top}"
     )
-    return Finding("DB615", values.key_span(("robots", robot, "sensors", sensor)), headline, help=help, notes=notes, labels=also)
+    return Finding("DB615", values.key_span(("robots", robot, "sensors", sensor)), headline, help, notes=notes, labels=also)
 
 
 def _buried(values: ValueReader, robot: str, sensor: str, depth: float, notes: tuple[str, ...] = ()) -> Finding:
     lower = with_unit(float(f"{depth:.3g}"), LENGTH)
     headline = f"the rays of `{sensor}` meet nothing: they begin {lower} below the ground"
     help = f"raise the `pose` of the sensor by more than {lower}"
-    return Finding("DB615", values.key_span(("robots", robot, "sensors", sensor)), headline, help=help, notes=notes)
+    return Finding("DB615", values.key_span(("robots", robot, "sensors", sensor)), headline, help, notes=notes)
 
 
 STATIC_RULES = (

@@ -150,7 +150,7 @@ def _unseen(context: RuleContext, analysis: Analysis, view: BlindNumber, ending:
     if comparison.value.owner:
         place = context.text(comparison.value.owner).part(comparison.node.start, comparison.node.end)
     also = (Label(place, f"`{ending.name}` ends the episode here"),)
-    return Finding("DB603", context.range_span(number.entry), headline, help=help, labels=also, fix=fix)
+    return Finding("DB603", context.range_span(number.entry), headline, help, labels=also, fix=fix)
 
 
 def _part_of(comparison: ConditionComparison, analysis: Analysis, quantity: Scalar) -> Typed | None:
@@ -196,7 +196,7 @@ def _saturated_at_start(context: RuleContext) -> Iterator[Finding]:
         if is_beyond:
             verb = "starts" if first.is_single else "can start"
             headline = f"`{number.name}` {verb} outside its range: its initial value is {bounds_text(first, number.dimension)}"
-            yield Finding("DB611", context.range_span(number.entry), headline, help="widen the range, or start inside the range")
+            yield Finding("DB611", context.range_span(number.entry), headline, "widen the range, or start inside the range")
 
 
 def _goal_out_of_range(context: RuleContext) -> Iterator[Finding]:
@@ -212,7 +212,7 @@ def _goal_out_of_range(context: RuleContext) -> Iterator[Finding]:
         if drawn is not None and drawn.is_finite and (drawn.low < low - slack or drawn.high > high + slack):
             headline = f"`desired` can begin outside its range: it is drawn {bounds_text(drawn, goal.desired.typed.type.dimension)}"
             yield Finding(
-                "DB611", context.values.span(("goal", "range")), headline, help="widen the range of the goal, or draw from a smaller one"
+                "DB611", context.values.span(("goal", "range")), headline, "widen the range of the goal, or draw from a smaller one"
             )
             return
 
@@ -233,7 +233,7 @@ def _saturated_by_gravity(context: RuleContext) -> Iterator[Finding]:
         headline += f", and {f'`{number.name}.{axis}`' if axis else 'its value'} at rest is {with_unit(reading, ACCELERATION)}"
         help = f"widen the range beyond gravity, for example to `{range_text(wide, ACCELERATION)}`"
         fix = replace_range(context, number, wide, ACCELERATION)
-        yield Finding("DB611", context.range_span(number.entry), headline, help=help, fix=fix)
+        yield Finding("DB611", context.range_span(number.entry), headline, help, fix=fix)
 
 
 def _at_rest(analysis: Analysis, leaf: Scalar) -> float | None:

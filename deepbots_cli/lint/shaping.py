@@ -81,7 +81,7 @@ def _wrong_sign(term: Expression, headline: str, also: tuple[Label, ...]) -> Fin
     turned = negated_text(term.typed)(term.text)
     fix = Fix.replacing(term.span, term.text, turned, safe=False)
     help = f"reverse the sign: `{turned}`" if len(turned) <= _MAX_SHOWN else "reverse the sign"
-    return Finding("DB703", term.span, headline, help=help, labels=also, fix=fix)
+    return Finding("DB703", term.span, headline, help, labels=also, fix=fix)
 
 
 def _away_from_success(reward: RewardTerms, ordinary: Terms, ending: Ending) -> Iterator[Finding]:
@@ -216,7 +216,7 @@ def hidden_state_reward(context: RuleContext) -> Iterator[Finding]:
         if hidden:
             what = f"the {'drawn parameter' if hidden[0] in drawn else 'body'} `{hidden[0]}`"
             help = f"add an entry that uses `{hidden[0]}` under `augment`, and observe this entry"
-            yield Finding("DB706", term.span, f"`{term.name}` depends on {what}, which the observation does not show", help=help)
+            yield Finding("DB706", term.span, f"`{term.name}` depends on {what}, which the observation does not show", help)
 
 
 def pays_towards_failure(context: RuleContext) -> Iterator[Finding]:
@@ -249,7 +249,7 @@ def pays_towards_failure(context: RuleContext) -> Iterator[Finding]:
         for term in _towards(reward, threshold, ordinary):
             headline = f"`{term.name}` pays more as the episode approaches `{ending.value.name}`"
             also = (Label(ending.value.span, "a failure"),)
-            yield Finding("DB710", term.span, headline, help=_opposite_help(compared, threshold), labels=also)
+            yield Finding("DB710", term.span, headline, _opposite_help(compared, threshold), labels=also)
 
 
 def _counts_from_middle(reward: RewardTerms, threshold: Threshold) -> bool:

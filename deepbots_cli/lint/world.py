@@ -66,22 +66,21 @@ def beyond_engine(context: RuleContext) -> Iterator[Finding]:
         return
     if not kind.is_installed and any(other.is_installed for other in ENGINES.own.values()):
         headline = f"the engine `{context.program.engine}` cannot be used here: {kind.missing}"
-        yield Finding("DB316", context.values.span(("world", "engine")), headline, help=kind.remedy)
+        yield Finding("DB316", context.values.span(("world", "engine")), headline, kind.remedy)
     if kind.mesh_terrain is not None and terrain is not None and isinstance(terrain.shape, Mesh):
-        yield Finding("DB316", context.values.span(("world", "terrain", "file")), kind.mesh_terrain.reason, help=kind.mesh_terrain.help)
+        yield Finding("DB316", context.values.span(("world", "terrain", "file")), kind.mesh_terrain.reason, kind.mesh_terrain.help)
     followers = [(robot.name, joint) for robot in world.robots for joint in robot.model.followers]
     if followers and not kind.moves_followers:
         headline = (
             f"the joint `{followers[0][1]}` follows another one (<mimic>), which the engine `{context.program.engine}` does not simulate"
         )
-        yield Finding("DB316", context.values.span(("world", "engine")), headline, help=OTHER_ENGINES)
+        yield Finding("DB316", context.values.span(("world", "engine")), headline, OTHER_ENGINES)
     if kind.implausible_inertia is not None:
         reason, help = kind.implausible_inertia
         for robot in world.robots:
             for link in robot.model.links:
                 if link.inertial is not None and link.inertial.is_stated and not link.inertial.is_plausible:
-                    span = context.values.key_span(("robots", robot.name))
-                    yield Finding("DB316", span, f"link `{link.name}` {reason}", help=help)
+                    yield Finding("DB316", context.values.key_span(("robots", robot.name)), f"link `{link.name}` {reason}", help)
 
 
 def odd_scale(context: RuleContext) -> Iterator[Finding]:
@@ -135,7 +134,7 @@ def _object_around_robot(
     for robot, size in robots:
         if width >= _MAX_SIZE_RATIO * size and _is_within(start, robot, thing, kind.shape):
             headline = f"`{path[-1]}` is {with_unit(width, LENGTH)} across, and `{robot.name}` ({with_unit(size, LENGTH)}) begins inside it"
-            return Finding("DB507", _span(path, ("radius", "size"), values), headline, help=_in_centimetres(path, values))
+            return Finding("DB507", _span(path, ("radius", "size"), values), headline, _in_centimetres(path, values))
     return None
 
 
@@ -180,12 +179,12 @@ def _odd_mass(thing: ObjectBody, kind: Variant, robots: _Robots, path: NodePath,
         shown = f"{density:.0f}" if density > 1000.0 else f"{density:.2g}"
         headline = f"`{path[-1]}` has a density of {shown} kg/m^3, {beyond}: {weight} in {size:.3g} m^3"
         help = f"check the units of its mass and size ({water})" + (", or write `fixed: true`" if density > _MAX_DENSITY else "")
-        return Finding("DB507", _span(path, ("mass",), values), headline, help=help)
+        return Finding("DB507", _span(path, ("mass",), values), headline, help)
     carried = sum(link.inertial.mass for robot, _ in robots for link in robot.model.links if link.inertial is not None)
     if carried <= 0.0 or kind.mass < _MAX_MASS_RATIO * carried:
         return None
     headline = f"`{path[-1]}` weighs {weight}, and all robots together weigh {with_unit(carried, MASS)}"
-    return Finding("DB507", _span(path, ("mass", "radius", "size"), values), headline, help=_in_centimetres(path, values))
+    return Finding("DB507", _span(path, ("mass", "radius", "size"), values), headline, _in_centimetres(path, values))
 
 
 def _span(path: NodePath, keys: tuple[str, ...], values: ValueReader) -> Span:
@@ -227,7 +226,7 @@ def unstable_simulation(simulation: Simulation) -> Iterator[Finding]:
         notes = [simulation.when()]
         if fastest:
             notes.append(f"the fastest body before was `{fastest[0]}`, at {fastest[1]:.3g} m/s")
-        yield Finding("DB309", simulation.body_span(body), headline.format(halt.description), help=help, notes=tuple(notes))
+        yield Finding("DB309", simulation.body_span(body), headline.format(halt.description), help, notes=tuple(notes))
     elif stop is not None:
         yield from _stopped(simulation, stop)
 
@@ -246,7 +245,7 @@ def _stopped(simulation: Simulation, stop: Mapping[str, Any]) -> Iterator[Findin
             return
         case _:
             return
-    yield Finding("DB309", simulation.body_span(body), headline, help=_STABILITY_HELP, notes=(simulation.when(),))
+    yield Finding("DB309", simulation.body_span(body), headline, _STABILITY_HELP, notes=(simulation.when(),))
 
 
 def _implausible_motion(stop: Mapping[str, Any], body: str) -> str:
@@ -305,11 +304,11 @@ def identical_episodes(context: RuleContext) -> Iterator[Finding]:
         start = program.reset.joint_starts[0]
         joint = context.analysis.body(start.robot).model.joint(start.joints[0])
         spread = "-1 .. 1 deg" if joint_dimension(joint) == ANGLE else "-1 .. 1 cm"
-        yield Finding("DB809", start.position.span, headline, help=f"draw the initial state, as in `uniform({spread})`")
+        yield Finding("DB809", start.position.span, headline, f"draw the initial state, as in `uniform({spread})`")
     else:
         section = next((key for key in ("reset", "evaluation", "train") if context.values.is_present((key,))), "train")
         help = f"draw the initial position, as in `{program.world.robots[0].name}: {{x: uniform(-5 .. 5 cm)}}` under `reset.place`"
-        yield Finding("DB809", context.values.key_span((section,)), headline, help=help)
+        yield Finding("DB809", context.values.key_span((section,)), headline, help)
 
 
 def _varies(analysis: Analysis) -> bool:
@@ -379,9 +378,7 @@ def requirement_not_redrawn(context: RuleContext) -> Iterator[Finding]:
         headline = (
             f"if `require` fails, drawing the places again does not help: it depends on `{sources[0]}`, which is drawn once per episode"
         )
-        yield Finding(
-            "DB812", require.span, headline, help=f"draw `{sources[0]}` from values that meet it, or draw places under `reset.place`"
-        )
+        yield Finding("DB812", require.span, headline, f"draw `{sources[0]}` from values that meet it, or draw places under `reset.place`")
 
 
 def _is_of_root(program: Program, fact: EngineRead) -> bool:
@@ -425,7 +422,7 @@ def _overlapping(simulation: Simulation, found: MeasuredOverlap) -> Finding:
         help = "place them apart, or in a `region`, which finds free positions"
         there = simulation.placement(other[0]) or simulation.body_span(other[0])
         also = (Label(there, f"`{second}` begins here"),)
-    return Finding("DB310", span, headline, help=help, notes=notes, labels=also)
+    return Finding("DB310", span, headline, help, notes=notes, labels=also)
 
 
 def _order(simulation: Simulation, name: str) -> int:

@@ -88,14 +88,14 @@ class Element:
         """Report an error at the value of `attribute`, or at the start tag; only the first hundred of a file are kept."""
         self.report.errors += 1
         if self.report.errors <= MAX_REPORTED:
-            self.report.findings.add(code, self.value_span(attribute), headline, help=help, labels=labels)
+            self.report.findings.add(code, self.value_span(attribute), headline, help, labels=labels)
 
     def warn(
         self, headline: str, *, attribute: str | None = None, help: str | None = None, notes: tuple[str, ...] = (), code: str = "DB311"
     ) -> None:
         self.report.warnings += 1
         if self.report.warnings <= MAX_REPORTED:
-            self.report.findings.add(code, self.value_span(attribute), headline, help=help, notes=notes)
+            self.report.findings.add(code, self.value_span(attribute), headline, help, notes=notes)
 
     def find_all(self, tag: str) -> list[Element]:
         return [child for child in self.children if child.tag == tag]
@@ -269,12 +269,12 @@ def parse(source: Source, findings: Findings) -> Element | None:
         return None
     if builder.version != "1.0":
         end = text.find("?>") + 2
-        findings.add("DB311", Span(source, early, end), f"XML version {builder.version[:20]!r} does not exist", help='write version="1.0"')
+        findings.add("DB311", Span(source, early, end), f"XML version {builder.version[:20]!r} does not exist", 'write version="1.0"')
     if early:
         headline = "the XML declaration is not at the start of the file"
-        findings.add("DB311", Span(source, early, early + len("<?xml")), headline, help="remove the blanks and empty lines before it")
+        findings.add("DB311", Span(source, early, early + len("<?xml")), headline, "remove the blanks and empty lines before it")
     if late >= 0:
-        findings.add("DB311", Span(source, late, late + 1), "a zero byte after the end of the document", help="end the file before it")
+        findings.add("DB311", Span(source, late, late + 1), "a zero byte after the end of the document", "end the file before it")
     return root
 
 
@@ -286,7 +286,7 @@ def _parsed(builder: _Builder) -> Element | None:
         at = builder.offset(builder.parser.CurrentByteIndex)
         found = _START_TAG.match(source.text, at)
         end = found.end() if found else min(at + 1, len(source.text))
-        findings.add(refused.code, Span(source, at, end), refused.headline, help=refused.help)
+        findings.add(refused.code, Span(source, at, end), refused.headline, refused.help)
         return None
     except expat.ExpatError as error:
         at = min(builder.offset(max(builder.parser.ErrorByteIndex, 0)), len(source.text))
@@ -296,6 +296,6 @@ def _parsed(builder: _Builder) -> Element | None:
             what = "the file ends inside an element"
         misplaced = error.code == expat.errors.codes[expat.errors.XML_ERROR_MISPLACED_XML_PI]
         help = "move <?xml ...?> to the start of the file" if misplaced else None
-        findings.add("DB301", Span(source, at, min(at + 1, len(source.text))), what, help=help, labels=also)
+        findings.add("DB301", Span(source, at, min(at + 1, len(source.text))), what, help, labels=also)
         return None
     return builder.root

@@ -188,7 +188,7 @@ def _decode(data: bytes, display: str, findings: Findings) -> Source | None:
     except UnicodeDecodeError as error:
         source = Source(display, data.decode("utf-8", errors="replace"))
         at = len(data[: error.start].decode("utf-8"))
-        findings.add("DB301", Span(source, at, at + 1), "the robot file is not UTF-8 text", help="save it as UTF-8")
+        findings.add("DB301", Span(source, at, at + 1), "the robot file is not UTF-8 text", "save it as UTF-8")
         return None
 
 

@@ -110,7 +110,7 @@ def _is_readable(root: nodes.MappingNode, findings: Findings) -> bool:
     if node is None or not isinstance(version, int) or version <= VERSION:
         return True
     headline = f"this file is written in version {node.span.text[:9]} of the language, and this deepbots reads version {VERSION}"
-    findings.add("DB105", node.span, headline, help="this file needs a newer deepbots: pip install --upgrade deepbots-cli")
+    findings.add("DB105", node.span, headline, "this file needs a newer deepbots: pip install --upgrade deepbots-cli")
     return False
 
 
