@@ -12,6 +12,7 @@ import tempfile
 from collections.abc import Generator, Iterator
 from pathlib import Path
 
+import hypothesis
 import pytest
 
 from deepbots_cli.document import Permissions
@@ -22,6 +23,9 @@ sys.path.insert(0, str(Path(__file__).parent / "exact"))
 # The workers of pytest take all cores. Further threads of torch and BLAS wait for each other: a forward pass of a small network took 60 ms.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+hypothesis.settings.register_profile("deepbots", deadline=None)  # a busy machine, or the first import of scipy, takes seconds
+hypothesis.settings.load_profile("deepbots")
 
 WITHOUT = None if ENGINES.own["pybullet"].is_installed else ENGINES.own["pybullet"].missing
 _NEEDS = (

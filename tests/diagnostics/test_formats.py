@@ -263,7 +263,7 @@ def test_a_warning_is_a_failure_of_a_report_where_warnings_fail() -> None:
     assert root[0][0][0].tag == "failure"
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.text(max_size=60), st.integers(0, 60), st.integers(0, 60), st.text(max_size=20), st.text(min_size=1, max_size=20))
 def test_any_text_whatever_makes_reports_that_programs_can_read(text: str, one: int, two: int, headline: str, name: str) -> None:
     start, end = sorted((min(one, len(text)), min(two, len(text))))

@@ -81,7 +81,7 @@ def test_a_cart_pole_follows_the_textbook_equations(worlds):
     assert (motion.state[2] / 1e-5, (motion.state[3] - rate) / 1e-5) == pytest.approx((sliding, turning), rel=1e-3)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(rpy=st.tuples(*[st.floats(-3, 3)] * 3), angle=st.floats(-3, 3), rate=st.floats(-3, 3))
 def test_a_world_that_is_turned_as_a_whole_moves_alike(worlds, rpy, angle, rate):
     turned = quaternion(*rpy)

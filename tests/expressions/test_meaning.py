@@ -91,7 +91,7 @@ def grow(n):
     return number, length, truth
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=120)
 @given(st.data())
 def test_printed_python_agrees_with_direct_evaluation(bench_of, data):
     drawn = data.draw(st.one_of(*grow(3)), label="expression")

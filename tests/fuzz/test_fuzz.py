@@ -71,7 +71,7 @@ DAMAGE = st.lists(
 )
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(main=st.sampled_from(sorted(READS)), data=st.data(), damage=DAMAGE)
 def test_bytes_put_anywhere_give_findings(bench: Workbench, main: str, data: st.DataObject, damage: list[tuple[float, int, bytes]]) -> None:
     victim = data.draw(st.sampled_from([main, *READS[main]]))

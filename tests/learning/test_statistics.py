@@ -7,7 +7,7 @@ from statistics import NormalDist, fmean
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from deepbots_cli.learning import statistics as stats
@@ -68,7 +68,6 @@ def test_the_interquartile_mean_moves_with_its_values_and_ignores_their_order(va
 
 
 @given(st.integers(1, 300), st.data())
-@settings(deadline=None)  # the first example imports scipy.optimize
 def test_a_confidence_sequence_holds_the_rate_and_excludes_what_its_evidence_excludes(episodes, data):
     successes = data.draw(st.integers(0, episodes))
     low, high = stats.rate_sequence(successes, episodes)

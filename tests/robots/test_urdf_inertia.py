@@ -54,7 +54,7 @@ def model_of(result: RobotModel | str) -> RobotModel:
     return result
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.tuples(sizes, sizes, sizes), st.tuples(sizes, sizes, sizes), st.tuples(sizes, sizes, sizes))
 def test_a_stretched_box_is_the_box_of_the_new_size(size, scale, at):
     stretched = model_of(with_scale(robot(Box(size), Pose(at)), "a", scale))
@@ -66,7 +66,7 @@ def test_a_stretched_box_is_the_box_of_the_new_size(size, scale, at):
     )
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(sizes, sizes, sizes, sizes)
 def test_a_cylinder_may_grow_in_length_and_in_radius(radius, length, across, along):
     stretched = model_of(with_scale(robot(Cylinder(radius, length)), "a", (across, across, along)))
@@ -172,7 +172,7 @@ def _holds(shape: Shape, x: float, y: float, z: float) -> bool:
             return False
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.tuples(sizes, sizes, sizes), st.tuples(sizes, sizes, sizes))
 def test_every_real_body_is_plausible_also_when_stretched(size, scale):
     model = robot(Box(size))

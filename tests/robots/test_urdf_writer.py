@@ -85,7 +85,7 @@ def robots(draw: st.DrawFn) -> RobotModel:
     return RobotModel(draw(names).strip(), links, tuple(joints), link_names[0])
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(robots())
 def test_any_robot_survives_writing_and_reading(model: RobotModel):
     findings = Findings()

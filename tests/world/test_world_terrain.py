@@ -128,7 +128,7 @@ def test_an_episode_on_terrain_after_a_reset_is_that_of_a_fresh_world() -> None:
             second.reset()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.data(), st.sampled_from([1, 2]), st.integers(0, 4), st.integers(2, 7), st.integers(2, 7))
 def test_a_grey_picture_is_read_as_it_was_written(data, depth: int, filtering: int, width: int, tall: int) -> None:
     rows = [[data.draw(st.integers(0, 256**depth - 1)) for _ in range(width)] for _ in range(tall)]
@@ -137,7 +137,7 @@ def test_a_grey_picture_is_read_as_it_was_written(data, depth: int, filtering: i
     assert picture_pixels(written).tolist() == rows
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.binary(max_size=60), st.integers(0, 90), st.binary(max_size=4))
 def test_a_damaged_picture_is_refused_or_read_and_nothing_worse(tail: bytes, at: int, patch: bytes) -> None:
     whole = grey_png([[1, 2, 3], [4, 5, 6]])
