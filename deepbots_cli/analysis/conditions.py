@@ -44,7 +44,9 @@ def comparisons(analysis: Analysis, condition: Expression) -> Iterator[Condition
 def _compared(analysis: Analysis, value: Expression, node: Typed, met: set[str]) -> Iterator[ConditionComparison]:
     match node:
         case Operation(operator=operator) if operator in _COMPARISONS:
-            held = _held_for(node)
+            long, short = node.args if node.operator.startswith("greater") else node.args[::-1]
+            is_long = isinstance(long, Invocation) and long.function == "duration" and not isinstance(short, Invocation)
+            held = long.args[0] if is_long and isinstance(long, Invocation) else None
             yield from _compared(analysis, value, held, met) if held else (ConditionComparison(value, node),)
         case Operation(operator="and" | "or", args=args):
             for arg in args:
@@ -59,13 +61,6 @@ def only_comparison(analysis: Analysis, condition: Expression) -> ConditionCompa
     """The comparison that a condition is; None for a conjunction, a disjunction and others."""
     meaning, found = analysis.resolve_aliases(analysis.scalars(condition)[0]), list(comparisons(analysis, condition))
     return found[0] if len(found) == 1 and isinstance(meaning, Op) and meaning.op in _COMPARISONS else None
-
-
-def _held_for(node: Operation) -> Typed | None:
-    """The condition of `duration(condition) > 1 s`."""
-    long, short = node.args if node.operator.startswith("greater") else node.args[::-1]
-    is_long = isinstance(long, Invocation) and long.function == "duration" and not isinstance(short, Invocation)
-    return long.args[0] if is_long and isinstance(long, Invocation) else None
 
 
 class Threshold(NamedTuple):

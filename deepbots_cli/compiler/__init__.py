@@ -92,20 +92,16 @@ class CheckedScenario:
 def check(document: Document) -> CheckedScenario:
     """Run all passes that can run; every problem ends up in `findings`, unless they are too many."""
     try:
-        return _check_with_variants(document)
+        checked = _check(document)
+        if checked.program is None or checked.spec is None or not (checked.spec.evaluation.cases or checked.spec.curriculum):
+            return checked
+        variants, program = compile_variants(checked.document, checked.spec, checked.program, checked.findings, _check)
+        own = {test.name: test.expected for variant in variants for test in variant.tests}
+        tests = tuple(replace(test, expected=own.get(test.name, test.expected)) for test in checked.tests)
+        return replace(checked, program=None if checked.findings.errors else program, variants=variants, tests=tests)
     except TooManyFindings as too_many:
         document.findings.report_limit(too_many)
         return CheckedScenario(document, document.findings)
-
-
-def _check_with_variants(document: Document) -> CheckedScenario:
-    checked = _check(document)
-    if checked.program is None or checked.spec is None or not (checked.spec.evaluation.cases or checked.spec.curriculum):
-        return checked
-    variants, program = compile_variants(checked.document, checked.spec, checked.program, checked.findings, _check)
-    own = {test.name: test.expected for variant in variants for test in variant.tests}
-    tests = tuple(replace(test, expected=own.get(test.name, test.expected)) for test in checked.tests)
-    return replace(checked, program=None if checked.findings.errors else program, variants=variants, tests=tests)
 
 
 def _check(document: Document) -> CheckedScenario:

@@ -10,7 +10,6 @@ from deepbots_cli.compiler.namespace import Namespace, NamespaceReader, Origin, 
 from deepbots_cli.compiler.places import Layouts, PlacementChecker, Places
 from deepbots_cli.compiler.robots import joint_dimension, report_follower, warn_beyond_limits
 from deepbots_cli.compiler.values import SourceText, ValueReader
-from deepbots_cli.diagnostics import Span
 from deepbots_cli.diagnostics.nearest import Replacement
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions import unification
@@ -84,7 +83,12 @@ def route(direction: Direction, namespace: Namespace) -> Route:
     latency, loss, range_ = (_setting(spec, name, namespace) for name in ("latency", "loss", "range"))
     burst = namespace.fixed(spec, "burst", scope=namespace.scope(Context.FIELD))
     if burst is not None and loss is not None:
-        _check_burst(burst, loss, values.field(spec, "burst").span, values)
+        highest = loss.typed.type.interval.high
+        # Losses in runs of mean length b with at least one message between make up b / (b + 1) of all, at most.
+        if burst / (burst + 1.0) < min(highest, 1.0) < 1.0:
+            least = f"{highest / (1.0 - highest):.3g}"
+            headline = f"a loss of {100.0 * highest:g} % needs bursts of at least {least} messages on average; `burst` is {burst:g}"
+            values.add("DB105", values.field(spec, "burst").span, headline, f"give a `burst` of at least {least}")
     return Route(latency, loss, burst, range_, spec.order, spec.on_loss)
 
 
@@ -105,34 +109,21 @@ def _setting(spec: RouteSpec, name: str, namespace: Namespace) -> Expression | N
     return Expression(name, text.span, text.text, typed, name, redraw=redraw)
 
 
-def _check_burst(burst: float, loss: Expression, span: Span, values: ValueReader) -> None:
-    """Losses in runs of mean length b with at least one message between make up b / (b + 1) of all, at most."""
-    highest = loss.typed.type.interval.high
-    if burst / (burst + 1.0) < min(highest, 1.0) < 1.0:
-        least = f"{highest / (1.0 - highest):.3g}"
-        headline = f"a loss of {100.0 * highest:g} % needs bursts of at least {least} messages on average; `burst` is {burst:g}"
-        values.add("DB105", span, headline, f"give a `burst` of at least {least}")
-
-
 def is_repeated_as_a_whole(typed: Typed, redraw: Redraw | None, text: SourceText, values: ValueReader) -> bool:
     """Whether a value that changes within an episode says how often its own draws are repeated."""
     if redraw is not None or typed.type.known is not Known.STEP or not contains_draw(typed):
-        return _has_period(redraw, text, values)
+        period = redraw.period if redraw else None
+        if period is None:
+            return True
+        if expect_value(period, values.report(text), "the period") is None:
+            return False
+        low, high = period.type.interval.low, period.type.interval.high
+        if low >= 0.0 and high > 0.0:
+            return True
+        values.report(text)("DB105", period.start, period.end, f"a period that can be {low:g} s", "give more than 0")
+        return False
     help = "add `every 5 s` or `each step` to repeat the draw, or define the random value under `parameters`"
     values.add("DB407", text.span, "a random value combined with a value that changes within the episode", help)
-    return False
-
-
-def _has_period(redraw: Redraw | None, text: SourceText, values: ValueReader) -> bool:
-    period = redraw.period if redraw else None
-    if period is None:
-        return True
-    if expect_value(period, values.report(text), "the period") is None:
-        return False
-    low, high = period.type.interval.low, period.type.interval.high
-    if low >= 0.0 and high > 0.0:
-        return True
-    values.report(text)("DB105", period.start, period.end, f"a period that can be {low:g} s", "give more than 0")
     return False
 
 
@@ -150,7 +141,10 @@ def _disturbance(name: str, spec: DisturbanceSpec, namespace: Namespace) -> Dist
     keys = ("force", "torque", "at", "every", "duration")
     force, torque, first, every, duration = found = [namespace.expression(spec, key, known=Known.STEP) for key in keys]
     if every is not None and duration is not None:
-        _check_overlap(every, duration, namespace)
+        longest, soonest = duration.typed.type.interval.high, every.typed.type.interval.low
+        if longest > soonest * (1 + 1e-9):
+            headline = f"a push may last {longest:g} s, and the next may begin after {soonest:g} s"
+            namespace.values.add("DB105", duration.span, headline, "make it shorter than `every`")
     is_broken = any(value is None and getattr(spec, key) is not None for key, value in zip(keys, found, strict=True))
     return None if pushed is None or duration is None or is_broken else Disturbance(name, *pushed, force, torque, first, every, duration)
 
@@ -183,14 +177,6 @@ def _is_fixed(body: str, link: str, namespace: Namespace) -> bool:
         return robot.spec.base == "fixed" and link in ("", robot.model.root)
     thing = namespace.scenario.objects.get(body)
     return bool(getattr(thing, "fixed", False)) or getattr(thing, "solid", True) is False
-
-
-def _check_overlap(every: Expression, duration: Expression, namespace: Namespace) -> None:
-    """DB105 where a push may begin while the one before still acts."""
-    longest, soonest = duration.typed.type.interval.high, every.typed.type.interval.low
-    if longest > soonest * (1 + 1e-9):
-        headline = f"a push may last {longest:g} s, and the next may begin after {soonest:g} s"
-        namespace.values.add("DB105", duration.span, headline, "make it shorter than `every`")
 
 
 # How an episode begins

@@ -167,21 +167,17 @@ def _defined(namespace: Namespace, known: Iterable[str]) -> list[NameEntry]:
 
 def _one_defined(namespace: Namespace, name: str) -> NameEntry:
     if name in namespace.definitions:
-        return _by_definition(namespace, name)
+        found = namespace.definitions[name]
+        path = found.path
+        if found.origin is Origin.ACTION and path[-1] != name:  # a variable that the options of a choice set
+            node, _, steps = descend(namespace.values.root, (*path, "choices"))
+            options = node.entries if isinstance(node, MappingNode) and steps > len(path) else {}
+            setting = (option for option, entry in options.items() if isinstance(entry.value, MappingNode) and name in entry.value.entries)
+            path = next(((*path, "choices", option, name) for option in setting), path)
+        return _keyed(namespace, path, found.origin.value, name)
     if name in namespace.walls:  # the arena, whose name the language gives
         return _keyed(namespace, ("world", name), "the walls of the arena")
     return NameEntry(name, "built in")
-
-
-def _by_definition(namespace: Namespace, name: str) -> NameEntry:
-    found = namespace.definitions[name]
-    path = found.path
-    if found.origin is Origin.ACTION and path[-1] != name:  # a variable that the options of a choice set
-        node, _, steps = descend(namespace.values.root, (*path, "choices"))
-        options = node.entries if isinstance(node, MappingNode) and steps > len(path) else {}
-        setting = (option for option, entry in options.items() if isinstance(entry.value, MappingNode) and name in entry.value.entries)
-        path = next(((*path, "choices", option, name) for option in setting), path)
-    return _keyed(namespace, path, found.origin.value, name)
 
 
 def _keyed(namespace: Namespace, path: NodePath, what: str, name: str | None = None) -> NameEntry:

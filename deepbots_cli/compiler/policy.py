@@ -352,17 +352,14 @@ class Goals(NamespaceReader):
         if achieved is not None:
             kind = achieved.typed.type
             ends = self._namespace.ends(spec, "range", what="the range of a goal", dimension=kind.dimension, components=kind.components)
-        self._check_repeat()
-        _check_rewards(rewards, self._namespace)
-        if achieved is None or desired is None or ends is None or within is None:
-            return None
-        return Goal(achieved, desired, ends.low, ends.high, within)
-
-    def _check_repeat(self) -> None:
         if self._spec.agent.action_repeat > 1:
             span = self._values.field(self._spec.agent, "action_repeat").span
             help = "remove `action_repeat`, and make the timestep longer"
             self._values.add("DB709", span, "a reward over several timesteps, which hindsight cannot recompute", help)
+        _check_rewards(rewards, self._namespace)
+        if achieved is None or desired is None or ends is None or within is None:
+            return None
+        return Goal(achieved, desired, ends.low, ends.high, within)
 
     def _part(self, spec: GoalSpec, name: str) -> Symbol:
         """The achieved or the desired goal; both have the same dimension and components."""

@@ -9,7 +9,6 @@ from typing import Any
 
 from deepbots_cli.compiler.namespace import Namespace, NamespaceReader
 from deepbots_cli.compiler.robots import ResolvedRobot, joint_dimension, joint_interval
-from deepbots_cli.compiler.values import ValueReader
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import LENGTH, NUMBER, TIME, Dimension
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
@@ -267,7 +266,10 @@ def _noise_model(namespace: Namespace, spec: SensorSpec, known: Type) -> tuple[N
     drawn = len(namespace.variations)
     latency = _latency(namespace, spec)
     if known.boolean or known.picture:
-        _refuse_errors(namespace.values, spec, known)
+        tells, keys = ("takes pictures", _NUMERIC_SENSOR_KEYS[:-2]) if known.picture else ("reads true or false", _NUMERIC_SENSOR_KEYS)
+        for key in keys:
+            if key in spec.model_fields_set:
+                namespace.values.add_at_key("DB403", (*spec.path, key), f"a sensor that {tells} has no `{key}`", "remove it")
         model = NoiseModel(latency=latency)
     else:
         noise, relative_noise = _error(namespace, spec, "noise", known)
@@ -282,13 +284,6 @@ def _noise_model(namespace: Namespace, spec: SensorSpec, known: Type) -> tuple[N
             reach = [Interval(each.low - half, each.high + half) if each.is_finite else each for each in reach]
         known = known.with_intervals(reach)
     return None if model == NoiseModel() and len(namespace.variations) == drawn else model, known
-
-
-def _refuse_errors(values: ValueReader, spec: SensorSpec, known: Type) -> None:
-    tells, keys = ("takes pictures", _NUMERIC_SENSOR_KEYS[:-2]) if known.picture else ("reads true or false", _NUMERIC_SENSOR_KEYS)
-    for key in keys:
-        if key in spec.model_fields_set:
-            values.add_at_key("DB403", (*spec.path, key), f"a sensor that {tells} has no `{key}`", "remove it")
 
 
 def _latency(namespace: Namespace, spec: SensorSpec) -> float:

@@ -156,6 +156,11 @@ class ValueReader:
             return node.span if end < 0 else Span(node.span.source, node.span.start, end)
         return key.span if key else node.span
 
+    def span_of_first(self, path: NodePath, *keys: str) -> Span:
+        """The value of the first of these keys that the mapping at `path` has, or else the last key of `path`."""
+        key = next((key for key in keys if self.is_present((*path, key))), None)
+        return self.span((*path, key)) if key else self.key_span(path)
+
     def text(self, path: NodePath, default: object = None) -> SourceText:
         """The text at `path`; one that the file leaves out is placed at what surrounds it."""
         node, _, steps = descend(self.root, path)

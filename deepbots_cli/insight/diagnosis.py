@@ -284,9 +284,6 @@ def _spread(values: Array) -> float:
     return float(np.subtract(*np.quantile(values, (0.9, 0.1)))) if len(values) else 0.0
 
 
-# Reward
-
-
 # Learning
 
 

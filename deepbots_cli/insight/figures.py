@@ -156,7 +156,8 @@ def trajectories(
     spans = np.max([np.nanmax(track, axis=0) - np.nanmin(track, axis=0) for track in tracks], axis=0)
     side = int(spans[1] > spans[0])  # the horizontal axis that is seen from the side
     planes = [(0, 1)] + [(side, 2)] * bool(spans[2] > _MIN_CLIMB * max(spans[0], spans[1]))
-    limits = [_limits(np.concatenate(tracks + _targets(shown, moving)), plane, world) for plane in planes]
+    targets = [each.positions[part] for each in shown for part in moving.targets if part in each.positions]
+    limits = [_limits(np.concatenate(tracks + targets), plane, world) for plane in planes]
     width = (_WIDE_WIDTH - 1.0) / len(planes)
     height = max(width * (high[1] - low[1]) / (high[0] - low[0]) for low, high in limits)
     figure, (panels,) = _figure(theme, min(6.0, max(1.8, 1.3 + height)), columns=len(planes), width=_WIDE_WIDTH)
@@ -199,10 +200,6 @@ def _draw_episode(panel: Any, plane: tuple[int, int], shown: ReportEpisode, movi
 def _base(part: LinkName) -> str:
     """The name of a body without the number of a copy."""
     return part[0].partition("#")[0]
-
-
-def _targets(shown: Sequence[ReportEpisode], moving: Moving) -> list[Any]:
-    return [each.positions[part] for each in shown for part in moving.targets if part in each.positions]
 
 
 def _draw_surroundings(panel: Any, world: WorldModel, fixed: Sequence[Sequence[Triple]], theme: str) -> None:

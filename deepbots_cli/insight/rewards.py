@@ -176,16 +176,13 @@ def reward_apart_from_success(t: TrainingEvidence) -> Numbers | None:
     return {**numbers, "likelihood": 0.91 if falls else 0.72, "how": how}
 
 
-def _ends(t: TrainingEvidence, term: str) -> tuple[float, float]:
-    """The mean of a reward term per episode in the first and in the last quarter of the present stage."""
-    curve = t.curve(f"reward/{term}")
-    quarter = max(1, len(curve) // 4)
-    return (float(curve[:quarter].mean()), float(curve[-quarter:].mean())) if len(curve) else (0.0, 0.0)
-
-
 def _rising_term(t: TrainingEvidence) -> tuple[str, float, float] | None:
-    """The reward term that rises most, with its mean in the first and in the last quarter."""
-    ends = [(term.name, *_ends(t, term.name)) for term in t.program.agent.reward]
+    """The reward term that rises most in the present stage, with its mean per episode in the first and in the last quarter."""
+    ends = []
+    for term in t.program.agent.reward:
+        if len(curve := t.curve(f"reward/{term.name}")):
+            quarter = max(1, len(curve) // 4)
+            ends.append((term.name, float(curve[:quarter].mean()), float(curve[-quarter:].mean())))
     found = max(ends, key=lambda each: each[2] - each[1], default=None)
     return found if found is not None and found[2] > found[1] else None
 

@@ -59,8 +59,6 @@ SIMULATED_RULES: tuple[SimulatedRule, ...] = (
 
 _CAUSES = frozenset({"DB315"})
 """Warnings that may explain an error: an arm that cannot reach its target contorts."""
-
-
 _DOUBTFUL = frozenset({"DB304", "DB504", "DB505"})
 """Findings about a value that is probably wrong, such as `fall_angle: 15 rad`."""
 
@@ -252,18 +250,14 @@ class RulePage:
 @cache
 def every_page() -> tuple[RulePage, ...]:
     """All pages in the order of their codes; of two pages of a code, the one about static analysis comes first."""
-    return tuple(sorted([*(_of_rule(rule.__doc__) for rule in STATIC_RULES), *_of_file()], key=lambda page: page.code))
+    static = [_page(code_of(rule), cleandoc(rule.__doc__ or "").partition(": ")[2]) for rule in STATIC_RULES]
+    return tuple(sorted([*static, *_of_file()], key=lambda page: page.code))
 
 
 def pages_of(code: str) -> tuple[RulePage, ...]:
     """The pages of one code."""
     check = RULES[code].check
     return tuple(page for page in every_page() if page.code == code) if check is None else (_page(code, cleandoc(check.__doc__ or "")),)
-
-
-def _of_rule(docstring: str | None) -> RulePage:
-    code, _, text = cleandoc(docstring or "").partition(": ")
-    return _page(code, text)
 
 
 def _page(code: str, text: str) -> RulePage:

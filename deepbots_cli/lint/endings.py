@@ -136,17 +136,15 @@ def shadowed_limit(context: RuleContext) -> Iterator[Finding]:
         (node,) = analysis.scalars(ending.value)
         limit = f"the truncation at step {last}"
         if _with_return(analysis, 0, last).of(node) == NEVER:
-            headline = f"`{ending.value.name}` cannot hold before {limit}"
+            headline, what = f"`{ending.value.name}` cannot hold before {limit}", "the truncation"
             help = "raise the limit under `truncation`, or remove the ending"
-            yield Finding(
-                "DB804", ending.value.span, headline, help, labels=(Label(context.values.key_span(("truncation",)), "the truncation"),)
-            )
         elif not _leaves(analysis, node) <= _CLOCK_NAMES and last > 1 and _with_return(analysis, last - 1, last - 1).of(node) == ALWAYS:
-            headline = f"`{ending.value.name}` ends every episode before {limit}"
+            headline, what = f"`{ending.value.name}` ends every episode before {limit}", "never reached"
             help = "remove this ending: `truncation` ends the episode, and the section `solved` defines a good result"
-            yield Finding(
-                "DB804", ending.value.span, headline, help, labels=(Label(context.values.key_span(("truncation",)), "never reached"),)
-            )
+        else:
+            continue
+        also = (Label(context.values.key_span(("truncation",)), what),)
+        yield Finding("DB804", ending.value.span, headline, help, labels=also)
 
 
 def _with_return(analysis: Analysis, first: int, last: int) -> Ranges:

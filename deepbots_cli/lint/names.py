@@ -45,17 +45,13 @@ def unused_definition(context: RuleContext) -> Iterator[Finding]:
             emit: [pole_angle, rolling]
         observation: {cart.rolling: -10 .. 10 rad/s}
     """
-    yield from _unused_names(context)
-    yield from _unused_parts(context)
-
-
-def _unused_names(context: RuleContext) -> Iterator[Finding]:
     used = {name for each in context.checked.variants if each.namespace for name, known in each.namespace.definitions.items() if known.uses}
     for name, definition in context.namespace.definitions.items():
         if definition.origin in _COUNTED_ORIGINS and definition.uses == 0 and name not in used:
             headline = f"`{name}` is {definition.origin.value} that nothing uses"
             fix = removal_fix(context.values.root, definition.path)
             yield Finding("DB205", context.values.key_span(definition.path), headline, "use it, or remove it", fix=fix)
+    yield from _unused_parts(context)
 
 
 def _unused_parts(context: RuleContext) -> Iterator[Finding]:

@@ -102,8 +102,12 @@ def privileged_observation(context: RuleContext) -> Iterator[Finding]:
         augment: {height: position(cart.tip).z}
         observation: {height: 0 .. 2 m}
     """
-    privileged = _privileged(context.program)
-    for observed in context.program.agent.observation:
+    program = context.program
+    privileged = {value.name for value in program.parameters} - program.augmented_signals
+    for value in program.signals:  # those that depend on privileged values or on the world are privileged too
+        if value.name not in program.augmented_signals and any(_is_privileged(node, privileged) for node in walk(value.typed)):
+            privileged.add(value.name)
+    for observed in program.agent.observation:
         head = observed.value.name.partition(".")[0]
         if head in privileged:
             origin = context.namespace.origin(head)
@@ -113,15 +117,6 @@ def privileged_observation(context: RuleContext) -> Iterator[Finding]:
             what = Origin.SIGNAL.value if origin is Origin.SIGNAL else Origin.PARAMETER.value
             headline = f"the observation holds `{observed.value.name}`, {what} that is not listed under `augment`"
             yield Finding("DB609", observed.value.span, headline, helps)
-
-
-def _privileged(program: Program) -> set[str]:
-    """Drawn parameters, and signals that depend on them or on the world, except those listed under `augment`."""
-    found = {value.name for value in program.parameters} - program.augmented_signals
-    for value in program.signals:
-        if value.name not in program.augmented_signals and any(_is_privileged(node, found) for node in walk(value.typed)):
-            found.add(value.name)
-    return found
 
 
 def _is_privileged(node: Typed, privileged: set[str]) -> bool:

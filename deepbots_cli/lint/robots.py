@@ -11,7 +11,7 @@ from deepbots_cli.analysis import Analysis
 from deepbots_cli.analysis.ranges import is_level, range_text, with_unit
 from deepbots_cli.compiler.robots import joint_dimension, joint_moves_link
 from deepbots_cli.compiler.values import ValueReader
-from deepbots_cli.diagnostics import Finding, Label, Span
+from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.expressions.dimensions import LENGTH, TIME
 from deepbots_cli.expressions.intervals import NEVER, Interval, hull
 from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Op, Scalar, walk
@@ -46,6 +46,7 @@ _RANGE_FACTOR = 1.2
 _DEGREES = Interval(10.0, 360.0)
 """The larger limit (rad) of a joint that is probably in degrees; a whole number, since the turns of a joint are multiples of pi."""
 _LOWEST, _HIGHEST = 0, 1
+_JOINT_KEYS = ("joint", "joints")
 
 
 # Commands and actuators
@@ -143,7 +144,10 @@ def joint_driven_twice(context: RuleContext) -> Iterator[Finding]:
             name, joints = command.actuator.name, _held_joints(command.actuator)
             shared = next((joint for joint in joints if joint in driving), None)
             if shared is not None:
-                first, second = (_joints_span(context.values, robot.name, called) for called in (driving[shared], name))
+                first, second = (
+                    context.values.span_of_first(("robots", robot.name, "actuators", called), *_JOINT_KEYS)
+                    for called in (driving[shared], name)
+                )
                 headline = f"`{name}` drives the joint `{shared}`, which `{driving[shared]}` already drives"
                 yield Finding("DB313", second, headline, "give each joint one motor", labels=(Label(first, "driven here"),))
             driving |= dict.fromkeys(joints, name)
@@ -156,12 +160,6 @@ def _held_joints(actuator: Actuator) -> tuple[str, ...]:
             return actuator.joints
         case _:
             return ()
-
-
-def _joints_span(values: ValueReader, robot: str, actuator: str) -> Span:
-    place = ("robots", robot, "actuators", actuator)
-    key = next((key for key in ("joint", "joints") if values.is_present((*place, key))), None)
-    return values.span((*place, key)) if key else values.key_span(place)
 
 
 def limp_at_start(context: RuleContext) -> Iterator[Finding]:
@@ -353,7 +351,8 @@ def unlimited_motor(context: RuleContext) -> Iterator[Finding]:
             headline = f"`{actuator.name}` has unlimited {what}: the robot file gives no effort for {shown}"
             help = f"write `max_torque` with the {what} of the motor, such as `max_torque: 10 {unit}`"
             notes = ('an effort of 0 in a robot file is read as "not stated"',)
-            yield Finding("DB319", _joints_span(context.values, robot.name, actuator.name), headline, help, notes=notes)
+            span = context.values.span_of_first(("robots", robot.name, "actuators", actuator.name), *_JOINT_KEYS)
+            yield Finding("DB319", span, headline, help, notes=notes)
 
 
 def limits_in_degrees(context: RuleContext) -> Iterator[Finding]:
@@ -649,8 +648,7 @@ def _passing_over(values: ValueReader, robot: str, sensor: str, clearance: Clear
     height, top, lower = (with_unit(length, LENGTH) for length in (clearance.lowest, clearance.top, clearance.lowest - clearance.top))
     help = f"lower the `pose` of the sensor by more than {lower}"
     if clearance.tallest == ARENA:
-        named, place = "the walls of the arena", ("world", "arena", "wall_height")
-        span = values.span(place) if values.is_present(place) else values.key_span(place[:2])
+        named, span = "the walls of the arena", values.span_of_first(("world", "arena"), "wall_height")
         help = f"write `wall_height: {with_unit(float(f'{_RANGE_FACTOR * clearance.lowest:.2g}'), LENGTH)}` for the arena, or {help}"
     else:
         wall = base.rpartition(" ")[0]  # `stub 1` is a piece of the wall `stub`

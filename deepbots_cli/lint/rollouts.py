@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import asdict, replace
 from functools import partial
-from itertools import count, islice
+from itertools import count, islice, repeat
 from math import atan2, dist, hypot, inf, radians
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -202,8 +202,8 @@ class Simulator:
                 raise StoppedError
         if report:
             worth = float(np.dot(rewards, self._program.agent.discount ** np.arange(len(rewards))))
-            end = "success" if environment.is_success else "failure" if environment.terminated else None
-            end = end or ("limit" if environment.truncated else "left")
+            limit = "limit" if environment.truncated else "left"
+            end = "success" if environment.is_success else "failure" if environment.terminated else limit
             episode = {"policy": rollout.policy, "seed": rollout.seed, "steps": len(rewards), "discounted_return": worth, "end": end}
             self._write({"episode": episode})
 
@@ -227,11 +227,8 @@ class Simulator:
 
     def _silent(self) -> list[int]:
         """The places of the terms of the reward that were always 0."""
-        return [
-            place
-            for place in range(len(self._program.agent.reward))
-            if not any(counter.fired[place] for counter in self._counters.values())
-        ]
+        places = range(len(self._program.agent.reward))
+        return [place for place in places if not any(counter.fired[place] for counter in self._counters.values())]
 
     def _run_variants(self) -> None:
         """Run cases and stages, which may vary what is constant in the scenario itself."""
@@ -281,7 +278,9 @@ class Counter:
         self.steps += 1
         self._add_terms(np.array(list(terms.values())))
         if isinstance(observation, dict):
-            self._add_pictures(observation)
+            for key in self._pictures:
+                if key not in self._changed and (observation[key] != self._first.setdefault(key, observation[key])).any():
+                    self._changed.add(key)
             observation = observation.get("observation", np.zeros((1, 0)))
         for row in np.atleast_2d(observation)[:, self._columns]:
             self.rows += 1
@@ -296,11 +295,6 @@ class Counter:
         self.fired += np.abs(values) > _MIN_TERM_SIZE
         np.minimum(self.least, values, out=self.least)
         np.maximum(self.greatest, values, out=self.greatest)
-
-    def _add_pictures(self, observation: dict[str, Any]) -> None:
-        for key in self._pictures:
-            if key not in self._changed and (observation[key] != self._first.setdefault(key, observation[key])).any():
-                self._changed.add(key)
 
     def joined(self, other: Counter) -> Counter:
         """What the observation was over both: it moved, too, if it was not the same in one as in the other."""
@@ -328,36 +322,26 @@ def _actions(environment: Supervisor, rollout: Rollout) -> Iterator[Any]:
     if rollout.script is not None:
         return (environment.script(rollout.script) for _ in count())
     if rollout.policy == IDLE:
-        return _idle(environment)
+        wanted = idle_action(environment.scenario)
+        assert wanted is not None  # or it would not be in the plan
+        return repeat(environment.make_action(*wanted))
     return _random(environment, HOLD_STEPS if rollout.policy == HELD_RANDOM else 1)
 
 
 def _random(environment: Supervisor, hold: int) -> Iterator[Any]:
-    scenario = environment.scenario
-    masked = scenario.agent.copies is None and any(
-        option.forbidden for part in scenario.agent.action for option in getattr(part, "options", ())
-    )
+    agent = environment.scenario.agent
+    masked = agent.copies is None and any(option.forbidden for part in agent.action for option in getattr(part, "options", ()))
     for number in count():
         if number % hold == 0 or masked:
             action = environment.action_space.sample(environment.action_mask()) if masked else environment.action_space.sample()
         yield action
 
 
-def _idle(environment: Supervisor) -> Iterator[Any]:
-    wanted = idle_action(environment.scenario)
-    assert wanted is not None  # or it would not be in the plan
-    action = environment.make_action(*wanted)
-    while True:
-        yield action
-
-
 def _outside(environment: Supervisor, observation: Any) -> list[str]:
     """The numbers of an observation that are outside of its space, by name."""
+    agent = environment.scenario.agent
     numbers = np.atleast_2d(observation["observation"] if isinstance(observation, dict) else observation)
-    entries = [
-        environment.scenario.agent.numbers[place]
-        for place, _ in policy_inputs(environment.scenario.agent.numbers, environment.scenario.agent.frame_stack)
-    ]
+    entries = [agent.numbers[place] for place, _ in policy_inputs(agent.numbers, agent.frame_stack)]
     return [
         entry.full_name
         for entry, column in zip(entries, numbers.T, strict=True)

@@ -68,10 +68,6 @@ class BlindNumber(NamedTuple):
     threshold: Threshold
     edge: float
 
-    @property
-    def is_blind(self) -> bool:
-        return not isnan(self.edge)
-
 
 def _parts(analysis: Analysis, node: Scalar) -> set[int]:
     """The identities of a value and of everything that it is made of."""
@@ -85,16 +81,15 @@ def _can_be_met(threshold: Threshold, ranges: Ranges) -> bool:
 
 def _blind(shown: list[tuple[RangedNumber, set[int]]], asked: list[Threshold], ranges: Ranges) -> Iterator[BlindNumber]:
     """For each threshold of a comparison that no number shows, the first number that should."""
-    views: list[tuple[int, list[BlindNumber]]] = []
+    views = []
     for threshold in asked:
         quantity = ranges.analysis.identity(threshold.quantity)
-        views.append(
-            (quantity, [BlindNumber(number, threshold, _edge(number, threshold, ranges)) for number, parts in shown if quantity in parts])
-        )
+        seen = [BlindNumber(number, threshold, _edge(number, threshold, ranges)) for number, parts in shown if quantity in parts]
+        views.append((quantity, seen))
     for quantity, found in views:
         # `abs(x) > 1 m` has thresholds of both `abs(x)` and `x`; the policy needs to see only one of them.
         others = [view for other, there in views if other != quantity for view in there]
-        if found and all(view.is_blind for view in (*found, *others)):
+        if found and not any(isnan(view.edge) for view in (*found, *others)):
             yield found[0]
 
 

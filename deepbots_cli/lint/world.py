@@ -12,7 +12,7 @@ from deepbots_cli.analysis import Analysis
 from deepbots_cli.analysis.ranges import StartRanges, is_level, with_unit
 from deepbots_cli.compiler.robots import joint_dimension
 from deepbots_cli.compiler.values import ValueReader
-from deepbots_cli.diagnostics import Finding, Label, Span
+from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.engine_kinds import ENGINES, OTHER_ENGINES
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, MASS
@@ -134,7 +134,7 @@ def _object_around_robot(
     for robot, size in robots:
         if width >= _MAX_SIZE_RATIO * size and _is_within(start, robot, thing, kind.shape):
             headline = f"`{path[-1]}` is {with_unit(width, LENGTH)} across, and `{robot.name}` ({with_unit(size, LENGTH)}) begins inside it"
-            return Finding("DB507", _span(path, ("radius", "size"), values), headline, _in_centimetres(path, values))
+            return Finding("DB507", values.span_of_first(path, "radius", "size"), headline, _in_centimetres(path, values))
     return None
 
 
@@ -179,23 +179,17 @@ def _odd_mass(thing: ObjectBody, kind: Variant, robots: _Robots, path: NodePath,
         shown = f"{density:.0f}" if density > 1000.0 else f"{density:.2g}"
         headline = f"`{path[-1]}` has a density of {shown} kg/m^3, {beyond}: {weight} in {size:.3g} m^3"
         help = f"check the units of its mass and size ({water})" + (", or write `fixed: true`" if density > _MAX_DENSITY else "")
-        return Finding("DB507", _span(path, ("mass",), values), headline, help)
+        return Finding("DB507", values.span_of_first(path, "mass"), headline, help)
     carried = sum(link.inertial.mass for robot, _ in robots for link in robot.model.links if link.inertial is not None)
     if carried <= 0.0 or kind.mass < _MAX_MASS_RATIO * carried:
         return None
     headline = f"`{path[-1]}` weighs {weight}, and all robots together weigh {with_unit(carried, MASS)}"
-    return Finding("DB507", _span(path, ("mass", "radius", "size"), values), headline, _in_centimetres(path, values))
-
-
-def _span(path: NodePath, keys: tuple[str, ...], values: ValueReader) -> Span:
-    """The value of the first of these keys that the object has, or else its name."""
-    place = next(((*path, key) for key in keys if values.is_present((*path, key))), None)
-    return values.span(place) if place else values.key_span(path)
+    return Finding("DB507", values.span_of_first(path, "mass", "radius", "size"), headline, _in_centimetres(path, values))
 
 
 def _in_centimetres(path: NodePath, values: ValueReader) -> str:
     """A help with the same size in centimetres, where it is written in metres."""
-    written = _span(path, ("radius", "size"), values).text
+    written = values.span_of_first(path, "radius", "size").text
     found = _LENGTHS_IN_METRES.fullmatch(written)
     if found is None:
         return "check the unit of its size"
@@ -221,11 +215,10 @@ def unstable_simulation(simulation: Simulation) -> Iterator[Finding]:
     halt, stop = simulation.report.halt, simulation.report.stop
     if halt is not None and halt.kind in _KINDS:
         headline, help = _KINDS[halt.kind]
-        fastest = simulation.report.fastest
-        body = fastest[0] if fastest else None
-        notes = [simulation.when()]
-        if fastest:
-            notes.append(f"the fastest body before was `{fastest[0]}`, at {fastest[1]:.3g} m/s")
+        body, notes = None, [simulation.when()]
+        if simulation.report.fastest:
+            body, speed = simulation.report.fastest
+            notes.append(f"the fastest body before was `{body}`, at {speed:.3g} m/s")
         yield Finding("DB309", simulation.body_span(body), headline.format(halt.description), help, notes=tuple(notes))
     elif stop is not None:
         yield from _stopped(simulation, stop)
@@ -289,15 +282,9 @@ def identical_episodes(context: RuleContext) -> Iterator[Finding]:
         reset: {set: {cart.pole_hinge: uniform(-1 .. 1 deg)}}
     """
     program = context.program
-    if (
-        program.agent.training is None
-        or program.evaluation.episodes < 2
-        or program.cases
-        or program.curriculum
-        or _varies(context.analysis)
-    ):
+    if program.agent.training is None or program.evaluation.episodes < 2 or program.cases or program.curriculum:
         return
-    if any(contains_draw(tree) for reading in context.values.readings for tree in reading.trees):
+    if _varies(context.analysis) or any(contains_draw(tree) for reading in context.values.readings for tree in reading.trees):
         return
     headline = f"nothing is drawn, so the {program.evaluation.episodes} episodes of an evaluation are identical"
     if program.reset.joint_starts:
@@ -401,8 +388,7 @@ def spawn_overlap(simulation: Simulation) -> Iterator[Finding]:
         pair = frozenset(name.partition("#")[0] for name, _ in (found.one, found.other))
         if found.depth > _MAX_DEPTH and (pair not in deepest or deepest[pair].depth < found.depth):
             deepest[pair] = found
-    for found in deepest.values():
-        yield _overlapping(simulation, found)
+    yield from (_overlapping(simulation, found) for found in deepest.values())
 
 
 def _overlapping(simulation: Simulation, found: MeasuredOverlap) -> Finding:

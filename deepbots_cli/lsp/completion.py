@@ -153,7 +153,15 @@ def _expression_items(view: CursorView, field: FieldType, data: Any) -> Iterator
     """What may come next in an expression, including names in the text that no analysis knows yet."""
     path, text = view.place.path, view.place.text
     if _expects_unit(text):
-        yield from _units(text, field)
+        goes_on = text[: len(text) - len(_word_before(text))].endswith(("*", "/"))  # then only single units follow, not `N*m`
+        wanted = [unit for measure in _measures(field) if (unit := _unit(measure)) is not None]
+        if not goes_on:
+            yield from (Choice(unit.text, CompletionItemKind.Unit, unit.dimension.description) for unit in wanted if unit.text not in UNITS)
+        dimensions = [unit.dimension for unit in wanted]
+        for unit in sorted(UNITS.values(), key=lambda unit: unit.dimension not in dimensions):
+            yield Choice(unit.text, CompletionItemKind.Unit, unit.dimension.description)
+        if isinstance(field, Expression) and not goes_on:
+            yield from (Choice(word, CompletionItemKind.Keyword, "", _GRAMMAR[word]) for word in ("when", "and", "or"))
         return
     scope = _scope_of(view.analysis, field, path) if view.analysis else None
     if scope is not None and view.checked is not None:
@@ -345,22 +353,6 @@ def _expression_choices(text: str, scope: Scope, checked: CheckedScenario) -> It
     yield from functions(ALLOWED_FAMILIES[scope.context])
     for word, doc in {**_GRAMMAR, **(_REPEATS if scope.context is Context.PARAMETER else {})}.items():
         yield Choice(word, CompletionItemKind.Keyword, "", doc)
-
-
-def _units(text: str, field: FieldType) -> Iterator[Choice]:
-    """All units, starting with those of the field's dimension, and the keywords that may follow a number.
-
-    After `*` or `/` only single units follow, not compound ones such as `N*m`.
-    """
-    goes_on = text[: len(text) - len(_word_before(text))].endswith(("*", "/"))
-    wanted = [unit for measure in _measures(field) if (unit := _unit(measure)) is not None]
-    if not goes_on:
-        yield from (Choice(unit.text, CompletionItemKind.Unit, unit.dimension.description) for unit in wanted if unit.text not in UNITS)
-    dimensions = [unit.dimension for unit in wanted]
-    for unit in sorted(UNITS.values(), key=lambda unit: unit.dimension not in dimensions):
-        yield Choice(unit.text, CompletionItemKind.Unit, unit.dimension.description)
-    if isinstance(field, Expression) and not goes_on:
-        yield from (Choice(word, CompletionItemKind.Keyword, "", _GRAMMAR[word]) for word in ("when", "and", "or"))
 
 
 def _measures(field: FieldType) -> list[str]:

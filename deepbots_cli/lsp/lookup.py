@@ -23,7 +23,7 @@ from deepbots_cli.expressions.check import check
 from deepbots_cli.expressions.dimensions import UNITS
 from deepbots_cli.expressions.functions import FUNCTIONS, Form, Function
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
-from deepbots_cli.expressions.types import Kind, Symbol, Type, Typed, children, shortened_list
+from deepbots_cli.expressions.types import Kind, Symbol, Type, shortened_list, walk
 from deepbots_cli.lint import pages_of
 from deepbots_cli.lsp.cursor import value_at
 from deepbots_cli.lsp.workspace import CursorView, Document, Locator, uri_of
@@ -152,7 +152,7 @@ class ExpressionNode(NamedTuple):
     def type(self) -> Type | None:
         """The type of the node's value."""
         for tree in self.reading.trees:
-            for node in _below(tree):
+            for node in walk(tree):
                 if (node.start, node.end) == (self.node.start, self.node.end):
                     return node.type
         if isinstance(self.node, (syntax.Range, syntax.Spread, syntax.Options)):
@@ -239,12 +239,6 @@ def _inside(node: syntax.Node) -> Iterator[tuple[syntax.Node, frozenset[Kind] | 
     for index, child in enumerate(syntax.children(node)):
         param = function.params[min(index, len(function.params) - 1)] if function and function.params else None
         yield child, param.kinds if param is not None and param.form is Form.SUBJECT else None
-
-
-def _below(tree: Typed) -> Iterator[Typed]:
-    yield tree
-    for child in children(tree):
-        yield from _below(child)
 
 
 def ignore_finding(*_finding: object, **_more: object) -> None:

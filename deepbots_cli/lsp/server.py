@@ -34,7 +34,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.lint.fixes import Fixer
 from deepbots_cli.lsp.completion import completion
 from deepbots_cli.lsp.lookup import definitions, document_symbols, hover
-from deepbots_cli.lsp.workspace import Document, DocumentAnalysis, Locator, Workspace, analyse, common_prefix, path_of
+from deepbots_cli.lsp.workspace import CursorView, Document, DocumentAnalysis, Locator, Workspace, analyse, common_prefix, path_of
 
 # Findings as diagnostics, and the text edits that fix or suppress them
 
@@ -367,13 +367,13 @@ class Server(LanguageServer):
         self._register(types.TEXT_DOCUMENT_DID_SAVE, self._saved)
         self._register(types.TEXT_DOCUMENT_DID_CLOSE, self._closed)
         self._register(types.WORKSPACE_DID_CHANGE_WATCHED_FILES, self._saved)
-        self._register(types.TEXT_DOCUMENT_COMPLETION, self._completion, types.CompletionOptions(trigger_characters=_TRIGGERS))
-        self._register(types.TEXT_DOCUMENT_HOVER, self._hover)
-        self._register(types.TEXT_DOCUMENT_DEFINITION, self._definition)
+        self._register(types.TEXT_DOCUMENT_COMPLETION, self._at(completion), types.CompletionOptions(trigger_characters=_TRIGGERS))
+        self._register(types.TEXT_DOCUMENT_HOVER, self._at(hover))
+        self._register(types.TEXT_DOCUMENT_DEFINITION, self._at(lambda view: definitions(view, self.scenarios.open_uris)))
         self._register(types.TEXT_DOCUMENT_CODE_ACTION, self._code_actions, types.CodeActionOptions(list(KINDS), resolve_provider=True))
         self._register(types.CODE_ACTION_RESOLVE, self._resolve_code_action)
-        self._register(types.TEXT_DOCUMENT_DOCUMENT_SYMBOL, self._document_symbols)
-        self._register(types.TEXT_DOCUMENT_FORMATTING, self._formatting)
+        self._register(types.TEXT_DOCUMENT_DOCUMENT_SYMBOL, self._of(document_symbols))
+        self._register(types.TEXT_DOCUMENT_FORMATTING, self._of(formatting))
         self._register(types.INITIALIZED, self._initialized)
         self._register(types.SHUTDOWN, self._shut_down)
         self._register(types.EXIT, self._exit)
@@ -434,17 +434,23 @@ class Server(LanguageServer):
 
     # Requests
 
-    def _completion(self, params: types.CompletionParams) -> types.CompletionList | None:
-        view = self.scenarios.view(params.text_document.uri, params.position)
-        return completion(view) if view else None
+    def _at(self, answer: Callable[[CursorView], Any]) -> Callable[[Any], Any]:
+        """The handler of a request about a position."""
 
-    def _hover(self, params: types.HoverParams) -> types.Hover | None:
-        view = self.scenarios.view(params.text_document.uri, params.position)
-        return hover(view) if view else None
+        def handler(params: Any) -> Any:
+            view = self.scenarios.view(params.text_document.uri, params.position)
+            return answer(view) if view else None
 
-    def _definition(self, params: types.DefinitionParams) -> list[types.Location] | None:
-        view = self.scenarios.view(params.text_document.uri, params.position)
-        return definitions(view, self.scenarios.open_uris) if view else None
+        return handler
+
+    def _of(self, answer: Callable[[Document], Any]) -> Callable[[Any], Any]:
+        """The handler of a request about a whole document."""
+
+        def handler(params: Any) -> Any:
+            document = self.scenarios.document(params.text_document.uri)
+            return answer(document) if document else None
+
+        return handler
 
     def _code_actions(self, params: types.CodeActionParams) -> list[types.CodeAction]:
         actions = self._actions(params.text_document.uri)
@@ -459,14 +465,6 @@ class Server(LanguageServer):
         if actions is not None and action.edit is None:
             action.edit = actions.fix_all()
         return action
-
-    def _document_symbols(self, params: types.DocumentSymbolParams) -> list[types.DocumentSymbol] | None:
-        document = self.scenarios.document(params.text_document.uri)
-        return document_symbols(document) if document else None
-
-    def _formatting(self, params: types.DocumentFormattingParams) -> list[types.TextEdit] | None:
-        document = self.scenarios.document(params.text_document.uri)
-        return formatting(document) if document else None
 
     def _shut_down(self, _params: object) -> None:
         self.checker.stop()

@@ -104,7 +104,11 @@ def render_picture(
     image = Image.fromarray(player.render(view))
     draw, project = ImageDraw.Draw(image, "RGBA"), projection(view)
     if rays:
-        _paint_rays(draw, project, player)
+        for key, beams in player.reader.layout.sensor_rays.items():
+            for start, end in beams.lines(player.frame, key).tolist():
+                pixels = [pixel for pixel in (project(start[:3]), project(end[:3])) if pixel is not None]
+                if len(pixels) == 2:
+                    draw.line(pixels, fill=(*map(int, start[3:]), 230), width=2 * _SUPERSAMPLING)
     if shown:
         _paint_path(draw, project, shown)
     image = image.resize((shot.width, shot.height), Image.Resampling.LANCZOS)
@@ -259,14 +263,6 @@ def _write_legend(draw: ImageDraw, shown: PaintedPath) -> None:
         y = 8 + 18 * row
         _write(draw, (26, y), name)
         draw.ellipse((9, y + 2, 19, y + 12), fill=colour, outline=_WHITE)
-
-
-def _paint_rays(draw: ImageDraw, project: Callable[[Triple], Point | None], player: Player) -> None:
-    for key, beams in player.reader.layout.sensor_rays.items():
-        for start, end in beams.lines(player.frame, key).tolist():
-            pixels = [pixel for pixel in (project(start[:3]), project(end[:3])) if pixel is not None]
-            if len(pixels) == 2:
-                draw.line(pixels, fill=(*map(int, start[3:]), 230), width=2 * _SUPERSAMPLING)
 
 
 def _paint_labels(draw: ImageDraw, project: Callable[[Triple], Point | None], player: Player, shot: Viewpoint) -> None:
