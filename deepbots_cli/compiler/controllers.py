@@ -153,7 +153,6 @@ class Actuators(NamespaceReader):
         return ResolvedActuator(motor, spec.dimension, None, (closed, open_))
 
     def _check_reach(self, spec: specs.Gripper, key: str, position: float, joints: tuple[Joint, ...]) -> None:
-        """DB304 for a position that a joint cannot take."""
         for joint in joints:
             reach = joint_interval(joint)
             if not reach.low <= position <= reach.high:

@@ -432,7 +432,6 @@ def reward_terms(namespace: Namespace) -> tuple[Expression, ...]:
 
 
 def _reward_value(text: SourceText, namespace: Namespace) -> Typed | None:
-    """The value of a reward term."""
     report = namespace.values.report(text)
     typed = namespace.values.expression(text, SupervisorScope(namespace, Context.REWARD))
     if typed is not None and typed.type.boolean:

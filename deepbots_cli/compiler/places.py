@@ -333,7 +333,6 @@ class Places(NamespaceReader):
         return replace(place, coordinates={**place.coordinates, **here}, heading=atan2(second[1] - first[1], second[0] - first[0]))
 
     def _top(self, name: str, pose: PlacementSpec) -> Top | None:
-        """The top of the object called `name`, for a body to stand on."""
         span = self._values.field(pose, "on").span
         flat = [thing.name for thing in self._world.objects if has_top(thing) and self._namespace.origin(thing.name) is Origin.OBJECT]
         if self._namespace.origin(name) is None:

@@ -497,7 +497,6 @@ class Decisions(NamespaceReader):
         return fitted and text.expression(fitted, part.name)
 
     def _option(self, place: NodePath, part: Choices, word: str) -> ScriptedChoice | None:
-        """The same option always."""
         span, options = self._values.span(place), [option.name for option in part.options]
         if not _WORD.fullmatch(word):
             help = f"name one option, or write a condition for each: `{{{options[0]}: x > 0 m, {options[-1]}: true}}`"

@@ -302,7 +302,6 @@ class Report:
 
 
 def _seed_statistics(form: str, values: Sequence[float], bounds: tuple[float, float] = UNBOUNDED) -> str:
-    """A mean over seeds with its interval."""
     from deepbots_cli.learning.statistics import mean_interval
 
     found = mean_interval(values, bounds)

@@ -17,7 +17,6 @@ _LIMITS = ("max_steps", "max_time")
 
 
 def _per_step(traces: Sequence[Trace]) -> float:
-    """The mean reward of a step."""
     return sum(trace.returns for trace in traces) / max(1, sum(trace.steps for trace in traces))
 
 

@@ -184,7 +184,6 @@ class Simulation(RuleContext):
             yield _identifier(ending.value.name), (ending.value, "other")
 
     def _names_behind(self, values: Iterable[Expression]) -> set[str]:
-        """The names that values depend on."""
         analysis = self.analysis.ideal
         return {name for value in values for tree in analysis.scalars(value) for name in analysis.dependencies(tree)}
 

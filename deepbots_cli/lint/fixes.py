@@ -245,6 +245,5 @@ def _counted(findings: Iterable[Finding]) -> Counter[tuple[str, str, str]]:
 
 
 def _added(after: LintResult, before: LintResult) -> list[Finding]:
-    """The errors that were not there before."""
     added = _counted(after.errors) - _counted(before.errors)
     return [finding for finding in after.errors if added[_key(finding)]]

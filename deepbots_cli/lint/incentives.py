@@ -412,7 +412,6 @@ def _idle_pays(simulation: Simulation, success: Ending) -> list[Finding]:
 
 
 def _most_paid(simulation: Simulation, by: str) -> Expression:
-    """The term that pays most under a policy."""
     return max(simulation.terms(), key=lambda entry: entry[1][by].total)[0]
 
 

@@ -350,7 +350,6 @@ def _outside(environment: Supervisor, observation: Any) -> list[str]:
 
 
 def _infinite(environment: Supervisor) -> list[str]:
-    """The terms of the reward that are not finite."""
     if not environment.step_count:
         return []
     return [name for name, value in environment.get_info()["reward_terms"].items() if not math.isfinite(value)]

@@ -315,7 +315,6 @@ def _scope_of(analysis: DocumentAnalysis, field: FieldType, path: NodePath) -> S
 
 
 def _word_before(text: str) -> str:
-    """The name at the end of `text`, or an empty text."""
     found = _WORD.search(text)
     return found.group() if found else ""
 
@@ -362,7 +361,6 @@ def _measures(field: FieldType) -> list[str]:
 
 
 def _unit(measure: str) -> Unit | None:
-    """The unit of the example of a measure."""
     tree = parser.parse(MEASURES[measure][1], ignore_finding)
     return tree.unit if isinstance(tree, syntax.Number) else None
 

@@ -218,7 +218,6 @@ def _size_around(view: CursorView, reading: ScopedExpression) -> int | None:
 
 
 def _index(text: SourceText, offset: int) -> int:
-    """The index in `text` of the character at an offset of its file."""
     return next((index for index in range(len(text.text)) if text.part(index, index + 1).end > offset), len(text.text))
 
 
@@ -265,7 +264,6 @@ def definitions(view: CursorView, open_uris: dict[Path, str]) -> list[types.Loca
 
 
 def _anchor(view: CursorView) -> types.Location | None:
-    """The anchor of the alias under the cursor."""
     text = view.document.plain
     begin = text.rfind("\n", 0, view.offset) + 1
     for alias in _ALIAS.finditer(text, begin, view.offset + 100):

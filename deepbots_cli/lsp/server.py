@@ -220,7 +220,6 @@ class CodeActions:
 
     @property
     def _analysis(self) -> DocumentAnalysis | None:
-        """The analysis of the current version of the document."""
         known = self._workspace.latest.get(self._document.uri)
         return known if known is not None and known.document is self._document else None
 
@@ -308,7 +307,6 @@ def _title(edit: Edit) -> str:
 
 
 def _has_same_values(document: Document, text: str) -> bool:
-    """Whether `text` has the same values as the document."""
     _, before, _ = document.read()
     _, after, _ = Document(document.uri, document.version, text, document.path).read()
     return before is not None and after is not None and to_data(before) == to_data(after)

@@ -294,7 +294,6 @@ def _advise(root: nodes.MappingNode, data: Any, findings: Findings) -> None:
 
 
 def _help_for_missing_value(data: object, path: NodePath) -> str:
-    """The help for a key without a value."""
     message = about_key(data, path)
     if message is not None and message.startswith(f"`{path[-1]}`"):
         return message
@@ -320,7 +319,6 @@ def _help_for_missing_value(data: object, path: NodePath) -> str:
 
 
 def _place(path: NodePath) -> str:
-    """The place of a key, for a headline."""
     if not path:
         return "at the top level"
     last = path[-1]
@@ -342,7 +340,6 @@ def _listed(words: Iterable[str]) -> str:
 
 
 def _keys_of(shape: Shape | None) -> str | None:
-    """The keys of a section, as a sentence."""
     return f"its keys are {_listed(shape.model_fields)}" if isinstance(shape, type) else None
 
 

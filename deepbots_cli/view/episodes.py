@@ -247,7 +247,6 @@ class Player:
         self.driver_name = name
 
     def _make_driver(self, env: Supervisor, name: str) -> Driver:
-        """A driver other than the policy."""
         return Driver(lambda _: action_from_values(env, self.manual_values)) if name == HAND else named_driver(env, name)
 
     def begin(self, seed: int, episode: int) -> WorldFrame:

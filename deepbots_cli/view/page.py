@@ -512,14 +512,12 @@ class Page:
 
     @property
     def _panel_of_agent(self) -> WorldPanel:
-        """The world whose values are shown."""
         return self.panels[self._agent[0]]
 
     def _choose_agent(self, label: str) -> None:
         self._agent = self._agents[label]
 
     def _choose_world(self, number: int) -> None:
-        """Show another world of a batch."""
         self._world_number = number
         for shown in self.panels:
             if isinstance(shown.player, BatchPlayer):
@@ -579,7 +577,6 @@ class Page:
         self._show_first_frame()
 
     def _show_first_frame(self) -> None:
-        """Show the first moment of an episode."""
         self._ended_at, self._message, self._waiting = 0.0, "", self._playing
         for shown in self.panels:
             shown.show_newest(after_reset=True)
@@ -590,7 +587,6 @@ class Page:
         self._update_texts()
 
     def _step(self, shown: WorldPanel) -> None:
-        """One step of one world."""
         player = shown.player
         if shown.has_ended or self._message:
             return
@@ -669,7 +665,6 @@ class Page:
                             self._cameras[label] = self.server.gui.add_image(_enlarged(image), label=label)
 
     def _update_texts(self) -> None:
-        """The banner and the values."""
         states = "".join(self._state(number) for number in range(len(self.panels)))
         self._banner.content = panel.notice(self._error_title, self._message, "#D55E00") if self._message else states
         number, name = self._agent
