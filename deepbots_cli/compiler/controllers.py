@@ -104,7 +104,7 @@ class Actuators(NamespaceReader):
                 damping = self._scalar_or_randomized(spec, "damping", None, dimension=effort * TIME / dimension, per_component=names)
                 if spec.damping is not None and spec.stiffness is None:
                     help = "give `stiffness` too, or leave both to the servo of the engine"
-                    self._values.add("DB102", self._values.key_span((*spec.path, "damping")), "a damping without a stiffness", help)
+                    self._values.add_at_key("DB102", (*spec.path, "damping"), "a damping without a stiffness", help)
                 motor = Motor(name, spec.type, names, max_torque, max_velocity, stiffness, damping, response=self._response(spec, names))
             case specs.TorqueMotor():
                 motor = Motor(name, spec.type, names, max_torque, max_velocity, response=self._response(spec, names))
@@ -186,8 +186,7 @@ class Actuators(NamespaceReader):
             senses |= dict.fromkeys(members, self._namespace.fixed(spec, "spin", pattern))
         open_ = [link for link in links if link not in senses]
         if open_ and not unknown:
-            span, headline = self._values.key_span((*spec.path, "spin")), f"no spin for `{open_[0]}`"
-            self._values.add("DB102", span, headline, "give 1 or -1 for each link")
+            self._values.add_at_key("DB102", (*spec.path, "spin"), f"no spin for `{open_[0]}`", "give 1 or -1 for each link")
         found_all = [sense for link in links if (sense := senses.get(link)) is not None]
         return tuple(found_all) if len(found_all) == len(links) else None
 
@@ -259,8 +258,7 @@ def _pose(name: str, robot: ResolvedRobot, namespace: Namespace) -> Symbol:
         positions |= dict.fromkeys(joints, position or 0.0)
     dimensions = {joint_dimension(robot.model.joint(joint)) for joint in positions}
     if len(dimensions) > 1:
-        span = values.key_span((*robot.spec.path, "poses", name))
-        values.add("DB404", span, "turning and sliding joints in one pose", "make a pose of each")
+        values.add_at_key("DB404", (*robot.spec.path, "poses", name), "turning and sliding joints in one pose", "make a pose of each")
     if not sound or len(dimensions) != 1:
         return Symbol(name, None)
     known = tuple(positions.values())

@@ -447,8 +447,9 @@ def truncation(namespace: Namespace) -> Truncation:
     values, limits = namespace.values, namespace.scenario.truncation
     if limits is None:
         if not values.is_invalid("truncation"):
-            span = values.key_span(("termination",) if "termination" in namespace.scenario.model_fields_set else ("reward",))
-            values.add("DB803", span, "no condition is certain to end an episode", "add `truncation: {max_steps: 1000}`, or a `max_time`")
+            key = "termination" if "termination" in namespace.scenario.model_fields_set else "reward"
+            help = "add `truncation: {max_steps: 1000}`, or a `max_time`"
+            values.add_at_key("DB803", (key,), "no condition is certain to end an episode", help)
         return Truncation()
     steps = namespace.fixed(limits, "max_steps")
     return Truncation(None if steps is None else int(steps), namespace.fixed(limits, "max_time"))

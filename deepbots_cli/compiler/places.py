@@ -120,10 +120,10 @@ class PlacementChecker(NamespaceReader):
             headline = f"{copies} copies of {area:.3g} m^2 cannot stand on the {top.area:.3g} m^2 of `{spot.of}`"
             self._values.add("DB105", span, headline, "give a larger top, or fewer copies")
         elif spot.region is not None and (patch := _patch(support, top)) is not None and _misses(spot.region, patch):
-            (reach_x, reach_y), span = patch.half_extents, self._values.key_span((*path, "region"))
+            reach_x, reach_y = patch.half_extents
             sides = f"x = {patch.x - reach_x:g} .. {patch.x + reach_x:g} m and y = {patch.y - reach_y:g} .. {patch.y + reach_y:g} m"
             help = f"leave out `region` to use the whole top, which covers {sides}"
-            self._values.add("DB105", span, f"no position in the region is on the top of `{spot.of}`", help)
+            self._values.add_at_key("DB105", (*path, "region"), f"no position in the region is on the top of `{spot.of}`", help)
 
     def _check_covered(self, place: Placement, region: Region, standing: Mapping[str, Placement], path: NodePath) -> None:
         """DB105 where a body that stands at known coordinates covers the whole region, so that no spot of it is ever free.
@@ -285,8 +285,8 @@ class Places(NamespaceReader):
         elif pose.region is not None:
             place = replace(place, spot=self._region(pose))
         elif pose.grid is not None:
-            span = self._values.key_span((*pose.path, "grid"))
-            self._values.add("DB102", span, "a grid without a region", "give the region of the grid: `region: arena`")
+            help = "give the region of the grid: `region: arena`"
+            self._values.add_at_key("DB102", (*pose.path, "grid"), "a grid without a region", help)
         self._check_spots(place.spot, pose.path)
         if isinstance(place.spot, Region) and used:
             self._room.check_region(place, place.spot, pose.path)

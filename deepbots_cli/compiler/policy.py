@@ -66,12 +66,9 @@ def copies(namespace: Namespace) -> RobotCopies | None:
     _refuse_others(name, namespace)
     robot_spec = spec.robots[name]
     count = namespace.fixed(robot_spec, "count")
-    if robot_spec.spacing is None and values.is_invalid("spacing"):
-        return None
-    if robot_spec.spacing is None:
+    if robot_spec.spacing is None and not values.is_invalid("spacing"):
         help = f"give the distance between copies, as in `robots.{name}.spacing: 0 0.5 0 m`"
         values.add("DB102", ("agent", "each"), f"the copies of `{name}` have no `spacing`", help)
-        return None
     spacing = namespace.triple(robot_spec, "spacing")
     if count is None or spacing is None:
         return None
@@ -139,8 +136,8 @@ class Actions(NamespaceReader):
                     found.append((name, option, text.expression(typed)))
             always = {option for part, option, condition in found if part == name and constant_values(condition.typed) == (True,)}
             if always == set(part.choices):
-                span = self._values.key_span((*part.path, "forbid"))
-                self._values.add("DB105", span, f"every option of `{name}` is always forbidden", "leave one that may be chosen")
+                headline = f"every option of `{name}` is always forbidden"
+                self._values.add_at_key("DB105", (*part.path, "forbid"), headline, "leave one that may be chosen")
         return found
 
     def _last_action_symbol(self, context: Context) -> Symbol:
@@ -266,16 +263,14 @@ class Observations(NamespaceReader):
         return self._values.expression(text, SupervisorScope(self._namespace, Context.OBSERVATION))
 
     def _bounds(self, typed: Typed, text: SourceText) -> Bounds | None:
-        count = len(typed.type.components or ("",))
-        if typed.type.picture:
-            if text.text != "auto":
-                self._values.add("DB403", text.span, "a range for a picture", "write `auto`: a pixel is a number from 0 to 255")
-                return None
+        count, picture = len(typed.type.components or ("",)), typed.type.picture
+        if text.text != "auto" and (picture or typed.type.boolean):
+            what, seen = ("picture", "a pixel is a number from 0 to 255") if picture else ("truth value", "it is seen as 0 or 1")
+            self._values.add("DB403", text.span, f"a range for a {what}", f"write `auto`: {seen}")
+            return None
+        if picture:
             return (), ()
         if typed.type.boolean:
-            if text.text != "auto":
-                self._values.add("DB403", text.span, "a range for a truth value", "write `auto`: it is seen as 0 or 1")
-                return None
             return (0.0,) * count, (1.0,) * count
         if text.text == "auto":
             low, high = typed.type.interval.low, typed.type.interval.high

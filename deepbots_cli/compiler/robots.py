@@ -280,8 +280,7 @@ class Overrides:
 
     def _change_density(self, model: RobotModel, link: str, change: LinkOverride) -> RobotModel:
         if change.mass is not None:
-            span = self.values.key_span((*change.path, "density"))
-            self.values.add("DB202", span, "`mass` and `density` both set the mass", "give one of the two")
+            self.values.add_at_key("DB202", (*change.path, "density"), "`mass` and `density` both set the mass", "give one of the two")
             return model
         density = self.namespace.fixed(change, "density", scope=self._scope(), known=Known.EPISODE)
         return self._accepted(model, with_density(model, link, density), change, "density") if density else model

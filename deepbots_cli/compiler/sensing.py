@@ -54,9 +54,9 @@ class SensorsCompiler(NamespaceReader):
         values = sum(math.prod(symbol.type.picture) for symbol in self.symbols.values() if symbol.type and symbol.type.picture)
         for count, limit, what in ((rays, MAX_SENSED_RAYS, "rays"), (values, MAX_OBSERVED_BYTES, "bytes of pictures")):
             if count > limit:
-                span = self._values.key_span((*self._robot.spec.path, "sensors"))
                 headline = f"the sensors of `{self._robot.name}` have {count:,} {what}; the limit is {limit:,}"
-                self._values.add("DB005", span, headline, "use fewer: the robot reads all of them in every timestep")
+                help = "use fewer: the robot reads all of them in every timestep"
+                self._values.add_at_key("DB005", (*self._robot.spec.path, "sensors"), headline, help)
 
     def _add(self, name: str, spec: SensorSpec) -> None:
         made = self._read(name, spec)
@@ -163,8 +163,8 @@ def _intrinsics(namespace: Namespace, spec: Camera) -> CameraIntrinsics | None:
     near, far = 0.0, 10.0
     if spec.range is not None:
         if spec.channels != "depth":
-            span, help = values.key_span((*spec.path, "range")), "write `channels: depth`, or remove `range`"
-            values.add("DB203", span, "`range` applies to depth cameras only", help)
+            help = "write `channels: depth`, or remove `range`"
+            values.add_at_key("DB203", (*spec.path, "range"), "`range` applies to depth cameras only", help)
         ends = namespace.ends(spec, "range", what="the range of a camera", dimension=LENGTH)
         if ends is None:
             return None
@@ -202,7 +202,7 @@ def _rays(namespace: Namespace, spec: RayScan) -> dict[str, Pose] | None:
     if isinstance(spec.rays, dict):
         if spec.angle_range is not None:
             help = "remove it, or write a number of rays, as in `rays: 5`, to spread them over the range"
-            values.add("DB101", values.key_span((*spec.path, "angle_range")), "`angle_range` does not apply to rays with names", help)
+            values.add_at_key("DB101", (*spec.path, "angle_range"), "`angle_range` does not apply to rays with names", help)
         return {name: _frame(namespace, ray) for name, ray in spec.rays.items()}
     count = spec.rays or 1
     if spec.angle_range is None:

@@ -324,8 +324,8 @@ def _variant(kind: str, given: world_spec.ShapedBody, thing: world_spec.VariedOb
     """A form that a body may take: what it does not say of itself, the object says for all; its values are fixed."""
     for key in _OF_ALL:
         if getattr(given, key) is not None:
-            span, help = namespace.values.key_span((*given.path, key)), f"give `{key}` for all variants, beside `one_of`"
-            namespace.values.add("DB108", span, f"`{key}` of one variant is not supported yet", help)
+            help = f"give `{key}` for all variants, beside `one_of`"
+            namespace.values.add_at_key("DB108", (*given.path, key), f"`{key}` of one variant is not supported yet", help)
     made = shape(given, namespace)
     if made is None:
         return None
@@ -438,9 +438,9 @@ def _check_bodies(robots: int, objects: int, pieces: int, namespace: Namespace) 
     """DB005 for more bodies than a world may have, each variant of each copy among them."""
     counts: dict[NodePath, int] = {("robots",): robots, ("objects",): objects, ("world", "walls"): pieces}
     if sum(counts.values()) > MAX_BODIES:
-        span = namespace.values.key_span(max(counts, key=lambda section: counts[section]))
+        most = max(counts, key=lambda section: counts[section])
         headline = f"the world has {sum(counts.values()):,} robots, objects and pieces of walls; the limit is {MAX_BODIES}"
-        namespace.values.add("DB005", span, headline, "use fewer: an engine would take minutes to build this world")
+        namespace.values.add_at_key("DB005", most, headline, "use fewer: an engine would take minutes to build this world")
 
 
 def _ground(spec: world_spec.Ground, namespace: Namespace) -> Ground:
