@@ -31,7 +31,7 @@ from deepbots_cli.learning.episodes import meets_solved
 from deepbots_cli.learning.run import Run, changed_settings, is_training
 from deepbots_cli.learning.verdict import RunVerdict, quoted_episodes, run_verdict
 from deepbots_cli.program import CurriculumStage, Program
-from deepbots_cli.program.task import ActionRange, Choices, Schedule
+from deepbots_cli.program.task import ActionRange, Choices, Schedule, idle_action
 from deepbots_cli.rollout import Driver, Episode, Start, steps
 from deepbots_cli.rollout.drivers import action_from_values, constant_driver, random_driver
 from deepbots_cli.runtime import Supervisor
@@ -278,10 +278,13 @@ def run_probes(
     watch = instrument_program(training.program, include_observation=True)
     world = TraceRecorder(api.build(watch.program, engine=run.record.engine, permissions=permissions), watch)
     with algorithms.torch_settings(), closing(world):
-        constant, still = _constant(world.world), _still(world.world)
+        constant = _constant(world.world)
+        idle = idle_action(training.program.agent.action)
+        if any(isinstance(part, ActionRange) and not part.low <= 0.0 <= part.high for part in training.program.agent.action):
+            idle = None  # no command is zero
         name: Any = next((name for name in ("last", "best") if run.model(name).is_file()), None)
         model = None if name is None else evaluation.load_model(run, name, world)
-        total = PROBE_EPISODES * (1 + (still is not None) + (model is not None)) + sum(map(len, constant.values()))
+        total = PROBE_EPISODES * (1 + (idle is not None) + (model is not None)) + sum(map(len, constant.values()))
         done = 0
 
         def episode(seed: int, driver: Driver, count: int = PROBE_STEPS) -> Trace:
@@ -302,8 +305,8 @@ def run_probes(
             training.constant_actions[part] = {
                 name: episode(seeds[0], constant_driver(action), CONSTANT_ACTION_STEPS) for name, action in actions.items()
             }
-        if still is not None:
-            training.idle = [episode(seed, constant_driver(still)) for seed in seeds]
+        if idle is not None:
+            training.idle = [episode(seed, constant_driver(world.world.make_action(*idle))) for seed in seeds]
         if model is not None:
             training.policy = [episode(seed, evaluation.PolicyDriver(model, world)) for seed in seeds]
 
@@ -315,19 +318,3 @@ def _constant(env: Supervisor) -> dict[str, dict[str, Any]]:
     names = [name for part in action if isinstance(part, ActionRange) for name in part.names]
     values: dict[str, Mapping[str, float]] = {**picks, **{name: {"-1": -1.0, "1": 1.0} for name in names[:8]}}
     return {name: {said: action_from_values(env, {name: value}) for said, value in found.items()} for name, found in values.items()}
-
-
-def _still(env: Supervisor) -> Any:
-    """The action that commands zeros; None where a choice has no such option, or a range does not hold zero."""
-    values: dict[str, float] = {}
-    for part in env.scenario.agent.action:
-        if isinstance(part, Choices):
-            zeros = [number for number, option in enumerate(part.options) if not any(option.values)]
-            if not zeros:
-                return None
-            values[part.name] = zeros[0]
-        elif part.low > 0 or part.high < 0:
-            return None
-        else:
-            values |= dict.fromkeys(part.names, -(part.high + part.low) / (part.high - part.low))
-    return action_from_values(env, values)

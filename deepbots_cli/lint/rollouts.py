@@ -35,7 +35,6 @@ from deepbots_cli.lint.simulation import (
     Rollout,
     UnreachedPose,
     casts_rays,
-    idle_action,
     simulation_plan,
     variant_plan,
 )
@@ -43,7 +42,7 @@ from deepbots_cli.port import Engine, JointReader, MotionReader
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Cartesian as CartesianActuator
 from deepbots_cli.program.robots import Sensor
-from deepbots_cli.program.task import Choices, policy_inputs
+from deepbots_cli.program.task import Choices, idle_action, policy_inputs
 from deepbots_cli.program.world import ObjectBody
 from deepbots_cli.robots.model import RobotModel
 from deepbots_cli.rollout import Driver, Start, Step, steps
@@ -138,7 +137,7 @@ class Simulator:
 
     def _check_first_commands(self, environment: Supervisor, arms: ArmWatch) -> None:
         """Check whether arms reach their first commanded pose. Every choice should lead to one; the end of a range need not."""
-        by = IDLE if idle_action(self._program) is not None else RANDOM
+        by = IDLE if idle_action(self._program.agent.action) is not None else RANDOM
         if by == RANDOM and not all(isinstance(part, Choices) for part in self._program.agent.action):
             return
         for seed in range(_FIRST_EPISODES):
@@ -322,7 +321,7 @@ def _actions(environment: Supervisor, rollout: Rollout) -> Iterator[Any]:
     if rollout.script is not None:
         return (environment.script(rollout.script) for _ in count())
     if rollout.policy == IDLE:
-        wanted = idle_action(environment.scenario)
+        wanted = idle_action(environment.scenario.agent.action)
         assert wanted is not None  # or it would not be in the plan
         return repeat(environment.make_action(*wanted))
     return _random(environment, HOLD_STEPS if rollout.policy == HELD_RANDOM else 1)

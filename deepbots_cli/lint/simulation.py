@@ -23,7 +23,7 @@ from deepbots_cli.errors import MissingExtraError
 from deepbots_cli.processes import python_command, python_environment
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Sensor
-from deepbots_cli.program.task import Choices
+from deepbots_cli.program.task import idle_action
 
 # What is simulated
 
@@ -82,7 +82,7 @@ def variant_plan(program: Program) -> tuple[Rollout, ...]:
 
 
 def _others(program: Program) -> Iterator[tuple[str, str | None]]:
-    if idle_action(program) is not None:
+    if idle_action(program.agent.action) is not None:
         yield IDLE, None
     for script in program.agent.scripts:
         yield f"the script `{script.name}`", script.name
@@ -93,25 +93,6 @@ def _work(program: Program) -> float:
     copies = program.agent.copies.count if program.agent.copies else 1
     pixels = sum(entry.shape[0] * entry.shape[1] for entry in program.agent.images)
     return (len(program.robots) * (program.world.substeps * program.action_repeat + 10) + pixels / _PIXELS) * copies
-
-
-def idle_action(program: Program) -> tuple[tuple[int, ...], tuple[float, ...]] | None:
-    """The action that does nothing: the number of an option for each choice, and a value from -1 to 1 for each component of a range.
-
-    It is the option of zeros, and the value of a range that is nearest to 0. None where a choice has no option of zeros.
-    """
-    choices: list[int] = []
-    values: list[float] = []
-    for part in program.agent.action:
-        if isinstance(part, Choices):
-            still = next((number for number, option in enumerate(part.options) if not any(option.values)), None)
-            if still is None:
-                return None
-            choices.append(still)
-        else:
-            wanted = min(max(0.0, part.low), part.high)
-            values += [2.0 * (wanted - part.low) / (part.high - part.low) - 1.0] * max(1, len(part.components))
-    return tuple(choices), tuple(values)
 
 
 # The report

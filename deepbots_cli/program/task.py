@@ -77,6 +77,24 @@ def action_names(action: Sequence[ActionPart]) -> tuple[str, ...]:
     return tuple(names) if len(set(names)) == len(names) else tuple(str(number + 1) for number in range(len(names)))
 
 
+def idle_action(action: Sequence[ActionPart]) -> tuple[list[int], list[float]] | None:
+    """The action that does nothing: the number of an option for each choice, and a value from -1 to 1 for each component of a range.
+
+    It is the option of zeros, and the value of a range that is nearest to 0. None where a choice has no option of zeros.
+    """
+    choices, values = [], []
+    for part in action:
+        if isinstance(part, Choices):
+            still = next((number for number, option in enumerate(part.options) if not any(option.values)), None)
+            if still is None:
+                return None
+            choices.append(still)
+        else:
+            wanted = min(max(0.0, part.low), part.high)
+            values += [2.0 * (wanted - part.low) / (part.high - part.low) - 1.0] * len(part.names)
+    return choices, values
+
+
 @dataclass(frozen=True)
 class RobotCopies:
     """Copies of a robot that share one world and one policy; everything else in the scenario describes one of them.

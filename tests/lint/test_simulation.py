@@ -11,7 +11,8 @@ from deepbots_cli import api
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.document import shipped
 from deepbots_cli.lint import simulate
-from deepbots_cli.lint.simulation import idle_action, simulation_plan
+from deepbots_cli.lint.simulation import simulation_plan
+from deepbots_cli.program.task import idle_action
 
 pytestmark = pytest.mark.usefixtures("simulated_here")
 
@@ -99,9 +100,9 @@ def test_a_robot_that_the_engine_cannot_hold_is_a_finding_at_its_name(probed: Pr
 
 
 def test_doing_nothing_is_the_option_of_zeros_or_the_value_that_is_nearest_to_zero() -> None:
-    assert idle_action(api.load("cartpole").program) is None
-    assert idle_action(api.load("find_and_avoid").program) == ((4,), ())
-    assert idle_action(api.load("cartpole_continuous").program) == ((), (0.0,))
+    assert idle_action(api.load("cartpole").program.agent.action) is None
+    assert idle_action(api.load("find_and_avoid").program.agent.action) == ([4], [])
+    assert idle_action(api.load("cartpole_continuous").program.agent.action) == ([], [0.0])
 
 
 def test_costly_scenarios_are_given_fewer_steps() -> None:
