@@ -112,18 +112,19 @@ def _setting(spec: RouteSpec, name: str, namespace: Namespace) -> Expression | N
 def is_repeated_as_a_whole(typed: Typed, redraw: Redraw | None, text: SourceText, values: ValueReader) -> bool:
     """Whether a value that changes within an episode says how often its own draws are repeated."""
     if redraw is not None or typed.type.known is not Known.STEP or not contains_draw(typed):
-        period = redraw.period if redraw else None
-        if period is None:
-            return True
-        if expect_value(period, values.report(text), "the period") is None:
-            return False
-        low, high = period.type.interval.low, period.type.interval.high
-        if low >= 0.0 and high > 0.0:
-            return True
-        values.report(text)("DB105", period.start, period.end, f"a period that can be {low:g} s", "give more than 0")
-        return False
+        return redraw is None or redraw.period is None or _is_positive(redraw.period, text, values)
     help = "add `every 5 s` or `each step` to repeat the draw, or define the random value under `parameters`"
     values.add("DB407", text.span, "a random value combined with a value that changes within the episode", help)
+    return False
+
+
+def _is_positive(period: Typed, text: SourceText, values: ValueReader) -> bool:
+    if expect_value(period, values.report(text), "the period") is None:
+        return False
+    low, high = period.type.interval.low, period.type.interval.high
+    if low >= 0.0 and high > 0.0:
+        return True
+    values.report(text)("DB105", period.start, period.end, f"a period that can be {low:g} s", "give more than 0")
     return False
 
 
