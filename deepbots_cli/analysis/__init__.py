@@ -26,7 +26,7 @@ from deepbots_cli.expressions.types import Constant, Invocation, Known, Operatio
 from deepbots_cli.program import Program
 from deepbots_cli.program.resets import Placement
 from deepbots_cli.program.robots import Sensor
-from deepbots_cli.program.task import Ending, Goal
+from deepbots_cli.program.task import Goal
 from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import RobotBody
 from deepbots_cli.robots.model import Pose
@@ -73,7 +73,7 @@ class Analysis:
         """Objects that nothing touches."""
         self._roots = {f"{robot.name}.{robot.model.root}": robot.name for robot in program.world.robots}
         self._defined: dict[str, tuple[Expression, str]] = {value.name: (value, "") for value in (*program.parameters, *program.signals)}
-        self._defined |= {ending.value.name: (ending.value, "") for ending in program.endings}
+        self._defined |= {ending.name: (ending, "") for ending in program.endings}
         self._defined |= {f"{robot.name}.{value.name}": (value, robot.name) for robot in program.robots for value in robot.emit}
         if program.agent.goal is not None:
             self._defined |= {"achieved": (program.agent.goal.achieved, ""), "desired": (program.agent.goal.desired, "")}
@@ -109,7 +109,7 @@ class Analysis:
         return RewardTerms(self._self)
 
     @cached_property
-    def shadowed(self) -> Mapping[Ending, Ending]:
+    def shadowed(self) -> Mapping[Expression, Expression]:
         """Endings that have no effect, each with the ending that always holds first."""
         return shadowed_endings(self)
 

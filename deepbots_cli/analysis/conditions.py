@@ -11,7 +11,6 @@ from deepbots_cli.expressions.dimensions import Dimension
 from deepbots_cli.expressions.intervals import ALWAYS, INF, Interval
 from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Op, Scalar, State
 from deepbots_cli.expressions.types import Invocation, Known, Operation, Reference, Typed
-from deepbots_cli.program.task import Ending
 from deepbots_cli.program.values import Expression
 
 if TYPE_CHECKING:
@@ -149,19 +148,19 @@ def _solved(op: str, a: Scalar, b: Scalar, threshold: Threshold, ranges: Ranges)
     yield from _derived(Threshold(unknown, above, bound, dimension, threshold.now), ranges)
 
 
-def shadowed_endings(analysis: Analysis) -> Mapping[Ending, Ending]:
+def shadowed_endings(analysis: Analysis) -> Mapping[Expression, Expression]:
     """Endings that have no effect, each with the ending that always holds first: `abs(x) > 45 cm` after `abs(x) > 39 cm`.
 
     A failure has precedence over a success, so a failure behind a success still counts.
     """
-    program, ranges = analysis.program, analysis.ranges_in(0.0, INF)
-    own = [ending for ending in program.endings if ending.foreign is None and not ranges.of(analysis.scalars(ending.value)[0]).is_single]
-    found: dict[Ending, Ending] = {}
+    program, success, ranges = analysis.program, analysis.program.agent.success, analysis.ranges_in(0.0, INF)
+    own = [ending for ending in program.endings if ending.foreign is None and not ranges.of(analysis.scalars(ending)[0]).is_single]
+    found: dict[Expression, Expression] = {}
     for late in own if 1 < len(own) <= _MAX_ENDINGS else ():
-        others = [other for other in own if other is not late and late.outcome in (other.outcome, "success")]
-        if not others or has_choice(analysis, late.value):
+        others = [other for other in own if other is not late and (late.name in success or other.name not in success)]
+        if not others or has_choice(analysis, late):
             continue
-        for comparison in comparisons(analysis, late.value):
+        for comparison in comparisons(analysis, late):
             for threshold in thresholds(comparison, ranges):
                 if not threshold.now or not _is_gradual(analysis, threshold.quantity):
                     continue
@@ -169,7 +168,7 @@ def shadowed_endings(analysis: Analysis) -> Mapping[Ending, Ending]:
                 there = ranges.where(
                     analysis.identity(threshold.quantity), Interval(ahead, INF) if threshold.above else Interval(-INF, ahead)
                 )
-                first = next((other for other in others if there.of(analysis.scalars(other.value)[0]) == ALWAYS), None)
+                first = next((other for other in others if there.of(analysis.scalars(other)[0]) == ALWAYS), None)
                 if first is not None:
                     found.setdefault(late, first)
     return found

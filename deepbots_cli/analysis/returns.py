@@ -8,7 +8,6 @@ from deepbots_cli.analysis.ranges import Ranges
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, Interval
 from deepbots_cli.expressions.scalar import Scalar
-from deepbots_cli.program.task import Ending
 from deepbots_cli.program.values import Expression
 
 if TYPE_CHECKING:
@@ -30,7 +29,7 @@ class RewardTerms:
         self.is_complete = len(self.terms) == len(self.program.agent.reward)
         self._steps = (1.0, float(analysis.last_step))
         self._running: dict[tuple[float, float], Ranges] = {}
-        self._at: dict[Ending | None, Ranges] = {}
+        self._at: dict[Expression | None, Ranges] = {}
 
     def ranges_while_running(self, steps: tuple[float, float] | None = None) -> Ranges:
         """Ranges in a step after which the episode goes on."""
@@ -39,19 +38,19 @@ class RewardTerms:
             self._running[steps] = Ranges(self.analysis, self._end_flags_at(None, truncated=False), steps)
         return self._running[steps]
 
-    def ranges_at(self, ending: Ending | None) -> Ranges:
+    def ranges_at(self, ending: Expression | None) -> Ranges:
         """Ranges in the step in which this ending holds, and no other; None stands for the truncation."""
         if ending not in self._at:
             self._at[ending] = Ranges(self.analysis, self._end_flags_at(ending, truncated=ending is None), self._steps)
         return self._at[ending]
 
     @property
-    def endings_and_truncation(self) -> tuple[Ending | None, ...]:
+    def endings_and_truncation(self) -> tuple[Expression | None, ...]:
         """All endings, and None for the truncation."""
         return (*self.program.endings, None)
 
-    def _end_flags_at(self, ending: Ending | None, *, truncated: bool) -> dict[str, Interval]:
-        holds = {entry.value.name: entry is ending for entry in self.program.endings}
+    def _end_flags_at(self, ending: Expression | None, *, truncated: bool) -> dict[str, Interval]:
+        holds = {entry.name: entry is ending for entry in self.program.endings}
         holds |= {"terminated": ending is not None, "truncated": truncated, "ended": truncated or ending is not None}
         return {name: ALWAYS if held else NEVER for name, held in holds.items()}
 

@@ -73,8 +73,9 @@ def scenario_tables(scenario: Program, root: Node, run: Run | None = None) -> Ta
             "timing": timing(scenario),
             "reward": [{"term": term.name, "is": text_at(root, "reward", term.name)} for term in scenario.agent.reward],
             "endings": [
-                {"ending": ending.name, "outcome": ending.outcome, "when": text_at(root, "termination", ending.outcome, ending.name)}
+                {"ending": ending.name, "outcome": outcome, "when": text_at(root, "termination", outcome, ending.name)}
                 for ending in scenario.endings
+                for outcome in ["success" if ending.name in scenario.agent.success else "failure"]
             ],
             "reset": _reset(scenario, root),
             "cases": [{"case": case.name, "set": text_at(root, "evaluation", "cases", case.name, "set")} for case in scenario.cases],
@@ -208,7 +209,7 @@ def _run(run: Run) -> Row:
         **{name: result and getattr(result, name) for name in ("steps", "episodes", "mean_return", "best_return")},
         "success_rate": result.success_rate if result and run.program.defines_success else None,
         "best_model": str(best) if best.is_file() else None,
-        "solved": verdict if run.program.solved else "the scenario does not say what counts as solved",
+        "solved": verdict if run.program.agent.solved else "the scenario does not say what counts as solved",
         "notes": run.notes(),
     }
 
@@ -230,7 +231,7 @@ def _scenario(scenario: Program) -> Row:
         "max_steps": scenario.truncation.max_steps,
         "max_time_s": scenario.truncation.max_time,
         "copies": f"{copies.count} of {copies.robot}" if (copies := scenario.agent.copies) else None,
-        "solved": scenario.solved.description if scenario.solved else "",
+        "solved": scenario.agent.solved.description if scenario.agent.solved else "",
     }
 
 

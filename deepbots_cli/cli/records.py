@@ -19,7 +19,7 @@ from deepbots_cli.errors import RunError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.learning.episodes import DrawnBin, Interval, Summary
 from deepbots_cli.learning.report import to_json
-from deepbots_cli.learning.run import POLICY_NAME, EvaluationRecord, Run, TrainingResult, in_parentheses
+from deepbots_cli.learning.run import EvaluationRecord, Run, TrainingResult, in_parentheses
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.comparison import EngineDifference, GroupDifference, GroupResult
@@ -124,7 +124,7 @@ def training_text(result: TrainingResult) -> str:
     rows["stopped by"] = result.stopped_by and f"the callback {result.stopped_by}"
     rows["initialized from"] = result.initialized_from
     lines = [f"training {result.status}", row_as_lines(rows), *(f"note: {reason}" for reason in result.inexact)]
-    if result.stop_requested and (result.run / "models" / POLICY_NAME / "best.zip").is_file():  # not before the first checkpoint
+    if result.stop_requested and any(result.run.glob("models/*/best.zip")):  # not before the first checkpoint
         lines.append(f"evaluate the policy with: deepbots eval {quote(str(result.run))}")
     if result.interrupted:
         lines.append(f"the policy is kept; continue the training with: deepbots train --resume {quote(str(result.run))}")

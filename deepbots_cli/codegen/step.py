@@ -19,8 +19,8 @@ from deepbots_cli.codegen.workspace import SupervisorPrinter, zeros
 from deepbots_cli.expressions.lower import number_code
 from deepbots_cli.expressions.scalar import Const, Name, names_in
 from deepbots_cli.program.robots import Robot, Route
-from deepbots_cli.program.task import Ending, Observation, Option
-from deepbots_cli.program.values import Noise
+from deepbots_cli.program.task import Observation, Option
+from deepbots_cli.program.values import Expression, Noise
 
 _SUMMANDS = 100
 
@@ -97,7 +97,7 @@ def _zeroed(targets: list[str]) -> list[str]:
 
 
 def _terms(supervisor: SupervisorPrinter) -> list[str]:
-    return [f"self.term_{term.name}" for term in supervisor.scenario.agent.reward]
+    return [f"self.term_{term.name}" for term in supervisor.agent.reward]
 
 
 # Acting
@@ -175,7 +175,7 @@ def _print_decoding(supervisor: SupervisorPrinter, printer: Printer) -> None:
         printer.line(f"{targets_code(list(names.values()))} = self.ranges({ranged})")
         given |= names
     if supervisor.agent_action_read:
-        parts = [given[part.name] for part in supervisor.scenario.agent.action]
+        parts = [given[part.name] for part in supervisor.agent.action]
         whole = parts[0][1:] if len(parts) == 1 and parts[0][0] == "*" else tuple_code(parts)
         printer.line(f"{supervisor.local('previous_action')} = {whole}")
     for interval in supervisor.ranges:
@@ -285,7 +285,7 @@ def _start_memories_of_messages(supervisor: SupervisorPrinter) -> list[str]:
 
 def _print_goal(supervisor: SupervisorPrinter, printer: Printer) -> None:
     """Set `achieved`, `desired` and `goal_reached`: both as the policy sees them, so that a reward can be recomputed."""
-    goal = supervisor.scenario.agent.goal
+    goal = supervisor.agent.goal
     if goal is None:
         return
     achieved, desired = supervisor.local("achieved"), supervisor.local("desired")
@@ -334,14 +334,10 @@ def _print_endings(supervisor: SupervisorPrinter, printer: Printer) -> None:
     """Conditions in order of dependency; `ended_by` is the first in file order, failures before successes."""
     endings = supervisor.scenario.endings
     for ending in _after_what_they_use(endings):
-        code = (
-            printer.value(ending.value.scalar)
-            if ending.foreign is None
-            else f"{function_attribute(supervisor, 'ending', ending.name)}(self)"
-        )
-        printer.assign(supervisor.local(ending.name), code, ending.value.text)
-    failures = [ending for ending in endings if ending.outcome == "failure"]
-    successes = [ending for ending in endings if ending.outcome == "success"]
+        code = printer.value(ending.scalar) if ending.foreign is None else f"{function_attribute(supervisor, 'ending', ending.name)}(self)"
+        printer.assign(supervisor.local(ending.name), code, ending.text)
+    failures = [ending for ending in endings if ending.name in supervisor.scenario.failures]
+    successes = supervisor.scenario.successes
     if not printer.on_floats:
         _print_endings_of_batch(supervisor, printer, failures, successes)
         return
@@ -358,11 +354,13 @@ def _print_endings(supervisor: SupervisorPrinter, printer: Printer) -> None:
     if limit is not None:
         printer.line(f"{'elif' if endings else 'if'} {supervisor.tick} >= {limit[0]}:")
         printer.line(f"    self._truncate({quoted(limit[1])})")
-        if supervisor.scenario.agent.goal is not None and not successes:
+        if supervisor.agent.goal is not None and not successes:
             printer.line(f"    self.is_success = {supervisor.local('goal_reached')}")
 
 
-def _print_endings_of_batch(supervisor: SupervisorPrinter, printer: Printer, failures: list[Ending], successes: list[Ending]) -> None:
+def _print_endings_of_batch(
+    supervisor: SupervisorPrinter, printer: Printer, failures: Sequence[Expression], successes: Sequence[Expression]
+) -> None:
     """Print the endings of a batch, for each world by itself."""
     names = [supervisor.local(ending.name) for ending in [*failures, *successes]]
     if names:
@@ -375,7 +373,7 @@ def _print_endings_of_batch(supervisor: SupervisorPrinter, printer: Printer, fai
         printer.line(f"self._terminate({{{held}}}{success})")
     limit = _tick_limit(supervisor)
     if limit is not None:
-        reached_goal = f", {supervisor.local('goal_reached')}" if supervisor.scenario.agent.goal is not None and not successes else ""
+        reached_goal = f", {supervisor.local('goal_reached')}" if supervisor.agent.goal is not None and not successes else ""
         printer.line(f"self._truncate({quoted(limit[1])}, {supervisor.tick} >= {limit[0]}{reached_goal})")
 
 
@@ -391,13 +389,13 @@ def _tick_limit(supervisor: SupervisorPrinter) -> tuple[int, str] | None:
     return min(ticks) if ticks else None
 
 
-def _after_what_they_use(endings: tuple[Ending, ...]) -> list[Ending]:
+def _after_what_they_use(endings: tuple[Expression, ...]) -> list[Expression]:
     """Endings may name each other; the compiler has refused circles."""
     by_name = {ending.name: ending for ending in endings}
-    order: dict[str, Ending] = {}
+    order: dict[str, Expression] = {}
 
-    def add(ending: Ending) -> None:
-        for leaf in names_in(ending.value.scalar):
+    def add(ending: Expression) -> None:
+        for leaf in names_in(ending.scalar):
             if leaf.name in by_name and leaf.name not in order:
                 add(by_name[leaf.name])
         order[ending.name] = ending
@@ -410,7 +408,7 @@ def _after_what_they_use(endings: tuple[Ending, ...]) -> list[Ending]:
 
 def bind_foreign(supervisor: SupervisorPrinter) -> list[str]:
     """Statements that import the functions of Python which the scenario names."""
-    items = [("reward term", term.name, term.foreign, False) for term in supervisor.scenario.agent.reward]
+    items = [("reward term", term.name, term.foreign, False) for term in supervisor.agent.reward]
     items += [("ending", ending.name, ending.foreign, True) for ending in supervisor.scenario.endings]
     lines = []
     for what, name, function, truth in items:
@@ -430,7 +428,7 @@ def function_attribute(supervisor: SupervisorPrinter, what: str, name: str) -> s
 
 def _print_rewards(supervisor: SupervisorPrinter, printer: Printer) -> None:
     """The terms and their sum, but right after a reset; what they remember begins there."""
-    terms = supervisor.scenario.agent.reward
+    terms = supervisor.agent.reward
     for flag in ("terminated", "truncated"):
         if supervisor.uses(flag):
             printer.line(f"{supervisor.local(flag)} = self.{flag}")
@@ -465,13 +463,13 @@ def _print_rewards(supervisor: SupervisorPrinter, printer: Printer) -> None:
 
 def _print_observation(supervisor: SupervisorPrinter, printer: Printer) -> None:
     seen = []
-    for entry in supervisor.scenario.agent.observation:
-        if entry in supervisor.scenario.agent.images:
+    for entry in supervisor.agent.observation:
+        if entry in supervisor.agent.images:
             continue
         seen.append(_observed(supervisor, printer, entry))
     if seen:
         printer.line(f"self.set_observation({', '.join(seen)})")
-    for pictured in supervisor.scenario.agent.images:
+    for pictured in supervisor.agent.images:
         printer.line(f"self.frame_stacks[{quoted(pictured.key)}].frames[self.newest] = {printer.value(pictured.value.scalar)}")
 
 

@@ -80,7 +80,7 @@ def print_batch_supervisor(scenario: Program, constants: Constants) -> list[str]
     read = re.findall(r"""(?:self\.|")((?:parameter|due|std|last|present)_\w+)""", "\n".join(lines))
     kept = tuple(dict.fromkeys(read))
     tables = choice_tables(supervisor)
-    terms = tuple(term.name for term in scenario.agent.reward)
+    terms = tuple(term.name for term in supervisor.agent.reward)
     return fill_template(
         _BATCH_CLASS,
         name=class_name(scenario.name),
@@ -105,7 +105,7 @@ def print_supervisor(scenario: Program, constants: Constants) -> list[str]:
     asked = [*_allowed(supervisor), *_compute_reward(supervisor), *_between_steps(supervisor)]
     methods = [*begin_method(supervisor), *pushing, *start_method(supervisor), *acting, *observing]
     tables = choice_tables(supervisor)
-    terms = ", ".join(f"{quoted(term.name)}: self.term_{term.name}" for term in scenario.agent.reward)
+    terms = ", ".join(f"{quoted(term.name)}: self.term_{term.name}" for term in supervisor.agent.reward)
     info = '"is_success": self.is_success, "ended_by": self.ended_by, "endings": self.endings'
     return fill_template(
         _CLASS,
@@ -116,7 +116,7 @@ def print_supervisor(scenario: Program, constants: Constants) -> list[str]:
         methods=methods,
         seen=docstring(f"What the policy sees, float32 in [-1, 1]: {_observation_text(supervisor)}."),
         observation=_observation(supervisor),
-        summed=docstring(f"The sum of {sentence_list([term.name for term in scenario.agent.reward])}."),
+        summed=docstring(f"The sum of {sentence_list([term.name for term in supervisor.agent.reward])}."),
         ended=docstring(f"Whether {', and whether '.join(_ends(scenario))}."),
         terms=terms,
         info=info + (', "action_mask": self.action_mask()' if supervisor.forbids_options else "") + ', "reward_terms": terms',
@@ -148,19 +148,19 @@ def _bind(supervisor: SupervisorPrinter) -> list[str]:
 
 
 def _observation_text(supervisor: SupervisorPrinter) -> str:
-    histories = {entry.name: entry.history for entry in supervisor.scenario.agent.observation}
+    histories = {entry.name: entry.history for entry in supervisor.agent.observation}
     seen = sentence_list([name if many == 1 else f"{name} ({many} in a row)" for name, many in histories.items()])
-    seen += f"; {supervisor.scenario.agent.frame_stack} times in a row" if supervisor.scenario.agent.frame_stack > 1 else ""
-    return seen + ("; and what is achieved and desired" if supervisor.scenario.agent.goal is not None else "")
+    seen += f"; {supervisor.agent.frame_stack} times in a row" if supervisor.agent.frame_stack > 1 else ""
+    return seen + ("; and what is achieved and desired" if supervisor.agent.goal is not None else "")
 
 
 def _observation(supervisor: SupervisorPrinter) -> str:
     """The code of each part of an observation, under its key where there are several."""
-    scenario = supervisor.scenario
-    parts = {"observation": "self.seen()"} if scenario.agent.numbers or not scenario.agent.images else {}
-    parts |= {pictured.key: f"self.frame_stacks[{quoted(pictured.key)}].seen(self.newest)" for pictured in scenario.agent.images}
-    if scenario.agent.goal is not None:
-        size = len(scenario.agent.goal.low)
+    agent = supervisor.agent
+    parts = {"observation": "self.seen()"} if agent.numbers or not agent.images else {}
+    parts |= {pictured.key: f"self.frame_stacks[{quoted(pictured.key)}].seen(self.newest)" for pictured in agent.images}
+    if agent.goal is not None:
+        size = len(agent.goal.low)
         parts |= {"achieved_goal": f"self.goal[:{size}].copy()", "desired_goal": f"self.goal[{size}:].copy()"}
     if set(parts) == {"observation"}:
         return parts["observation"]
@@ -187,7 +187,7 @@ def _allowed(supervisor: SupervisorPrinter) -> list[str]:
 
 def _compute_reward(supervisor: SupervisorPrinter) -> list[str]:
     """The method that hindsight replay calls; nothing without a goal."""
-    if supervisor.scenario.agent.goal is None:
+    if supervisor.agent.goal is None:
         return []
     doc = docstring("The reward for other goals, as the policy sees them: arrays (n, k) or (k,).")
     head = "def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any = None) -> Any:"
@@ -199,7 +199,7 @@ def _compute_reward(supervisor: SupervisorPrinter) -> list[str]:
 
 def _between_steps(supervisor: SupervisorPrinter) -> list[str]:
     """Methods that read the values of the last timestep. They are called between two steps, on request only."""
-    lines = [line for script in supervisor.scenario.agent.scripts for line in _script(supervisor, script)]
+    lines = [line for script in supervisor.agent.scripts for line in _script(supervisor, script)]
     for test in supervisor.scenario.tests:
         asked = {"holds": (test.scalars, "Whether each condition"), "compared": (test.compared, "The compared values of the conditions")}
         for name, (scalars, said) in asked.items():
@@ -224,7 +224,7 @@ def _script(supervisor: SupervisorPrinter, script: Script) -> list[str]:
     """The method that computes the next action."""
     printer = _printer_after(supervisor, script.scalars)
     choices, ranges = [], []
-    for part, decided in zip(supervisor.scenario.agent.action, script.parts, strict=True):
+    for part, decided in zip(supervisor.agent.action, script.parts, strict=True):
         if isinstance(part, Choices) and isinstance(decided, ScriptedChoice):
             choices.append(_print_pick(supervisor, printer, part, decided))
         elif isinstance(part, ActionRange) and isinstance(decided, ScriptedRange):

@@ -213,7 +213,7 @@ class SupervisorPrinter:
     """
 
     def __init__(self, scenario: Program, constants: Constants, target: Target = SCALAR) -> None:
-        self.scenario = scenario
+        self.scenario, self.agent = scenario, scenario.agent
         self.target = target
         self.of_message: dict[str, str] = {}
         """For a batch: statements that draw a value for each message, by the method that holds each."""
@@ -222,16 +222,16 @@ class SupervisorPrinter:
         self.memories: dict[str, str] = {}
         self.begun_by_message: Container[tuple[str, str]] = ()
         self.readers = Readers(self.names, constants, root_links(scenario), on_columns=target is not SCALAR)
-        self.choices = [part for part in scenario.agent.action if isinstance(part, Choices)]
-        self.ranges = [part for part in scenario.agent.action if isinstance(part, ActionRange)]
+        self.choices = [part for part in self.agent.action if isinstance(part, Choices)]
+        self.ranges = [part for part in self.agent.action if isinstance(part, ActionRange)]
         evaluated: list[Scalar] = [value for entry in scenario.signals for value in entry.scalars]
-        evaluated += [ending.value.scalar for ending in scenario.endings]
-        evaluated += [term.scalar for term in scenario.agent.reward]
-        evaluated += [value for entry in scenario.agent.observation for value in entry.value.scalars]
+        evaluated += [ending.scalar for ending in scenario.endings]
+        evaluated += [term.scalar for term in self.agent.reward]
+        evaluated += [value for entry in self.agent.observation for value in entry.value.scalars]
         conditions = [option.forbidden.scalar for part in self.choices for option in part.options if option.forbidden is not None]
-        goal = scenario.agent.goal
+        goal = self.agent.goal
         evaluated += [*conditions, *((*goal.achieved.scalars, *goal.targets) if goal is not None else ())]
-        self.scripted = [value for script in scenario.agent.scripts for value in script.scalars]
+        self.scripted = [value for script in self.agent.scripts for value in script.scalars]
         self.scripted += [value for test in scenario.tests for value in (*test.scalars, *test.compared)]
         self.sent = [value for robot in scenario.robots for entry in robot.received for value in entry.scalars]
         self.forbids_options = bool(conditions)
@@ -243,7 +243,7 @@ class SupervisorPrinter:
         self._components = {entry.name: entry.components for entry in scenario.signals}
         self._components |= {f"{robot.name}.{entry.name}": entry.components for robot in scenario.robots for entry in robot.emitted}
         self._components |= {part.name: part.components for part in self.ranges}
-        self._components["previous_action"] = action_names(scenario.agent.action)
+        self._components["previous_action"] = action_names(self.agent.action)
         if goal is not None:
             self._components |= dict.fromkeys(("achieved", "desired"), goal.components)
 
@@ -255,12 +255,12 @@ class SupervisorPrinter:
     @property
     def has_history(self) -> bool:
         """Whether the policy sees more than the numbers of the last step."""
-        return self.scenario.agent.frame_stack > 1 or any(entry.history > 1 for entry in self.scenario.agent.observation)
+        return self.agent.frame_stack > 1 or any(entry.history > 1 for entry in self.agent.observation)
 
     @property
     def is_of_copy(self) -> bool:
         """Whether this is the supervisor of one copy among several, whose world goes on for all of them at once."""
-        return self.scenario.agent.copies is not None
+        return self.agent.copies is not None
 
     @property
     def tick(self) -> str:
@@ -275,7 +275,7 @@ class SupervisorPrinter:
     @property
     def variables(self) -> list[tuple[str, Sequence[str]]]:
         """The action variables, with their components."""
-        parts = self.scenario.agent.action
+        parts = self.agent.action
         return [(name, ()) if isinstance(part, Choices) else (name, part.components) for part in parts for name in _variables(part)]
 
     @property

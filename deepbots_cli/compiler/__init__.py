@@ -22,7 +22,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from deepbots_cli.compiler.controllers import RobotBuilder
+from deepbots_cli.compiler.controllers import RobotBuilder, commanded
 from deepbots_cli.compiler.episodes import (
     Parameters,
     Signals,
@@ -47,7 +47,7 @@ from deepbots_cli.diagnostics import Finding, Findings, TooManyFindings
 from deepbots_cli.document import Document
 from deepbots_cli.document.hints import number_fix
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import Agent, Evaluation, ScenarioTest, Truncation
+from deepbots_cli.program.task import ONLY_AGENT, Agent, Evaluation, ScenarioTest, Truncation
 from deepbots_cli.scenario.base import visit_values
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.validate import validate
@@ -142,15 +142,20 @@ def _program(namespace: Namespace) -> Program:
     robots = tuple(builder.finish(timestep, action, routes) for builder in builders)
     poses = {builder.robot.name: builder.poses for builder in builders}
     agent = Agent(
-        action,
-        Observations(namespace).entries(),
-        rewards,
-        goals.goal(rewards),
-        spec.agent.frame_stack,
-        each,
-        scripts(namespace, action),
-        training(namespace, action, each, limits.max_episode_steps(timestep * action_repeat) if limits != Truncation() else None),
+        name=ONLY_AGENT,
+        robots=(),
+        action=action,
+        observation=Observations(namespace).entries(),
+        reward=rewards,
+        success=tuple(spec.termination.success),
+        goal=goals.goal(rewards),
+        solved=solved(namespace),
+        frame_stack=spec.agent.frame_stack,
+        copies=each,
+        scripts=scripts(namespace, action),
+        training=training(namespace, action, each, limits.max_episode_steps(timestep * action_repeat) if limits != Truncation() else None),
     )
+    ordered = signals.ordered()  # as the observation, the reward and the goal have asked for them
     program = Program(
         name=spec.name,
         summary=spec.summary,
@@ -160,8 +165,8 @@ def _program(namespace: Namespace) -> Program:
         format=spec.messages.format,
         timing=spec.messages.timing,
         parameters=parameters.drawn(),
-        signals=signals.ordered(),
-        agents={"policy": replace(agent, action=actions.with_conditions(action))},
+        signals=ordered,
+        agents={agent.name: replace(agent, robots=tuple(commanded(robots, action, ordered)), action=actions.with_conditions(action))},
         endings=signals.endings(),
         truncation=limits,
         reset=replace(
@@ -171,7 +176,6 @@ def _program(namespace: Namespace) -> Program:
             variations=(*namespace.variations, *namespace.colours),
             groups=tuple(namespace.groups.values()),
         ),
-        solved=solved(namespace),
         action_repeat=action_repeat,
         evaluation=Evaluation(spec.evaluation.episodes),
         disturbances=disturbances(namespace),

@@ -25,7 +25,7 @@ from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import LENGTH, TIME, Dimension
 from deepbots_cli.expressions.intervals import Interval, single
-from deepbots_cli.expressions.types import Components, Context, Invocation, Known, Reference, Symbol, Type, walk
+from deepbots_cli.expressions.types import Components, Context, Invocation, Known, Reference, Symbol, Type, referenced_names, walk
 from deepbots_cli.program.resets import OfActuator
 from deepbots_cli.program.robots import Actuator, Cartesian, Command, CustomActuator, MessageField, Motor, Response, Robot, Route, Thrust
 from deepbots_cli.program.task import ActionPart, ActionRange
@@ -401,6 +401,17 @@ class RobotBuilder:
         if typed is None:
             return None
         return Command(driven.actuator, Expression(name, text.span, text.text, typed, f"{self.robot.name}.apply.{name}"), driven.opening)
+
+
+def commanded(robots: Iterable[Robot], action: Sequence[ActionPart], signals: Iterable[Expression]) -> Iterator[str]:
+    """The names of the robots whose messages depend on the action; the `signals` stand after those that they are made of."""
+    moved = {name for part in action for name in ([part.name] if isinstance(part, ActionRange) else part.variables)}
+    for signal in signals:
+        if moved.intersection(referenced_names(signal.typed)):
+            moved.add(signal.name)
+    for robot in robots:
+        if robot.variables or any(moved.intersection(referenced_names(value.typed)) for value in robot.receive):
+            yield robot.name
 
 
 def _used_variables(action: Sequence[ActionPart], commands: Iterable[Command], received: Container[str]) -> Iterator[MessageField]:

@@ -35,7 +35,7 @@ from deepbots_cli.expressions.unification import expect_value
 from deepbots_cli.program import Program
 from deepbots_cli.program.resets import Disturbance, JointStart, Layout, Placement, Reset
 from deepbots_cli.program.robots import Direction, Robot, Route
-from deepbots_cli.program.task import Ending, Outcome, Solved, Truncation
+from deepbots_cli.program.task import Solved, Truncation
 from deepbots_cli.program.values import Expression, Foreign
 from deepbots_cli.program.world import MAX_SETTLING_STEPS, ObjectBody, WorldModel
 from deepbots_cli.scenario.fields import Quantity, choices_help
@@ -363,19 +363,14 @@ class Signals(NamespaceReader):
             self._define(name, given, Origin.SIGNAL, ("signals", name), Context.SIGNAL)
         if not isinstance(spec.augment, dict):
             self._check_augmented(spec.augment)
-        self._outcomes: dict[str, Outcome] = {}
-        outcomes: tuple[tuple[Outcome, dict[str, str | PythonTerm]], ...] = (
-            ("success", spec.termination.success),
-            ("failure", spec.termination.failure),
-        )
+        outcomes = {"success": spec.termination.success, "failure": spec.termination.failure}
         if len(spec.termination.success) + len(spec.termination.failure) > MAX_ENDINGS:
             self._values.add_at_key("DB005", ("termination",), f"more than {MAX_ENDINGS} endings", "join conditions with `or`")
             for name in (*spec.termination.success, *spec.termination.failure):
                 self._values.mark_invalid(name)
-            outcomes = ()
-        for outcome, conditions in outcomes:
+            outcomes = {}
+        for outcome, conditions in outcomes.items():
             for name, condition in conditions.items():
-                self._outcomes[name] = outcome
                 self._define(name, condition, Origin.ENDING, ("termination", outcome, name), Context.ENDING)
 
     def _check_augmented(self, names: Sequence[str]) -> None:
@@ -411,11 +406,12 @@ class Signals(NamespaceReader):
         wanted = (Origin.AUGMENT, Origin.SIGNAL)
         return tuple(self.valued[name] for name in self._namespace.order if name in self.valued and self._namespace.origin(name) in wanted)
 
-    def endings(self) -> tuple[Ending, ...]:
-        """The endings in file order."""
-        for name in self._outcomes:
+    def endings(self) -> tuple[Expression, ...]:
+        """The endings, successes first, each kind in file order."""
+        names = self._namespace.names_of(Origin.ENDING)
+        for name in names:
             self._namespace.resolve(name)
-        return tuple(Ending(self.valued[name], outcome) for name, outcome in self._outcomes.items() if name in self.valued)
+        return tuple(self.valued[name] for name in names if name in self.valued)
 
 
 def reward_terms(namespace: Namespace) -> tuple[Expression, ...]:

@@ -27,7 +27,7 @@ from deepbots_cli.learning.verdict import RunVerdict, run_verdict
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import ActionRange, Choices, ObservedValue
 
-FORMAT = 2
+FORMAT = 3
 CARD_NAME = "card.json"
 GRAPH_FILES = ("policy.onnx", "policy_si.onnx")
 _MAX_CARD_BYTES = 10_000_000
@@ -80,7 +80,7 @@ class Card(BaseModel):
     """Layers and units of a recurrent policy."""
     result: EvaluationRecord | None
     solved: bool | None = None
-    interface: Mapping[str, str]
+    interface: Mapping[str, Mapping[str, str]]
     files: Mapping[str, str]
     versions: Mapping[str, str]
 
@@ -108,7 +108,7 @@ def bundle_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
     graphs = export.networks(model, run.program)
     verdict = run_verdict(run.path, run.record) if name == "best" else RunVerdict(None, None)
     program, record, lstm = run.program, run.record, getattr(model.policy, "lstm_actor", None)
-    space: Any = observation_space(program)
+    space: Any = observation_space(program.agent)
     masks = [f"{part.name}: {option.name}" for part in program.agent.action if isinstance(part, Choices) for option in part.options]
     card = Card(
         format=FORMAT,

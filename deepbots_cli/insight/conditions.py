@@ -17,7 +17,7 @@ from deepbots_cli.expressions.check import COMPARISONS
 from deepbots_cli.expressions.scalar import is_drawn, names_in
 from deepbots_cli.expressions.types import Invocation, Operation, Reference, Typed
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import Ending, Goal
+from deepbots_cli.program.task import Goal
 from deepbots_cli.program.values import Expression
 from deepbots_cli.runtime import Supervisor
 
@@ -124,13 +124,13 @@ class _ConditionBuilder:
         self.probes: dict[str, Expression] = {}
         self._program = program
         self._named: dict[str, Expression] = {signal.name: signal for signal in program.signals}
-        self._named |= {ending.name: ending.value for ending in program.endings if ending.foreign is None}
+        self._named |= {ending.name: ending for ending in program.endings if ending.foreign is None}
 
-    def ending_condition(self, ending: Ending) -> Condition | None:
+    def ending_condition(self, ending: Expression) -> Condition | None:
         if ending.foreign is not None:
             return None
         try:
-            return self._condition(ending.value.typed, ending.value, negated=False)
+            return self._condition(ending.typed, ending, negated=False)
         except _UnmeasuredError:
             return None
 

@@ -78,7 +78,7 @@ def diagnose(training: TrainingEvidence) -> list[Statement]:
         return []
     causes = CAUSES
     if learned:  # starts that fail are of interest where the scenario does not say how many may
-        starts = (some_starts_fail,) if training.run.program.solved is None else ()
+        starts = (some_starts_fail,) if training.run.program.agent.solved is None else ()
         causes = (*starts, *((exploration_too_large,) if learned == "evaluated" else ()))
     found = sorted(statements_about(causes, training), key=lambda each: -each.evidence["likelihood"])
     unlikely = [statement for statement in found if statement.evidence["likelihood"] < _CERTAIN_SHARE]
@@ -92,7 +92,7 @@ def has_learned(t: TrainingEvidence) -> Literal["exploring", "evaluated"] | None
     The task is the scenario itself, or the last stage of its curriculum. The task is not learned if an evaluation after the training
     excludes it. In a scenario without `solved`, the task is learned from a success rate of 80 % on.
     """
-    solved, succeeds = t.run.program.solved, t.run.program.defines_success
+    solved, succeeds = t.run.program.agent.solved, t.run.program.defines_success
     required = 0.8 if solved is None else solved.success_rate or 0.0
 
     def suffices(successes: Sequence[float]) -> bool:

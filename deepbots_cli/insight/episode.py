@@ -168,7 +168,7 @@ def conditions(trace: Trace) -> Numbers | None:
 def _missed(trace: Trace) -> tuple[str, Condition | None]:
     """The first success with a bound that an episode without a success missed, and its condition."""
     if trace.outcome not in ("success", "error"):
-        for name in [*(each.name for each in trace.program.endings if each.outcome == "success"), "goal_reached"]:
+        for name in (*trace.program.agent.success, "goal_reached"):
             condition = trace.instrumented.conditions.get(name)
             if condition is not None and any(leaf.bound is not None for leaf in comparisons_in(condition)):
                 return name, condition

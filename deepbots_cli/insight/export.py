@@ -149,7 +149,7 @@ def _graph(model: BaseAlgorithm, program: Program, *, si: bool) -> bytes:
         value = graph.layers(head.actor.mu, features)
     else:
         raise UsageError(f"policies of {type(model).__name__} cannot be exported")
-    space = action_space(program)
+    space = action_space(program.agent)
     if isinstance(space, spaces.Box):
         _ranges(graph, value, program, si=si)
     else:
@@ -166,7 +166,7 @@ def _graph(model: BaseAlgorithm, program: Program, *, si: bool) -> bytes:
 
 def _features(graph: _Graph, model: BaseAlgorithm, program: Program, *, si: bool) -> str:
     """What the networks begin with: the observation, or the parts of a Dict in the order of the space."""
-    space = observation_space(program)
+    space = observation_space(program.agent)
     seen: Any = model.policy.observation_space
     parts: Mapping[str, Any] = space.spaces if isinstance(space, spaces.Dict) else {"observation": space}
     values = []
@@ -270,7 +270,7 @@ def largest_difference(
     Args:
         run: Runs the graph; by default the slow reference of onnx does.
     """
-    random, space = np.random.default_rng(0), observation_space(program)
+    random, space = np.random.default_rng(0), observation_space(program.agent)
     if run is None and program.agent.images:
         count = min(count, 50)
     rows = batch_space(space, count)

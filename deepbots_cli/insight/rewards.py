@@ -133,8 +133,8 @@ def loitering(t: TrainingEvidence) -> Numbers | None:
 
 def _stays_near(trace: Trace) -> bool:
     """Whether an episode came near to a success and stayed there: a comparison that was missing at its start is not far from holding."""
-    for ending in trace.program.endings:
-        condition = trace.instrumented.conditions.get(ending.name) if ending.outcome == "success" else None
+    for name in trace.program.agent.success:
+        condition = trace.instrumented.conditions.get(name)
         for outer in comparisons_in(condition) if condition is not None else ():
             for leaf in comparisons_in(outer.lasting) if outer.lasting is not None else (outer,):
                 past = [measure(leaf, values) for values in trace.values]

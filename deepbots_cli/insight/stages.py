@@ -323,7 +323,7 @@ def success_never_seen(t: TrainingEvidence) -> Numbers | None:
     if not t.program.defines_success or len(t.episodes) < MIN_EPISODES or not is_rare(t):
         return None
     flat, count = float(np.ptp(t.episodes.returns)) < 1e-9, int(t.episodes.successes.sum())
-    names = [ending.name for ending in t.program.endings if ending.outcome == "success"] or ["goal_reached"]
+    names = t.program.agent.success or ("goal_reached",)
     late = {term.name: t.curve(f"reward/{term.name}") for term in t.program.agent.reward}
     paid = {name: max(0.0, float(curve[-max(1, len(curve) // 4) :].mean())) for name, curve in late.items() if len(curve)}
     name, whole = max(paid, key=lambda each: paid[each], default=""), sum(paid.values())

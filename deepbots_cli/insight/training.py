@@ -200,7 +200,7 @@ class TrainingEvidence:
     @property
     def solved(self) -> bool:
         """Whether the policy solves the task, as `run_verdict` says; before its evaluation also by those during the last stage."""
-        solved = self.run.program.solved
+        solved = self.run.program.agent.solved
         if solved is None or self.final_episodes or self.verdict.solved:
             return bool(self.verdict.solved)
         means = [(fmean(each["returns"]), fmean(each["successes"])) for each in self.evaluations if self.is_last_stage]

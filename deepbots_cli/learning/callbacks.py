@@ -402,5 +402,5 @@ def check_finite(model: BaseAlgorithm, run: Run, steps: int) -> None:
     if name is not None:
         raise RunError(
             f"the training diverged: '{name}' is no longer finite after {steps:,} steps; "
-            f"the last good model is kept in {run.models}; a lower learning rate or smaller rewards may help"
+            f"the last good model is kept in {run.model('last').parent}; a lower learning rate or smaller rewards may help"
         )

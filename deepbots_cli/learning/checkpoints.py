@@ -177,7 +177,7 @@ class Checkpoints:
         """Keep the model at equal distances of steps, as many as `--keep-checkpoints` asks for."""
         steps, count = model.num_timesteps, self.run.record.keep_checkpoints
         if count and steps * count // self.callback.total > self._previous * count // self.callback.total:
-            models.save(self.run.models / f"step-{steps:09d}.zip", model)
+            models.save(self.run.model(f"step-{steps:09d}"), model)
         self._previous = steps
 
     def save(self, model: BaseAlgorithm) -> None:
@@ -206,7 +206,7 @@ class Checkpoints:
             for name in ("last", "best") if self.callback.best is None else ("last",):
                 shutil.copyfile(folder / "model.zip", copy)
                 _flush(copy)
-                os.replace(copy, self.run.models / f"{name}.zip")
+                os.replace(copy, self.run.model(name))
             whole = self.run.checkpoints / f"{steps:012d}"
             shutil.rmtree(whole, ignore_errors=True)
             folder.rename(whole)  # from here on it counts

@@ -59,14 +59,14 @@ StopCondition = Callable[[Sequence[Episode]], bool]
 class EvaluationResult(Summary):
     """What a policy did in held-out episodes: their summary, the circumstances, and the episodes themselves.
 
-    `engine` is None for worlds that `build` made. `model` is `best` or `last`, or the name of a baseline: `random`, `zero`, `script
-    NAME`. `case` and `stage` are None for the scenario itself. `elsewhere` names the scenario where it is not that of the training, `set`
-    are the assignments of `--set` to it, and `digest` is its digest. `circumstances` puts in words what differs from an evaluation of the
-    best model in the scenario of the training. `planned` is the number of episodes that were asked for: more than `episodes` where a
-    requirement stopped the evaluation. `solved` is None where the scenario says nothing, or asks for more episodes (`required_episodes`)
-    than there were; `verdict` puts it in words. `return_bounds` are the least and the largest possible return of an episode where rewards
-    and time limit imply them, at which intervals are cut. `outcomes` are the episodes, in the order of their seeds. Where the scenario
-    defines no success (`success_defined`), the success rate is 0 and means nothing.
+    `engine` is None for worlds that `build` made. `agent` names the agent whose return it is. `model` is `best` or `last`, or the name of
+    a baseline: `random`, `zero`, `script NAME`. `case` and `stage` are None for the scenario itself. `elsewhere` names the scenario where
+    it is not that of the training, `set` are the assignments of `--set` to it, and `digest` is its digest. `circumstances` puts in words
+    what differs from an evaluation of the best model in the scenario of the training. `planned` is the number of episodes that were asked
+    for: more than `episodes` where a requirement stopped the evaluation. `solved` is None where the scenario says nothing, or asks for
+    more episodes (`required_episodes`) than there were; `verdict` puts it in words. `return_bounds` are the least and the largest
+    possible return of an episode where rewards and time limit imply them, at which intervals are cut. `outcomes` are the episodes, in the
+    order of their seeds. Where the scenario defines no success (`success_defined`), the success rate is 0 and means nothing.
     """
 
     run: Path
@@ -77,6 +77,7 @@ class EvaluationResult(Summary):
     elsewhere: str | None
     set: tuple[str, ...]
     digest: str
+    agent: str
     model: str
     seed: int
     planned: int
@@ -240,7 +241,7 @@ def evaluate_cases(
 
 
 def load_model(run: Run, name: ModelName, world: World) -> BaseAlgorithm:
-    """The model of a run, rebuilt from its scenario for the spaces of `world`, with the weights of `models/policy/<name>.zip`.
+    """The model of a run, rebuilt from its scenario for the spaces of `world`, with the weights of `models/agent/<name>.zip`.
 
     Raises:
         RunError: The file is missing, damaged, or fits another policy.
@@ -300,7 +301,7 @@ def _result(
     """What these episodes come to. `judged` is a scenario in the place of that of the run, and `program` its case or stage."""
     low, high = possible_returns(program) if engine else UNBOUNDED  # a world of the caller may pay anything
     found = statistics_of(done, (low, high))
-    solved, verdict = solved_verdict(program.solved, found["episodes"], found["mean_return"], found["success_rate"])
+    solved, verdict = solved_verdict(program.agent.solved, found["episodes"], found["mean_return"], found["success_rate"])
     digest = (judged or run).digest
     elsewhere, overrides = (None, ()) if judged is None or digest == run.record.digest else _elsewhere(run, judged, engine)
     differences = circumstances(
@@ -328,8 +329,9 @@ def _result(
         elsewhere=elsewhere,
         set=overrides,
         digest=digest,
+        agent=program.agent.name,
         planned=planned,
-        required_episodes=program.solved.episodes if program.solved else None,
+        required_episodes=program.agent.solved.episodes if program.agent.solved else None,
         deterministic=deterministic,
         notes=(*run.notes(), *identity.timing_differences(run.program, program)),
         outcomes=tuple(done),

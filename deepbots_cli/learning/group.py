@@ -27,7 +27,6 @@ from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.learning.report import Reporter
 from deepbots_cli.learning.run import (
     GROUP_RECORD_NAME,
-    POLICY_NAME,
     RECORD_NAME,
     RecordFormat,
     RunRecord,
@@ -119,7 +118,7 @@ class Group:
     @property
     def runs_with_model(self) -> list[Path]:
         """The folders of the runs that have a model."""
-        return [run for run in self.runs if (run / "models" / POLICY_NAME / "best.zip").is_file()]
+        return [run for run in self.runs if any(run.glob("models/*/best.zip"))]
 
 
 def is_group(path: Path) -> bool:

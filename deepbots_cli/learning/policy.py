@@ -49,7 +49,7 @@ class Policy:
 
     def __init__(self, program: Program, model: BaseAlgorithm) -> None:
         self.scenario = program.name
-        self.observation_space, self.action_space = observation_space(program), action_space(program)
+        self.observation_space, self.action_space = observation_space(program.agent), action_space(program.agent)
         self.observation = program.agent.inputs
         self.goal = program.agent.goal.values if program.agent.goal else ()
         self._observer = Observer(program)
@@ -154,7 +154,7 @@ class _Spaces(gym.Env[Any, Any]):
     """The spaces of a scenario, without a world."""
 
     def __init__(self, program: Program) -> None:
-        self.observation_space, self.action_space = observation_space(program), action_space(program)
+        self.observation_space, self.action_space = observation_space(program.agent), action_space(program.agent)
 
 
 def _values(part: Choices | ActionRange) -> list[ActionValue]:

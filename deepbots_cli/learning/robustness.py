@@ -220,7 +220,7 @@ def _level(label: str, result: EvaluationResult, metric: Metric, bar: float) -> 
 
 def _bar(program: Program, nominal: EvaluationResult, min_success: float | None, min_return: float | None) -> tuple[Metric, float, str]:
     """The metric, its bar, and where the bar comes from."""
-    solved = program.solved
+    solved = program.agent.solved
     if min_return is not None:
         return "mean_return", min_return, "given"
     if min_success is not None:

@@ -7,7 +7,7 @@
     ├── environment.py       the generated code, to read; it is never run from here
     ├── monitor.csv          a line per episode
     ├── tensorboard/
-    ├── models/policy/       best.zip, last.zip: models of Stable-Baselines3; step-000020000.zip with --keep-checkpoints
+    ├── models/agent/        best.zip, last.zip: models of Stable-Baselines3; step-000020000.zip with --keep-checkpoints
     ├── evaluations/         training.jsonl, and a file for each later evaluation, with its episodes
     ├── logs/                what callbacks and loggers append
     └── checkpoints/         what a resumed training goes on from
@@ -41,16 +41,15 @@ from deepbots_cli.files import atomic_write, unwritable_message
 from deepbots_cli.learning.curriculum import CompletedStage
 from deepbots_cli.learning.episodes import SolvedAt
 from deepbots_cli.program import Program, identity
+from deepbots_cli.program.task import ONLY_AGENT
 from deepbots_cli.rollout import Episode
 
-FORMAT = 3
+FORMAT = 4
 """Of the run directory as a whole; raised when an older deepbots could no longer read it."""
 
 RECORD_NAME = "run.json"
 GROUP_RECORD_NAME = "group.json"
 """The record of a folder with runs of several seeds (`group.py`)."""
-POLICY_NAME = "policy"
-"""The name of the one policy of a scenario."""
 ModelName = Literal["best", "last"]
 Status = Literal["running", "finished", "interrupted", "failed"]
 M = TypeVar("M", bound=BaseModel)
@@ -126,7 +125,7 @@ class TrainingOptions(TypedDict, total=False):
 class RunRecord(BaseModel):
     """The content of `run.json`: who trained what, when, from which inputs, with which versions, and how it went.
 
-    Digests are SHA-256 in hexadecimal. `interface` is what the policy and the world have agreed on, item by item
+    Digests are SHA-256 in hexadecimal. `interface` is what each policy and the world have agreed on, by agent and item
     (`deepbots_cli.program.identity`). `first_stage` is the stage of the curriculum that the training began in, where it was not the first.
     """
 
@@ -138,7 +137,7 @@ class RunRecord(BaseModel):
     scenario: str
     source: str
     digest: str
-    interface: Mapping[str, str]
+    interface: Mapping[str, Mapping[str, str]]
     inputs: Mapping[str, str]
     engine: str
     seed: int = Field(ge=0, lt=2**63)
@@ -240,15 +239,11 @@ class Run:
         return self.path / "tensorboard"
 
     @property
-    def models(self) -> Path:
-        return self.path / "models" / POLICY_NAME
-
-    @property
     def evaluations(self) -> Path:
         return self.path / "evaluations"
 
-    def model(self, name: ModelName) -> Path:
-        return self.models / f"{name}.zip"
+    def model(self, name: str, agent: str = ONLY_AGENT) -> Path:
+        return self.path / "models" / agent / f"{name}.zip"
 
     def engine_for(self, program: Program) -> str:
         """The engine to evaluate in: that of `program` if it names another than the run's scenario, else the engine of the training."""
@@ -287,7 +282,7 @@ class Run:
         If this fails, the directory is removed.
         """
         try:
-            for folder in (f"models/{POLICY_NAME}", "tensorboard", "evaluations", "checkpoints"):
+            for folder in (*(f"models/{name}" for name in compiled.program.agents), "tensorboard", "evaluations", "checkpoints"):
                 (path / folder).mkdir(parents=True)
             write_copies(path, compiled.resolved, compiled.inputs)
             write_text(path / "environment.py", compiled.code)
@@ -332,6 +327,7 @@ class EvaluationRecord(BaseModel):
     model_config = ConfigDict(frozen=True)
 
     evaluated: str
+    agent: str = ONLY_AGENT
     model: str
     case: str | None = None
     stage: str | None = None

@@ -226,7 +226,7 @@ def resume(
 
 def _initial(run: Run) -> Path:
     """The model that the training begins with, where it is another's."""
-    return run.models / "initial.zip"
+    return run.model("initial")
 
 
 def _has_learned(run: Run) -> bool:
@@ -278,7 +278,7 @@ def _learn(
     A resumed run has its record of `before` in the end if nothing was learned.
     """
     began = time.perf_counter()
-    statistics, curriculum = Statistics(run.program.period, run.program.solved), Curriculum(run.program, run.record.first_stage)
+    statistics, curriculum = Statistics(run.program.period, run.program.agent.solved), Curriculum(run.program, run.record.first_stage)
     if checkpoints.state is not None:
         with damage_explained(run, latest_checkpoint(run)):
             curriculum.restore(checkpoints.state.curriculum)

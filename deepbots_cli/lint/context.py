@@ -181,7 +181,7 @@ class Simulation(RuleContext):
             section: Section = "observation" if value.name in seen else "reward" if value.name in paid else "other"
             yield _identifier(value.name), (value, section)
         for ending in program.endings:
-            yield _identifier(ending.value.name), (ending.value, "other")
+            yield _identifier(ending.name), (ending, "other")
 
     def _names_behind(self, values: Iterable[Expression]) -> set[str]:
         analysis = self.analysis.ideal

@@ -20,7 +20,7 @@ from deepbots_cli.expressions.types import referenced_names
 from deepbots_cli.lint.context import RuleContext, Simulation
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Thrust
-from deepbots_cli.program.task import Ending, ExpectedResult, ScenarioTest
+from deepbots_cli.program.task import ExpectedResult, ScenarioTest
 from deepbots_cli.program.values import Expression
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, RobotModel, Shape, Sphere
 
@@ -48,35 +48,35 @@ def never_true(context: RuleContext) -> Iterator[Finding]:
         termination: {failure: {fallen: abs(cart.pole_angle) > 15 deg}}
     """
     silent = [
-        {ending.value.name for ending in analysis.program.endings if _truth_over_episode(analysis, ending) == NEVER}
+        {ending.name for ending in analysis.program.endings if _truth_over_episode(analysis, ending) == NEVER}
         for analysis in context.versions
     ]
     for ending in context.program.endings:
-        if all(ending.value.name in names for names in silent):
-            headline = f"`{ending.value.name}` can never hold"
+        if all(ending.name in names for names in silent):
+            headline = f"`{ending.name}` can never hold"
             notes = tuple(_reasons(context.analysis, ending))
-            yield Finding("DB801", ending.value.span, headline, "correct the condition, or remove the ending", notes=notes)
-        elif own := [] if ending.foreign else context.analysis.own_contacts(context.analysis.scalars(ending.value)[0]):
+            yield Finding("DB801", ending.span, headline, "correct the condition, or remove the ending", notes=notes)
+        elif own := [] if ending.foreign else context.analysis.own_contacts(context.analysis.scalars(ending)[0]):
             headline = f"`{own[0]}` is never true: links of one robot do not touch each other"
-            yield Finding("DB801", ending.value.span, headline, "compare `clearance(...)` of the two links with a distance")
+            yield Finding("DB801", ending.span, headline, "compare `clearance(...)` of the two links with a distance")
 
 
-def _truth_over_episode(analysis: Analysis, ending: Ending) -> Interval:
+def _truth_over_episode(analysis: Analysis, ending: Expression) -> Interval:
     """Whether an ending holds in an episode without time limit; 0 .. 1 where that depends."""
-    return TRUTH if ending.foreign else analysis.ranges_in(0.0, INF).of(analysis.scalars(ending.value)[0])
+    return TRUTH if ending.foreign else analysis.ranges_in(0.0, INF).of(analysis.scalars(ending)[0])
 
 
-def _reasons(analysis: Analysis, ending: Ending) -> Iterator[str]:
+def _reasons(analysis: Analysis, ending: Expression) -> Iterator[str]:
     """Comparisons that never hold, with the ranges of their sides; or why the parts never hold together."""
     ranges = analysis.ranges_in(0.0, INF)
     never = [
         entry
-        for entry in comparisons(analysis, ending.value)
+        for entry in comparisons(analysis, ending)
         if all(ranges.of(part) == NEVER for part in analysis.lowered(entry.node, entry.value.owner))
     ]
     for entry in never:
         yield from (f"`{text}` is {words}" for text, known, words in _sides(entry, ranges) if known.low > -INF or known.high < INF)
-    (node,) = analysis.scalars(ending.value)
+    (node,) = analysis.scalars(ending)
     touched = (
         part for part in analysis.walk_definitions(node) if isinstance(part, EngineRead) and part.function in ("contact", "collided")
     )
@@ -107,8 +107,8 @@ def always_true(context: RuleContext) -> Iterator[Finding]:
     """
     for ending in context.program.endings:
         if _truth_over_episode(context.analysis, ending) == ALWAYS:
-            headline = f"`{ending.value.name}` holds in every step"
-            yield Finding("DB802", ending.value.span, headline, "write a condition that does not always hold")
+            headline = f"`{ending.name}` holds in every step"
+            yield Finding("DB802", ending.span, headline, "write a condition that does not always hold")
 
 
 def shadowed_limit(context: RuleContext) -> Iterator[Finding]:
@@ -133,18 +133,18 @@ def shadowed_limit(context: RuleContext) -> Iterator[Finding]:
     for ending in context.program.endings:
         if _truth_over_episode(analysis, ending).is_single or ending.foreign:
             continue  # DB801, DB802
-        (node,) = analysis.scalars(ending.value)
+        (node,) = analysis.scalars(ending)
         limit = f"the truncation at step {last}"
         if _with_return(analysis, 0, last).of(node) == NEVER:
-            headline, what = f"`{ending.value.name}` cannot hold before {limit}", "the truncation"
+            headline, what = f"`{ending.name}` cannot hold before {limit}", "the truncation"
             help = "raise the limit under `truncation`, or remove the ending"
         elif not _leaves(analysis, node) <= _CLOCK_NAMES and last > 1 and _with_return(analysis, last - 1, last - 1).of(node) == ALWAYS:
-            headline, what = f"`{ending.value.name}` ends every episode before {limit}", "never reached"
+            headline, what = f"`{ending.name}` ends every episode before {limit}", "never reached"
             help = "remove this ending: `truncation` ends the episode, and the section `solved` defines a good result"
         else:
             continue
         also = (Label(context.values.key_span(("truncation",)), what),)
-        yield Finding("DB804", ending.value.span, headline, help, labels=also)
+        yield Finding("DB804", ending.span, headline, help, labels=also)
 
 
 def _with_return(analysis: Analysis, first: int, last: int) -> Ranges:
@@ -180,13 +180,13 @@ def _later(program: Program) -> str:
 
 def _later_ending(context: RuleContext) -> Iterator[Finding]:
     """Endings that come too late in every case and every stage."""
-    found = context.analysis.shadowed
-    later = [{late.value.name for late in analysis.shadowed} for analysis in context.versions] if found else []
+    found, failures = context.analysis.shadowed, context.program.failures
+    later = [{late.name for late in analysis.shadowed} for analysis in context.versions] if found else []
     for late, first in found.items():
-        if all(late.value.name in names for names in later):
-            headline = f"`{late.value.name}` has no effect: `{first.value.name}` always ends the episode first"
-            help = "write a limit that is reached first" if late.outcome != first.outcome else "remove one of the two"
-            yield Finding("DB804", late.value.span, headline, help, labels=(Label(first.value.span, "ends the episode first"),))
+        if all(late.name in names for names in later):
+            headline = f"`{late.name}` has no effect: `{first.name}` always ends the episode first"
+            help = "write a limit that is reached first" if (late.name in failures) != (first.name in failures) else "remove one of the two"
+            yield Finding("DB804", late.span, headline, help, labels=(Label(first.span, "ends the episode first"),))
 
 
 def _leaves(analysis: Analysis, node: Scalar) -> set[str]:
@@ -217,11 +217,11 @@ def timeout_as_termination(context: RuleContext) -> Iterator[Finding]:
         name for entry in context.program.agent.observation for node in analysis.scalars(entry.value) for name in _leaves(analysis, node)
     }
     for ending in context.program.endings if not shown & _CLOCK_NAMES else ():
-        names = _leaves(analysis, analysis.scalars(ending.value)[0]) if ending.foreign is None else set()
-        if names and names <= _CLOCK_NAMES and not analysis.ranges.of(analysis.scalars(ending.value)[0]).is_single:
-            headline = f"`{ending.value.name}` depends only on the time, which the policy does not observe"
+        names = _leaves(analysis, analysis.scalars(ending)[0]) if ending.foreign is None else set()
+        if names and names <= _CLOCK_NAMES and not analysis.ranges.of(analysis.scalars(ending)[0]).is_single:
+            headline = f"`{ending.name}` depends only on the time, which the policy does not observe"
             kept = " or ".join(f"`{'max_time: 5 s' if name == 'time' else 'max_steps: 200'}`" for name in sorted(names))
-            yield Finding("DB805", ending.value.span, headline, f"limit the episode under `truncation`: {kept}")
+            yield Finding("DB805", ending.span, headline, f"limit the episode under `truncation`: {kept}")
 
 
 def ends_at_reset(context: RuleContext) -> Iterator[Finding]:
@@ -237,22 +237,22 @@ def ends_at_reset(context: RuleContext) -> Iterator[Finding]:
     """
     analysis, start = context.analysis, context.analysis.start
     for ending in context.program.endings:
-        if ending.foreign is None and start.of(analysis.scalars(ending.value)[0]) == ALWAYS != _truth_over_episode(analysis, ending):
-            sides = [side for entry in comparisons(analysis, ending.value) for side in _sides(entry, start)]
+        if ending.foreign is None and start.of(analysis.scalars(ending)[0]) == ALWAYS != _truth_over_episode(analysis, ending):
+            sides = [side for entry in comparisons(analysis, ending) for side in _sides(entry, start)]
             notes = tuple(f"`{text}` begins {words}" for text, known, words in sides if known.is_finite)
             help = "change the initial state under `reset`, widen the limit, or reverse the comparison"
-            yield Finding("DB806", ending.value.span, f"`{ending.value.name}` already holds when an episode begins", help, notes=notes)
+            yield Finding("DB806", ending.span, f"`{ending.name}` already holds when an episode begins", help, notes=notes)
 
 
 def sometimes_ends_at_reset(simulation: Simulation) -> Iterator[Finding]:
     """DB806: an ending holds when an episode begins, with at least one seed."""
     for ending in simulation.program.endings:
-        seeds = simulation.report.endings_at_reset.get(ending.value.name, [])
+        seeds = simulation.report.endings_at_reset.get(ending.name, [])
         if seeds:
-            headline = f"`{ending.value.name}` already holds at the start of {len(seeds)} of {simulation.plan.resets} episodes"
+            headline = f"`{ending.name}` already holds at the start of {len(seeds)} of {simulation.plan.resets} episodes"
             more = ", ..." if len(seeds) > _MAX_SEEDS else ""
             notes = (f"with seed{'s' if len(seeds) > 1 else ''} {', '.join(map(str, seeds[:_MAX_SEEDS]))}{more}",)
-            yield Finding("DB806", ending.value.span, headline, "change the initial state under `reset`, or widen the limit", notes=notes)
+            yield Finding("DB806", ending.span, headline, "change the initial state under `reset`, or widen the limit", notes=notes)
 
 
 def undefined_value(simulation: Simulation) -> Iterator[Finding]:
@@ -363,15 +363,15 @@ def unreachable_goal(context: RuleContext) -> Iterator[Finding]:
         return
     analysis = context.analysis
     for ending in context.program.endings:
-        if ending.outcome != "success" or ending.foreign is not None or has_choice(analysis, ending.value):
+        if ending.name not in context.program.agent.success or ending.foreign is not None or has_choice(analysis, ending):
             continue
-        for entry in comparisons(analysis, ending.value):
+        for entry in comparisons(analysis, ending):
             asked = (asked for asked in thresholds(entry, analysis.ranges) if not asked.above)
             reason = next((reason for reason in (_unreachable(analysis, threshold) for threshold in asked) if reason is not None), None)
             if reason is not None:
                 words, help = reason
-                also = () if entry.value is ending.value else (Label(entry.value.span, f"`{ending.value.name}` depends on it"),)
-                yield Finding("DB807", ending.value.span, f"`{ending.value.name}` {words}", help, labels=also)
+                also = () if entry.value is ending else (Label(entry.value.span, f"`{ending.name}` depends on it"),)
+                yield Finding("DB807", ending.span, f"`{ending.name}` {words}", help, labels=also)
                 break
 
 

@@ -15,7 +15,6 @@ from deepbots_cli.expressions.intervals import INF, NEVER, TRUTH, Interval
 from deepbots_cli.expressions.scalar import EngineRead, Name, Op, Scalar, State, walk
 from deepbots_cli.lint.context import RuleContext, Simulation
 from deepbots_cli.lint.simulation import HELD_RANDOM, IDLE, RANDOM, SimulatedEpisode
-from deepbots_cli.program.task import Ending
 from deepbots_cli.program.values import Expression
 
 _PROGRESS_FUNCTIONS = frozenset({"delta", "previous", "running_min", "running_max", "accumulate", "rising_edge", "hold"})
@@ -76,25 +75,25 @@ def rewards_early_death(context: RuleContext) -> Iterator[Finding]:
     cost, ending = failure
     steps = _steps_that_count(reward, ending) * program.action_repeat
     living = _total_sum(ordinary, running, steps) + at_limit
-    prizes = [(total_range(final, reward.ranges_at(ending)).high, ending) for ending in program.endings if ending.outcome == "success"]
+    prizes = [(total_range(final, reward.ranges_at(ending)).high, ending) for ending in program.successes]
     prize, success = max(prizes, key=lambda entry: entry[0], default=(0.0, None))
     if cost <= living or living >= 0.0:
         return
     dearest = min(ordinary, key=lambda term: _total_sum([term], running, steps))[0]
-    also = (Label(ending.value.span, "the cheaper ending"),)
+    also = (Label(ending.span, "the cheaper ending"),)
     whole, price = f"{-_total_sum(ordinary, running, last) - at_limit:.3g}", _price(cost)
     if success is not None and prize > 0.0:
         share = break_even(living, cost, prize + max(0.0, _total_sum(ordinary, running, 0)))
         if share >= _MIN_BREAK_EVEN:
-            headline = f"an episode to the time limit costs at least {whole}, `{ending.value.name}` {price}"
-            headline += f", and `{success.value.name}` pays {prize:.3g}"
+            headline = f"an episode to the time limit costs at least {whole}, `{ending.name}` {price}"
+            headline += f", and `{success.name}` pays {prize:.3g}"
             yield Finding("DB705", dearest.span, headline, _LIVING_HELP, notes=_share_notes(reward, share, success), labels=also)
         return
-    headline = f"continuing an episode costs at least {whole}, and `{ending.value.name}` {price}"
+    headline = f"continuing an episode costs at least {whole}, and `{ending.name}` {price}"
     help = "pay for a good step instead, such as `alive: 1`, or make a failure cost more than all steps together"
     if program.agent.goal is not None:
-        headline = f"an episode that misses the goal costs at least {whole}, and one that ends by `{ending.value.name}` {price} or less"
-        help = f"pay for the goal instead, as in `1 when goal_reached`, or remove `{ending.value.name}`"
+        headline = f"an episode that misses the goal costs at least {whole}, and one that ends by `{ending.name}` {price} or less"
+        help = f"pay for the goal instead, as in `1 when goal_reached`, or remove `{ending.name}`"
     yield Finding("DB705", dearest.span, headline, help, labels=also)
 
 
@@ -105,10 +104,10 @@ def _price(cost: float) -> str:
     return "costs nothing" if cost == 0.0 else f"costs {-cost:.3g}" if cost < 0.0 else f"even pays {cost:.3g}"
 
 
-def _share_notes(reward: RewardTerms, share: float, success: Ending) -> tuple[str, ...]:
+def _share_notes(reward: RewardTerms, share: float, success: Expression) -> tuple[str, ...]:
     less = _horizon(reward) < reward.analysis.last_step - 1
     known = f"; about {_horizon(reward):.0f} steps count, given the discount factor of the training" if less else ""
-    return (f"failing at once pays more unless `{success.value.name}` ends more than {100.0 * share:.0f} % of the episodes{known}",)
+    return (f"failing at once pays more unless `{success.name}` ends more than {100.0 * share:.0f} % of the episodes{known}",)
 
 
 def break_even(living: float, failing: float, success: float) -> float:
@@ -122,15 +121,15 @@ def _horizon(reward: RewardTerms) -> float:
     return min(float(reward.analysis.last_step), INF if gamma >= 1.0 else 1.0 / (1.0 - gamma))
 
 
-def _steps_that_count(reward: RewardTerms, ending: Ending) -> float:
+def _steps_that_count(reward: RewardTerms, ending: Expression) -> float:
     """The steps of the agent after the first one in which an ending may hold, no more than the discount factor lets count."""
     return max(0.0, min(reward.analysis.last_step - 1.0 - _first_step(reward.analysis, ending), _horizon(reward)))
 
 
-def _cheapest_failure(reward: RewardTerms, final: Terms) -> tuple[float, Ending] | None:
+def _cheapest_failure(reward: RewardTerms, final: Terms) -> tuple[float, Expression] | None:
     """The smallest reward for certain, and its failure, of the failure for which this is largest."""
-    failures = [ending for ending in reward.program.endings if ending.outcome == "failure"]
-    costs = [(total_range(final, reward.ranges_at(ending)).low, ending) for ending in failures]
+    failed = reward.program.failures
+    costs = [(total_range(final, reward.ranges_at(ending)).low, ending) for ending in reward.program.endings if ending.name in failed]
     return max(costs, key=lambda entry: entry[0], default=None)
 
 
@@ -176,7 +175,7 @@ def measured_early_death(simulation: Simulation) -> Iterator[Finding]:
     """DB705: the same for costs that only a simulation knows, such as `-distance`: even the cheapest simulated policy pays them."""
     reward = simulation.analysis.reward
     ordinary, final = reward.split_by_end()
-    failure, successes = _cheapest_failure(reward, final), [each for each in simulation.program.endings if each.outcome == "success"]
+    failure, successes = _cheapest_failure(reward, final), simulation.program.successes
     rows = {by: simulation.measured[by] for by in (RANDOM, HELD_RANDOM, IDLE) if by in simulation.measured}
     if not (simulation.is_complete and reward.is_complete and simulation.program.agent.goal is None and failure and successes and rows):
         return
@@ -196,9 +195,9 @@ def measured_early_death(simulation: Simulation) -> Iterator[Finding]:
     share = break_even(living, cost, prize)
     if share >= _MIN_BREAK_EVEN:
         dearest = min(totals[cheapest], key=lambda entry: entry[1])[0]
-        headline = f"a step costs {-pay:.3g}, `{ending.value.name}` {_price(cost)}, and `{success.value.name}` pays {prize:.3g}"
+        headline = f"a step costs {-pay:.3g}, `{ending.name}` {_price(cost)}, and `{success.name}` pays {prize:.3g}"
         notes = (f"measured in {rows[cheapest].steps} steps of {cheapest}", *_share_notes(reward, share, success))
-        yield Finding("DB705", dearest.span, headline, _LIVING_HELP, notes=notes, labels=(Label(ending.value.span, "the cheaper ending"),))
+        yield Finding("DB705", dearest.span, headline, _LIVING_HELP, notes=notes, labels=(Label(ending.span, "the cheaper ending"),))
 
 
 # Staying short of the success
@@ -254,11 +253,11 @@ def hovering_pays(context: RuleContext) -> Iterator[Finding]:
     """
     analysis, reward = context.analysis, context.analysis.reward
     ordinary, final = reward.split_by_end()
-    successes = [ending for ending in context.program.endings if ending.outcome == "success"]
+    successes = context.program.successes
     if not reward.is_complete or len(successes) != 1 or not ordinary:
         return
     success, running = successes[0], reward.ranges_while_running()
-    possible = TRUTH if success.foreign else analysis.ranges_in(0.0, float(analysis.last_step)).of(analysis.scalars(success.value)[0])
+    possible = TRUTH if success.foreign else analysis.ranges_in(0.0, float(analysis.last_step)).of(analysis.scalars(success)[0])
     if possible == NEVER or success in analysis.shadowed:
         return  # DB801, DB804
     steps = _steps_from(analysis, success) * context.program.action_repeat
@@ -266,32 +265,32 @@ def hovering_pays(context: RuleContext) -> Iterator[Finding]:
     for threshold in _ways_to_avoid(analysis, success):
         waiting = _just_before(running, threshold)
         known = total_range(reward.terms, waiting)
-        pay = known.low if threshold is not None and has_choice(analysis, success.value) else known.high
+        pay = known.low if threshold is not None and has_choice(analysis, success) else known.high
         if not 0.0 < pay < INF:
             continue
         prize = total_range(reward.terms, _just_before(reward.ranges_at(success), threshold)).high
         if pay * steps + fine > prize and pay * min(steps, _horizon(reward) * context.program.action_repeat) > _MIN_WORTH * prize:
-            headline = f"an episode that avoids `{success.value.name}` can collect up to {pay:.3g} per step, {pay * steps:.4g} in all"
-            headline += f", and `{success.value.name}` pays {prize:.3g} once"
+            headline = f"an episode that avoids `{success.name}` can collect up to {pay:.3g} per step, {pay * steps:.4g} in all"
+            headline += f", and `{success.name}` pays {prize:.3g} once"
             best = max(ordinary, key=lambda term: waiting.of(term[1]).high)[0]
-            yield Finding("DB708", best.span, headline, _PROGRESS_HELP, labels=(Label(success.value.span, "ends these payments"),))
+            yield Finding("DB708", best.span, headline, _PROGRESS_HELP, labels=(Label(success.span, "ends these payments"),))
             return
 
 
-def _ways_to_avoid(analysis: Analysis, success: Ending) -> list[Threshold | None]:
+def _ways_to_avoid(analysis: Analysis, success: Expression) -> list[Threshold | None]:
     """The thresholds of a success, at each of which it may barely not hold; None for one that compares nothing, such as a contact."""
     running = analysis.reward.ranges_while_running()
-    compared = list(comparisons(analysis, success.value))
+    compared = list(comparisons(analysis, success))
     found: list[Threshold | None] = [
         each for entry in compared for each in thresholds(entry, running) if not is_clock(analysis, each.quantity)
     ]
     return found if compared else [None]
 
 
-def _first_step(analysis: Analysis, ending: Ending) -> float:
+def _first_step(analysis: Analysis, ending: Expression) -> float:
     """The first step in which an ending may hold, as in `time > 5 s and still`, or `duration(still) > 5 s`."""
     first, ranges = 0.0, analysis.ranges_in(0.0, float(analysis.last_step))
-    for node in analysis.conjuncts(*analysis.scalars(ending.value)[:1]) if ending.foreign is None else ():
+    for node in analysis.conjuncts(*analysis.scalars(ending)[:1]) if ending.foreign is None else ():
         match node:
             case Op("greater" | "greater_equal", (late, limit)) | Op("less" | "less_equal", (limit, late)):
                 clock = analysis.resolve_aliases(late)
@@ -302,7 +301,7 @@ def _first_step(analysis: Analysis, ending: Ending) -> float:
     return min(first, float(analysis.last_step))
 
 
-def _steps_from(analysis: Analysis, ending: Ending) -> float:
+def _steps_from(analysis: Analysis, ending: Expression) -> float:
     """The steps of the agent after the first one in which an ending may hold."""
     return max(0.0, analysis.last_step - ceil(_first_step(analysis, ending)))
 
@@ -319,13 +318,13 @@ def _just_before(ranges: Ranges, threshold: Threshold | None) -> Ranges:
 
 def other_policy_pays_more(simulation: Simulation) -> Iterator[Finding]:
     """DB708: another behaviour pays more over a whole episode than success."""
-    successes = [ending for ending in simulation.program.endings if ending.outcome == "success"]
+    successes = simulation.program.successes
     if not successes or not simulation.is_complete:
         return
     found = _better_than_success(simulation.report.episodes)
     if found:
         best, success = found
-        also = (Label(successes[0].value.span, "ends these payments"),)
+        also = (Label(successes[0].span, "ends these payments"),)
         headline = (
             f"the return of {best.policy}, which runs to the time limit, is {best.discounted_return:.3g}; "
             f"the return of {success.policy}, which succeeds, is {success.discounted_return:.3g}"
@@ -356,7 +355,7 @@ def _better_than_success(episodes: list[SimulatedEpisode]) -> tuple[SimulatedEpi
     return pairs[0] if pairs and all(best.discounted_return > success.discounted_return for best, success in pairs) else None
 
 
-def _place_pays(simulation: Simulation, success: Ending) -> list[Finding]:
+def _place_pays(simulation: Simulation, success: Expression) -> list[Finding]:
     """As the static rule, for a reward of places whose range the scenario does not tell: the highest that any step paid."""
     analysis, reward = simulation.analysis, simulation.analysis.reward
     ordinary, final = reward.split_by_end()
@@ -373,8 +372,8 @@ def _place_pays(simulation: Simulation, success: Ending) -> list[Finding]:
     if pay <= 0.0 or pay * steps <= prize or pay * min(steps, _horizon(reward)) <= _MIN_WORTH * prize:
         return []
     headline = f"`{best.name}` pays up to {pay:.3g} in a step, {pay * steps:.4g} in an episode that stays there"
-    headline += f", and `{success.value.name}` pays {prize:.3g} once"
-    also = (Label(success.value.span, "ends these payments"),)
+    headline += f", and `{success.name}` pays {prize:.3g} once"
+    also = (Label(success.span, "ends these payments"),)
     return [Finding("DB708", best.span, headline, _PROGRESS_HELP, notes=(simulation.summary,), labels=also)]
 
 
@@ -387,7 +386,7 @@ def _is_progress(analysis: Analysis, node: Scalar) -> bool:
     )
 
 
-def _idle_pays(simulation: Simulation, success: Ending) -> list[Finding]:
+def _idle_pays(simulation: Simulation, success: Expression) -> list[Finding]:
     """As the static rule: compare what doing nothing pays in the steps that count with what the success pays once."""
     reward, row = simulation.analysis.reward, simulation.measured.get(IDLE)
     ordinary, _ = reward.split_by_end()
@@ -402,11 +401,11 @@ def _idle_pays(simulation: Simulation, success: Ending) -> list[Finding]:
     prize = total_range(reward.terms, reward.ranges_at(success)).high
     steps = min(reward.analysis.last_step / 2, _horizon(reward))
     if pay > 0.0 and pay * steps > prize:
-        headline = f"doing nothing pays {pay:.3g} per step, and `{success.value.name}` pays {prize:.3g} once"
+        headline = f"doing nothing pays {pay:.3g} per step, and `{success.name}` pays {prize:.3g} once"
         notes = (
             f"measured in {row.steps} steps; about {steps:.0f} steps count, given the discount factor of the training and the time limit",
         )
-        also = (Label(success.value.span, "ends these payments"),)
+        also = (Label(success.span, "ends these payments"),)
         return [Finding("DB708", _most_paid(simulation, IDLE).span, headline, _PROGRESS_HELP, notes=notes, labels=also)]
     return []
 

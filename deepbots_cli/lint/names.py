@@ -133,7 +133,7 @@ def equality_of_measures(context: RuleContext) -> Iterator[Finding]:
 
 def _written(program: Program) -> Iterator[Expression]:
     """The signals, reward terms and endings that are not functions of Python."""
-    values = (*program.signals, *program.agent.reward, *(ending.value for ending in program.endings))
+    values = (*program.signals, *program.agent.reward, *program.endings)
     return (value for value in values if value.foreign is None)
 
 

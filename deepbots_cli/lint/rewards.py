@@ -78,7 +78,7 @@ class _PoleSearch:
         self._analysis = analysis
         self.ranges = analysis.ranges_in(1.0, float(analysis.last_step))
         self.met: set[str] = set()
-        compared = [entry for ending in analysis.program.endings for entry in comparisons(analysis, ending.value)]
+        compared = [entry for ending in analysis.program.endings for entry in comparisons(analysis, ending)]
         threshold = [threshold for entry in compared for threshold in thresholds(entry, self.ranges)]
         self._guarded = {
             analysis.identity(entry.quantity) for entry in threshold if (entry.bound.high < 0.0 if entry.above else entry.bound.low > 0.0)
@@ -228,7 +228,7 @@ def inactive_term(context: RuleContext) -> Iterator[Finding]:
 
 
 def _always_zero(analysis: Analysis) -> set[str]:
-    given = {ending.value.name: TRUTH for ending in analysis.program.endings}  # an ending that never holds is DB801
+    given = {ending.name: TRUTH for ending in analysis.program.endings}  # an ending that never holds is DB801
     ranges = Ranges(analysis, given, (1.0, float(analysis.last_step)))
     return {term.name for term, node in analysis.reward.terms if ranges.of(node) == NEVER}
 
@@ -350,8 +350,8 @@ def return_out_of_reach(context: RuleContext) -> Iterator[Finding]:
 def _wanted_returns(context: RuleContext) -> Iterator[tuple[Analysis, float, NodePath]]:
     """The mean returns that the scenario asks for, each with the version of the scenario and its place."""
     program = context.program
-    if program.solved is not None and program.solved.mean_return is not None:
-        yield context.analysis, program.solved.mean_return, ("solved", "mean_return")
+    if program.agent.solved is not None and program.agent.solved.mean_return is not None:
+        yield context.analysis, program.agent.solved.mean_return, ("solved", "mean_return")
     stages = context.versions[1 + len(program.cases) :]
     for place, (stage, analysis) in enumerate(zip(program.curriculum, stages, strict=True)):
         if stage.until is not None and stage.until.metric == "mean_return":

@@ -51,14 +51,14 @@ def saturates_before_termination(context: RuleContext) -> Iterator[Finding]:
     shown = [(number, _parts(analysis, number.node)) for number in ranged_numbers(analysis)]
     met = set()
     for ending in context.program.endings:
-        if ending.outcome != "failure" or ending in context.analysis.shadowed:
+        if ending.name in context.program.agent.success or ending in context.analysis.shadowed:
             continue
-        for comparison in comparisons(analysis, ending.value):
+        for comparison in comparisons(analysis, ending):
             asked = [threshold for threshold in thresholds(comparison, ranges) if _can_be_met(threshold, ranges)]
             for view in _blind(shown, asked, ranges):
-                if (id(view.number.entry), ending.value.name) not in met:
-                    met.add((id(view.number.entry), ending.value.name))
-                    yield _unseen(context, analysis, view, ending.value, comparison)
+                if (id(view.number.entry), ending.name) not in met:
+                    met.add((id(view.number.entry), ending.name))
+                    yield _unseen(context, analysis, view, ending, comparison)
 
 
 class BlindNumber(NamedTuple):

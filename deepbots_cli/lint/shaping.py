@@ -21,7 +21,6 @@ from deepbots_cli.expressions.intervals import NEVER, Interval
 from deepbots_cli.expressions.scalar import EngineRead, Name, Op, Scalar, State
 from deepbots_cli.expressions.unification import negated_text
 from deepbots_cli.lint.context import RuleContext
-from deepbots_cli.program.task import Ending
 from deepbots_cli.program.values import Expression
 from deepbots_cli.scenario.sensors import SENSORS
 
@@ -58,23 +57,22 @@ def suspicious_sign(context: RuleContext) -> Iterator[Finding]:
         reward: {nearer: -10 * delta(left) / m}
         termination: {success: {arrived: left < 5 cm}}
     """
-    reward, endings = context.analysis.reward, context.program.endings
+    reward, program = context.analysis.reward, context.program
     ordinary, final = reward.split_by_end()
     for term, node in final:
-        for ending in endings:
-            paid = reward.ranges_at(ending).of(node)
-            others = (other for other in reward.endings_and_truncation if other is None or other.outcome != ending.outcome)
+        for ending in program.endings:
+            paid, failed = reward.ranges_at(ending).of(node), ending.name in program.failures
+            others = (other for other in reward.endings_and_truncation if other is None or (other.name in program.failures) != failed)
             if any(reward.ranges_at(other).of(node) != NEVER for other in others):
                 continue  # paid at ends of another kind as well: its sign says nothing about this one
-            if paid.low > 0.0 if ending.outcome == "failure" else paid.high < 0.0:
+            if paid.low > 0.0 if failed else paid.high < 0.0:
                 verb = f"pays {paid.low:.3g}" if paid.low > 0.0 else f"costs {-paid.high:.3g}"
-                kind = "a failure" if ending.outcome == "failure" else "a success"
-                also = (Label(ending.value.span, f"{kind} here"),)
-                yield _wrong_sign(term, f"`{ending.value.name}` is {kind}, and {verb}", also)
+                kind = "a failure" if failed else "a success"
+                also = (Label(ending.span, f"{kind} here"),)
+                yield _wrong_sign(term, f"`{ending.name}` is {kind}, and {verb}", also)
                 break
-    successes = [ending for ending in endings if ending.outcome == "success"]
-    if reward.is_complete and len(successes) == 1:
-        yield from _away_from_success(reward, ordinary, successes[0])
+    if reward.is_complete and len(program.successes) == 1:
+        yield from _away_from_success(reward, ordinary, program.successes[0])
 
 
 def _wrong_sign(term: Expression, headline: str, also: tuple[Label, ...]) -> Finding:
@@ -84,10 +82,10 @@ def _wrong_sign(term: Expression, headline: str, also: tuple[Label, ...]) -> Fin
     return Finding("DB703", term.span, headline, help, labels=also, fix=fix)
 
 
-def _away_from_success(reward: RewardTerms, ordinary: Terms, ending: Ending) -> Iterator[Finding]:
+def _away_from_success(reward: RewardTerms, ordinary: Terms, ending: Expression) -> Iterator[Finding]:
     """Terms that pay for the opposite of the one comparison of a success."""
     analysis, running = reward.analysis, reward.ranges_while_running()
-    compared = only_comparison(analysis, ending.value)
+    compared = only_comparison(analysis, ending)
     for threshold in thresholds(compared, running) if compared else ():
         if is_clock(analysis, threshold.quantity):
             continue
@@ -96,8 +94,8 @@ def _away_from_success(reward: RewardTerms, ordinary: Terms, ending: Ending) -> 
         if all(known in (wrong, 0.0) for known in slopes) and wrong in slopes:
             for (term, _), known in zip(ordinary, slopes, strict=True):
                 if known == wrong:
-                    headline = f"`{term.name}` pays less as the episode approaches `{ending.value.name}`"
-                    yield _wrong_sign(term, headline, (Label(ending.value.span, "success requires the opposite"),))
+                    headline = f"`{term.name}` pays less as the episode approaches `{ending.name}`"
+                    yield _wrong_sign(term, headline, (Label(ending.span, "success requires the opposite"),))
             return
 
 
@@ -242,13 +240,13 @@ def pays_towards_failure(context: RuleContext) -> Iterator[Finding]:
         return
     ordinary, _ = reward.split_by_end()
     for ending in context.program.endings:
-        compared = only_comparison(analysis, ending.value) if ending.outcome == "failure" else None
+        compared = only_comparison(analysis, ending) if ending.name in context.program.failures else None
         threshold = next(thresholds(compared, reward.ranges_while_running()), None) if compared else None
         if compared is None or threshold is None or not _counts_from_middle(reward, threshold):
             continue
         for term in _towards(reward, threshold, ordinary):
-            headline = f"`{term.name}` pays more as the episode approaches `{ending.value.name}`"
-            also = (Label(ending.value.span, "a failure"),)
+            headline = f"`{term.name}` pays more as the episode approaches `{ending.name}`"
+            also = (Label(ending.span, "a failure"),)
             yield Finding("DB710", term.span, headline, _opposite_help(compared, threshold), labels=also)
 
 
@@ -269,7 +267,7 @@ def _towards(reward: RewardTerms, threshold: Threshold, terms: Terms) -> list[Ex
     if any(ending.foreign for ending in reward.program.endings):
         return []
     others = [node for term, node in terms if term not in wrong]
-    others += [analysis.scalars(ending.value)[0] for ending in reward.program.endings if ending.outcome == "success"]
+    others += [analysis.scalars(ending)[0] for ending in reward.program.successes]
     concerned = _concerns(analysis, threshold.quantity)
     return [] if any(concerned & _concerns(analysis, node) for node in others) else wrong
 

@@ -301,7 +301,7 @@ def identical_episodes(context: RuleContext) -> Iterator[Finding]:
 def _varies(analysis: Analysis) -> bool:
     """Whether anything is random that no function of the language draws."""
     program = analysis.program
-    values = [*program.signals, *program.agent.reward, *(ending.value for ending in program.endings)]
+    values = [*program.signals, *program.agent.reward, *program.endings]
     return bool(
         program.reset.variations
         or program.disturbances

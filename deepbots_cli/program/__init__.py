@@ -5,11 +5,11 @@
     ├── robots                controllers: sensors, what they emit, what they apply, message layouts, routes
     ├── parameters            values drawn per episode or more often (fixed ones are folded into the expressions)
     ├── signals               augmentation and signals, in order of evaluation
-    ├── agents                by name: action, observation, goal, reward, scripts, training, copies of a robot
+    ├── agents                by name: robots, action, observation, goal, reward, success, scripts, training, copies of a robot
     ├── action_repeat         control ticks in one step, for which each action is held
     ├── endings, truncation   when an episode ends
     ├── reset, disturbances   how an episode begins, what it varies, what disturbs it
-    ├── evaluation, solved
+    ├── evaluation
     └── cases, curriculum     the whole once more for each case of the evaluation and each stage of the curriculum
 
 values.py   Expression, the leaf of all of these      world.py    what an engine builds
@@ -36,7 +36,7 @@ from deepbots_cli.expressions.scalar import is_drawn
 from deepbots_cli.program.draws import EpisodeDraws
 from deepbots_cli.program.resets import Disturbance, Reset
 from deepbots_cli.program.robots import Robot, Timing
-from deepbots_cli.program.task import Agent, Choices, Criterion, Ending, Evaluation, ScenarioTest, Script, Solved, Truncation
+from deepbots_cli.program.task import Agent, Choices, Criterion, Evaluation, ScenarioTest, Script, Truncation
 from deepbots_cli.program.values import Expression, Foreign, NamedScalars
 from deepbots_cli.program.world import WorldModel
 
@@ -45,14 +45,13 @@ from deepbots_cli.program.world import WorldModel
 class Program:
     """One checked scenario, ready to be printed as Python and run.
 
-    A field belongs to an agent if a second agent would need its own: action, observation, goal, reward, scripts, training, and the
-    copies of a robot. All other fields are shared by all agents:
+    A field belongs to an agent if a second agent would need its own. All other fields are shared by all agents:
 
-    - the world and the robots. The commands of a robot name the action variables that they use, so an agent needs no list of robots;
+    - the world and the robots;
     - parameters and signals, which form one namespace;
     - the episode: reset, endings, truncation, and the `action_repeat`. A world is reset and stepped as a whole.
 
-    There is one agent, named `policy`. `augmented_signals` holds the names of the signals that agents may see. `engine` is the engine
+    There is one agent, `agent`. `augmented_signals` holds the names of the signals that agents may see. `engine` is the engine
     that the scenario names, None for the default. `stored_signals` names the signals that the supervisor stores after each step, as
     `last_NAME`; only programs of `insight`, which explains episodes, have some. The compiler returns no `tests`: `deepbots test` adds
     those whose conditions the generated code computes.
@@ -68,10 +67,9 @@ class Program:
     parameters: tuple[Expression, ...]
     signals: tuple[Expression, ...]
     agents: Mapping[str, Agent]
-    endings: tuple[Ending, ...]
+    endings: tuple[Expression, ...]
     truncation: Truncation
     reset: Reset
-    solved: Solved | None
     action_repeat: int = 1
     evaluation: Evaluation = Evaluation()
     cases: tuple[EvaluationCase, ...] = ()
@@ -84,8 +82,7 @@ class Program:
 
     def digest_fields(self) -> dict[str, object]:
         left_out = {"augmented_signals", "stored_signals", "tests"} | ({"engine"} if self.engine in (None, DEFAULT_ENGINE) else set())
-        known = {name: value for name, value in vars(self).items() if name in self.__dataclass_fields__ and name not in left_out}
-        return known | {"policies": known.pop("agents")}
+        return {name: value for name, value in vars(self).items() if name in self.__dataclass_fields__ and name not in left_out}
 
     @cached_property
     def agent(self) -> Agent:
@@ -100,7 +97,7 @@ class Program:
     @property
     def python_functions(self) -> tuple[Foreign, ...]:
         """The functions of installed packages that rewards and endings call."""
-        named = (*self.agent.reward, *(ending.value for ending in self.endings))
+        named = (*self.agent.reward, *self.endings)
         return tuple(value.foreign for value in named if value.foreign is not None)
 
     @property
@@ -112,7 +109,7 @@ class Program:
         yield from self.signals
         yield from (entry.value for entry in self.agent.observation)
         yield from self.agent.reward
-        yield from (ending.value for ending in self.endings)
+        yield from self.endings
         if self.agent.goal is not None:
             yield from (self.agent.goal.achieved, self.agent.goal.desired)
         for script in self.agent.scripts:
@@ -139,15 +136,20 @@ class Program:
         """Simulated time of one step, in s."""
         return self.world.timestep * self.action_repeat
 
+    @property
+    def successes(self) -> tuple[Expression, ...]:
+        """The endings that are a success of the agent."""
+        return tuple(ending for ending in self.endings if ending.name in self.agent.success)
+
     @cached_property
     def failures(self) -> frozenset[str]:
-        """The names of the endings that are failures."""
-        return frozenset(ending.name for ending in self.endings if ending.outcome == "failure")
+        """The names of the endings that are failures of the agent."""
+        return frozenset(ending.name for ending in self.endings) - {*self.agent.success}
 
     @property
     def defines_success(self) -> bool:
         """Whether an episode can be a success at all."""
-        return self.agent.goal is not None or any(ending.outcome == "success" for ending in self.endings)
+        return self.agent.goal is not None or bool(self.agent.success)
 
     def case(self, name: str) -> EvaluationCase:
         """The case of the evaluation of that name.

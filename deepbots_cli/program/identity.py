@@ -20,7 +20,7 @@ from functools import lru_cache
 from pathlib import PurePath
 from typing import Any
 
-from deepbots_cli.expressions.scalar import EngineRead, Scalar
+from deepbots_cli.expressions.scalar import Scalar
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import MessageField, MessageLayout
 from deepbots_cli.program.task import ActionRange, Agent, Choices, Evaluation, ObservedNumber
@@ -28,14 +28,6 @@ from deepbots_cli.program.world import Picture, WorldModel
 from deepbots_cli.robots.model import Mesh
 
 # Canonical JSON
-
-
-_NAMES: Mapping[type, str] = {EngineRead: "World", Agent: "Policy"}
-
-
-def kind_name(kind: type) -> str:
-    """The name of a class of records in the JSON; of some it is an earlier one, which digests of runs contain."""
-    return _NAMES.get(kind, kind.__name__)
 
 
 def to_json(program: Program) -> str:
@@ -55,8 +47,8 @@ def digest(program: Program) -> str:
 
 def task_digest(program: Program) -> str:
     """The digest of what makes an episode: the same for scenarios that differ in their names, training, evaluation or scripts alone."""
-    nameless = replace(program.with_agents(scripts=(), training=None), name="", summary="")
-    return digest(replace(nameless, curriculum=(), evaluation=Evaluation(), cases=(), solved=None))
+    nameless = replace(program.with_agents(scripts=(), training=None, solved=None), name="", summary="")
+    return digest(replace(nameless, curriculum=(), evaluation=Evaluation(), cases=()))
 
 
 File = Mesh | Picture
@@ -101,7 +93,7 @@ def record_members(part: object) -> dict[str, Any] | None:
 def _plain(value: object) -> object:
     inside = record_members(value)
     if inside is not None:
-        return {"is": kind_name(type(value)), **{name: _plain(member) for name, member in inside.items()}}
+        return {"is": type(value).__name__, **{name: _plain(member) for name, member in inside.items()}}
     if isinstance(value, tuple):
         return [_plain(item) for item in value]
     if isinstance(value, Mapping):
@@ -111,43 +103,48 @@ def _plain(value: object) -> object:
     return value
 
 
-# The interface of a policy
+# The interfaces of agents
 
 
-def interface(program: Program) -> dict[str, str]:
-    """The agreed items of a scenario in order: `observation.speed` to `-0.8 .. 0.8 m/s`."""
-    items: dict[str, str] = {}
-    for observed in program.agent.numbers:
-        items[f"observation.{observed.full_name}"] = _observed(observed)
-    for pictured in program.agent.images:
+def interface(program: Program) -> dict[str, dict[str, str]]:
+    """The agreed items of each agent in order: `observation.speed` to `-0.8 .. 0.8 m/s`."""
+    return {name: _agreed(agent, program) for name, agent in program.agents.items()}
+
+
+def _agreed(agent: Agent, program: Program) -> dict[str, str]:
+    """What an agent observes and does, and the messages of its robots."""
+    items = {f"observation.{observed.full_name}": _observed(observed) for observed in agent.numbers}
+    for pictured in agent.images:
         items[f"observation.{pictured.name}"] = f"picture of {' x '.join(map(str, pictured.shape))}, {pictured.history} in a row"
-    if program.agent.goal is not None:
-        for component, low, high in zip(
-            program.agent.goal.components or ("",), program.agent.goal.low, program.agent.goal.high, strict=True
-        ):
-            items[f"goal.{component}".rstrip(".")] = _range(low, high, program.agent.goal.unit)
-    if program.agent.frame_stack > 1:
-        items["agent.frame_stack"] = f"{program.agent.frame_stack} observations in a row"
-    for part in program.agent.action:
-        items[f"action.{part.name}"] = _action(part)
+    if agent.goal is not None:
+        for component, low, high in zip(agent.goal.components or ("",), agent.goal.low, agent.goal.high, strict=True):
+            items[f"goal.{component}".rstrip(".")] = _range(low, high, agent.goal.unit)
+    if agent.frame_stack > 1:
+        items["agent.frame_stack"] = f"{agent.frame_stack} observations in a row"
+    items |= {f"action.{part.name}": _action(part) for part in agent.action}
     for robot in program.robots:
-        for layout in (robot.to_robot, robot.from_robot):
+        for layout in (robot.to_robot, robot.from_robot) if robot.name in agent.robots else ():
             items |= _message(layout)
     return items
 
 
 def differences(one: Program, other: Program, *, words: tuple[str, str] = ("run", "scenario")) -> list[str]:
-    """One line for each item that the two, called by `words`, do not share; empty when a policy of one fits the other."""
+    """One line for each item that the two, called by `words`, do not share; empty when the policies of one fit the other."""
     return compare_interfaces(interface(one), interface(other), words=words)
 
 
-def compare_interfaces(old: Mapping[str, str], new: Mapping[str, str], *, words: tuple[str, str] = ("run", "scenario")) -> list[str]:
+def compare_interfaces(
+    old: Mapping[str, Mapping[str, str]], new: Mapping[str, Mapping[str, str]], *, words: tuple[str, str] = ("run", "scenario")
+) -> list[str]:
     """One line for each item in which two interfaces differ, as in `differences`."""
+    return [line for name in dict.fromkeys((*old, *new)) for line in _compared(old.get(name, {}), new.get(name, {}), words)]
+
+
+def _compared(old: Mapping[str, str], new: Mapping[str, str], words: tuple[str, str]) -> list[str]:
     here, there = words
-    names = [*old, *(name for name in new if name not in old)]
     lines = [
         f"{name}: {here} {old.get(name, 'has none')}, {there} {new.get(name, 'has none')}"
-        for name in names
+        for name in dict.fromkeys((*old, *new))
         if old.get(name) != new.get(name)
     ]
     if not lines and list(old) != list(new):

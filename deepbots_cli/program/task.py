@@ -11,10 +11,8 @@ from typing import Literal, NamedTuple
 
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
-from deepbots_cli.program.values import Expression, Foreign, Noise
+from deepbots_cli.program.values import Expression, Noise
 from deepbots_cli.robots.model import Vector
-
-Outcome = Literal["success", "failure"]
 
 # Limits of one observation, in numbers and in bytes of images; a network with more inputs is not small.
 MAX_OBSERVED_NUMBERS = 100_000
@@ -269,22 +267,6 @@ class Goal:
         return Op("less_equal", (Op("hypot", apart) if len(apart) > 1 else Op("abs", apart), Const(self.tolerance)))
 
 
-@dataclass(frozen=True, eq=False)
-class Ending:
-    """A condition that terminates the episode."""
-
-    value: Expression
-    outcome: Outcome
-
-    @property
-    def name(self) -> str:
-        return self.value.name
-
-    @property
-    def foreign(self) -> Foreign | None:
-        return self.value.foreign
-
-
 @dataclass(frozen=True)
 class Truncation:
     """Limits that are no part of the task: agent steps, simulated seconds."""
@@ -475,27 +457,46 @@ class Training:
     normalize: Literal["reward"] | None = None
     device: Literal["auto", "cpu", "cuda"] = "cpu"
 
-    def digest_fields(self) -> dict[str, object]:
-        """The fields that count for the digest. Keys that were added later count only if they are given."""
-        later = {"normalize": None, "device": "cpu"}
-        return {name: value for name, value in vars(self).items() if name not in later or value != later[name]}
-
 
 # Agent
+
+ONLY_AGENT = "agent"
+"""The name of the one agent of a scenario."""
+
+
+@dataclass(frozen=True)
+class Solved:
+    """The criterion for a solved task, over `episodes` consecutive episodes."""
+
+    episodes: int
+    mean_return: float | None = None
+    success_rate: float | None = None
+
+    @property
+    def description(self) -> str:
+        """`mean return 195 over 100 episodes`."""
+        wanted = [f"mean return {self.mean_return:g}"] if self.mean_return is not None else []
+        wanted += [f"success rate {self.success_rate:g}"] if self.success_rate is not None else []
+        return f"{' and '.join(wanted)} over {self.episodes} episodes"
 
 
 @dataclass(frozen=True, eq=False)
 class Agent:
     """The action, observation, goal and reward of one agent, and its training.
 
-    The agent sees `stack` observations in a row, and the goal if there is one. `reward` holds the terms, whose sum is the reward. With
+    `robots` are those that the action commands. The agent sees `frame_stack` observations in a row, and the goal if there is one. `reward`
+    holds the terms, whose sum is the reward. `success` names the endings that are a success of the agent; all others are failures. With
     `copies`, the agent acts for each copy of a robot. `scripts` are hand-written policies for the same action.
     """
 
+    name: str
+    robots: tuple[str, ...]
     action: tuple[ActionPart, ...]
     observation: tuple[Observation, ...]
     reward: tuple[Expression, ...]
+    success: tuple[str, ...] = ()
     goal: Goal | None = None
+    solved: Solved | None = None
     frame_stack: int = 1
     copies: RobotCopies | None = None
     scripts: tuple[Script, ...] = ()
@@ -524,22 +525,6 @@ class Agent:
 
 
 # Evaluation
-
-
-@dataclass(frozen=True)
-class Solved:
-    """The criterion for a solved task, over `episodes` consecutive episodes."""
-
-    episodes: int
-    mean_return: float | None = None
-    success_rate: float | None = None
-
-    @property
-    def description(self) -> str:
-        """`mean return 195 over 100 episodes`."""
-        wanted = [f"mean return {self.mean_return:g}"] if self.mean_return is not None else []
-        wanted += [f"success rate {self.success_rate:g}"] if self.success_rate is not None else []
-        return f"{' and '.join(wanted)} over {self.episodes} episodes"
 
 
 @dataclass(frozen=True)

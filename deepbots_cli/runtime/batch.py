@@ -233,7 +233,7 @@ class BatchSupervisor(_BatchPart, ABC):
         """The worlds that were no longer finite, in the order in which it was noticed."""
         self._errors: dict[int, str] = {}
         self._episodes = [EpisodeHistory(0, []) for _ in singles]
-        self._views = frame_indices(self.scenario)
+        self._views = frame_indices(self.scenario.agent)
         self.depth, self.newest = len(self._views), 0
         self.frames = np.zeros((self.depth, len(self.scenario.agent.numbers), self.count), np.float32)
         self._ranges = sum(max(1, len(part.components)) for part in self.scenario.agent.action if isinstance(part, ActionRange))

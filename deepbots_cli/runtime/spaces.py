@@ -12,52 +12,51 @@ from numpy.typing import NDArray
 from deepbots_cli.arrays import evaluate
 from deepbots_cli.errors import EvaluationError, UsageError
 from deepbots_cli.expressions.scalar import Name
-from deepbots_cli.program import Program
-from deepbots_cli.program.task import ActionRange, Choices, Goal, policy_inputs
+from deepbots_cli.program.task import ActionRange, Agent, Choices, Goal, policy_inputs
 
 Goals = NDArray[np.floating[Any]]
 
 
-def observation_space(scenario: Program) -> gym.Space[Any]:
+def observation_space(agent: Agent) -> gym.Space[Any]:
     """One float32 per number that the policy sees: [-1, 1], [0, 1] for a truth value, without bounds if it is not clipped.
 
     With pictures or a goal, that stands as `observation` in a Dict beside them: pictures under their names as uint8 (rows,
     columns, channels), and `achieved_goal` and `desired_goal`.
     """
-    entries = [scenario.agent.numbers[index] for index, _ in policy_inputs(scenario.agent.numbers, scenario.agent.frame_stack)]
+    entries = [agent.numbers[index] for index, _ in policy_inputs(agent.numbers, agent.frame_stack)]
     low = np.array([0.0 if entry.is_truth else -1.0 if entry.clip else -np.inf for entry in entries], np.float32)
     high = np.array([1.0 if entry.is_truth or entry.clip else np.inf for entry in entries], np.float32)
     box = gym.spaces.Box(low, high, dtype=np.float32)
-    if scenario.agent.goal is None and not scenario.agent.images:
+    if agent.goal is None and not agent.images:
         return box
-    parts: dict[str, gym.Space[Any]] = {"observation": box} if entries or not scenario.agent.images else {}
-    for pictured in scenario.agent.images:
+    parts: dict[str, gym.Space[Any]] = {"observation": box} if entries or not agent.images else {}
+    for pictured in agent.images:
         rows, columns, channels = pictured.shape
-        parts[pictured.key] = gym.spaces.Box(0, 255, (rows, columns, channels * len(pictured.ages(scenario.agent.frame_stack))), np.uint8)
-    if scenario.agent.goal is not None:
-        goal = gym.spaces.Box(-1.0, 1.0, (len(scenario.agent.goal.low),), np.float32)
+        parts[pictured.key] = gym.spaces.Box(0, 255, (rows, columns, channels * len(pictured.ages(agent.frame_stack))), np.uint8)
+    if agent.goal is not None:
+        goal = gym.spaces.Box(-1.0, 1.0, (len(agent.goal.low),), np.float32)
         parts |= {"achieved_goal": goal, "desired_goal": goal}
     return gym.spaces.Dict(parts)
 
 
-def history_length(scenario: Program) -> int:
+def history_length(agent: Agent) -> int:
     """How many steps must be kept for the longest history."""
-    stack = scenario.agent.frame_stack
-    return stack + max([entry.history for entry in scenario.agent.observation], default=1) - 1
+    stack = agent.frame_stack
+    return stack + max([entry.history for entry in agent.observation], default=1) - 1
 
 
-def frame_indices(scenario: Program) -> NDArray[np.intp]:
+def frame_indices(agent: Agent) -> NDArray[np.intp]:
     """The indices of the numbers of an observation in a ring of frames; row p is for a newest frame in place p."""
-    seen = np.array(policy_inputs(scenario.agent.numbers, scenario.agent.frame_stack), np.intp).reshape(-1, 2)
-    frames = history_length(scenario)
+    seen = np.array(policy_inputs(agent.numbers, agent.frame_stack), np.intp).reshape(-1, 2)
+    frames = history_length(agent)
     newest = np.arange(frames)[:, None]
-    return (newest - seen[:, 1]) % frames * len(scenario.agent.numbers) + seen[:, 0]
+    return (newest - seen[:, 1]) % frames * len(agent.numbers) + seen[:, 0]
 
 
-def action_space(scenario: Program) -> gym.Space[Any]:
+def action_space(agent: Agent) -> gym.Space[Any]:
     """Discrete for one choice, MultiDiscrete for several, Box [-1, 1] for intervals; a Dict of `choices` and `ranges` for both."""
-    options = [len(part.options) for part in scenario.agent.action if isinstance(part, Choices)]
-    size = sum(max(1, len(part.components)) for part in scenario.agent.action if isinstance(part, ActionRange))
+    options = [len(part.options) for part in agent.action if isinstance(part, Choices)]
+    size = sum(max(1, len(part.components)) for part in agent.action if isinstance(part, ActionRange))
     ranges = gym.spaces.Box(-1.0, 1.0, (size,), np.float32)
     if not options:
         return ranges
@@ -139,14 +138,14 @@ class FrameStack:
 # Goals
 
 
-def recompute_rewards(scenario: Program, achieved: Goals, desired: Goals) -> NDArray[np.float64]:
+def recompute_rewards(agent: Agent, achieved: Goals, desired: Goals) -> NDArray[np.float64]:
     """The reward that each transition would have got for another goal; `achieved` and `desired` are (n, k), as the policy sees them.
 
     Raises:
         UsageError: The scenario has no goal, or the arrays have another shape.
         EvaluationError: A reward is not finite; names the term.
     """
-    goal = scenario.agent.goal
+    goal = agent.goal
     if goal is None:
         raise UsageError("this scenario has no `goal`, so its reward cannot be recomputed for another")
     size = len(goal.low)
@@ -155,7 +154,7 @@ def recompute_rewards(scenario: Program, achieved: Goals, desired: Goals) -> NDA
     values = {**_goal_values_in_unit(goal, goal.names("achieved"), achieved), **_goal_values_in_unit(goal, goal.names("desired"), desired)}
     values[Name("goal_reached")] = evaluate(goal.reached, values)
     total = np.zeros(len(achieved))
-    for term in scenario.agent.reward:
+    for term in agent.reward:
         reward = np.broadcast_to(np.asarray(evaluate(term.scalar, values), float), total.shape)
         if not np.isfinite(reward).all():
             raise EvaluationError(f"the reward term '{term.name}' is not finite for every goal")

@@ -111,30 +111,31 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
             raise UsageError(f"the engine '{engine.name}' cannot draw; use the engine 'pybullet' for pictures")
         super().__init__(scenario.world.timestep)
         self.scenario = scenario
+        self.agent = scenario.agent
         self.engine = engine
         self.render_mode = render_mode
         self.metadata = {
             "render_modes": ["rgb_array"] if "rendering" in engine.capabilities else [],
             "render_fps": max(1, round(1 / scenario.period)),
         }
-        self.observation_space = observation_space(scenario)
-        self.action_space = action_space(scenario)
+        self.observation_space = observation_space(self.agent)
+        self.action_space = action_space(self.agent)
         self.world = scenario.world
         """What the engine holds: with copies of a robot, each under its own name."""
-        self.agents: dict[str, Supervisor] = {"agent": self}
+        self.agents: dict[str, Supervisor] = {self.agent.name: self}
         """Each agent by name: the supervisor that observes and scores for it. Where there is one agent, this one."""
         self.streams = Streams(None)
-        self.views = frame_indices(scenario)
+        self.views = frame_indices(self.agent)
         self.depth = len(self.views)
         self.frame_stacks = {
-            entry.key: FrameStack(entry.shape, entry.ages(scenario.agent.frame_stack), self.depth) for entry in scenario.agent.images
+            entry.key: FrameStack(entry.shape, entry.ages(self.agent.frame_stack), self.depth) for entry in self.agent.images
         }
-        self.frames = np.zeros(self.depth * len(scenario.agent.numbers), np.float32)
+        self.frames = np.zeros(self.depth * len(self.agent.numbers), np.float32)
         self._buffer = self.frames.data
-        self._width = 4 * len(scenario.agent.numbers)
-        self._pack = Struct(f"{len(scenario.agent.numbers)}f").pack_into
-        self._ranges = sum(max(1, len(part.components)) for part in scenario.agent.action if isinstance(part, ActionRange))
-        self.goal = np.zeros(2 * len(scenario.agent.goal.low) if scenario.agent.goal else 0, np.float32)
+        self._width = 4 * len(self.agent.numbers)
+        self._pack = Struct(f"{len(self.agent.numbers)}f").pack_into
+        self._ranges = sum(max(1, len(part.components)) for part in self.agent.action if isinstance(part, ActionRange))
+        self.goal = np.zeros(2 * len(self.agent.goal.low) if self.agent.goal else 0, np.float32)
         self.physics = engine.step
         self.rebuild: Callable[[], Supervisor] | None = None
         self.fixed: tuple[str, ...] = ()  # parameters that no episode draws
@@ -342,8 +343,8 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         """
         achieved, desired = np.asarray(achieved_goal), np.asarray(desired_goal)
         if achieved.ndim == 1:
-            return recompute_rewards(self.scenario, achieved[None], np.atleast_2d(desired)).item()
-        return recompute_rewards(self.scenario, achieved, desired)
+            return recompute_rewards(self.agent, achieved[None], np.atleast_2d(desired)).item()
+        return recompute_rewards(self.agent, achieved, desired)
 
     def script(self, name: str) -> Any:
         """The next action of a script of the scenario, in the action space; asking changes nothing.
@@ -387,7 +388,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
 
     def allowed(self) -> tuple[tuple[bool, ...], ...]:
         """Which options of each choice may be chosen next; all of them unless the scenario forbids some."""
-        return tuple((True,) * len(part.options) for part in self.scenario.agent.action if isinstance(part, Choices))
+        return tuple((True,) * len(part.options) for part in self.agent.action if isinstance(part, Choices))
 
     @abstractmethod
     def get_observations(self) -> Observation:
@@ -455,7 +456,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         Raises:
             FloatingPointError: A number is not a number.
         """
-        goal = self.scenario.agent.goal
+        goal = self.agent.goal
         assert goal is not None
         halves = [(high - low) / 2 for low, high in zip(goal.low, goal.high, strict=True)]
         middles = [(high + low) / 2 for low, high in zip(goal.low, goal.high, strict=True)]
@@ -503,14 +504,14 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
 
     def _fill_frames(self) -> None:
         """Let every frame be as the newest, which is in place 0: before an episode there was nothing else."""
-        width = len(self.scenario.agent.numbers)
+        width = len(self.agent.numbers)
         self.frames.reshape(self.depth, width)[1:] = self.frames[:width]
         for stack in self.frame_stacks.values():
             stack.frames[1:] = stack.frames[0]
 
     def _nothing_allowed(self, choice: str) -> None:
         """Called when every option of a choice is forbidden while the episode goes on."""
-        options = next(part.options for part in self.scenario.agent.action if part.name == choice and isinstance(part, Choices))
+        options = next(part.options for part in self.agent.action if part.name == choice and isinstance(part, Choices))
         names = ", ".join(option.name for option in options)
         raise EvaluationError(f"step {self.step_count}: every option of '{choice}' is forbidden: {names}")
 

@@ -105,7 +105,7 @@ def _extent(points: NDArray[np.float64]) -> float:
 def _subjects(program: Program, analysis: Analysis) -> list[_Subject]:
     """What the task reads, each once, in the order of the module's docstring."""
     agent = program.agent
-    endings = [(0 if ending.outcome == "success" else 2, ending.value) for ending in program.endings]
+    endings = [(0 if ending.name in agent.success else 2, ending) for ending in program.endings]
     goals = [(0, agent.goal.achieved), (2, agent.goal.desired)] if agent.goal else []
     values = [*goals, *endings, *((1, term) for term in agent.reward), *((2, entry.value) for entry in agent.observation)]
     found: dict[tuple[str, str], _Subject] = {}
@@ -117,8 +117,7 @@ def _subjects(program: Program, analysis: Analysis) -> list[_Subject]:
 
 def _avoided(program: Program, analysis: Analysis) -> set[str]:
     """The bodies that a failure reads, such as walls that must not be touched."""
-    failures = [ending.value for ending in program.endings if ending.outcome == "failure"]
-    return {body for value in failures for body, _ in _read_by(analysis, value)}
+    return {body for value in program.endings if value.name in program.failures for body, _ in _read_by(analysis, value)}
 
 
 def _read_by(analysis: Analysis, value: Expression) -> Iterator[tuple[str, str]]:

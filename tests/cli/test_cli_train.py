@@ -360,7 +360,7 @@ def test_inspect_shows_what_a_run_is_and_the_scenario_that_it_was_trained_with(d
     known = tables["run"]
     assert (known["status"], known["seed"], known["solved"]) == ("finished", 0, "unknown")
     assert known["steps"] >= 600 == known["total_timesteps"]
-    assert known["best_model"] == "mine/models/policy/best.zip"
+    assert known["best_model"] == "mine/models/agent/best.zip"
     assert tables["training"]["evaluation_episodes"] == 4
     assert {row["parameter"]: row["value"] for row in tables["parameters"]}["track"] == "0.39 m"
     assert "abs(cart.pole_angle) > fall_angle" in deepbots("inspect", "mine").out
@@ -463,5 +463,5 @@ def test_ctrl_c_keeps_what_was_learned_and_says_how_to_go_on(interrupted):
     assert ran.code == 130, ran.err
     assert "deepbots train --resume mine" in ran.out
     assert "Traceback" not in ran.err
-    assert (folder / "mine" / "models" / "policy" / "last.zip").exists()
+    assert (folder / "mine" / "models" / "agent" / "last.zip").exists()
     assert json.loads((folder / "mine" / "run.json").read_text())["status"] == "interrupted"

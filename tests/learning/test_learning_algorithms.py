@@ -267,7 +267,7 @@ def test_a_policy_with_a_memory_is_kept_whole_and_goes_on_learning(remembered: T
     settings = Run.open(remembered.run).program.agent.training
     assert settings is not None
     model = algorithms.create(settings, copies_of(stand_in.scenario(), Remember), seed=5, total_timesteps=100)
-    models.load(remembered.run / "models" / "policy" / "last.zip", model)
+    models.load(remembered.run / "models" / "agent" / "last.zip", model)
     assert model.policy.lstm_actor.hidden_size == 16
     more = remembered.steps + 1
     assert resume(remembered.run, total_timesteps=more, build=Remember).steps >= more

@@ -100,7 +100,7 @@ def test_the_best_model_is_that_of_the_best_evaluation_and_evaluations_take_at_m
     build = Builder(lambda number: 0.1 if number == 1 else 0.0)
     result = learned(tmp_path, build, total=3_000)
     assert build.tried > 2
-    best, last = (models.steps_of(result.run / "models" / "policy" / f"{name}.zip") for name in ("best", "last"))
+    best, last = (models.steps_of(result.run / "models" / "agent" / f"{name}.zip") for name in ("best", "last"))
     assert 0 < best < last
     assert evaluate(result.run, episodes=1, build=stand_in.build).mean_return > 0
     # The last evaluation comes in addition.
@@ -113,7 +113,7 @@ def test_a_network_that_solves_the_task_goes_before_one_with_a_higher_return(tmp
     build = Builder(lambda number: 9.0 if number == 0 else 0.1, lambda number: number == 1)
     result = learned(tmp_path, build, 50_000, Solved(2, success_rate=1.0))
     assert (build.tried, result.steps < 50_000) == (2, True)
-    best, last = (models.steps_of(result.run / "models" / "policy" / f"{name}.zip") for name in ("best", "last"))
+    best, last = (models.steps_of(result.run / "models" / "agent" / f"{name}.zip") for name in ("best", "last"))
     assert best == last
     assert result.best_return is not None
     assert result.best_return < 0.1 * 50 + 1e-6
@@ -152,13 +152,13 @@ def test_a_network_that_confirmed_the_solved_task_goes_before_one_that_shone_ear
     result = learned(tmp_path, build, 50_000, Solved(30, success_rate=1.0))
     assert sum(seed == EVALUATION_SEEDS[0] for world in worlds for seed in world.seeds) == 2
     assert result.solved_at is not None
-    best = models.steps_of(result.run / "models" / "policy" / "best.zip")
+    best = models.steps_of(result.run / "models" / "agent" / "best.zip")
     assert best >= result.solved_at.steps
 
 
 def test_of_equal_evaluations_the_later_network_is_kept(unpaid: tuple[Builder, TrainingResult]) -> None:
     _, result = unpaid
-    best, last = (models.steps_of(result.run / "models" / "policy" / f"{name}.zip") for name in ("best", "last"))
+    best, last = (models.steps_of(result.run / "models" / "agent" / f"{name}.zip") for name in ("best", "last"))
     assert best == last
 
 

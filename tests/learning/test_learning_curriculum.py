@@ -149,7 +149,7 @@ def test_a_training_may_begin_in_a_later_stage_and_stays_there_when_it_is_resume
 
 def test_a_killed_training_that_had_learned_nothing_begins_anew_in_its_first_stage(tmp_path: Path) -> None:
     run = learned(tmp_path, staged(SHORT, None), stage="b", total_timesteps=96).run
-    for folder in (run / "checkpoints", run / "models" / "policy"):
+    for folder in (run / "checkpoints", run / "models" / "agent"):
         shutil.rmtree(folder)
         folder.mkdir()
     (run / "monitor.csv").unlink()

@@ -30,7 +30,7 @@ from deepbots_cli.learning.run import Run
 from deepbots_cli.program.task import Hyperparameter, Network, Schedule, Training
 from tests.few import few
 
-BEST = Path("models", "policy", "best.zip")
+BEST = Path("models", "agent", "best.zip")
 WEIGHT = "action_net.weight"
 
 
@@ -95,7 +95,7 @@ def test_plain_stable_baselines_loads_a_model_and_acts_the_same(tmp_path: Path, 
     with pytest.MonkeyPatch.context() as patched:
         for name in [name for name in sys.modules if name.partition(".")[0] == "deepbots_cli"]:
             patched.setitem(sys.modules, name, None)  # an import of it fails
-        plain = getattr(stable_baselines3, algorithm).load(tmp_path / algorithm / "models/policy/best.zip", device="cpu")
+        plain = getattr(stable_baselines3, algorithm).load(tmp_path / algorithm / "models/agent/best.zip", device="cpu")
         assert np.array_equal(plain.predict(observations, deterministic=True)[0], ours)
 
 
@@ -159,7 +159,7 @@ def test_a_zip_bomb_is_refused_outside_and_inside(run_copy: Path, tmp_path: Path
 
 @pytest.mark.parametrize(("place", "value"), [(6, 1), (8, 99)], ids=["encrypted", "unknown compression"])
 def test_a_model_that_is_encrypted_or_packed_otherwise_is_refused(run_copy: Path, place: int, value: int) -> None:
-    path = run_copy / "models" / "policy" / "last.zip"
+    path = run_copy / "models" / "agent" / "last.zip"
     content = bytearray(path.read_bytes())
     for mark, further in ((b"PK\x03\x04", 0), (b"PK\x01\x02", 2)):  # a local header, and its entry in the directory
         for found in re.finditer(re.escape(mark), bytes(content)):
@@ -282,7 +282,7 @@ def test_a_policy_acts_like_the_model_by_names_and_units_and_leaves_the_generato
     values = {"x": 0.2, "speed": -0.4, "cart.pole_angle": 0.35, "tip_speed": 9.0}
     observation = policy.observe(values)
     assert observation.tolist() == pytest.approx([0.5, -0.5, 1.0, 1.0])
-    plain = PPO.load(trained.run / "models" / "policy" / "best.zip")
+    plain = PPO.load(trained.run / "models" / "agent" / "best.zip")
     assert policy(observation) == policy.predict(observation) == plain.predict(observation, deterministic=True)[0]
     assert policy.predict(np.stack([observation] * 3)).shape == (3,)
     assert policy.named(0) == {"drive": "forward"}

@@ -66,7 +66,7 @@ def outcome(folder: Path) -> dict[str, Any]:
             if not tag.startswith("time/")
         },
         "evaluations": (run.evaluations / "training.jsonl").read_text() if (run.evaluations / "training.jsonl").exists() else "",
-        "models": {path.name: models_in(path) for path in run.models.glob("*.zip")},
+        "models": {path.name: models_in(path) for path in run.model("last").parent.glob("*.zip")},
         "checkpoint": None if last is None else last.name,
     }
 
@@ -344,7 +344,7 @@ def test_a_training_with_a_higher_goal_may_remember_more(tmp_path: Path) -> None
 
 def test_checkpoints_are_kept_at_equal_distances_and_can_be_used(tmp_path: Path) -> None:
     run = train(compiled_of("PPO"), run=tmp_path / "run", total_timesteps=1_000, keep_checkpoints=4, build=stand_in.build).run
-    kept = sorted(path.name for path in (run / "models" / "policy").glob("step-*.zip"))
+    kept = sorted(path.name for path in (run / "models" / "agent").glob("step-*.zip"))
     assert len(kept) == 4
     assert kept[0] == "step-000000288.zip"  # the first roll-out of 96 steps that ends after 250
 
@@ -368,8 +368,8 @@ def test_a_folder_that_cannot_be_written_leaves_the_last_good_state(tmp_path: Pa
     run = train(compiled_of("PPO"), run=tmp_path / "run", total_timesteps=500, build=stand_in.build).run
     before = checkpoints.latest_checkpoint(Run.open(run))
     (run / "checkpoints" / "new").write_text("in the way")
-    (run / "models" / "policy" / "last.zip").unlink()
-    (run / "models" / "policy" / "last.zip").mkdir()
+    (run / "models" / "agent" / "last.zip").unlink()
+    (run / "models" / "agent" / "last.zip").mkdir()
     with pytest.raises(RunError, match=r"cannot be written.*") as caught:
         resume(run, total_timesteps=1_000, build=stand_in.build)
     assert f"is kept; go on from there with: deepbots train --resume {run}" in caught.value.full_message

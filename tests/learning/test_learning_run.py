@@ -31,8 +31,8 @@ def test_a_run_keeps_everything_that_it_was_made_from(trained: TrainingResult) -
         "resolved.yaml",
         "environment.py",
         "monitor.csv",
-        "models/policy/best.zip",
-        "models/policy/last.zip",
+        "models/agent/best.zip",
+        "models/agent/last.zip",
         "inputs/tests/learning/stand_in.yaml",
         "inputs/robots/urdf/cartpole.urdf",
     } <= files
@@ -245,7 +245,7 @@ def test_a_run_whose_project_is_gone_finds_its_meshes_in_its_own_copies(tmp_path
     assert "does not compile" in refusal(tmp_path / "moved")
 
 
-@pytest.mark.parametrize("name", ["monitor.csv", "models/policy/last.zip", "resolved.yaml"])
+@pytest.mark.parametrize("name", ["monitor.csv", "models/agent/last.zip", "resolved.yaml"])
 def test_a_pipe_in_a_run_is_not_waited_for(run_copy: Path, name: str) -> None:
     (run_copy / name).unlink()
     os.mkfifo(run_copy / name)

@@ -158,7 +158,7 @@ def test_resuming_takes_up_networks_and_optimiser(run_copy: Path, trained: Train
     result = resume(run_copy, total_timesteps=100_000, progress=told, build=stand_in.build)
     assert result.interrupted
     assert result.weights_digest == trained.weights_digest
-    kept, before = (run / "models" / "policy" / "last.zip" for run in (run_copy, trained.run))
+    kept, before = (run / "models" / "agent" / "last.zip" for run in (run_copy, trained.run))
     with zipfile.ZipFile(kept) as mine, zipfile.ZipFile(before) as theirs:
         assert any("optimizer" in name for name in theirs.namelist())
         assert all(mine.read(name) == theirs.read(name) for name in theirs.namelist() if name.endswith(".pth"))
@@ -233,7 +233,7 @@ def test_an_impatient_keyboard_interrupt_keeps_what_was_learned_too(tmp_path: Pa
 
     result = short(tmp_path, total=50_000, progress=Telling(5, interrupt), build=stand_in.build)
     assert result.interrupted
-    assert (result.run / "models" / "policy" / "last.zip").exists()
+    assert (result.run / "models" / "agent" / "last.zip").exists()
 
 
 def test_a_killed_process_leaves_a_run_that_can_be_evaluated_and_resumed(tmp_path: Path) -> None:
@@ -465,7 +465,7 @@ def test_a_training_that_was_killed_when_it_was_done_is_finished_by_resuming_it(
 
 def test_a_finished_run_without_its_checkpoint_is_damaged_and_not_begun_again(run_copy: Path) -> None:
     shutil.rmtree(run_copy / "checkpoints")
-    for name in ("models/policy/best.zip", "models/policy/last.zip"):
+    for name in ("models/agent/best.zip", "models/agent/last.zip"):
         (run_copy / name).unlink()
     with pytest.raises(RunError, match="checkpoint"):
         resume(run_copy, total_timesteps=100_000, build=stand_in.build)

@@ -184,4 +184,4 @@ def test_stable_baselines_learns_from_hindsight(small: Small) -> None:
 def test_a_goal_is_part_of_what_policy_and_world_agree_on(small: Small) -> None:
     from deepbots_cli.program.identity import interface
 
-    assert interface(small(GOAL + SPARSE).scenario)["goal"] == "-0.4 .. 0.4 m"
+    assert interface(small(GOAL + SPARSE).scenario)["agent"]["goal"] == "-0.4 .. 0.4 m"

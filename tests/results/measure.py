@@ -174,7 +174,7 @@ def _plain(value: object) -> Any:
     if inside is not None:
         defaults = _defaults(type(value))
         known = {name: _plain(given) for name, given in inside.items() if given != defaults.get(name, MISSING)}
-        return {"is": identity.kind_name(type(value))} | known
+        return {"is": type(value).__name__} | known
     if isinstance(value, Mapping):
         return {name: _plain(item) for name, item in value.items()}
     return [_plain(item) for item in value] if isinstance(value, tuple) else value

@@ -143,20 +143,20 @@ class Change:
 
 
 _LOOKS_PATH = r"(?=/(?:.*/)?(?:colour|visuals)\b)"
-_POLICY = r"policies/[^/]+/"
+_AGENT = r"agents/[^/]+/"
 _PATHS: tuple[tuple[str, str, Effect], ...] = (
     # the path of a value in a compiled scenario, the first that matches; its path in the language; its group
-    (_POLICY + r"observation/([^/]+)/noise", r"observation.\1.noise", Effect.task),
-    (_POLICY + r"observation/([^/]+)", r"observation.\1", Effect.task),
-    (_POLICY + r"action/([^/]+)/options(?=/.*/forbidden)", r"action.\1.forbid", Effect.task),
-    (_POLICY + r"action/([^/]+)", r"action.\1", Effect.policy),
-    (_POLICY + r"copies/([^/]+)", r"robots.\1.count", Effect.world),
-    (rf"(?:{_POLICY})?(action_repeat|frame_stack)", r"agent.\1", Effect.world),
-    (_POLICY + r"goal/achieved/noise", "goal.noise", Effect.task),
-    (_POLICY + r"goal/(?:low|high)", "goal.range", Effect.policy),
-    (_POLICY + r"goal/(\w+)", r"goal.\1", Effect.task),
+    (_AGENT + r"observation/([^/]+)/noise", r"observation.\1.noise", Effect.task),
+    (_AGENT + r"observation/([^/]+)", r"observation.\1", Effect.task),
+    (_AGENT + r"action/([^/]+)/options(?=/.*/forbidden)", r"action.\1.forbid", Effect.task),
+    (_AGENT + r"action/([^/]+)", r"action.\1", Effect.policy),
+    (_AGENT + r"copies/([^/]+)", r"robots.\1.count", Effect.world),
+    (rf"(?:{_AGENT})?(action_repeat|frame_stack)", r"agent.\1", Effect.world),
+    (_AGENT + r"goal/achieved/noise", "goal.noise", Effect.task),
+    (_AGENT + r"goal/(?:low|high)", "goal.range", Effect.policy),
+    (_AGENT + r"goal/(\w+)", r"goal.\1", Effect.task),
     (r"signals/([^/]+)", r"signals.\1", Effect.task),
-    (_POLICY + r"reward/([^/]+)", r"reward.\1", Effect.task),
+    (_AGENT + r"reward/([^/]+)", r"reward.\1", Effect.task),
     (r"endings/(\w+)/([^/]+)", r"termination.\1.\2", Effect.task),
     (r"truncation/(\w+)", r"truncation.\1", Effect.task),
     (r"robots/[^/]+/(to|from)_route", r"messages.\1_robot", Effect.world),
@@ -184,12 +184,12 @@ _PATHS: tuple[tuple[str, str, Effect], ...] = (
     (r"reset/groups/([^/]+)", r"objects.\1.count", Effect.world),
     (r"reset/layouts/([^/]+)", r"reset.layouts.\1", Effect.world),
     (r"reset/(\w+)", r"reset.\1", Effect.world),
-    (r"(solved)", r"\1", Effect.training),
+    (_AGENT + "(solved)", r"\1", Effect.training),
     (r"evaluation/(\w+)", r"evaluation.\1", Effect.training),
-    (_POLICY + r"training/(algorithm|total_timesteps|environments|action_noise|replay|normalize|device)", r"train.\1", Effect.training),
-    (_POLICY + r"training/network/(\w+)", r"train.policy.\1", Effect.training),
-    (_POLICY + r"training/hyperparameters/([^/]+)", r"train.\1", Effect.training),
-    (_POLICY + r"scripts/([^/]+)", r"scripts.\1", Effect.training),
+    (_AGENT + r"training/(algorithm|total_timesteps|environments|action_noise|replay|normalize|device)", r"train.\1", Effect.training),
+    (_AGENT + r"training/network/(\w+)", r"train.policy.\1", Effect.training),
+    (_AGENT + r"training/hyperparameters/([^/]+)", r"train.\1", Effect.training),
+    (_AGENT + r"scripts/([^/]+)", r"scripts.\1", Effect.training),
 )
 _AXES = {"rpy": ("roll", "pitch", "yaw")} | dict.fromkeys(("xyz", "size", "axis", "spacing", "scale", "gravity"), ("x", "y", "z"))
 _CONTAINER_RECORDS = (Program, WorldModel, RobotBody, RobotModel, Robot, Route, Agent, Truncation, Reset, JointStart, Training, Network)
@@ -215,7 +215,7 @@ def scenario_changes(one: OpenedSource, other: OpenedSource) -> list[Change]:
 
 def _of_interface(one: OpenedSource, other: OpenedSource) -> Iterator[Change]:
     """Differences in the interface of a policy: ranges, choices and messages."""
-    before, after = identity.interface(one.program), identity.interface(other.program)
+    before, after = (identity.interface(side.program)[side.program.agent.name] for side in (one, other))
     for name in dict.fromkeys((*before, *after)):
         if before.get(name) != after.get(name):
             path = "goal.range" if name.startswith("goal") else re.sub(r"^message to robot ([^.]+)\.", r"robots.\1.receive.", name)
@@ -328,7 +328,7 @@ def _of_orders(one: Program, other: Program) -> Iterator[Change]:
 
 
 def _orders(scenario: Program) -> Iterator[tuple[tuple[str, Effect], list[str]]]:
-    yield ("order of what is observed, done and sent", Effect.policy), list(identity.interface(scenario))
+    yield ("order of what is observed, done and sent", Effect.policy), list(identity.interface(scenario)[scenario.agent.name])
     yield ("order of endings", Effect.task), [ending.name for ending in scenario.endings]
     yield ("order of reset.place", Effect.world), [place.body for place in scenario.reset.placements]
     yield ("order of evaluation.cases", Effect.training), [case.name for case in scenario.cases]
@@ -340,8 +340,10 @@ def _orders(scenario: Program) -> Iterator[tuple[tuple[str, Effect], list[str]]]
 
 def values(scenario: Program) -> dict[str, str]:
     """Every value of a scenario as text, by path; without cases, stages and paths of files."""
-    placeless = identity.with_files(replace(scenario, cases=(), curriculum=()), lambda file: replace(file, path=""))
-    return dict(_leaves(placeless, ""))
+    kinds = dict.fromkeys(scenario.failures, "failure") | dict.fromkeys(scenario.agent.success, "success")
+    plain = replace(scenario.with_agents(robots=(), success=()), cases=(), curriculum=())
+    leaves = _leaves(identity.with_files(plain, lambda file: replace(file, path="")), "")
+    return {re.sub(r"^endings/(\w+)", lambda found: f"endings/{kinds[found[1]]}/{found[1]}", path): text for path, text in leaves}
 
 
 def _leaves(value: Any, path: str) -> Iterator[tuple[str, str]]:
@@ -386,8 +388,7 @@ def _key(entry: Any) -> str:
         return _path_of_draw(entry)
     if isinstance(entry, tuple):
         return entry[0] if entry and isinstance(entry[0], str) else ""
-    name = next((str(getattr(entry, key)) for key in ("name", "body", "robot") if hasattr(entry, key)), "")
-    return f"{entry.outcome}/{name}" if hasattr(entry, "outcome") else name
+    return next((str(getattr(entry, key)) for key in ("name", "body", "robot") if hasattr(entry, key)), "")
 
 
 def _path_of_draw(entry: RandomizedParameter) -> str:

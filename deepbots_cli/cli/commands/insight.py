@@ -97,7 +97,8 @@ def _outcome(training: TrainingEvidence) -> str:
     from deepbots_cli.insight.statements import SuccessRate
 
     program, final = training.run.program, SuccessRate([each.is_success for each in training.final_episodes])
-    state = "" if program.solved is None else f"; {'solved' if training.solved else 'not solved'} ({program.solved.description})"
+    wanted = program.agent.solved
+    state = "" if wanted is None else f"; {'solved' if training.solved else 'not solved'} ({wanted.description})"
     return state + (f"; success in {final} of the evaluation" if final.episodes and program.defines_success else "")
 
 

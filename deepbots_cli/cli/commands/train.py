@@ -164,7 +164,7 @@ def _names(given: list[str] | None) -> list[str] | None:
 
 def _announce(program: Program, seeds: str, timesteps: int | None, *, full: bool) -> None:
     """Say what is trained, when it ends, and how to end it earlier."""
-    training, solved = program.agent.training, program.solved
+    training, solved = program.agent.training, program.agent.solved
     if training is not None:
         until = f", or until it is solved ({solved.description})" if solved and not full else ""
         terminal.note(f"training {program.name} with {training.algorithm} from {seeds}")
