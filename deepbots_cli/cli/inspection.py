@@ -28,7 +28,7 @@ from deepbots_cli.learning.verdict import run_verdict
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.resets import OfSensor, RandomizedParameter
 from deepbots_cli.program.robots import Actuator, Cartesian, MessageField, MessageLayout, NoiseModel, Robot, Route, Thrust
-from deepbots_cli.program.task import ActionNoise, ActionRange, Choices, Hindsight, ImageObservation, Schedule, policy_inputs
+from deepbots_cli.program.task import ActionNoise, ActionRange, Choices, Hindsight, ImageObservation, Schedule
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Geometry, Joint, Link, Mesh, RobotModel, Sphere
 from deepbots_cli.robots.reader import RobotFile
 
@@ -236,7 +236,7 @@ def _scenario(scenario: Program) -> Row:
 
 
 def _view(scenario: Program) -> str:
-    numbers = len(policy_inputs(scenario.agent.numbers, scenario.agent.frame_stack))
+    numbers = len(scenario.agent.seen)
     parts = [f"Box({numbers})"] if numbers or not scenario.agent.images else []
     parts += [f"{entry.key} {_image_size_text(entry, scenario)}" for entry in scenario.agent.images]
     if scenario.agent.goal is not None:
@@ -250,8 +250,8 @@ def _image_size_text(entry: ImageObservation, scenario: Program) -> str:
 
 
 def _space(scenario: Program) -> str:
-    sizes = [len(part.options) for part in scenario.agent.action if isinstance(part, Choices)]
-    width = sum(max(1, len(part.components)) for part in scenario.agent.action if isinstance(part, ActionRange))
+    sizes = [len(part.options) for part in scenario.agent.choices]
+    width = len(scenario.agent.range_names)
     spaces = [f"Box({width})"] if width else []
     if sizes:
         spaces.append(f"Discrete({sizes[0]})" if len(sizes) == 1 else f"MultiDiscrete({', '.join(map(str, sizes))})")
@@ -435,7 +435,7 @@ def _signals(scenario: Program, root: Node) -> list[Row]:
 
 def _observation(scenario: Program) -> list[Row]:
     """A row per number that the policy sees; with histories, how many steps before the last one it was so."""
-    seen = [(scenario.agent.numbers[index], ago) for index, ago in policy_inputs(scenario.agent.numbers, scenario.agent.frame_stack)]
+    seen = [(scenario.agent.numbers[index], ago) for index, ago in scenario.agent.seen]
     remembers = any(ago for _, ago in seen)
     rows: list[Row] = []
     for index, (entry, ago) in enumerate(seen):
@@ -500,8 +500,7 @@ def timing(scenario: Program) -> list[Row]:
     substeps, timestep, repeat = scenario.world.substeps, scenario.world.timestep, scenario.action_repeat
     rows: list[Row] = []
     for part in scenario.agent.action:
-        named = set(part.variables) if isinstance(part, Choices) else {part.name}
-        routes = [robot.to_route for robot in scenario.robots if named & {entry.name for entry in robot.received}]
+        routes = [robot.to_route for robot in scenario.robots if {*part.variables} & {entry.name for entry in robot.received}]
         ticks = _whole(_slowest(scenario, routes))
         acts = "varies" if ticks is None else f"{substeps * repeat}n + {substeps * ticks + 1}"
         age = None if ticks is None else ticks * timestep

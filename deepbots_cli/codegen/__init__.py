@@ -31,7 +31,6 @@ from deepbots_cli.expressions.functions import math_names
 from deepbots_cli.expressions.lower import BATCH, SCALAR, Target
 from deepbots_cli.program import Program
 from deepbots_cli.program.identity import digest
-from deepbots_cli.program.task import Choices
 
 _MODULE = '''
 """{name}, compiled by deepbots{purpose}; scenario {digest}.
@@ -131,7 +130,7 @@ def batch_obstacles(scenario: Program) -> list[str]:
         (agent.copies is not None, "it has several copies of a robot"),
         (bool(agent.images) or any(sensor.optics for robot in scenario.robots for sensor in robot.sensors), "it has cameras"),
         (bool(scenario.python_functions), "it runs code of packages"),
-        (any(option.forbidden for part in agent.action if isinstance(part, Choices) for option in part.options), "it forbids choices"),
+        (any(option.forbidden for part in agent.choices for option in part.options), "it forbids choices"),
     ]
     found = [reason for holds, reason in reasons if holds]
     if not found:

@@ -17,8 +17,8 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.resets import (
     Cells,
     Disturbance,
-    Group,
     JointStart,
+    ObjectGroup,
     OfActuator,
     OfSensor,
     OfWalls,
@@ -171,7 +171,7 @@ def _ordered(places: Sequence[Placement]) -> list[Placement]:
     return found
 
 
-def _place(place: Placement, group: Group | None, printer: Printer) -> list[str]:
+def _place(place: Placement, group: ObjectGroup | None, printer: Printer) -> list[str]:
     count = printer.value(group.count.scalar) if group else "1"
     body, pad = ("body", "    ") if group else (quoted(place.body), "")
     at_most = "" if place.at_most is None else f", {place.at_most}"

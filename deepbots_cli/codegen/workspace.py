@@ -16,7 +16,7 @@ from deepbots_cli.expressions.lower import SCALAR, Target
 from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar, is_drawn, names_in, walk
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Direction, Robot
-from deepbots_cli.program.task import ActionRange, Choices, action_names
+from deepbots_cli.program.task import action_names
 
 # Readers of the engine
 
@@ -222,8 +222,8 @@ class SupervisorPrinter:
         self.memories: dict[str, str] = {}
         self.begun_by_message: Container[tuple[str, str]] = ()
         self.readers = Readers(self.names, constants, root_links(scenario), on_columns=target is not SCALAR)
-        self.choices = [part for part in self.agent.action if isinstance(part, Choices)]
-        self.ranges = [part for part in self.agent.action if isinstance(part, ActionRange)]
+        self.choices = self.agent.choices
+        self.ranges = self.agent.ranges
         evaluated: list[Scalar] = [value for entry in scenario.signals for value in entry.scalars]
         evaluated += [ending.scalar for ending in scenario.endings]
         evaluated += [term.scalar for term in self.agent.reward]
@@ -275,8 +275,8 @@ class SupervisorPrinter:
     @property
     def variables(self) -> list[tuple[str, Sequence[str]]]:
         """The action variables, with their components."""
-        parts = self.agent.action
-        return [(name, ()) if isinstance(part, Choices) else (name, part.components) for part in parts for name in _variables(part)]
+        components = {part.name: part.components for part in self.ranges}
+        return [(name, components.get(name, ())) for part in self.agent.action for name in part.variables]
 
     @property
     def action_names_read(self) -> list[tuple[str, Sequence[str]]]:
@@ -408,7 +408,3 @@ def zeros(components: Sequence[str]) -> str:
 
 def root_links(scenario: Program) -> dict[str, str]:
     return {body.name: f"{body.name}.{body.model.root}" for body in scenario.world.robots}
-
-
-def _variables(part: Choices | ActionRange) -> tuple[str, ...]:
-    return part.variables if isinstance(part, Choices) else (part.name,)

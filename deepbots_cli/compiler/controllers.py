@@ -405,7 +405,7 @@ class RobotBuilder:
 
 def commanded(robots: Iterable[Robot], action: Sequence[ActionPart], signals: Iterable[Expression]) -> Iterator[str]:
     """The names of the robots whose messages depend on the action; the `signals` stand after those that they are made of."""
-    moved = {name for part in action for name in ([part.name] if isinstance(part, ActionRange) else part.variables)}
+    moved = {name for part in action for name in part.variables}
     for signal in signals:
         if moved.intersection(referenced_names(signal.typed)):
             moved.add(signal.name)

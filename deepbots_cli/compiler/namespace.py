@@ -39,7 +39,7 @@ from deepbots_cli.expressions.types import (
     is_bare_zero,
 )
 from deepbots_cli.expressions.unification import ANY_SHAPE, expect_value
-from deepbots_cli.program.resets import Group, OfLink, Owner, Randomizable, RandomizedParameter
+from deepbots_cli.program.resets import ObjectGroup, OfLink, Owner, Randomizable, RandomizedParameter
 from deepbots_cli.program.robots import Parameter
 from deepbots_cli.program.values import Expression, Noise
 from deepbots_cli.program.world import Colour
@@ -110,7 +110,7 @@ class Namespace:
         """Of painted lines, m."""
         self.walls: dict[str, tuple[str, ...]] = {}
         """The bodies that each wall consists of; those of `arena` among them, where there is one."""
-        self.groups: dict[str, Group] = {}
+        self.groups: dict[str, ObjectGroup] = {}
         self.order: list[str] = []
         """Names in the order in which their values can be computed: each after those it is made of."""
         self.variations: list[RandomizedParameter] = []

@@ -17,7 +17,7 @@ from deepbots_cli.expressions.intervals import TURN, single
 from deepbots_cli.expressions.lower import constant_values
 from deepbots_cli.expressions.types import PLANE, SPACE, ComponentSelection, Constant, Context, Invocation, Known, Type
 from deepbots_cli.footprint import Footprint, Patch
-from deepbots_cli.program.resets import MAX_SPOTS, Cells, Group, Layout, Placement, Region, Top
+from deepbots_cli.program.resets import MAX_SPOTS, Cells, Layout, ObjectGroup, Placement, Region, Top
 from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import MAX_BODIES, WALL_COLOUR, ObjectBody, WorldModel
 from deepbots_cli.robots.model import Box, Cylinder, Mesh
@@ -519,7 +519,7 @@ class Layouts(NamespaceReader):
             headline = f"the world has {bodies:,} bodies, including the walls of maps; the limit is {MAX_BODIES}"
             self._values.add("DB005", span, headline, "write long walls under `world.walls`, or use larger cells")
             return
-        group = Group(name, count, Expression("count", span, "", _fixed(float(count), NUMBER), name))
+        group = ObjectGroup(name, count, Expression("count", span, "", _fixed(float(count), NUMBER), name))
         self._namespace.groups[name] = group
         self.walls += [ObjectBody(copy, Box((cell, cell, height)), colour=colour, fixed=True, pooled=True) for copy in group.copies]
 

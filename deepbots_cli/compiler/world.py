@@ -19,7 +19,7 @@ from deepbots_cli.expressions.lower import fold_operation, lower
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 from deepbots_cli.expressions.types import PLANE, Context, Known, Symbol, Type
 from deepbots_cli.files import MAX_PICTURE_BYTES, picture_problem, read_at_most
-from deepbots_cli.program.resets import Group, OfLink, OfWalls, OfWorld
+from deepbots_cli.program.resets import ObjectGroup, OfLink, OfWalls, OfWorld
 from deepbots_cli.program.world import (
     ARENA_WALLS,
     GROUND,
@@ -72,7 +72,7 @@ def define_bodies(namespace: Namespace) -> None:
         namespace.define(name, Origin.LINE, ("world", "lines", name))
 
 
-def _group(name: str, thing: world_spec.PlacedBody, namespace: Namespace) -> Group | None:
+def _group(name: str, thing: world_spec.PlacedBody, namespace: Namespace) -> ObjectGroup | None:
     """The group that an object with a `count` is; None after a finding.
 
     There are as many bodies as the greatest count asks for, and one at least; an episode without copies leaves them absent.
@@ -88,7 +88,7 @@ def _group(name: str, thing: world_spec.PlacedBody, namespace: Namespace) -> Gro
         help = "use fewer: an engine would take minutes to build this world"
         values.add("DB005", count.span, f"the count can be {highest:,.0f}; the limit is {MAX_BODIES}", help)
         return None
-    return Group(name, max(1, int(highest)), count)
+    return ObjectGroup(name, max(1, int(highest)), count)
 
 
 MAX_TRIANGLES = 200_000

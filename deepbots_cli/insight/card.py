@@ -25,7 +25,7 @@ from deepbots_cli.errors import MissingExtraError, RunError
 from deepbots_cli.learning.run import EvaluationRecord, ModelName, RecordFormat, Run, read_json
 from deepbots_cli.learning.verdict import RunVerdict, run_verdict
 from deepbots_cli.program import Program, identity
-from deepbots_cli.program.task import ActionRange, Choices, ObservedValue
+from deepbots_cli.program.task import ActionRange, ObservedValue
 
 FORMAT = 3
 CARD_NAME = "card.json"
@@ -109,7 +109,7 @@ def bundle_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
     verdict = run_verdict(run.path, run.record) if name == "best" else RunVerdict(None, None)
     program, record, lstm = run.program, run.record, getattr(model.policy, "lstm_actor", None)
     space: Any = observation_space(program.agent)
-    masks = [f"{part.name}: {option.name}" for part in program.agent.action if isinstance(part, Choices) for option in part.options]
+    masks = [f"{part.name}: {option.name}" for part in program.agent.choices for option in part.options]
     card = Card(
         format=FORMAT,
         deepbots=deepbots_cli.__version__,

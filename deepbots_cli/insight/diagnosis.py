@@ -50,7 +50,7 @@ from deepbots_cli.insight.trace import Array, Trace
 from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, lint_findings, returns_rise
 from deepbots_cli.learning.defaults import default_values, longest_episode
 from deepbots_cli.learning.report import longer_goal
-from deepbots_cli.program.task import ActionRange, Choices, Observation
+from deepbots_cli.program.task import Observation
 
 _SAME_TOLERANCE = 1e-6  # numbers of the observation, from -1 to 1, that differ by less are equal
 _AT_RESET = "already holds at reset"  # the error of an episode that cannot start
@@ -356,7 +356,7 @@ def _exploration_changes(t: TrainingEvidence, factor: float) -> list[str]:
     if weight is not None and (weight or factor > 1):
         found.append(f"{verb} `train.ent_coef` from {weight:g} to {weight * factor or 0.01:.2g}")
     elif isinstance(settings.get("ent_coef"), str):
-        size = sum(len(part.names) for part in t.program.agent.action if isinstance(part, ActionRange))
+        size = len(t.program.agent.range_names)
         found.append(f"set `train.target_entropy` from {settings.get('target_entropy')} to {-size * (0.5 if factor > 1 else 2):g}")
     if noise is not None and (noise.end or factor > 1):
         now = f"{noise.start:g}" if noise.start == noise.end else f"{noise.start:g} -> {noise.end:g}"
@@ -391,9 +391,8 @@ def exploration_too_large(t: TrainingEvidence) -> Numbers | None:
 
 def _random_entropy(t: TrainingEvidence) -> float | None:
     """The entropy of a random policy; None where not all parts of the action are choices."""
-    parts = t.program.agent.action
-    options = [len(part.options) for part in parts if isinstance(part, Choices)]
-    return float(np.log(options).sum()) if len(options) == len(parts) else None
+    agent = t.program.agent
+    return None if agent.ranges else float(np.log([len(part.options) for part in agent.choices]).sum())
 
 
 def exploration_collapsed(t: TrainingEvidence) -> Numbers | None:

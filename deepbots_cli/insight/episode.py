@@ -20,7 +20,6 @@ from deepbots_cli.insight.conditions import (
 )
 from deepbots_cli.insight.statements import MAX_LISTED, Numbers, Statement, StatementRule, list_text, quantity_text, statements_about
 from deepbots_cli.insight.trace import Trace
-from deepbots_cli.program.task import ActionRange, Choices
 
 
 def explain(trace: Trace) -> list[Statement]:
@@ -235,9 +234,8 @@ def saturation(trace: Trace) -> Numbers | None:
 
 def action_limits(trace: Trace) -> Numbers | None:
     """Actions at a limit of their range, as a share of steps: {parts}."""
-    names = [name for part in trace.program.agent.action if isinstance(part, ActionRange) for name in part.names]
     at_limit = np.abs(trace.action_array("ranges")) >= 0.999
-    return _shares({name: float(at_limit[:, place].mean()) for place, name in enumerate(names) if trace.steps})
+    return _shares({name: float(at_limit[:, place].mean()) for place, name in enumerate(trace.program.agent.range_names) if trace.steps})
 
 
 def _shares(found: Mapping[str, float]) -> Numbers | None:
@@ -249,7 +247,7 @@ def _shares(found: Mapping[str, float]) -> Numbers | None:
 
 def choices(trace: Trace) -> Numbers | None:
     """Actions, as a share of steps: {parts}."""
-    parts = [part for part in trace.program.agent.action if isinstance(part, Choices)]
+    parts = trace.program.agent.choices
     if not parts or not trace.steps:
         return None
     counts = [Counter(column.astype(int).tolist()).most_common() for column in trace.action_array("choices").T]

@@ -26,7 +26,6 @@ import deepbots_cli
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import algorithms
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import ActionRange, Choices
 from deepbots_cli.runtime.spaces import action_space, observation_space
 
 _OPSET = 17
@@ -129,8 +128,7 @@ def networks(model: BaseAlgorithm, program: Program) -> dict[str, bytes]:
 
 def takes_masks(model: BaseAlgorithm, program: Program) -> bool:
     """Whether the graph has the input `action_mask`: the algorithm uses action masks, and the scenario forbids options."""
-    choices = [part for part in program.agent.action if isinstance(part, Choices)]
-    return algorithms.takes_masks(model) and any(option.forbidden is not None for part in choices for option in part.options)
+    return algorithms.takes_masks(model) and any(option.forbidden is not None for part in program.agent.choices for option in part.options)
 
 
 def _graph(model: BaseAlgorithm, program: Program, *, si: bool) -> bytes:
@@ -232,8 +230,7 @@ def _gates(weight: torch.Tensor) -> torch.Tensor:
 
 def _ranges(graph: _Graph, value: str, program: Program, *, si: bool) -> None:
     value = graph.add("Clip", value, graph.constant(-1.0), graph.constant(1.0))
-    parts = [part for part in program.agent.action if isinstance(part, ActionRange)]
-    ends = np.array([(part.low, part.high) for part in parts for _ in part.names])
+    ends = np.array([(part.low, part.high) for part in program.agent.ranges for _ in part.names])
     if si:
         half = (ends[:, 1] - ends[:, 0]) / 2
         value = graph.add("Add", graph.add("Mul", value, graph.constant(half)), graph.constant(ends.mean(axis=1)))
@@ -242,7 +239,7 @@ def _ranges(graph: _Graph, value: str, program: Program, *, si: bool) -> None:
 
 def _choices(graph: _Graph, value: str, model: BaseAlgorithm, program: Program, *, si: bool) -> None:
     """The option with the largest logit of each choice; its number, or the values that it sets."""
-    parts = [part for part in program.agent.action if isinstance(part, Choices)]
+    parts = program.agent.choices
     sizes = [len(part.options) for part in parts]
     if takes_masks(model, program):
         allowed = graph.input("action_mask", np.bool_, "batch", sum(sizes))
@@ -279,7 +276,7 @@ def largest_difference(
     feeds = dict(observations) if isinstance(observations, dict) else {"observation": observations}
     options: dict[str, Any] = {}
     if algorithms.takes_masks(model):
-        sizes = [len(part.options) for part in program.agent.action if isinstance(part, Choices)]
+        sizes = [len(part.options) for part in program.agent.choices]
         allowed = random.random((count, sum(sizes))) < (0.5 if takes_masks(model, program) else 2.0)
         allowed[:, np.cumsum([0, *sizes[:-1]])] = True
         options["action_masks"] = allowed

@@ -31,7 +31,7 @@ from deepbots_cli.learning.episodes import meets_solved
 from deepbots_cli.learning.run import Run, changed_settings, is_training
 from deepbots_cli.learning.verdict import RunVerdict, quoted_episodes, run_verdict
 from deepbots_cli.program import CurriculumStage, Program
-from deepbots_cli.program.task import ActionRange, Choices, Schedule, idle_action
+from deepbots_cli.program.task import Schedule, idle_action
 from deepbots_cli.rollout import Driver, Episode, Start, steps
 from deepbots_cli.rollout.drivers import action_from_values, constant_driver, random_driver
 from deepbots_cli.runtime import Supervisor
@@ -280,7 +280,7 @@ def run_probes(
     with algorithms.torch_settings(), closing(world):
         constant = _constant(world.world)
         idle = idle_action(training.program.agent.action)
-        if any(isinstance(part, ActionRange) and not part.low <= 0.0 <= part.high for part in training.program.agent.action):
+        if any(not part.low <= 0.0 <= part.high for part in training.program.agent.ranges):
             idle = None  # no command is zero
         name: Any = next((name for name in ("last", "best") if run.model(name).is_file()), None)
         model = None if name is None else evaluation.load_model(run, name, world)
@@ -313,8 +313,7 @@ def run_probes(
 
 def _constant(env: Supervisor) -> dict[str, dict[str, Any]]:
     """For each part of the action, constant actions in which it alone differs: the first options of a choice, both ends of a range."""
-    action = env.scenario.agent.action
-    picks = {part.name: {option.name: n for n, option in enumerate(part.options[:4])} for part in action if isinstance(part, Choices)}
-    names = [name for part in action if isinstance(part, ActionRange) for name in part.names]
-    values: dict[str, Mapping[str, float]] = {**picks, **{name: {"-1": -1.0, "1": 1.0} for name in names[:8]}}
+    agent = env.scenario.agent
+    picks = {part.name: {option.name: n for n, option in enumerate(part.options[:4])} for part in agent.choices}
+    values: dict[str, Mapping[str, float]] = {**picks, **{name: {"-1": -1.0, "1": 1.0} for name in agent.range_names[:8]}}
     return {name: {said: action_from_values(env, {name: value}) for said, value in found.items()} for name, found in values.items()}

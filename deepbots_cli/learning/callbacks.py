@@ -41,7 +41,7 @@ from deepbots_cli.learning.failures import FailureRecorder
 from deepbots_cli.learning.report import LINE_INTERVAL_S, Reporter, TrainingProgress
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import Choices, Training, policy_inputs
+from deepbots_cli.program.task import Training
 from deepbots_cli.rollout import Episode
 from deepbots_cli.runtime.batch import BatchSupervisor
 from deepbots_cli.runtime.streams import derive_seed
@@ -346,7 +346,7 @@ class TrainingCallback(BaseCallback):
         else:
             buffer = self.model.rollout_buffer  # type: ignore[attr-defined]  # of OnPolicyAlgorithm
             rows = slice(None)
-            if any(isinstance(part, Choices) for part in self.run.program.agent.action):
+            if self.run.program.agent.choices:
                 self.logger.record("action/probability", float(np.exp(buffer.log_probs).mean()))
         observations = buffer.observations
         if isinstance(observations, dict):
@@ -365,14 +365,13 @@ class TrainingCallback(BaseCallback):
 
 def _first_frame(program: Program) -> dict[str, int]:
     """Where the newest value of each clipped number stands in an observation, by name; a truth value is always at an end of its range."""
-    numbers = program.agent.numbers
-    places = enumerate(policy_inputs(numbers, program.agent.frame_stack))
-    return {numbers[i].full_name: place for place, (i, age) in places if age == 0 and numbers[i].clip and not numbers[i].is_truth}
+    newest = zip(program.agent.numbers, program.agent.newest, strict=True)
+    return {number.full_name: place for number, place in newest if number.clip and not number.is_truth}
 
 
 def option_shares(program: Program, actions: npt.NDArray[Any]) -> dict[str, float]:
     """The share of each option in actions of shape (..., choices): `forward`, or `drive/forward` if there are several choices."""
-    choices = [part for part in program.agent.action if isinstance(part, Choices)]
+    choices = program.agent.choices
     columns = np.asarray(actions).reshape(-1, max(1, len(choices)))
     return {
         f"{part.name}/{option.name}" if len(choices) > 1 else option.name: float((column == index).mean())

@@ -42,7 +42,7 @@ from deepbots_cli.port import Engine, JointReader, MotionReader
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Cartesian as CartesianActuator
 from deepbots_cli.program.robots import Sensor
-from deepbots_cli.program.task import Choices, idle_action, policy_inputs
+from deepbots_cli.program.task import idle_action
 from deepbots_cli.program.world import ObjectBody
 from deepbots_cli.robots.model import RobotModel
 from deepbots_cli.rollout import Driver, Start, Step, steps
@@ -138,7 +138,7 @@ class Simulator:
     def _check_first_commands(self, environment: Supervisor, arms: ArmWatch) -> None:
         """Check whether arms reach their first commanded pose. Every choice should lead to one; the end of a range need not."""
         by = IDLE if idle_action(self._program.agent.action) is not None else RANDOM
-        if by == RANDOM and not all(isinstance(part, Choices) for part in self._program.agent.action):
+        if by == RANDOM and self._program.agent.ranges:
             return
         for seed in range(_FIRST_EPISODES):
             arms.is_watching = True
@@ -259,8 +259,7 @@ class Counter:
 
     def __init__(self, program: Program) -> None:
         self._program = program
-        ages = policy_inputs(program.agent.numbers, program.agent.frame_stack)
-        self._columns = [ages.index((place, 0)) for place in range(len(program.agent.numbers))]
+        self._columns = program.agent.newest
         self._pictures = [entry.key for entry in program.agent.images]
         self._first: dict[str, NDArray[np.uint8]] = {}
         self._changed: set[str] = set()
@@ -338,13 +337,11 @@ def _random(environment: Supervisor, hold: int) -> Iterator[Any]:
 
 def _outside(environment: Supervisor, observation: Any) -> list[str]:
     """The numbers of an observation that are outside of its space, by name."""
-    agent = environment.scenario.agent
     numbers = np.atleast_2d(observation["observation"] if isinstance(observation, dict) else observation)
-    entries = [agent.numbers[place] for place, _ in policy_inputs(agent.numbers, agent.frame_stack)]
     return [
-        entry.full_name
-        for entry, column in zip(entries, numbers.T, strict=True)
-        if not np.isfinite(column).all() or (entry.clip and (np.abs(column) > 1.0).any())
+        entry.name
+        for entry, column in zip(environment.scenario.agent.inputs, numbers.T, strict=True)
+        if not np.isfinite(column).all() or (entry.clipped and (np.abs(column) > 1.0).any())
     ]
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from deepbots_cli.expressions.scalar import Const, Draw, Scalar, is_drawn, names_in, walk
 from deepbots_cli.program.resets import (
     Cells,
-    Group,
+    ObjectGroup,
     OfJoint,
     OfLink,
     OfWalls,
@@ -167,7 +167,7 @@ def _name(variation: RandomizedParameter) -> str:
     return ".".join(path)
 
 
-def _places(path: str, place: Placement, group: Group | None) -> Iterator[EpisodeDraw]:
+def _places(path: str, place: Placement, group: ObjectGroup | None) -> Iterator[EpisodeDraw]:
     """Positions that are looked for, and what is drawn for each member of a group."""
     bounds = _bounds(place, group)
     for body in group.copies if group else (place.body,):
@@ -184,7 +184,7 @@ def _places(path: str, place: Placement, group: Group | None) -> Iterator[Episod
             yield EpisodeDraw(f"{here}.{axis}", key_of_member(member, stream) if member else stream, low=low, high=high)
 
 
-def _bounds(place: Placement, group: Group | None) -> Sequence[tuple[float, float]]:
+def _bounds(place: Placement, group: ObjectGroup | None) -> Sequence[tuple[float, float]]:
     """The limits of x and y (m) of a position that is looked for; none if it is not."""
     match place.spot:
         case Region(low, high):

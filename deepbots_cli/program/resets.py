@@ -139,7 +139,7 @@ class Layout:
 
 
 @dataclass(frozen=True, eq=False)
-class Group:
+class ObjectGroup:
     """Copies `name#1` to `name#capacity` of a body, of which the first `count` take part in an episode."""
 
     name: str
@@ -250,7 +250,7 @@ class Reset:
     joint_starts: tuple[JointStart, ...] = ()
     settle: float = 0.0
     variations: tuple[RandomizedParameter, ...] = ()
-    groups: tuple[Group, ...] = ()
+    groups: tuple[ObjectGroup, ...] = ()
     layouts: tuple[Layout, ...] = ()
     require: Expression | None = None
     attempts: int = 100

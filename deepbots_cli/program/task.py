@@ -58,6 +58,10 @@ class ActionRange:
         """`speed.left` and `speed.right`, or `speed` without components."""
         return [f"{self.name}.{component}" for component in self.components] or [self.name]
 
+    @property
+    def variables(self) -> tuple[str, ...]:
+        return (self.name,)
+
 
 ActionPart = Choices | ActionRange
 
@@ -201,22 +205,6 @@ class ObservedValue:
     truth: bool = False
     steps_ago: int = 0
     clipped: bool = True
-
-
-def policy_inputs(numbers: Sequence[ObservedNumber], stack: int = 1) -> tuple[tuple[int, int], ...]:
-    """For every number that the policy sees, in its order: the index of the number, and how many steps ago.
-
-    The frames of the stack come oldest first; in each, the named values in file order, each with its
-    history, oldest first, and within that its components.
-    """
-    named = [list(group) for _, group in groupby(range(len(numbers)), key=lambda index: numbers[index].name)]
-    return tuple(
-        (index, back + ago)
-        for back in reversed(range(stack))
-        for group in named
-        for ago in reversed(range(numbers[group[0]].history))
-        for index in group
-    )
 
 
 # Goal, endings, limits
@@ -508,9 +496,30 @@ class Agent:
         return tuple(number for entry in self.observation for number in entry.numbers)
 
     @cached_property
+    def seen(self) -> tuple[tuple[int, int], ...]:
+        """For every number that the policy sees, in its order: the index of the number, and how many steps ago.
+
+        The frames of the stack come oldest first; in each, the named values in file order, each with its
+        history, oldest first, and within that its components.
+        """
+        named = [list(group) for _, group in groupby(range(len(self.numbers)), key=lambda index: self.numbers[index].name)]
+        return tuple(
+            (index, back + ago)
+            for back in reversed(range(self.frame_stack))
+            for group in named
+            for ago in reversed(range(self.numbers[group[0]].history))
+            for index in group
+        )
+
+    @property
+    def newest(self) -> list[int]:
+        """Where the newest value of each number stands among those that the policy sees."""
+        return [place for place, (_, age) in enumerate(self.seen) if age == 0]
+
+    @cached_property
     def inputs(self) -> tuple[ObservedValue, ...]:
         """The numbers that the policy sees, in their order in its observation."""
-        seen = [(self.numbers[index], age) for index, age in policy_inputs(self.numbers, self.frame_stack)]
+        seen = [(self.numbers[index], age) for index, age in self.seen]
         return tuple(ObservedValue(n.full_name, n.unit.removeprefix("1"), n.low, n.high, n.is_truth, age, n.clip) for n, age in seen)
 
     @property
@@ -518,6 +527,19 @@ class Agent:
         """The discount factor of the training, per step; 0.99 is the default of every algorithm."""
         known = self.training.hyperparameters if self.training else ()
         return next((float(entry.value) for entry in known if entry.name == "gamma" and isinstance(entry.value, int | float)), 0.99)
+
+    @property
+    def choices(self) -> tuple[Choices, ...]:
+        return tuple(part for part in self.action if isinstance(part, Choices))
+
+    @property
+    def ranges(self) -> tuple[ActionRange, ...]:
+        return tuple(part for part in self.action if isinstance(part, ActionRange))
+
+    @property
+    def range_names(self) -> tuple[str, ...]:
+        """The names of the components of all ranges."""
+        return tuple(name for part in self.ranges for name in part.names)
 
     @property
     def images(self) -> tuple[ImageObservation, ...]:

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from deepbots_cli.errors import EngineError, EvaluationError
 from deepbots_cli.program.robots import Direction, Sensor
-from deepbots_cli.program.task import ActionRange
 from deepbots_cli.runtime.columns import BatchMemory
 from deepbots_cli.runtime.devices import BatchDevice, stack_worlds
 from deepbots_cli.runtime.messages import LossyChannel
@@ -236,7 +235,7 @@ class BatchSupervisor(_BatchPart, ABC):
         self._views = frame_indices(self.scenario.agent)
         self.depth, self.newest = len(self._views), 0
         self.frames = np.zeros((self.depth, len(self.scenario.agent.numbers), self.count), np.float32)
-        self._ranges = sum(max(1, len(part.components)) for part in self.scenario.agent.action if isinstance(part, ActionRange))
+        self._ranges = len(self.scenario.agent.range_names)
         size = len(self.scenario.agent.goal.low) if self.scenario.agent.goal else 0
         self.goal = np.zeros((2 * size, self.count), np.float32)
         self._size = size

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from deepbots_cli.arrays import evaluate
 from deepbots_cli.errors import EvaluationError, UsageError
 from deepbots_cli.expressions.scalar import Name
-from deepbots_cli.program.task import ActionRange, Agent, Choices, Goal, policy_inputs
+from deepbots_cli.program.task import Agent, Goal
 
 Goals = NDArray[np.floating[Any]]
 
@@ -23,13 +23,12 @@ def observation_space(agent: Agent) -> gym.Space[Any]:
     With pictures or a goal, that stands as `observation` in a Dict beside them: pictures under their names as uint8 (rows,
     columns, channels), and `achieved_goal` and `desired_goal`.
     """
-    entries = [agent.numbers[index] for index, _ in policy_inputs(agent.numbers, agent.frame_stack)]
-    low = np.array([0.0 if entry.is_truth else -1.0 if entry.clip else -np.inf for entry in entries], np.float32)
-    high = np.array([1.0 if entry.is_truth or entry.clip else np.inf for entry in entries], np.float32)
+    low = np.array([0.0 if entry.truth else -1.0 if entry.clipped else -np.inf for entry in agent.inputs], np.float32)
+    high = np.array([1.0 if entry.truth or entry.clipped else np.inf for entry in agent.inputs], np.float32)
     box = gym.spaces.Box(low, high, dtype=np.float32)
     if agent.goal is None and not agent.images:
         return box
-    parts: dict[str, gym.Space[Any]] = {"observation": box} if entries or not agent.images else {}
+    parts: dict[str, gym.Space[Any]] = {"observation": box} if agent.inputs or not agent.images else {}
     for pictured in agent.images:
         rows, columns, channels = pictured.shape
         parts[pictured.key] = gym.spaces.Box(0, 255, (rows, columns, channels * len(pictured.ages(agent.frame_stack))), np.uint8)
@@ -47,7 +46,7 @@ def history_length(agent: Agent) -> int:
 
 def frame_indices(agent: Agent) -> NDArray[np.intp]:
     """The indices of the numbers of an observation in a ring of frames; row p is for a newest frame in place p."""
-    seen = np.array(policy_inputs(agent.numbers, agent.frame_stack), np.intp).reshape(-1, 2)
+    seen = np.array(agent.seen, np.intp).reshape(-1, 2)
     frames = history_length(agent)
     newest = np.arange(frames)[:, None]
     return (newest - seen[:, 1]) % frames * len(agent.numbers) + seen[:, 0]
@@ -55,8 +54,7 @@ def frame_indices(agent: Agent) -> NDArray[np.intp]:
 
 def action_space(agent: Agent) -> gym.Space[Any]:
     """Discrete for one choice, MultiDiscrete for several, Box [-1, 1] for intervals; a Dict of `choices` and `ranges` for both."""
-    options = [len(part.options) for part in agent.action if isinstance(part, Choices)]
-    size = sum(max(1, len(part.components)) for part in agent.action if isinstance(part, ActionRange))
+    options, size = [len(part.options) for part in agent.choices], len(agent.range_names)
     ranges = gym.spaces.Box(-1.0, 1.0, (size,), np.float32)
     if not options:
         return ranges

@@ -23,7 +23,6 @@ from deepbots_cli.frames import Triple
 from deepbots_cli.port import ZERO_VECTOR, Engine, MotorWriter, View
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Actuator, CustomActuator, Direction, MessageLayout, Motor, Robot
-from deepbots_cli.program.task import ActionRange, Choices
 from deepbots_cli.runtime.actuation import CustomMotor, Site
 from deepbots_cli.runtime.formulas import Memories, Memory, clip, memory_of_vector
 from deepbots_cli.runtime.messages import Channel, FieldCodec, LossyChannel, excerpt, layout_error
@@ -123,7 +122,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         self.world = scenario.world
         """What the engine holds: with copies of a robot, each under its own name."""
         self.agents: dict[str, Supervisor] = {self.agent.name: self}
-        """Each agent by name: the supervisor that observes and scores for it. Where there is one agent, this one."""
+        """The supervisor of each copy of the agent, by name; without copies this one, under the name of the agent."""
         self.streams = Streams(None)
         self.views = frame_indices(self.agent)
         self.depth = len(self.views)
@@ -134,7 +133,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         self._buffer = self.frames.data
         self._width = 4 * len(self.agent.numbers)
         self._pack = Struct(f"{len(self.agent.numbers)}f").pack_into
-        self._ranges = sum(max(1, len(part.components)) for part in self.agent.action if isinstance(part, ActionRange))
+        self._ranges = len(self.agent.range_names)
         self.goal = np.zeros(2 * len(self.agent.goal.low) if self.agent.goal else 0, np.float32)
         self.physics = engine.step
         self.rebuild: Callable[[], Supervisor] | None = None
@@ -388,7 +387,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
 
     def allowed(self) -> tuple[tuple[bool, ...], ...]:
         """Which options of each choice may be chosen next; all of them unless the scenario forbids some."""
-        return tuple((True,) * len(part.options) for part in self.agent.action if isinstance(part, Choices))
+        return tuple((True,) * len(part.options) for part in self.agent.choices)
 
     @abstractmethod
     def get_observations(self) -> Observation:
@@ -511,7 +510,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
 
     def _nothing_allowed(self, choice: str) -> None:
         """Called when every option of a choice is forbidden while the episode goes on."""
-        options = next(part.options for part in self.agent.action if part.name == choice and isinstance(part, Choices))
+        options = next(part.options for part in self.agent.choices if part.name == choice)
         names = ", ".join(option.name for option in options)
         raise EvaluationError(f"step {self.step_count}: every option of '{choice}' is forbidden: {names}")
 

@@ -19,7 +19,7 @@ from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.port import ZERO_VECTOR
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Sensor
-from deepbots_cli.program.task import Choices, policy_inputs
+from deepbots_cli.program.task import Choices
 from deepbots_cli.program.world import Variant
 from deepbots_cli.robots.model import RobotModel
 from deepbots_cli.runtime import Supervisor
@@ -348,9 +348,7 @@ def value_of_row(value: Any, row: int) -> Any:
 
 def _newest(program: Program) -> tuple[NDArray[np.intp], list[bool]]:
     """Where the newest value of each number stands in the observation, and whether it is a truth value."""
-    numbers = program.agent.numbers
-    places = [at for at, (_, age) in enumerate(policy_inputs(numbers, program.agent.frame_stack)) if age == 0]
-    return np.array(places, np.intp), [number.is_truth for number in numbers]
+    return np.array(program.agent.newest, np.intp), [number.is_truth for number in program.agent.numbers]
 
 
 def _beams(part: LinkName, sensor: Sensor) -> tuple[SensorRays, Sequence[Frame]]:

@@ -27,7 +27,6 @@ from deepbots_cli.document import shipped
 from deepbots_cli.errors import BatchError, UsageError
 from deepbots_cli.expressions.scalar import Draw
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import policy_inputs
 from deepbots_cli.runtime import Supervisor
 
 Make = Callable[..., Supervisor]
@@ -145,9 +144,9 @@ def test_observations_share_no_memory(environment: Supervisor) -> None:
 def constant(scenario: Program, rollouts: list[list[Any]]) -> set[str]:
     """The numbers of the observation that never change; a bumper may well touch nothing in so short a time."""
     seen = np.array([numbers(observation) for one in rollouts for observation, *_ in one])
-    entries = [scenario.agent.numbers[index] for index, _ in policy_inputs(scenario.agent.numbers, scenario.agent.frame_stack)]
+    entries = scenario.agent.inputs
     spreads = np.ptp(seen, axis=0).reshape(-1, len(entries)).max(axis=0)
-    return {entry.full_name for entry, spread in zip(entries, spreads, strict=True) if spread == 0.0 and not entry.is_truth}
+    return {entry.name for entry, spread in zip(entries, spreads, strict=True) if spread == 0.0 and not entry.truth}
 
 
 def test_no_observation_is_constant(environment: Supervisor, rollouts: list[list[Any]]) -> None:
