@@ -286,9 +286,9 @@ BATCH = Target("batch", _on_columns)
 """For many worlds at once: each value is a column with one number per world."""
 
 
-def to_python(scalar: Scalar, leaf: Leaf, target: Target = SCALAR) -> str:
+def to_python(scalar: Scalar, leaf: Leaf) -> str:
     """The tree as one Python expression; `leaf` gives the code of what is read, as an atom."""
-    return _code(scalar, leaf, target).text
+    return _code(scalar, leaf, SCALAR).text
 
 
 def number_code(value: float | bool) -> Code:

@@ -260,16 +260,14 @@ def expect_range(
     *,
     dimension: Dimension | None = None,
     components: Components | None = None,
-    known: Known = Known.FIXED,
-    unit: str | None = None,
 ) -> TypedRange:
-    """As `expect_value`, for both ends of a range."""
+    """As `expect_value`, for both ends of a range, which must be fixed."""
     needs_unit = dimension is not None and dimension != NUMBER and not physical_quantity(dimension).bare_is_si
     if dimension and needs_unit and is_bare_number(found.low) and is_bare_number(found.high) and not is_bare_zero(found.high):
-        raise missing_unit(found, dimension, report, unit)  # one unit is missing, behind both ends
+        raise missing_unit(found, dimension, report)  # one unit is missing, behind both ends
     # The right end first: the unit of both stands there.
-    high = expect_value(found.high, report, what, dimension=dimension, components=components, known=known)
-    low = expect_value(found.low, report, what, dimension=dimension, components=components, known=known) if high else None
+    high = expect_value(found.high, report, what, dimension=dimension, components=components, known=Known.FIXED)
+    low = expect_value(found.low, report, what, dimension=dimension, components=components, known=Known.FIXED) if high else None
     if low is None or high is None:
         raise StopChecking
     return found._replace(low=low, high=high)

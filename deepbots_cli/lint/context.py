@@ -44,17 +44,6 @@ class RuleContext:
         return self.values.span(("observation", entry.value.name, "range"))
 
 
-class MeasuredNumber(NamedTuple):
-    """One number of the observation: its entry, its component, its place among all numbers, its full name, and its range."""
-
-    entry: Observation
-    component: int
-    place: int
-    name: str
-    low: float
-    high: float
-
-
 Section = Literal["observation", "reward", "other"]
 
 
@@ -82,12 +71,6 @@ class Simulation(RuleContext):
         self.robot_names = tuple(robot.name for robot in program.robots)
         self.walls = {piece: name for name, pieces in namespace.walls.items() if pieces != ARENA_WALLS for piece in pieces}
         """The name of the wall that each piece, such as `bay 1`, belongs to."""
-
-    @cached_property
-    def numbers(self) -> tuple[MeasuredNumber, ...]:
-        """In the order of the report."""
-        found = [(entry, part, number) for entry in self.program.agent.observation for part, number in enumerate(entry.numbers)]
-        return tuple(MeasuredNumber(*row[:2], place, row[2].full_name, row[2].low, row[2].high) for place, row in enumerate(found))
 
     def terms(self) -> Iterator[tuple[Expression, dict[str, TermStatistics]]]:
         """Every term of the reward, with its statistics by policy."""

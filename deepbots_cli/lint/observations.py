@@ -11,7 +11,7 @@ from deepbots_cli.analysis import Analysis
 from deepbots_cli.analysis.ranges import bounds_text, range_text, with_unit
 from deepbots_cli.compiler.namespace import Origin
 from deepbots_cli.compiler.robots import joint_dimension, joint_interval
-from deepbots_cli.diagnostics import Edit, Finding, Fix, Label, Span
+from deepbots_cli.diagnostics import Edit, Finding, Fix, Label
 from deepbots_cli.document.layout import removal_fix
 from deepbots_cli.expressions.dimensions import Dimension
 from deepbots_cli.expressions.functions import FUNCTIONS, Family
@@ -19,7 +19,7 @@ from deepbots_cli.expressions.intervals import Interval, hull
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 from deepbots_cli.expressions.scalar import children as parts_of
 from deepbots_cli.expressions.types import Invocation, Reference, Typed, walk
-from deepbots_cli.lint.context import MeasuredNumber, RuleContext, Simulation
+from deepbots_cli.lint.context import RuleContext, Simulation
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Observation
 from deepbots_cli.program.values import Expression, Noise
@@ -37,12 +37,14 @@ _MIN_SATURATED_SHARE = 0.5
 
 
 class RangedNumber(NamedTuple):
-    """One number of the observation: its entry, its tree and its range in SI units."""
+    """One number of the observation: its entry, its tree, its range in SI units, its place among all numbers, and its full name."""
 
     entry: Observation
     node: Scalar
     low: float
     high: float
+    place: int
+    full_name: str
 
     @property
     def name(self) -> str:
@@ -61,13 +63,12 @@ class RangedNumber(NamedTuple):
         return known.low >= self.high or known.high <= self.low
 
 
-def ranged_numbers(analysis: Analysis) -> Iterator[RangedNumber]:
-    """All numbers of the observation, without pictures and truth values."""
-    for entry in analysis.program.agent.observation:
-        known = entry.value.typed.type
-        if not known.picture and not known.boolean:
-            for node, low, high in zip(analysis.scalars(entry.value), entry.low, entry.high, strict=True):
-                yield RangedNumber(entry, node, low, high)
+def ranged_numbers(analysis: Analysis, *more: Observation) -> Iterator[RangedNumber]:
+    """All numbers of the observation and of `more` entries, without pictures and truth values."""
+    parts = [(entry, index, number) for entry in (*analysis.program.agent.observation, *more) for index, number in enumerate(entry.numbers)]
+    for place, (entry, index, number) in enumerate(parts):
+        if not number.is_truth:
+            yield RangedNumber(entry, analysis.scalars(entry.value)[index], number.low, number.high, place, number.full_name)
 
 
 def first_of_each_clipped(analysis: Analysis) -> Iterator[RangedNumber]:
@@ -167,16 +168,6 @@ def goal_in_observation(context: RuleContext) -> Iterator[Finding]:
             yield Finding("DB614", entry.value.span, headline, help, labels=also)
 
 
-class SeenNumber(NamedTuple):
-    """A number that the policy sees, in the observation or as a goal; `noise` is what this place adds to it."""
-
-    name: str
-    span: Span
-    node: Scalar
-    range: Interval
-    noise: Noise | None
-
-
 class Linear(NamedTuple):
     """A sum of measurements, each by its identity, with fixed coefficients, and a fixed offset."""
 
@@ -219,7 +210,7 @@ def noise_without_effect(context: RuleContext) -> Iterator[Finding]:
             reported.add(id(noises[0]))
             headline = f"`{number.name}` has noise, and the policy sees its exact value in `{shown.name}`"
             help = "declare the noise once, under `augment`, as `{value: ..., noise: ...}`, and use this name in both places"
-            yield Finding("DB616", noises[0].std.span, headline, help, labels=(Label(shown.span, "exact value"),))
+            yield Finding("DB616", noises[0].std.span, headline, help, labels=(Label(shown.entry.value.span, "exact value"),))
 
 
 def may_be_noisy(program: Program) -> tuple[Expression, ...]:
@@ -227,26 +218,24 @@ def may_be_noisy(program: Program) -> tuple[Expression, ...]:
     return (*program.signals, *([program.agent.goal.achieved] if program.agent.goal else []))
 
 
-def _seen_numbers(analysis: Analysis) -> Iterator[SeenNumber]:
+def _seen_numbers(analysis: Analysis) -> Iterator[RangedNumber]:
     """The numbers of the observation and of the goal, without those from messages that may be late."""
     program = analysis.program
     is_late = program.timing == "delayed" or any(robot.from_route.settings for robot in program.robots)
-    found = [
-        SeenNumber(number.name, number.entry.value.span, number.node, Interval(number.low, number.high), number.entry.noise)
-        for number in ranged_numbers(analysis)
-    ]
-    if program.agent.goal is not None:
-        for value in (program.agent.goal.achieved, program.agent.goal.desired):
-            for node, low, high in zip(analysis.scalars(value), program.agent.goal.low, program.agent.goal.high, strict=False):
-                found.append(SeenNumber(value.name, value.span, node, Interval(low, high), value.noise))
-    return (number for number in found if not (is_late and any("." in name for name in analysis.dependencies(number.node))))
+    goal = program.agent.goal
+    ends = [Observation(value, goal.low, goal.high, noise=value.noise) for value in (goal.achieved, goal.desired)] if goal else []
+    return (
+        number
+        for number in ranged_numbers(analysis, *ends)
+        if not (is_late and any("." in name for name in analysis.dependencies(number.node)))
+    )
 
 
-def _noises(analysis: Analysis, number: SeenNumber) -> list[Noise]:
+def _noises(analysis: Analysis, number: RangedNumber) -> list[Noise]:
     """The noise that a number has, its own first."""
     names = [part.name for part in analysis.walk_definitions(number.node) if isinstance(part, Name) and analysis.is_noisy(part.name)]
     measured = [value for name in names if (value := analysis.expression_named(name)) is not None]
-    return [noise for noise in (number.noise, *(value.noise for value in measured)) if noise is not None]
+    return [noise for noise in (number.entry.noise, *(value.noise for value in measured)) if noise is not None]
 
 
 def _linear(analysis: Analysis, node: Scalar, known: dict[int, Linear]) -> Linear:
@@ -285,7 +274,7 @@ def _sum(one: Linear, other: Linear) -> Linear:
     return Linear({term: of for term, of in terms.items() if of}, one.offset + other.offset)
 
 
-def _shows(shown: SeenNumber, exact: Linear, noisy: SeenNumber, hidden: Linear) -> bool:
+def _shows(shown: RangedNumber, exact: Linear, noisy: RangedNumber, hidden: Linear) -> bool:
     """Whether `shown` is an affine function of what noise hides in `noisy`, over a good part of its range."""
     if not hidden.terms or exact.terms.keys() != hidden.terms.keys():
         return False
@@ -293,9 +282,9 @@ def _shows(shown: SeenNumber, exact: Linear, noisy: SeenNumber, hidden: Linear) 
     if any(abs(factor - factors[0]) > _ROUNDING * abs(factors[0]) for factor in factors):
         return False
     offset = exact.offset - factors[0] * hidden.offset
-    ends = sorted((end - offset) / factors[0] for end in shown.range)
-    common = min(ends[1], noisy.range.high) - max(ends[0], noisy.range.low)
-    return common >= _MIN_COVERED_SHARE * (noisy.range.high - noisy.range.low)
+    ends = sorted((end - offset) / factors[0] for end in (shown.low, shown.high))
+    common = min(ends[1], noisy.high) - max(ends[0], noisy.low)
+    return common >= _MIN_COVERED_SHARE * (noisy.high - noisy.low)
 
 
 def observation_unbounded(context: RuleContext) -> Iterator[Finding]:
@@ -367,56 +356,51 @@ def constant_observation(simulation: Simulation) -> Iterator[Finding]:
     """DB608: a number was the same in every step. A number at an end of its range is not reported: a sonar may meet nothing."""
     if not simulation.is_complete or simulation.steps < _MIN_STEPS:
         return
-    still = [
-        number
-        for number in simulation.numbers
-        if number.place in simulation.report.constant_numbers and not number.entry.value.typed.type.boolean
-    ]
+    still = [number for number in ranged_numbers(simulation.analysis) if number.place in simulation.report.constant_numbers]
     still = [number for number in still if -1.0 < _constant(simulation, number) < 1.0]
     for _, group in groupby(still, key=lambda number: number.entry.value.name):
         numbers = list(group)
         entry, parts = numbers[0].entry, max(1, len(numbers[0].entry.value.components))
         is_whole = len(numbers) == parts
-        name = entry.value.name if is_whole and parts > 1 else ", ".join(number.name for number in numbers)
-        value = with_unit(_in_units(simulation, numbers[0]), entry.value.typed.type.dimension)
+        name = entry.value.name if is_whole and parts > 1 else ", ".join(number.full_name for number in numbers)
+        value = with_unit(_in_units(simulation, numbers[0]), numbers[0].dimension)
         headline = f"`{name}` never changes" + (f": it is {value} in every step" if len(numbers) == 1 else "")
         help = ("remove it" if is_whole else "observe only the other components") + ", or add a script under `scripts` that changes it"
         yield Finding("DB608", entry.value.span, headline, help, notes=(simulation.summary,))
     pictures = [entry for entry in simulation.program.agent.observation if entry.value.typed.type.picture]
-    for place, entry in enumerate(pictures, start=len(simulation.numbers)):
+    for place, entry in enumerate(pictures, start=len(simulation.program.agent.numbers)):
         if place in simulation.report.constant_numbers:
             help = "check the place and the view of its camera, or add a script under `scripts` that changes it"
             yield Finding("DB608", entry.value.span, f"the picture `{entry.value.name}` never changes", help, notes=(simulation.summary,))
 
 
-def _constant(simulation: Simulation, number: MeasuredNumber) -> float:
+def _constant(simulation: Simulation, number: RangedNumber) -> float:
     """The value that it had in every step, from -1 to 1."""
     return next(iter(simulation.measured.values())).numbers[number.place].low
 
 
-def _in_units(simulation: Simulation, number: MeasuredNumber) -> float:
+def _in_units(simulation: Simulation, number: RangedNumber) -> float:
     value = number.low + (_constant(simulation, number) + 1.0) / 2.0 * (number.high - number.low)
-    return value if abs(value) > _ROUNDING * (number.high - number.low) else 0.0
+    return value if abs(value) > number.slack else 0.0
 
 
 def often_saturated(simulation: Simulation) -> Iterator[Finding]:
     """DB611: under every policy a number is at the same end of its range in most steps, and could lie beyond."""
     if not simulation.is_complete or simulation.steps < _MIN_STEPS:
         return
-    analysis, met = simulation.analysis, set()
-    for number in simulation.numbers:
+    met = set()
+    for number in ranged_numbers(simulation.analysis):
         entry = number.entry
-        if not entry.clip or entry.value.typed.type.boolean or id(entry) in met:
+        if not entry.clip or id(entry) in met:
             continue
-        known = analysis.ranges.of(analysis.scalars(entry.value)[number.component])
-        slack = _ROUNDING * (number.high - number.low)
+        known, slack = simulation.analysis.ranges.of(number.node), number.slack
         for end, is_beyond in ((number.high, known.high > number.high + slack), (number.low, known.low < number.low - slack)):
             rows = {by: (row.numbers[number.place], row.rows) for by, row in simulation.measured.items()}
             shares = {by: (seen.at_high if end == number.high else seen.at_low) / count for by, (seen, count) in rows.items()}
             if is_beyond and min(shares.values()) >= _MIN_SATURATED_SHARE:
                 met.add(id(entry))
-                at = with_unit(end, entry.value.typed.type.dimension)
-                headline = f"`{number.name}` is at the end of its range, {at}, in most of the simulated steps"
+                at = with_unit(end, number.dimension)
+                headline = f"`{number.full_name}` is at the end of its range, {at}, in most of the simulated steps"
                 notes = tuple(f"{100 * share:.0f} % of the steps of {by}" for by, share in shares.items())
                 yield Finding("DB611", simulation.range_span(entry), headline, "widen the range to the usual values", notes=notes)
                 break

@@ -268,7 +268,7 @@ class Counter:
         self.rows = 0
         self.low, self.high = np.full(numbers, np.inf), np.full(numbers, -np.inf)
         self.at_low, self.at_high = np.zeros(numbers, int), np.zeros(numbers, int)
-        self.sums, self.sizes, self.fired = np.zeros(terms), np.zeros(terms), np.zeros(terms, int)
+        self.sums, self.sizes, self.fired = np.zeros(terms), np.zeros(terms), np.zeros(terms, bool)
         self.least, self.greatest = np.full(terms, np.inf), np.full(terms, -np.inf)
 
     def add(self, observation: Any, terms: dict[str, float]) -> None:
@@ -290,7 +290,7 @@ class Counter:
     def _add_terms(self, values: NDArray[np.float64]) -> None:
         self.sums += values
         self.sizes += np.abs(values)
-        self.fired += np.abs(values) > _MIN_TERM_SIZE
+        self.fired |= np.abs(values) > _MIN_TERM_SIZE
         np.minimum(self.least, values, out=self.least)
         np.maximum(self.greatest, values, out=self.greatest)
 
@@ -311,7 +311,7 @@ class Counter:
         if not self.steps:
             return [0, 0, [], []]
         numbers = zip(*(part.tolist() for part in (self.low, self.high, self.at_low, self.at_high)), strict=True)
-        terms = zip(*(part.tolist() for part in (self.sums, self.sizes, self.fired, self.least, self.greatest)), strict=True)
+        terms = zip(*(part.tolist() for part in (self.sums, self.sizes, self.least, self.greatest)), strict=True)
         return [self.steps, self.rows, list(numbers), list(terms)]
 
 

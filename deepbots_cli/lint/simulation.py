@@ -187,11 +187,10 @@ class NumberStatistics(NamedTuple):
 
 
 class TermStatistics(NamedTuple):
-    """A term of the reward under one policy: its sum, the sum of its sizes, the steps in which it was not 0, and its range."""
+    """A term of the reward under one policy: its sum, the sum of its sizes, and its range."""
 
     total: float
     absolute_total: float
-    nonzero_steps: int
     low: float
     high: float
 

@@ -165,11 +165,10 @@ def observation_fields(program: Program) -> tuple[PlottedField, ...]:
     """The numbers of the newest observation, then those of the goal."""
     agent = program.agent
     named = [PlottedField(n.full_name, n.name, 0.0 if n.is_truth else n.low, 1.0 if n.is_truth else n.high, n.unit) for n in agent.numbers]
-    goal = agent.goal
-    for word in ("achieved", "desired") if goal else ():
-        parts = goal.components or ("",) if goal else ()
-        ends = zip(parts, goal.low, goal.high, strict=True) if goal else ()
-        named += [PlottedField(f"{word}.{part}".rstrip("."), word, low, high, goal.unit if goal else "") for part, low, high in ends]
+    if (goal := agent.goal) is not None:
+        for word in ("achieved", "desired"):
+            ends = zip(goal.components or ("",), goal.low, goal.high, strict=True)
+            named += [PlottedField(f"{word}.{part}".rstrip("."), word, low, high, goal.unit) for part, low, high in ends]
     return tuple(named)
 
 
@@ -181,11 +180,7 @@ def action_fields(program: Program) -> tuple[PlottedField, ...]:
             names = tuple(option.name for option in part.options)
             found.append(PlottedField(part.name, part.name, 0.0, len(names) - 1.0, "", names))
         else:
-            several = len(part.components) > 0
-            found += [
-                PlottedField(f"{part.name}.{name}" if several else part.name, part.name, part.low, part.high, part.unit)
-                for name in part.components or ("",)
-            ]
+            found += [PlottedField(name, part.name, part.low, part.high, part.unit) for name in part.names]
     return tuple(found)
 
 
