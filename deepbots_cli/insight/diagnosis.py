@@ -99,11 +99,14 @@ def has_learned(t: TrainingEvidence) -> Literal["exploring", "evaluated"] | None
         """In a scenario without `solved`."""
         return solved is None and succeeds and len(successes) >= MIN_EPISODES and fmean(successes) >= required
 
+    result = t.run.record.result
+    is_solved = result is not None and result.solved_at is not None  # while exploring, which only the last stage can
     final = SuccessRate([each.is_success for each in t.final_episodes])
     excluded = succeeds and final.episodes >= MIN_EPISODES and final.high < required
-    if not excluded and (t.solved_while_exploring or (t.is_last_stage and suffices(t.episodes.successes[-100:]))):
+    if not excluded and (is_solved or (t.is_last_stage and suffices(t.episodes.successes[-100:]))):
         return "exploring"
-    last = t.last_successes if t.is_last_stage else [each.is_success for each in t.final_episodes]
+    evaluated = t.evaluations[-1]["successes"] if t.evaluations and t.program.defines_success else ()
+    last = evaluated if t.is_last_stage else [each.is_success for each in t.final_episodes]
     return "evaluated" if t.solved or suffices(last) else None
 
 

@@ -105,10 +105,6 @@ class _Graph:
                 return str(self.add(operator, value, **({"alpha": getattr(module, slope)} if slope else {})))
         raise UsageError(f"the policy holds a layer {type(module).__name__}, which cannot be exported")
 
-    def affine(self, value: str, offset: Sequence[float], factor: Sequence[float]) -> str:
-        """(value - offset) * factor, per column."""
-        return str(self.add("Mul", self.add("Sub", value, self.constant(offset)), self.constant(factor)))
-
 
 def networks(model: BaseAlgorithm, program: Program) -> dict[str, bytes]:
     """The two graphs of a policy, by the names of their files.
@@ -179,7 +175,7 @@ def _features(graph: _Graph, model: BaseAlgorithm, program: Program, *, si: bool
                 value = graph.add("Transpose", value, perm=[0, 3, 1, 2])
         elif si:
             low, high = _bounds(program, name)
-            value = graph.affine(value, (low + high) / 2, 2 / (high - low))
+            value = graph.add("Mul", graph.add("Sub", value, graph.constant((low + high) / 2)), graph.constant(2 / (high - low)))
             value = graph.add("Max", graph.add("Min", value, graph.constant(part.high)), graph.constant(part.low))
         values.append(value if extractors is None else graph.layers(extractors[name], value))
     return values[0] if len(values) == 1 else str(graph.add("Concat", *values, axis=1))

@@ -188,16 +188,6 @@ class TrainingEvidence:
     # What was learned
 
     @property
-    def solved_while_exploring(self) -> bool:
-        """Whether the episodes of the training met what `solved` asks for, which only the last stage can."""
-        return self.run.record.result is not None and self.run.record.result.solved_at is not None
-
-    @property
-    def last_successes(self) -> Sequence[bool]:
-        """Whether each episode of the last evaluation of the present stage succeeded; empty without an evaluation or a success."""
-        return self.evaluations[-1]["successes"] if self.evaluations and self.program.defines_success else ()
-
-    @property
     def solved(self) -> bool:
         """Whether the policy solves the task, as `run_verdict` says; before its evaluation also by those during the last stage."""
         solved = self.run.program.agent.solved

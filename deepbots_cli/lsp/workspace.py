@@ -152,11 +152,6 @@ class DocumentAnalysis:
     selection: Selection = field(default_factory=Selection)
 
     @property
-    def is_resolved(self) -> bool:
-        """Whether the compiler resolved the names of the scenario."""
-        return self.checked is not None and self.checked.namespace is not None
-
-    @property
     def is_complete(self) -> bool:
         """Whether all robots were read; a finding in a robot removes its names from the namespace."""
         known = self.checked.namespace if self.checked else None
@@ -326,7 +321,8 @@ class Workspace:
         if uri in self.documents:
             self.latest[uri] = analysis
             before = self._resolved.get(uri)
-            if analysis.is_resolved and (analysis.is_complete or before is None or not before.is_complete):
+            is_resolved = analysis.checked is not None and analysis.checked.namespace is not None
+            if is_resolved and (analysis.is_complete or before is None or not before.is_complete):
                 self._resolved[uri] = analysis
 
     @property

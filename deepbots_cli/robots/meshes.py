@@ -175,12 +175,8 @@ class MeshReader:
                 self._known[path] = self._digest(path)
         except OSError as error:
             return UnusableMesh(f"the mesh cannot be read: {error.strerror}")
-        digest = self._known[path]
-        return (
-            digest
-            if isinstance(digest, UnusableMesh)
-            else LoadedMesh(path, digest, found.reference if isinstance(found, MeshAboveRobot) else None)
-        )
+        digest, better = self._known[path], found.reference if isinstance(found, MeshAboveRobot) else None
+        return digest if isinstance(digest, UnusableMesh) else LoadedMesh(path, digest, better)
 
     def _digest(self, path: Path) -> str | UnusableMesh:
         if not str(path).isprintable():

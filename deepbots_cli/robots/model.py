@@ -115,6 +115,10 @@ class Geometry:
     colour: Colour | None = None
 
 
+FRICTION_TAGS = ("lateral_friction", "spinning_friction", "rolling_friction", "restitution")
+"""The elements of a robot file with the fields of `Friction`."""
+
+
 @dataclass(frozen=True)
 class Friction:
     """Contact parameters of a link. None means not stated: engines take 1 for `lateral` and 0 for the others."""
@@ -289,11 +293,6 @@ def second_moments(tensor: Matrix) -> Matrix:
     return _trace_minus(tensor, 0.5)
 
 
-def inertia_from_second_moments(moments: Matrix) -> Matrix:
-    """I = tr(J) - J, the inverse of `second_moments`."""
-    return _trace_minus(moments, 1.0)
-
-
 def scaled_matrix(m: Matrix, factor: float) -> Matrix:
     return (frames.scaled(m[0], factor), frames.scaled(m[1], factor), frames.scaled(m[2], factor))
 
@@ -385,13 +384,8 @@ def _shape(shape: Shape) -> Lines:
 
 
 def _friction(friction: Friction) -> Lines:
-    values = {
-        "lateral_friction": friction.lateral,
-        "spinning_friction": friction.spinning,
-        "rolling_friction": friction.rolling,
-        "restitution": friction.restitution,
-    }
-    inside = [line for tag, value in values.items() if value is not None for line in _element(tag, value=value)]
+    values = zip(FRICTION_TAGS, (friction.lateral, friction.spinning, friction.rolling, friction.restitution), strict=True)
+    inside = [line for tag, value in values if value is not None for line in _element(tag, value=value)]
     return _element("contact", inside) if inside else []
 
 
@@ -516,7 +510,7 @@ def _stretched_inertial(old: Inertial, scale: Vector) -> Inertial:
     axes = rotation_matrix(old.origin.rpy)
     moments = rotate_tensor(second_moments(old.matrix), axes)
     stretched = scaled_matrix(product(product(diagonal(scale), moments), diagonal(scale)), growth)
-    tensor = inertia_from_second_moments(rotate_tensor(stretched, transposed(axes)))
+    tensor = _trace_minus(rotate_tensor(stretched, transposed(axes)), 1.0)  # I = tr(J) - J, the inverse of `second_moments`
     return _with_matrix(replace(old, mass=old.mass * growth, origin=replace(old.origin, xyz=_along(old.origin.xyz, scale))), tensor)
 
 

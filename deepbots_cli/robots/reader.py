@@ -18,6 +18,7 @@ from deepbots_cli.files import read_at_most
 from deepbots_cli.robots.elements import MAX_MAGNITUDE, Element, known_names_help, parse, quoted
 from deepbots_cli.robots.meshes import MeshReader, ResolveMesh, UnusableMesh, mesh_resolver
 from deepbots_cli.robots.model import (
+    FRICTION_TAGS,
     Box,
     Capsule,
     Colour,
@@ -374,7 +375,7 @@ def _friction(link: Element) -> Friction:
     contact = link.find_one("contact")
     if contact is None:
         return Friction()
-    found = [contact.find_one(tag) for tag in ("lateral_friction", "spinning_friction", "rolling_friction", "restitution")]
+    found = [contact.find_one(tag) for tag in FRICTION_TAGS]
     return Friction(*(element.non_negative_number("value") if element else None for element in found))
 
 
