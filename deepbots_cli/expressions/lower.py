@@ -327,11 +327,6 @@ def require_printable(function: Function) -> None:
         _printed(_template(function.python), dict.fromkeys(function.arguments, Code("x")))
 
 
-def operand_code(code: str) -> str:
-    """The code as one side of any operator: in parentheses unless it is a name, an attribute, an item or a number."""
-    return code if re.sub(r"[._\[\]]", "", code).isalnum() else f"({code})"
-
-
 def _code(scalar: Scalar, leaf: Leaf, target: Target) -> Code:
     match scalar:
         case Const(value=value):

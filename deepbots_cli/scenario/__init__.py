@@ -6,7 +6,7 @@ base.py         Section, the base of the models; unions, sizes; the shape of an 
 world.py sensors.py actuators.py training.py
                 sections
 scenario.py     Scenario, the whole file: robots, messages, the task
-validate.py     nodes to a Scenario; old spellings and validation errors become findings with exact places
+validate.py     nodes to a Scenario; validation errors become findings with exact places
 json_schema.py  the JSON Schema for editors: `python -m deepbots_cli.scenario.json_schema` writes it
 """
 

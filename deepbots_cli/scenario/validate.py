@@ -1,8 +1,5 @@
 """Nodes to a validated scenario: pydantic's errors become findings, each at its exact place and in the words of the language.
 
-Old spellings of keys and words come first: each is a finding, and the tree under the new names is validated. Later passes see the new
-names only, at the places of the old ones, so an old spelling has no other findings.
-
 The first round reports. Faulty entries are then taken out and the rest is validated again, until it passes: later stages see
 everything that is sound, and nothing is reported twice.
 """

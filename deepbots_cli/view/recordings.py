@@ -51,7 +51,6 @@ _MAX_INPUTS, _MAX_SIDE = 1000, 1024
 _MAX_NUMBER = 1e9  # of a position in m, and of the time in s: one more cannot be drawn
 _RECORD_OVERHEAD_BYTES = 100
 """Bytes that a record takes in memory besides its content: a chunk of empty ones is a bomb too."""
-Topics = Mapping[str, Any]
 Payloads = Mapping[str, bytes]
 
 
